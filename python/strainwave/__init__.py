@@ -1,0 +1,1 @@
+"""Identify the physical model of a robot arm with elastic joints from its logs."""

@@ -1,0 +1,172 @@
+"""Signals that make an arm tell what it is: PRBS, multisine, steps, chirp, smooth rigid motion.
+
+Every function returns the values at the clock's ticks, one a row; the drive holds each until the
+next tick. Randomness is an argument.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave.errors import InvalidInput
+from strainwave.records import FloatArray, Prbs
+
+
+def prbs(sequence: Prbs) -> FloatArray:
+    """Maximum-length binary sequence, repeated.
+
+    A shift register of `order` bits runs through all its `2**order - 1` states but zero, so the
+    autocorrelation is that of white noise over one period and the spectrum is flat up to about
+    0.44 / clock (its half-power point).
+
+    Parameters
+    ----------
+    sequence : Prbs
+        Order, clock [s], number of periods and amplitude [V].
+
+    Returns
+    -------
+    (periods * (2**order - 1),) [V]
+        Values +-amplitude, one a clock.
+
+    Raises
+    ------
+    InvalidInput
+        The order is not one that has a tabulated feedback polynomial (2 to 32).
+    """
+    from scipy.signal import max_len_seq
+
+    if not 2 <= sequence.order <= 32:
+        raise InvalidInput(
+            f"a PRBS of order {sequence.order} is not available", remedy="choose 2 to 32"
+        )
+    bits, _ = max_len_seq(sequence.order)
+    return np.tile(sequence.amplitude * (2.0 * bits - 1.0), sequence.periods)
+
+
+def multisine(
+    lines: FloatArray, *, period: float, clock: float, periods: int, peak: float
+) -> FloatArray:
+    """Sum of sines at chosen spectral lines with Schroeder's phases, which keep the peaks low.
+
+    u(t) = c sum_k cos(2 pi l_k t / period - pi k (k - 1) / K)   (Schroeder 1970, flat spectrum)
+
+    Parameters
+    ----------
+    lines : (n_lines,) integers
+        Harmonics of 1/period that are excited.
+    period, clock : float [s]
+        Length of a period, and of a tick; their ratio must be a whole number.
+    periods : int
+        Repetitions.
+    peak : float [V]
+        Largest magnitude of the result.
+
+    Returns
+    -------
+    (periods * period / clock,) [V]
+
+    Raises
+    ------
+    InvalidInput
+        The period is no whole number of clocks, or a line lies at or above the clock's Nyquist
+        frequency.
+    """
+    n = round(period / clock)
+    if n < 2 or abs(n * clock - period) > 1e-9 * period:
+        raise InvalidInput(
+            f"a period of {period:g} s is no whole number of clocks of {clock:g} s",
+            remedy="choose the period as a multiple of the clock",
+        )
+    lines = np.asarray(lines, dtype=float)
+    if lines.size == 0 or lines.min() < 1 or lines.max() >= n / 2:
+        raise InvalidInput(
+            f"spectral lines must lie between 1 and {(n - 1) // 2}, got {lines.tolist()}",
+            remedy="choose harmonics of the period below half the clock rate",
+        )
+    k = np.arange(1, lines.size + 1)
+    phase = -np.pi * k * (k - 1) / lines.size
+    angle = 2.0 * np.pi * np.outer(np.arange(n) / n, lines) + phase
+    one = np.cos(angle).sum(axis=1)
+    return np.tile(one * (peak / np.abs(one).max()), periods)
+
+
+def steps(levels: FloatArray, *, hold: float, clock: float) -> FloatArray:
+    """Piecewise constant reference: each level for `hold` seconds.
+
+    Parameters
+    ----------
+    levels : (n_levels,)
+    hold, clock : float [s]
+
+    Returns
+    -------
+    (n_levels * round(hold / clock),)
+    """
+    return np.repeat(np.asarray(levels, dtype=float), max(1, round(hold / clock)))
+
+
+def chirp(*, start_hz: float, stop_hz: float, duration: float, clock: float, peak: float) -> FloatArray:
+    """Sine whose frequency rises logarithmically from `start_hz` to `stop_hz`.
+
+    Parameters
+    ----------
+    start_hz, stop_hz : float [Hz]
+    duration, clock : float [s]
+    peak : float [V]
+
+    Returns
+    -------
+    (round(duration / clock),) [V]
+    """
+    from scipy.signal import chirp as scipy_chirp
+
+    time = clock * np.arange(round(duration / clock))
+    value: FloatArray = peak * scipy_chirp(
+        time, f0=start_hz, f1=stop_hz, t1=duration, method="logarithmic", phi=-90.0
+    )
+    return value
+
+
+def smooth_motion(
+    *,
+    duration: float,
+    clock: float,
+    top_hz: float,
+    excursion: float,
+    speed: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Velocity reference of a rigid-motion record: a random Fourier series that starts at rest.
+
+    Amplitudes fall with frequency so that accelerations of all harmonics matter alike, phases are
+    random; a raised-cosine lead-in of half a second avoids a jump. Scaled to whichever of the two
+    limits is met first.
+
+    Parameters
+    ----------
+    duration, clock : float [s]
+    top_hz : float [Hz]
+        Highest frequency; keep it a few times below the arm's lowest anti-resonance.
+    excursion : float [rad]
+        Largest magnitude of the integral of the result.
+    speed : float [rad/s]
+        Largest magnitude of the result.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (round(duration / clock),) [rad/s]
+    """
+    time = clock * np.arange(round(duration / clock))
+    lines = np.arange(1, max(2, int(top_hz * duration)) + 1)
+    phase = rng.uniform(0.0, 2.0 * np.pi, lines.size)
+    amplitude = 1.0 / np.sqrt(lines)
+    velocity = np.cos(2.0 * np.pi * np.outer(time / duration, lines) + phase) @ amplitude
+    lead_in = 0.5 * (1.0 - np.cos(np.pi * np.clip(time / 0.5, 0.0, 1.0)))
+    velocity *= lead_in
+    velocity -= velocity.mean() * lead_in / lead_in.mean()  # comes back to where it started
+    angle = np.cumsum(velocity) * clock
+    scale = min(speed / np.abs(velocity).max(), excursion / np.abs(angle).max())
+    result: FloatArray = velocity * scale
+    return result

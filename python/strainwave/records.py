@@ -1,0 +1,264 @@
+"""Frozen data that the stages pass on: logs -> signals -> rigid -> ... -> report.
+
+Samples are rows everywhere: arrays are (n_samples, n_joints) or (n_samples,). All units SI, angles
+in rad. Joints are numbered from 1 where a person reads them and from 0 as array columns.
+
+The study's records carry their constraints as `annotated_types`; `strainwave.study` checks them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, MinLen
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
+
+ArmKind = Literal["planar-two-link", "single-joint"]
+Motion = Literal["revolute", "prismatic"]
+Spring = Literal["linear", "three-slope", "rigid"]
+Use = Literal["motion", "frequency", "sweep", "tuning", "check"]
+Control = Literal["open", "servo"]
+
+
+# --- the study: what was measured, on what, and how -------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """The arm as a whole: `[arm]`."""
+
+    kind: ArmKind
+    link_length: Positive | None = None  # l_1 [m], joint 1 axis to joint 2 axis
+    gravity: NonNegative | None = None  # [m/s^2] along -y in the plane of motion
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One joint's drive and sensors: `[[joint]]`."""
+
+    spring: Spring
+    gear_ratio: Positive  # n, link turns per motor turn
+    motion: Motion = "revolute"
+    torque_per_volt: Positive | None = None  # e [N m/V] at the motor
+    current_loop_hz: Positive | None = None
+    encoder_counts: Positive | None = None  # per motor turn
+    accelerometer_distance: Positive | None = None  # l_a [m]
+    accelerometer_hz: Positive | None = None  # second-order Butterworth
+    gyro_hz: Positive | None = None  # first order
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """PI velocity servo: u = kp e + ki integral(e), e = reference - encoder difference / period."""
+
+    kind: Literal["pi-velocity"]
+    period: Positive  # [s]
+    kp: tuple[NonNegative, ...]  # [V s/rad], one a joint
+    ki: tuple[NonNegative, ...]  # [V/rad], one a joint
+    limit: Positive  # [V]
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """Where a channel comes from: value = scale * column + offset."""
+
+    column: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Prbs:
+    """A maximum-length binary sequence, `2**order - 1` clocks long."""
+
+    order: Annotated[int, Ge(2)]
+    clock: Positive  # [s]
+    periods: Annotated[int, Ge(1)]
+    amplitude: Positive  # [V]
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One log file and what it is for: `[[experiment]]`."""
+
+    name: Annotated[str, MinLen(1)]
+    file: Annotated[str, MinLen(1)]  # beside the study file
+    use: Use
+    control: tuple[Control, ...]  # one a joint
+    joint: Annotated[int, Ge(1)] | None = None  # the excited joint, from 1
+    prbs: Prbs | None = None
+    start: float | None = None  # [s]
+    stop: float | None = None  # [s]
+    add: Mapping[str, str] = field(default_factory=dict)  # channel -> column added to it
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A whole study file, checked."""
+
+    path: Path
+    sha256: str
+    arm: Arm
+    joints: tuple[Joint, ...]
+    experiments: tuple[Experiment, ...]
+    servo: Servo | None = None
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+
+    @property
+    def n_joints(self) -> int:
+        return len(self.joints)
+
+    def log_path(self, experiment: Experiment) -> Path:
+        return self.path.parent / experiment.file
+
+
+# --- what is said beside the numbers ----------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Warning:
+    """Something the reader must know to trust, or not trust, an answer."""
+
+    code: str  # kebab-case, stable: the troubleshooting page is indexed by it
+    where: str  # file, experiment, joint or parameter
+    message: str  # what, and what to do about it
+
+
+# --- logs and signals -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """One experiment's measured channels on a uniform time base, in SI units."""
+
+    experiment: Experiment
+    time: FloatArray  # (n_samples,) [s], uniform
+    sample_time: float  # [s]
+    channels: Mapping[str, FloatArray]  # contract's channel name -> (n_samples,)
+    warnings: tuple[Warning, ...] = ()
+
+    @property
+    def name(self) -> str:
+        return self.experiment.name
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """Motor-side signals of one experiment, every one through the same zero-phase filter.
+
+    Filtered quantities of different kinds may be put into one equation: the same linear filter
+    acts on both sides of it.
+    """
+
+    experiment: Experiment
+    time: FloatArray  # (n_samples,) [s]
+    sample_time: float  # [s]
+    motor_torque: FloatArray  # (n_samples, n_joints) [N m] at the motor, filtered
+    motor_angle: FloatArray  # (n_samples, n_joints) [rad], filtered
+    motor_velocity: FloatArray  # (n_samples, n_joints) [rad/s], filtered
+    motor_acceleration: FloatArray  # (n_samples, n_joints) [rad/s^2], filtered
+    bandwidth_hz: float | None  # of the zero-phase filter; None where nothing was filtered
+    valid: BoolArray  # (n_samples, n_joints): False at edges, in saturation, where the motor sticks
+    warnings: tuple[Warning, ...] = ()
+
+
+# --- models -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One physical parameter with its uncertainty; `None` is what could not be told."""
+
+    name: str  # as in docs/notation.md
+    joint: int | None  # from 1; None for the arm's own
+    value: float | None
+    std: float | None
+    unit: str
+    stage: str
+    ci95: tuple[float, float] | None = None
+
+    def at_stage(self, stage: str) -> Parameter:
+        return replace(self, stage=stage)
+
+
+@dataclass(frozen=True, slots=True)
+class RigidModel:
+    """The rigid-joint arm (5)-(7) as estimated."""
+
+    parameters: tuple[Parameter, ...]
+    covariance: FloatArray  # (n_parameters, n_parameters), order of `parameters`; NaN where unknown
+    condition_number: float  # of the column-scaled, weighted regressor
+    fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
+    bandwidth_hz: float  # of the zero-phase filter the data asked for
+    decimation: int
+    n_rows: int  # equations used, after decimation and rejection
+    status: Literal["determined", "partly-determined", "not-identifiable"]
+    warnings: tuple[Warning, ...] = ()
+
+    def value(self, name: str, joint: int | None = None) -> float | None:
+        """The value of one parameter; `None` where it could not be told.
+
+        Raises
+        ------
+        KeyError
+            The model has no such parameter.
+        """
+        for parameter in self.parameters:
+            if parameter.name == name and parameter.joint == joint:
+                return parameter.value
+        raise KeyError(f"{name} of joint {joint}" if joint else name)
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What a model says a record's channels should have been."""
+
+    experiment: str
+    time: FloatArray  # (n_samples,) [s]
+    channels: tuple[str, ...]
+    measured: FloatArray  # (n_samples, n_channels)
+    predicted: FloatArray  # (n_samples, n_channels)
+    fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Everything one run learnt: what result.json and the report are made of."""
+
+    study: Study
+    created: str  # ISO 8601, UTC
+    version: str
+    stages: tuple[str, ...]  # those that ran
+    rigid: RigidModel | None
+    fitted: tuple[Prediction, ...]  # the model on the records it was fitted to
+    checks: tuple[Prediction, ...]  # and on the records it never saw
+    warnings: tuple[Warning, ...]
+    timing_s: Mapping[str, float]
+    reason: str | None = None  # why the question could not be answered, or not wholly
+
+    @property
+    def determined(self) -> bool:
+        """Whether every parameter asked for was found."""
+        return self.reason is None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The best of each parameter, once: a later stage's value takes an earlier one's place."""
+        best: dict[tuple[str, int | None], Parameter] = {}
+        for model in (self.rigid,):
+            for parameter in model.parameters if model else ():
+                best[parameter.name, parameter.joint] = parameter
+        return tuple(best.values())
