@@ -1,1 +1,7 @@
-"""Identify the physical model of a robot arm with elastic joints from its logs."""
+"""Identify the physical model of a robot arm with elastic joints from its logs.
+
+The stages are modules, each with one main function from records to a record; `pipeline.identify`
+runs them in order. Importing this package is cheap: what is heavy is imported where it is used.
+"""
+
+__version__ = "0.1.0"

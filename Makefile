@@ -1,0 +1,53 @@
+# Two commands on a fresh clone: `make demo` and `make test`. Python 3.11+ and a Rust toolchain do.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+DEMO   := build/demo
+RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.toml Cargo.lock
+
+.PHONY: setup demo test check bench wheel lock clean
+
+setup: $(VENV)/.built
+
+$(VENV)/.installed: requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo 'strainwave needs Python 3.11 or later: make setup PYTHON=/path/to/python3.11'; exit 1; }
+	@command -v cargo > /dev/null || { echo 'strainwave needs a Rust toolchain: https://rustup.rs'; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@touch $@
+
+$(VENV)/.built: $(VENV)/.installed pyproject.toml $(RUST)
+	VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --release --locked --quiet
+	@touch $@
+
+demo: setup
+	$(BIN)/strainwave demo --out $(DEMO)
+
+test: setup
+	cargo test --workspace --exclude strainwave-python --locked --quiet
+	$(BIN)/pytest -q
+
+check: setup
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --locked --quiet -- -D warnings
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/stubtest strainwave._core
+
+bench: setup
+	$(BIN)/python -m benchmarks
+
+wheel: $(VENV)/.installed
+	$(BIN)/maturin build --release --locked --out dist
+
+# Refreshes the versions; needs `pip install pip-tools`. Hashes only: no address of a package index.
+lock:
+	pip-compile --quiet --upgrade --all-extras --generate-hashes --strip-extras --no-header \
+	  --no-emit-index-url --no-emit-find-links --no-emit-trusted-host -o requirements.lock pyproject.toml
+
+clean:
+	rm -rf $(VENV) target build dist

@@ -1,0 +1,131 @@
+"""The command line: arguments, progress, exit codes. No arithmetic.
+
+Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data cannot answer the question.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from strainwave import __version__
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+
+app = typer.Typer(
+    name="strainwave",
+    help="From the logs of a robot arm with elastic joints to a physical model you can trust.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Out = Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+StudyFile = Annotated[Path, typer.Argument(help="The study file.", metavar="STUDY.toml")]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensors' noise and of the motions.")]
+
+DONE, AT_FAULT, NOT_ANSWERED = 0, 2, 3
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"strainwave {__version__}")
+        raise typer.Exit
+
+
+@app.command(epilog="Example: strainwave identify study.toml --out results")
+def identify(
+    study: StudyFile,
+    out: Out,
+    stages: Annotated[
+        str | None,
+        typer.Option("--stages", help="Run only the first stages, for example: rigid."),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Identify the arm: logs in, DIR/result.json and DIR/report.html out."""
+    from strainwave import pipeline
+
+    chosen = pipeline.STAGES if stages is None else tuple(s.strip() for s in stages.split(","))
+    with _progress(quiet) as tell:
+        identification = pipeline.identify(study, stages=chosen, progress=tell)
+        tell("writing the report")
+        pipeline.write(identification, out)
+    if not quiet:
+        from strainwave.summary import print_summary
+
+        print_summary(identification, out)
+    raise typer.Exit(DONE if identification.determined else NOT_ANSWERED)
+
+
+@app.command(epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual")
+def simulate(
+    study: StudyFile,
+    parameters: Annotated[
+        Path, typer.Option("--parameters", help="A result.json, or a file like it.", metavar="P.json")
+    ],
+    out: Out,
+    seed: Seed = 0,
+    ideal: Annotated[
+        bool, typer.Option("--ideal", help="Sensors without noise, bias and rounding.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run the study's experiments on a virtual arm: logs and a study.toml that identify reads."""
+    from strainwave import virtual
+
+    with _progress(quiet) as tell:
+        written = virtual.simulate_study_file(
+            study, parameters, out, seed=seed, ideal=ideal, progress=tell
+        )
+    if not quiet:
+        typer.echo(f"{written} logs and study.toml are in {out}")
+
+
+@app.command(epilog="Example: strainwave demo --out demo")
+def demo(out: Out, seed: Seed = 0, quiet: Quiet = False) -> None:
+    """Simulate the built-in SCARA-type arm, identify it, and compare with the truth."""
+    from strainwave import virtual
+    from strainwave.summary import print_summary
+
+    with _progress(quiet) as tell:
+        identification, truth = virtual.demonstrate(out, seed=seed, progress=tell)
+    if not quiet:
+        print_summary(identification, out, truth=truth)
+    raise typer.Exit(DONE if identification.determined else NOT_ANSWERED)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """One line on stderr that says what is being done, where a person watches."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("starting") as status:
+        yield lambda text: status.update(f"{text} ...")
+
+
+def main() -> None:
+    """Run the command line; the errors that a user can mend are one sentence, without traceback."""
+    try:
+        app()
+    except InvalidInput as error:
+        print(f"strainwave: {error}", file=sys.stderr)
+        sys.exit(AT_FAULT)
+    except (NotIdentifiable, NumericalFailure) as error:
+        print(f"strainwave: {error}", file=sys.stderr)
+        sys.exit(NOT_ANSWERED)
+    except BrokenPipeError:  # the reader of our output has gone, as in `strainwave ... | head`
+        sys.stderr.close()
+        sys.exit(DONE)

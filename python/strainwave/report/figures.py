@@ -1,0 +1,89 @@
+"""Plots as plain plotly dictionaries: building them needs no plotting library.
+
+Colours are Okabe and Ito's, which the colour-blind can tell apart; measured is always dark blue,
+the model always vermilion.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from strainwave.records import FloatArray, Prediction
+
+MEASURED = "#0072B2"
+MODEL = "#D55E00"
+RESIDUAL = "#888888"
+MOST_POINTS = 2000  # a trace with more is thinned: a screen is no wider
+
+Figure = dict[str, Any]
+
+
+def torque_fit(prediction: Prediction, channel: int) -> Figure:
+    """Measured and predicted torque of one channel over time, and their difference.
+
+    Parameters
+    ----------
+    prediction : Prediction
+    channel : int
+        Column of the prediction.
+
+    Returns
+    -------
+    dict
+        A plotly figure: `data` and `layout`.
+    """
+    measured = prediction.measured[:, channel]
+    predicted = prediction.predicted[:, channel]
+    pick = _thinned(prediction.time, measured)
+    time = _rounded(prediction.time[pick])
+    unit = "N m" if prediction.channels[channel].startswith("torque") else "V"
+    return {
+        "data": [
+            _line(time, measured[pick], "measured", MEASURED),
+            _line(time, predicted[pick], "model", MODEL, dash="4px,2px"),
+            _line(time, (measured - predicted)[pick], "difference", RESIDUAL, width=1),
+        ],
+        "layout": {
+            "xaxis": {"title": {"text": "time [s]"}},
+            "yaxis": {"title": {"text": f"{prediction.channels[channel]} [{unit}]"}},
+        },
+    }
+
+
+def _line(
+    x: list[float | None], y: FloatArray, name: str, colour: str, *, dash: str = "solid", width: float = 1.5
+) -> Figure:
+    return {
+        "type": "scattergl" if len(x) > MOST_POINTS else "scatter",
+        "mode": "lines",
+        "name": name,
+        "x": x,
+        "y": _rounded(y),
+        "line": {"color": colour, "dash": dash, "width": width},
+    }
+
+
+def _thinned(time: FloatArray, y: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
+    """Rows to draw: the lowest and highest of each bin, so that no peak is lost; NaN stays a gap."""
+    n = len(time)
+    if n <= MOST_POINTS:
+        return np.arange(n)
+    edges = np.linspace(0, n, MOST_POINTS // 2 + 1).astype(np.intp)
+    rows: list[int] = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        part = y[low:high]
+        if np.isnan(part).all():
+            rows.append(low)
+        else:
+            rows.extend(sorted({low + int(np.nanargmin(part)), low + int(np.nanargmax(part))}))
+    return np.array(rows)
+
+
+def _rounded(values: FloatArray) -> list[float | None]:
+    """Five significant digits of the largest value are more than a screen shows; NaN is a gap."""
+    finite = np.abs(values[np.isfinite(values)])
+    scale = float(finite.max()) if finite.size else 0.0
+    digits = 5 - int(np.floor(np.log10(scale))) if scale > 0 else 5
+    return [float(v) if np.isfinite(v) else None for v in np.round(values, digits)]

@@ -1,0 +1,187 @@
+"""The report's page: verdict first, then numbers, then pictures, then how it was made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from html import escape
+from importlib.resources import files
+
+from strainwave.formatting import plus_minus
+from strainwave.records import Identification, Parameter, Prediction, Warning
+from strainwave.report import figures
+
+
+def render(identification: Identification) -> str:
+    """The whole report as one HTML page that needs no network.
+
+    Parameters
+    ----------
+    identification : Identification
+
+    Returns
+    -------
+    str
+    """
+    plots: dict[str, figures.Figure] = {}
+    body = [
+        _heading(identification),
+        _verdict(identification),
+        _warnings(identification.warnings),
+        _parameters(identification.parameters),
+        _predictions("How well the model explains what it was fitted to", identification.fitted, plots),
+        _predictions("Records it never saw", identification.checks, plots),
+        _making(identification),
+    ]
+    title = f"strainwave: {identification.study.path.parent.name or identification.study.path.name}"
+    return "\n".join(
+        [
+            "<!doctype html>",
+            '<html lang="en"><head><meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            '<meta name="color-scheme" content="light dark">',
+            '<link rel="icon" href="data:,">',  # or the browser asks for one
+            f"<title>{escape(title)}</title>",
+            f"<style>{_own('page.css')}</style></head><body>",
+            *body,
+            f'<script type="application/json" id="figures">{_inline_json(plots)}</script>',
+            *_scripts(plots),
+            "</body></html>\n",
+        ]
+    )
+
+
+def _heading(identification: Identification) -> str:
+    study = identification.study
+    kind = study.arm.kind.replace("-", " ")
+    springs = ", ".join(joint.spring for joint in study.joints)
+    return (
+        f"<h1>{escape(study.path.parent.name or study.path.name)}</h1>"
+        f'<p class="faint">{escape(kind)}, gear springs: {escape(springs)}; '
+        f"stages: {escape(', '.join(identification.stages))}</p>"
+    )
+
+
+def _verdict(identification: Identification) -> str:
+    lines = []
+    if identification.reason is not None:
+        mark = "bad"
+        lines.append(f"<strong>Not everything could be told.</strong> {escape(identification.reason)}")
+    else:
+        mark = "doubt" if identification.warnings else ""
+        lines.append("<strong>Every parameter of the rigid model was found.</strong>")
+    worst = _worst(identification.checks)
+    if worst is not None:
+        lines.append(
+            f"On records it never saw the model explains at least {worst[0]:.1f} % "
+            f"(fit of {escape(worst[2])} in “{escape(worst[1])}”)."
+        )
+    elif not identification.checks:
+        lines.append("No record was kept for checking: nothing here says how the model does on new data.")
+    if identification.warnings:
+        lines.append(f"{len(identification.warnings)} warning(s) below: read them before the numbers.")
+    text = "".join(f"<p>{line}</p>" for line in lines)
+    return f'<div class="verdict {mark}" role="status">{text}</div>'
+
+
+def _worst(predictions: Iterable[Prediction]) -> tuple[float, str, str] | None:
+    fits = [
+        (fit, prediction.experiment, channel)
+        for prediction in predictions
+        for channel, fit in prediction.fit_percent.items()
+    ]
+    return min(fits, default=None)
+
+
+def _warnings(warnings: tuple[Warning, ...]) -> str:
+    if not warnings:
+        return ""
+    rows = "".join(
+        f"<tr><td><code>{escape(w.code)}</code></td><td>{escape(w.where)}</td>"
+        f'<td class="text">{escape(w.message)}</td></tr>'
+        for w in warnings
+    )
+    return _table("Warnings", ("code", "where", "what, and what to do"), rows)
+
+
+def _parameters(parameters: tuple[Parameter, ...]) -> str:
+    rows = []
+    for p in parameters:
+        value, spread = plus_minus(p.value, p.std)
+        interval = f"{p.ci95[0]:.4g} … {p.ci95[1]:.4g}" if p.ci95 is not None else "not known"
+        rows.append(
+            f"<tr><td>{escape(p.name)}</td><td>{p.joint or 'arm'}</td>"
+            f'<td class="number">{value}</td><td class="number">{spread}</td>'
+            f'<td class="number">{interval}</td><td>{escape(p.unit)}</td><td>{escape(p.stage)}</td></tr>'
+        )
+    heads = ("parameter", "joint", "#value", "#± one sigma", "#95 % interval", "unit", "stage")
+    return _table("Parameters", heads, "".join(rows))
+
+
+def _predictions(
+    title: str, predictions: tuple[Prediction, ...], plots: dict[str, figures.Figure]
+) -> str:
+    if not predictions:
+        return ""
+    parts = [f"<h2>{escape(title)}</h2>"]
+    for prediction in predictions:
+        for column, channel in enumerate(prediction.channels):
+            name = f"figure-{len(plots)}"
+            plots[name] = figures.torque_fit(prediction, column)
+            fit = prediction.fit_percent.get(channel, float("nan"))
+            label = f"{prediction.experiment}, {channel}: fit {fit:.2f} %"
+            parts.append(f"<h3>{escape(label)}</h3>")
+            parts.append(f'<div class="figure" id="{name}" role="img" aria-label="{escape(label)}"></div>')
+    return "".join(parts)
+
+
+def _making(identification: Identification) -> str:
+    study = identification.study
+    timing = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in identification.timing_s.items())
+    facts = [
+        ("study", str(study.path)),
+        ("sha256", study.sha256),
+        ("strainwave", identification.version),
+        ("made", identification.created),
+        ("time taken", timing),
+    ]
+    if identification.rigid is not None:
+        model = identification.rigid
+        facts.append(
+            (
+                "rigid step",
+                f"{model.n_rows} equations, zero-phase filter {model.bandwidth_hz:.3g} Hz, every "
+                f"{model.decimation}th sample, condition number {model.condition_number:.3g}",
+            )
+        )
+    items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(fact)}</dd>" for term, fact in facts)
+    return f"<h2>How it was made</h2><dl>{items}</dl>"
+
+
+def _table(title: str, heads: Iterable[str], rows: str) -> str:
+    cells = "".join(
+        f'<th scope="col" class="number">{escape(head[1:])}</th>'
+        if head.startswith("#")
+        else f'<th scope="col">{escape(head)}</th>'
+        for head in heads
+    )
+    return (
+        f'<h2>{escape(title)}</h2><div class="wide"><table><thead><tr>{cells}</tr></thead>'
+        f"<tbody>{rows}</tbody></table></div>"
+    )
+
+
+def _scripts(plots: dict[str, figures.Figure]) -> list[str]:
+    if not plots:
+        return []
+    plotly = files("plotly").joinpath("package_data/plotly.min.js").read_text(encoding="utf-8")
+    return [f"<script>{plotly}</script>", f"<script>{_own('page.js')}</script>"]
+
+
+def _own(name: str) -> str:
+    return files("strainwave.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _inline_json(value: object) -> str:
+    """JSON that may stand inside a script element: `<` would let a name close it."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

@@ -1,0 +1,80 @@
+"""What a person reads in the terminal after a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from strainwave.formatting import plus_minus
+from strainwave.records import Identification, Parameter
+
+Truth = Mapping[tuple[str, int | None], float]
+"""Known values of a virtual arm, by name and joint."""
+
+
+def print_summary(
+    identification: Identification,
+    folder: Path,
+    *,
+    truth: Truth | None = None,
+    console: Console | None = None,
+) -> None:
+    """Print parameters, fits, warnings and where the files are.
+
+    Parameters
+    ----------
+    identification : Identification
+    folder : Path
+        Where result.json and report.html were written.
+    truth : mapping, optional
+        True values where the arm is virtual; adds their column and the error.
+    console : rich Console, optional
+        The terminal, if not standard output.
+    """
+    console = console or Console(highlight=False)
+    console.print(_parameters(identification.parameters, truth))
+    for title, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
+        for prediction in predictions:
+            fits = ", ".join(f"{name} {fit:.2f} %" for name, fit in prediction.fit_percent.items())
+            console.print(f"fit ({title}) {prediction.experiment}: {fits}", markup=False)
+    for warning in identification.warnings:
+        text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
+        console.print(text, style="yellow")
+    if identification.reason is not None:
+        console.print(Text(f"not identifiable: {identification.reason}"), style="bold red")
+    total = sum(identification.timing_s.values())
+    console.print(
+        Text(f"{folder / 'report.html'} and {folder / 'result.json'} written, {total:.2f} s")
+    )
+
+
+def _parameters(parameters: tuple[Parameter, ...], truth: Truth | None) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("parameter")
+    table.add_column("joint")
+    for head in ("value", "±", "95 % interval"):
+        table.add_column(head, justify="right")
+    table.add_column("unit")
+    if truth is not None:
+        table.add_column("truth", justify="right")
+        table.add_column("error", justify="right")
+    for p in parameters:
+        value, spread = plus_minus(p.value, p.std)
+        interval = f"{p.ci95[0]:.4g} … {p.ci95[1]:.4g}" if p.ci95 is not None else ""
+        row = [p.name, str(p.joint or "arm"), value, spread, interval, p.unit]
+        if truth is not None:
+            row += _against_truth(p, truth.get((p.name, p.joint)))
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def _against_truth(parameter: Parameter, true: float | None) -> list[str]:
+    if true is None:
+        return ["", ""]
+    if parameter.value is None or true == 0.0:
+        return [f"{true:.4g}", ""]
+    return [f"{true:.4g}", f"{100.0 * (parameter.value / true - 1.0):+.2f} %"]
