@@ -160,7 +160,7 @@ class Signals:
     """Motor-side signals of one experiment, every one through the same zero-phase filter.
 
     Filtered quantities of different kinds may be put into one equation: the same linear filter
-    acts on both sides of it.
+    acts on both sides of it. What is not linear, the direction of sliding, comes unfiltered.
     """
 
     experiment: Experiment
@@ -170,8 +170,12 @@ class Signals:
     motor_angle: FloatArray  # (n_samples, n_joints) [rad], filtered
     motor_velocity: FloatArray  # (n_samples, n_joints) [rad/s], filtered
     motor_acceleration: FloatArray  # (n_samples, n_joints) [rad/s^2], filtered
+    direction: FloatArray  # (n_samples, n_joints) +-1 where the motor slides; 0: it may stand
     bandwidth_hz: float | None  # of the zero-phase filter; None where nothing was filtered
-    valid: BoolArray  # (n_samples, n_joints): False at edges, in saturation, where the motor sticks
+    angle_noise: FloatArray  # (n_joints,) [rad] standard deviation, white
+    valid: BoolArray  # (n_samples, n_joints): False at edges and where the drive saturates
+    unfiltered_torque: FloatArray  # (n_samples, n_joints) [N m] at the motor, at the stamps
+    torque_channel: tuple[str, ...]  # the log's channel each torque came from
     warnings: tuple[Warning, ...] = ()
 
 

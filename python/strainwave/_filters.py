@@ -1,0 +1,124 @@
+"""Zero-phase filters, differentiation, and how far up a record's spectrum there is signal.
+
+One linear filter applied to both sides of an equation leaves the equation true; a zero-phase one
+leaves it true at the same instants. Everything here acts along the first axis.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave.records import FloatArray
+
+BUTTERWORTH_ORDER = 4
+"""Of one pass; forward and backward the roll-off is that of order 8."""
+
+_FLOOR_MARGIN = 4.0  # a Welch estimate of 8 averages stays below 4 times its mean
+_LEAST_SAMPLES = 32
+
+
+def low_pass(signal: FloatArray, cutoff_hz: float, sample_time: float) -> FloatArray:
+    """Forward-backward Butterworth low-pass: no phase, squared magnitude of one pass.
+
+    |H|^2 = 1 / (1 + (f / cutoff_hz)^(2 order)), so that H = 1/2 at the cut-off.
+
+    Parameters
+    ----------
+    signal : (n_samples, ...)
+    cutoff_hz : float [Hz]
+        At or above 0.45 of the sampling rate the signal is returned as it is.
+    sample_time : float [s]
+
+    Returns
+    -------
+    (n_samples, ...)
+        The first and last 1/cutoff_hz seconds hold the filter's transients.
+    """
+    if cutoff_hz * sample_time >= 0.45:
+        return signal
+    from scipy.signal import butter, sosfiltfilt
+
+    sections = butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * sample_time, output="sos")
+    pad = min(len(signal) - 1, int(3.0 / (cutoff_hz * sample_time)))
+    filtered: FloatArray = sosfiltfilt(sections, signal, axis=0, padlen=pad)
+    return filtered
+
+
+def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
+    """Central differences of fourth order: x' = (8 (x_1 - x_-1) - (x_2 - x_-2)) / (12 T).
+
+    The relative error at the frequency w is (w T)^4 / 30; two samples at either end are of second
+    order.
+
+    Parameters
+    ----------
+    signal : (n_samples, ...)
+    sample_time : float [s]
+
+    Returns
+    -------
+    (n_samples, ...)
+    """
+    slope: FloatArray = np.gradient(signal, sample_time, axis=0)
+    if len(signal) > 4:
+        near = signal[3:-1] - signal[1:-3]
+        far = signal[4:] - signal[:-4]
+        slope[2:-2] = (8.0 * near - far) / (12.0 * sample_time)
+    return slope
+
+
+def noise_deviation(signal: FloatArray) -> float:
+    """Standard deviation of the white noise on a smooth signal, from the top of its spectrum.
+
+    A smooth motion leaves the upper part of the band to the noise; sixth differences suppress what
+    is left of the motion there. White noise of variance s^2 has sixth differences of variance
+    924 s^2 (the sum of the squared binomials).
+
+    Parameters
+    ----------
+    signal : (n_samples,)
+
+    Returns
+    -------
+    float
+    """
+    sixth = np.diff(signal, 6)
+    return float(np.sqrt(np.mean(sixth**2) / 924.0)) if sixth.size else 0.0
+
+
+def signal_band(angle: FloatArray, sample_time: float) -> float:
+    """Frequency up to which an angle is above its own noise.
+
+    The encoder's noise is white, whether from its counts or from electronics, and the motion's
+    spectrum falls steeply: the band ends where the power density meets the floor that the highest
+    octave shows.
+
+    Parameters
+    ----------
+    angle : (n_samples,)
+    sample_time : float [s]
+
+    Returns
+    -------
+    float [Hz]
+        At most a fifth of the sampling rate; a filter above this adds noise, not signal.
+    """
+    from scipy.signal import welch
+
+    rate = 1.0 / sample_time
+    if len(angle) < _LEAST_SAMPLES:
+        return 0.2 * rate
+    segment = min(len(angle) // 4, max(256, round(2.0 * rate)))
+    frequency, power = welch(np.diff(angle), rate, nperseg=segment, detrend="linear")
+    # of the difference's spectrum back to the angle's, without the leakage of its trend
+    power = power[1:] / (2.0 * np.sin(np.pi * frequency[1:] * sample_time)) ** 2
+    frequency = frequency[1:]
+    floor = np.median(power[frequency >= 0.25 * rate])
+    above = np.flatnonzero(power > _FLOOR_MARGIN * floor)
+    if not above.size:
+        return float(frequency[0])
+    # the first gap of some width ends the band: lines of interference above do not extend it
+    gap = max(2, len(frequency) // 200)
+    ends = np.flatnonzero(np.diff(above) > gap)
+    last = above[ends[0]] if ends.size else above[-1]
+    return float(min(frequency[last], 0.2 * rate))

@@ -1,0 +1,108 @@
+"""Where a motor certainly slides, which way, and what may be said where it may stand.
+
+Coulomb friction is f sgn(dq) only while the motor slides. Around each reversal, and while it
+stands, the friction torque is anywhere in [-f, f]: there it is an unknown of its own, not a sign.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave.records import FloatArray
+
+
+def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> FloatArray:
+    """Direction in which the motor certainly slides.
+
+    A direction is certain once the angle has left its last extreme by more than the resolution;
+    from there back to the extreme, and on the way into it, it is not. Stretches of at least
+    `standing` samples within the resolution count as standing still.
+
+    Parameters
+    ----------
+    angle : (n_samples,)
+        As measured, not smoothed: smoothing moves the instants of reversal.
+    resolution : float
+        What the sensor can tell apart: an encoder count, or a few deviations of its noise.
+    standing : int
+        Samples.
+
+    Returns
+    -------
+    (n_samples,)
+        +1, -1, or 0 where it is uncertain.
+    """
+    direction = np.zeros(len(angle))
+    for start, stop, sign in _monotone_runs(angle, resolution):
+        run = sign * angle[start : stop + 1]
+        inside = (run > run[0] + resolution) & (run < run[-1] - resolution)
+        direction[start : stop + 1][inside] = sign
+    direction[_stands(angle, resolution, standing)] = 0.0
+    return direction
+
+
+def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int, int]]:
+    """(start, stop, sign) between turning points that are further apart than the resolution."""
+    runs: list[tuple[int, int, int]] = []
+    start, extreme, sign = 0, 0, 0
+    low = high = 0
+    values = angle.tolist()
+    for k, value in enumerate(values):
+        if sign == 0:
+            low = k if value < values[low] else low
+            high = k if value > values[high] else high
+            if values[high] - values[low] > resolution:
+                sign = 1 if high > low else -1
+                start, extreme = (low, high) if sign > 0 else (high, low)
+        elif sign * (value - values[extreme]) > 0.0:
+            extreme = k
+        elif sign * (values[extreme] - value) > resolution:
+            runs.append((start, extreme, sign))
+            start, extreme, sign = extreme, k, -sign
+    if sign != 0:
+        runs.append((start, extreme, sign))
+    return runs
+
+
+def _stands(angle: FloatArray, resolution: float, standing: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Samples inside a window of `standing` samples over which the angle keeps within resolution."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    width = max(2, standing)
+    spread = maximum_filter1d(angle, width) - minimum_filter1d(angle, width)
+    quiet = (spread <= resolution).astype(np.int8)
+    return np.asarray(maximum_filter1d(quiet, width) > 0)
+
+
+def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatArray]]:
+    """Shapes that span the friction torque where the direction is uncertain.
+
+    One shape a stretch that is shorter than the spacing: seen through the low-pass filter only its
+    area matters. Longer stretches take overlapping triangles that sum to one.
+
+    Parameters
+    ----------
+    direction : (n_samples,)
+        From `sliding_direction`.
+    spacing : int
+        Samples between the triangles' centres.
+
+    Returns
+    -------
+    list of (first sample, shape)
+    """
+    uncertain = np.r_[False, direction == 0.0, False]
+    edges = np.flatnonzero(np.diff(uncertain.astype(np.int8)))
+    shapes: list[tuple[int, FloatArray]] = []
+    for first, stop in edges.reshape(-1, 2).tolist():
+        length = stop - first
+        n_knots = max(1, round(length / spacing)) + (length > spacing)
+        if n_knots == 1:
+            shapes.append((first, np.ones(length)))
+            continue
+        position = np.arange(length) * ((n_knots - 1) / max(1, length - 1))
+        for knot in range(n_knots):
+            shape = np.clip(1.0 - np.abs(position - knot), 0.0, None)
+            inside = np.flatnonzero(shape)
+            shapes.append((first + int(inside[0]), shape[inside[0] : inside[-1] + 1]))
+    return shapes

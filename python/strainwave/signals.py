@@ -1,0 +1,200 @@
+"""Log -> motor-side Signals: torque, angle, velocity, acceleration through one zero-phase filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave._filters import differentiate, low_pass, noise_deviation, signal_band
+from strainwave._friction import sliding_direction
+from strainwave.errors import InvalidInput
+from strainwave.records import BoolArray, FloatArray, Joint, Log, Signals, Study, Warning
+
+_STANDING = 0.008  # [s] of an unmoved encoder that count as standing still
+_FLAT = 5  # equal samples at the extreme that make a flat top
+_MUCH_SATURATION = 0.01  # share of a record worth a warning
+
+
+@dataclass(frozen=True, slots=True)
+class SignalOptions:
+    """What may be set by hand."""
+
+    bandwidth_hz: float | None = None  # of the filter; None: as far as the encoder's noise allows
+
+
+def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> Signals:
+    """Motor torque, angle, velocity and acceleration of one record.
+
+    The bandwidth is that of the joint whose angle drowns first in its own noise; it is wider than
+    a rigid model holds, and `rigid.fit` narrows it.
+
+    Parameters
+    ----------
+    log : Log
+    study : Study
+    options : SignalOptions, optional
+
+    Returns
+    -------
+    Signals
+
+    Raises
+    ------
+    InvalidInput
+        A motor angle or torque is missing, or the record is shorter than its filter.
+    """
+    chosen = options or SignalOptions()
+    T = log.sample_time
+    numbers = range(1, study.n_joints + 1)
+    angle = np.column_stack([_channel(log, f"theta_m{i}") for i in numbers])
+    sources = tuple(_torque_channel(log, i) for i in numbers)
+    torque = np.column_stack(
+        [_torque(log, joint, c) for joint, c in zip(study.joints, sources, strict=True)]
+    )
+    bandwidth = chosen.bandwidth_hz or min(signal_band(angle[:, i - 1], T) for i in numbers)
+    edge = int(np.ceil(1.0 / (bandwidth * T)))
+    if len(log) < 4 * edge + 16:
+        raise InvalidInput(
+            f"{len(log)} samples are too few for a filter of {bandwidth:.3g} Hz",
+            where=log.name,
+            remedy="record for longer",
+        )
+    smooth = low_pass(angle, bandwidth, T)
+    velocity = differentiate(smooth, T)
+    noise = np.array([noise_deviation(angle[:, i - 1]) for i in numbers])
+    saturated, warnings = _saturation(log, study, sources)
+    valid = ~saturated
+    valid[:edge] = valid[-edge:] = False
+    return Signals(
+        experiment=log.experiment,
+        time=log.time,
+        sample_time=T,
+        motor_torque=low_pass(torque, bandwidth, T),
+        motor_angle=smooth,
+        motor_velocity=velocity,
+        motor_acceleration=differentiate(velocity, T),
+        direction=_direction(angle, noise, study, T),
+        bandwidth_hz=bandwidth,
+        angle_noise=noise,
+        valid=valid,
+        unfiltered_torque=torque,
+        torque_channel=sources,
+        warnings=warnings,
+    )
+
+
+def drive_torque(voltage: FloatArray, joint: Joint, sample_time: float) -> FloatArray:
+    """Motor torque at the stamps from the voltages that the drive was given.
+
+    Each voltage is held until the next stamp, so the mean over one sample about a stamp is that of
+    the voltages before and after it: half a sample late. The current loop is a first-order lag,
+
+        tau_c dx/dt = e u - x,    tau_c = 1 / (2 pi current_loop_hz),
+
+    solved exactly for an input that runs straight between the stamps.
+
+    Parameters
+    ----------
+    voltage : (n_samples,) [V]
+    joint : Joint
+        With `torque_per_volt` e [N m/V] and, optionally, `current_loop_hz`.
+    sample_time : float [s]
+
+    Returns
+    -------
+    (n_samples,) [N m]
+
+    Raises
+    ------
+    InvalidInput
+        The joint has no `torque_per_volt`.
+    """
+    if joint.torque_per_volt is None:
+        raise InvalidInput(
+            "a voltage is logged but torque_per_volt is not given",
+            remedy="add torque_per_volt to the joint, or log the torque",
+        )
+    wanted = joint.torque_per_volt * 0.5 * (voltage + np.r_[voltage[:1], voltage[:-1]])
+    if joint.current_loop_hz is None:
+        return np.asarray(wanted)
+    from scipy.signal import lfilter
+
+    x = 2.0 * np.pi * joint.current_loop_hz * sample_time
+    pole = np.exp(-x)
+    before = (1.0 - pole) / x - pole
+    now = 1.0 - (1.0 - pole) / x
+    lagged, _ = lfilter([now, before], [1.0, -pole], wanted, zi=wanted[:1] * (1.0 - now))
+    return np.asarray(lagged)
+
+
+def _torque(log: Log, joint: Joint, channel: str) -> FloatArray:
+    if channel.startswith("torque"):
+        return log.channels[channel]
+    return drive_torque(log.channels[channel], joint, log.sample_time)
+
+
+def _torque_channel(log: Log, joint: int) -> str:
+    for name in (f"torque{joint}", f"u{joint}"):
+        if name in log.channels:
+            return name
+    raise InvalidInput(
+        f"neither torque{joint} nor u{joint} is there",
+        where=log.name,
+        remedy="log the drive's torque or voltage",
+    )
+
+
+def _channel(log: Log, name: str) -> FloatArray:
+    if name not in log.channels:
+        raise InvalidInput(f"{name} is not there", where=log.name, remedy=f"log {name}")
+    return log.channels[name]
+
+
+def _direction(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> FloatArray:
+    """Sliding direction of each motor, from the angles as measured."""
+    columns = []
+    for i, joint in enumerate(study.joints):
+        count = 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
+        # one count of toggling, or five deviations of noise, say nothing of the direction
+        resolution = max(1.5 * count, 0.0 if count else 5.0 * float(noise[i]))
+        columns.append(sliding_direction(angle[:, i], resolution, round(_STANDING / T)))
+    return np.column_stack(columns)
+
+
+def _saturation(
+    log: Log, study: Study, channels: tuple[str, ...]
+) -> tuple[BoolArray, tuple[Warning, ...]]:
+    """Where the drive is at its limit: what is logged may then not be what the motor got.
+
+    Only a servoed joint counts: an open-loop test may sit at its extremes on purpose.
+    """
+    saturated = np.zeros((len(log), study.n_joints), dtype=bool)
+    warnings: list[Warning] = []
+    for i, channel in enumerate(channels):
+        if log.experiment.control[i] != "servo":
+            continue
+        size = np.abs(log.channels[channel])
+        limit = study.servo.limit if study.servo and channel.startswith("u") else None
+        saturated[:, i] = size >= 0.999 * limit if limit else _flat_tops(log.channels[channel])
+        share = float(saturated[:, i].mean())
+        if share > _MUCH_SATURATION:
+            text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; left out"
+            text += ". Record a slower motion"
+            warnings.append(Warning("saturated", log.name, text))
+    return saturated, tuple(warnings)
+
+
+def _flat_tops(signal: FloatArray) -> BoolArray:
+    """Runs of at least `_FLAT` equal samples at the largest or the smallest value.
+
+    A drive's limits lie far from zero: a joint left without torque is not at one.
+    """
+    flat = np.zeros(len(signal), dtype=bool)
+    for extreme in (signal.max(), signal.min()):
+        if abs(extreme) < 0.8 * np.abs(signal).max():
+            continue
+        at = np.r_[False, signal == extreme, False]
+        for start, stop in np.flatnonzero(np.diff(at.astype(np.int8))).reshape(-1, 2).tolist():
+            flat[start:stop] |= stop - start >= _FLAT
+    return flat

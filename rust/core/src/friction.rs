@@ -1,0 +1,283 @@
+//! Coulomb friction as the set-valued law it is: sliding, standing, and the events between.
+//!
+//! The friction torque on a motor is `f_M Sgn(dtheta_M)` with `Sgn(0) = [-1, 1]`. Within a part of a
+//! step every motor either slides one way or stands, so the equations are smooth there and the
+//! integrator keeps its order. The step is cut
+//!
+//! - where the velocity of a sliding motor comes to zero: the motor stands if the torque it takes to
+//!   hold it is within `f_M`, else it slides on the other way;
+//! - where the torque that holds a standing motor leaves `[-f_M, f_M]`: it slides that way.
+//!
+//! The instants are roots of the integrator's own step as a function of its length, found to
+//! rounding, so that the cut keeps the order, and the result is a smooth function of all parameters
+//! between changes of the events' sequence.
+
+use crate::arm::Arm;
+use crate::drive::CurrentLoop;
+use crate::plant::{Acceleration, Modes, Plant, State};
+use crate::real::{Real, Work};
+
+/// Most events within one step; beyond, the motor that asks again is held until the step ends.
+///
+/// Chattering needs a torque that changes sign many times within a step, which the step could not
+/// resolve anyway.
+const MOST_EVENTS: usize = 12;
+
+/// One arm in motion: its state, its motors' torques and their friction modes.
+#[derive(Clone, Copy, Debug)]
+pub struct Motion<R, const N: usize> {
+    /// Angles and velocities.
+    pub state: State<R, N>,
+    /// Motor torques [N m].
+    pub torque: [R; N],
+    /// Friction modes.
+    pub modes: Modes<R, N>,
+}
+
+impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
+    /// Modes that fit a state: moving motors slide, resting ones stand if friction can hold them.
+    pub fn modes_at(&self, x: &State<R, N>, torque: &[R; N]) -> Modes<R, N> {
+        const { assert!(R::LANES == 1) };
+        let mut modes = Modes {
+            direction: x.motor_velocity.map(|v| sign(v.lane(0))),
+            free: [R::splat(1.0); N],
+        };
+        for i in 0..N {
+            if self.joints[i].coulomb.lane(0) == 0.0 {
+                modes.direction[i] = R::splat(0.0);
+            } else if x.motor_velocity[i].lane(0) == 0.0 {
+                modes.free[i] = R::splat(0.0);
+            }
+        }
+        self.release(x, torque, &mut modes);
+        modes
+    }
+
+    /// Sets free the standing motors that friction can no longer hold; says whether there were any.
+    pub fn release(&self, x: &State<R, N>, torque: &[R; N], modes: &mut Modes<R, N>) -> bool {
+        let mut any = false;
+        for i in 0..N {
+            if modes.free[i].lane(0) == 0.0 {
+                let holding = self.holding_torques(x, torque, modes)[i].lane(0);
+                if holding.abs() > self.joints[i].coulomb.lane(0) {
+                    modes.direction[i] = sign(holding);
+                    modes.free[i] = R::splat(1.0);
+                    any = true;
+                }
+            }
+        }
+        any
+    }
+
+    /// How far the end of a step is from breaking its modes; negative where it does.
+    ///
+    /// A sliding motor's margin is its velocity in its direction, a standing one's the friction
+    /// left. `standing` says whether any motor stands: then the holding torques are worth their
+    /// cost.
+    #[inline(always)]
+    pub fn margins(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+        standing: bool,
+    ) -> [R; N] {
+        let mut margin = x.motor_velocity;
+        for i in 0..N {
+            margin[i] = margin[i] * modes.direction[i];
+        }
+        if standing {
+            let holding = self.holding_torques(x, torque, modes);
+            for i in 0..N {
+                let left = self.joints[i].coulomb - holding[i].abs();
+                margin[i] = (R::splat(1.0) - modes.free[i]).mul_add(left, margin[i]);
+            }
+        }
+        margin
+    }
+
+    /// Advances one trajectory by `h` [s] through whatever events the time holds.
+    pub fn advance(
+        &self,
+        motion: &Motion<R, N>,
+        target: &[R; N],
+        current: &CurrentLoop<R, N>,
+        h: f64,
+    ) -> Motion<R, N> {
+        let mut now = *motion;
+        let mut left = h;
+        for _ in 0..MOST_EVENTS {
+            let leg = Leg::new(self, &now, target, current, left);
+            let (end, margins) = leg.end(1.0);
+            let Some((part, joint)) = leg.first_event(&margins) else {
+                return end;
+            };
+            let (mut at, _) = leg.end(part);
+            self.turn(&mut at, joint);
+            now = at;
+            left *= 1.0 - part;
+            if left <= 1e-15 * h {
+                return now;
+            }
+        }
+        self.hold_restless(&mut now);
+        Leg::new(self, &now, target, current, left).end(1.0).0
+    }
+
+    /// Changes the mode of the joint whose event this is.
+    fn turn(&self, motion: &mut Motion<R, N>, joint: usize) {
+        if motion.modes.free[joint].lane(0) != 0.0 {
+            motion.state.motor_velocity[joint] = R::splat(0.0);
+            if self.joints[joint].gear.is_none() {
+                motion.state.link_velocity[joint] = R::splat(0.0);
+            }
+            motion.modes.direction[joint] = R::splat(0.0);
+            motion.modes.free[joint] = R::splat(0.0);
+            self.release(&motion.state, &motion.torque, &mut motion.modes);
+        } else {
+            let holding = self.holding_torques(&motion.state, &motion.torque, &motion.modes)[joint];
+            motion.modes.direction[joint] = sign(holding.lane(0));
+            motion.modes.free[joint] = R::splat(1.0);
+        }
+    }
+
+    /// Ends a chatter: motors that hardly move stand until the step is over.
+    fn hold_restless(&self, motion: &mut Motion<R, N>) {
+        for i in 0..N {
+            let rests = motion.state.motor_velocity[i].lane(0).abs() < 1e-9;
+            if rests && self.joints[i].coulomb.lane(0) > 0.0 {
+                motion.state.motor_velocity[i] = R::splat(0.0);
+                motion.modes.direction[i] = R::splat(0.0);
+                motion.modes.free[i] = R::splat(0.0);
+            }
+        }
+    }
+}
+
+/// A stretch of time with fixed modes, and the integrator's step over any part of it.
+struct Leg<'a, A: Arm<N>, R: Real, const N: usize> {
+    plant: &'a Plant<A, R, N>,
+    from: &'a Motion<R, N>,
+    target: &'a [R; N],
+    current: &'a CurrentLoop<R, N>,
+    length: f64,
+    begin: Acceleration<R, N>,
+    standing: bool,
+}
+
+struct BeginOf<'a, A: Arm<N>, R: Real, const N: usize>(&'a Plant<A, R, N>, &'a Motion<R, N>);
+
+impl<A: Arm<N>, R: Real, const N: usize> Work for BeginOf<'_, A, R, N> {
+    type Output = Acceleration<R, N>;
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.accelerations(&self.1.state, &self.1.torque, &self.1.modes)
+    }
+}
+
+struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize>(&'l Leg<'a, A, R, N>, f64);
+
+impl<A: Arm<N>, R: Real, const N: usize> Work for EndOf<'_, '_, A, R, N> {
+    type Output = (Motion<R, N>, [R; N]);
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.integrate(self.1)
+    }
+}
+
+impl<'a, A: Arm<N>, R: Real, const N: usize> Leg<'a, A, R, N> {
+    fn new(
+        plant: &'a Plant<A, R, N>,
+        from: &'a Motion<R, N>,
+        target: &'a [R; N],
+        current: &'a CurrentLoop<R, N>,
+        length: f64,
+    ) -> Self {
+        Self {
+            plant,
+            from,
+            target,
+            current,
+            length,
+            begin: R::scope(BeginOf(plant, from)),
+            standing: from.modes.free.iter().any(|free| free.lane(0) == 0.0),
+        }
+    }
+
+    /// Where the leg is after a part of its length, and the margins there.
+    fn end(&self, part: f64) -> (Motion<R, N>, [R; N]) {
+        R::scope(EndOf(self, part))
+    }
+
+    #[inline(always)]
+    fn integrate(&self, part: f64) -> (Motion<R, N>, [R; N]) {
+        let t = part * self.length;
+        let torque = self.current.over(&self.from.torque, self.target, t);
+        let modes = &self.from.modes;
+        let state =
+            self.plant
+                .runge_kutta(&self.from.state, &self.begin, &torque, modes, R::splat(t));
+        let margins = self.plant.margins(&state, &torque.end, modes, self.standing);
+        let motion = Motion {
+            state,
+            torque: torque.end,
+            modes: *modes,
+        };
+        (motion, margins)
+    }
+
+    /// The earliest event: which part of the leg, and whose.
+    fn first_event(&self, margins_at_end: &[R; N]) -> Option<(f64, usize)> {
+        let at_begin = self.plant.margins(
+            &self.from.state,
+            &self.from.torque,
+            &self.from.modes,
+            self.standing,
+        );
+        (0..N)
+            .filter(|&i| margins_at_end[i].lane(0) < 0.0)
+            .map(|i| {
+                let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
+                (root(|part| self.end(part).1[i].lane(0), ends), i)
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+    }
+}
+
+/// Where a function that ends below zero comes there from above, on [0, 1].
+///
+/// Regula falsi in Anderson and Bjorck's form: it keeps a bracket, and scales down the value at the
+/// end that stays, so that it converges superlinearly. The function is zero there to rounding.
+fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2]) -> f64 {
+    let tiny = 1e-15 * (begin.abs() + end.abs());
+    if begin <= tiny {
+        return 0.0;
+    }
+    let (mut kept, mut f_kept) = (0.0, begin);
+    let (mut last, mut f_last) = (1.0, end);
+    for _ in 0..60 {
+        let next = last - f_last * (last - kept) / (f_last - f_kept);
+        let value = f(next);
+        if value.abs() <= tiny || (next - last).abs() < 1e-15 {
+            return next;
+        }
+        if value * f_last < 0.0 {
+            (kept, f_kept) = (last, f_last);
+        } else {
+            let factor = 1.0 - value / f_last;
+            f_kept *= if factor > 0.0 { factor } else { 0.5 };
+        }
+        (last, f_last) = (next, value);
+    }
+    last
+}
+
+fn sign<R: Real>(value: f64) -> R {
+    R::splat(if value > 0.0 {
+        1.0
+    } else if value < 0.0 {
+        -1.0
+    } else {
+        0.0
+    })
+}

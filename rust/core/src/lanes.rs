@@ -1,0 +1,124 @@
+//! Vectors of `f64` in the registers of x86-64 processors.
+//!
+//! Their operations are single instructions inside [`Real::scope`], into which they are forced
+//! inline. [`crate::dispatch`] is the one place that picks these types, after asking the processor
+//! for their features; that is what makes every `unsafe` below sound.
+
+use std::arch::x86_64::*;
+
+use crate::real::{Real, Work, operators};
+
+/// Runs work compiled for AVX2 and fused multiply-add.
+///
+/// # Safety
+/// The processor has both.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn with_avx2<W: Work>(work: W) -> W::Output {
+    work.run()
+}
+
+/// Runs work compiled for AVX-512.
+///
+/// # Safety
+/// The processor has it, and what `with_avx2` needs.
+#[target_feature(enable = "avx2,fma,avx512f")]
+pub unsafe fn with_avx512<W: Work>(work: W) -> W::Output {
+    work.run()
+}
+
+macro_rules! vector {
+    ($(#[$doc:meta])* $name:ident, $register:ty, $lanes:literal, $with:ident,
+     $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident, $min:ident, $max:ident,
+     $splat:ident, |$x:ident| $negative:expr, |$m:ident, $s:ident| $copysign:expr) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug)]
+        #[repr(transparent)]
+        pub struct $name($register);
+
+        // SAFETY (all of them): the processor has the feature, as the top of this file says.
+        operators!(
+            $name,
+            |a, b| Self(unsafe { $add(a.0, b.0) }),
+            Self(unsafe { $sub(a.0, b.0) }),
+            Self(unsafe { $mul(a.0, b.0) }),
+            Self(unsafe { $div(a.0, b.0) }),
+            Self::splat(-0.0) - a
+        );
+
+        impl Real for $name {
+            const LANES: usize = $lanes;
+            #[inline(always)]
+            fn scope<W: Work>(work: W) -> W::Output {
+                unsafe { $with(work) }
+            }
+            #[inline(always)]
+            fn splat(value: f64) -> Self {
+                Self(unsafe { $splat(value) })
+            }
+            #[inline(always)]
+            fn mul_add(self, factor: Self, term: Self) -> Self {
+                Self(unsafe { $fma(self.0, factor.0, term.0) })
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                self.copysign(Self::splat(0.0))
+            }
+            #[inline(always)]
+            fn min(self, other: Self) -> Self {
+                Self(unsafe { $min(self.0, other.0) })
+            }
+            #[inline(always)]
+            fn max(self, other: Self) -> Self {
+                Self(unsafe { $max(self.0, other.0) })
+            }
+            #[inline(always)]
+            fn copysign(self, sign: Self) -> Self {
+                let ($m, $s) = (self.0, sign.0);
+                Self(unsafe { $copysign })
+            }
+            #[inline(always)]
+            fn any_negative(self) -> bool {
+                let $x = self.0;
+                unsafe { $negative }
+            }
+            #[inline(always)]
+            fn lane(self, index: usize) -> f64 {
+                assert!(index < $lanes);
+                // SAFETY: the register is that many consecutive f64, and the index was checked.
+                unsafe { *(&raw const self.0).cast::<f64>().add(index) }
+            }
+            #[inline(always)]
+            fn set_lane(&mut self, index: usize, value: f64) {
+                assert!(index < $lanes);
+                // SAFETY: as in `lane`.
+                unsafe { *(&raw mut self.0).cast::<f64>().add(index) = value }
+            }
+        }
+    };
+}
+
+vector!(
+    /// Four numbers; features `avx2,fma`.
+    F64x4, __m256d, 4, with_avx2,
+    _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_div_pd, _mm256_fmadd_pd,
+    _mm256_min_pd, _mm256_max_pd, _mm256_set1_pd,
+    |x| _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LT_OQ>(x, _mm256_setzero_pd())) != 0,
+    |magnitude, sign| {
+        let mask = _mm256_set1_pd(-0.0);
+        _mm256_or_pd(_mm256_andnot_pd(mask, magnitude), _mm256_and_pd(mask, sign))
+    }
+);
+
+vector!(
+    /// Eight numbers; feature `avx512f`.
+    F64x8, __m512d, 8, with_avx512,
+    _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_div_pd, _mm512_fmadd_pd,
+    _mm512_min_pd, _mm512_max_pd, _mm512_set1_pd,
+    |x| _mm512_cmp_pd_mask::<_CMP_LT_OQ>(x, _mm512_setzero_pd()) != 0,
+    |magnitude, sign| {
+        let mask = _mm512_castpd_si512(_mm512_set1_pd(-0.0));
+        let magnitude = _mm512_andnot_si512(mask, _mm512_castpd_si512(magnitude));
+        let sign = _mm512_and_si512(mask, _mm512_castpd_si512(sign));
+        _mm512_castsi512_pd(_mm512_or_si512(magnitude, sign))
+    }
+);

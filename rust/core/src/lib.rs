@@ -1,0 +1,21 @@
+//! The arm with elastic joints: its equations, their integration, its servo and sensors.
+//!
+//! Pure numerics: no files, no printing, no Python. Equation numbers are those of Oaki and Adachi
+//! (IFAC SYSID 2009); symbols and units are in docs/notation.md.
+//!
+//! [`arm`] and [`gear`] hold the physics, [`plant`] puts them together, [`friction`] cuts time where
+//! Coulomb friction changes its mode, [`simulate`] runs whole experiments over any [`real::Real`],
+//! and [`dispatch`] chooses which.
+
+pub mod arm;
+pub mod config;
+pub mod dispatch;
+pub mod drive;
+pub mod friction;
+pub mod gear;
+#[cfg(target_arch = "x86_64")]
+mod lanes;
+pub mod plant;
+pub mod real;
+pub mod sensors;
+pub mod simulate;

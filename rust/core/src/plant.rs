@@ -1,0 +1,404 @@
+//! Motors, gears and links together: (1) and (2) for given friction modes, and the Runge-Kutta step.
+
+use crate::arm::Arm;
+use crate::gear::Spring;
+use crate::real::Real;
+
+/// One joint's drive train.
+#[derive(Clone, Copy, Debug)]
+pub struct Joint<R> {
+    /// n, link turns per motor turn.
+    pub ratio: R,
+    /// m_M [kg m^2] at the motor.
+    pub motor_inertia: R,
+    /// 1/m_M: a division in the innermost loop would cost as much as all else in its line.
+    pub motor_mobility: R,
+    /// d_M [N m s/rad] at the motor.
+    pub motor_viscous: R,
+    /// f_M [N m] at the motor.
+    pub coulomb: R,
+    /// f_0 [N m] at the motor.
+    pub offset: R,
+    /// d_L [N m s/rad] at the link.
+    pub link_viscous: R,
+    /// The gear's spring and its damping d_G [N m s/rad]; `None` for a rigid gear.
+    pub gear: Option<(Spring<R>, R)>,
+}
+
+/// Angles [rad] and velocities [rad/s] of motors and links.
+#[derive(Clone, Copy, Debug)]
+pub struct State<R, const N: usize> {
+    /// theta_M.
+    pub motor_angle: [R; N],
+    /// dtheta_M.
+    pub motor_velocity: [R; N],
+    /// theta_L.
+    pub link_angle: [R; N],
+    /// dtheta_L.
+    pub link_velocity: [R; N],
+}
+
+/// Accelerations [rad/s^2] of motors and links.
+#[derive(Clone, Copy, Debug)]
+pub struct Acceleration<R, const N: usize> {
+    /// ddtheta_M.
+    pub motor: [R; N],
+    /// ddtheta_L.
+    pub link: [R; N],
+}
+
+/// What each motor's friction does during a step.
+///
+/// `direction` is +1 or -1 while the motor slides that way and the Coulomb torque opposes it, and 0
+/// while it stands; `free` is 1 where the motor may move and 0 where it stands. A joint without
+/// Coulomb friction is always free and has direction 0.
+#[derive(Clone, Copy, Debug)]
+pub struct Modes<R, const N: usize> {
+    /// Sign that Coulomb friction opposes.
+    pub direction: [R; N],
+    /// 1 sliding, 0 standing.
+    pub free: [R; N],
+}
+
+/// Motor torques [N m] at the beginning, middle and end of a step.
+#[derive(Clone, Copy, Debug)]
+pub struct StepTorque<R, const N: usize> {
+    /// At the beginning.
+    pub begin: [R; N],
+    /// Half-way.
+    pub middle: [R; N],
+    /// At the end.
+    pub end: [R; N],
+}
+
+/// An arm with its joints.
+#[derive(Clone, Copy)]
+pub struct Plant<A: Arm<N>, R: Real, const N: usize> {
+    /// Which arm.
+    pub arm: A,
+    /// Its inertial and gravity parameters.
+    pub base: A::Base<R>,
+    /// Its drive trains.
+    pub joints: [Joint<R>; N],
+}
+
+impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
+    /// Accelerations for given motor torques and friction modes, from (1) and (2).
+    ///
+    /// A rigid gear has no row of its own: its motor's inertia and friction join the link's row as
+    /// m_M/n^2 and d_M/n^2, (5). A standing motor behind a rigid gear holds its link: that link's
+    /// row and column leave the equations.
+    #[inline(always)]
+    pub fn accelerations(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> Acceleration<R, N> {
+        let at = self.arm.posture(&x.link_angle);
+        let mut inertia = A::inertia(&self.base, &at);
+        let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
+        let mut motor = [R::splat(0.0); N];
+        let mut force = [R::splat(0.0); N];
+        for i in 0..N {
+            let joint = &self.joints[i];
+            let friction = joint
+                .motor_viscous
+                .mul_add(x.motor_velocity[i], joint.coulomb.mul_add(modes.direction[i], joint.offset));
+            let drive = torque[i] - friction;
+            let load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
+            if let Some((spring, damping)) = &joint.gear {
+                let transmitted = transmitted(joint, spring, *damping, x, i);
+                let net = drive - joint.ratio * transmitted;
+                motor[i] = modes.free[i] * joint.motor_mobility * net;
+                force[i] = transmitted - load;
+            } else {
+                let row = R::splat(1.0) / joint.ratio;
+                inertia[i][i] = (joint.motor_inertia * row).mul_add(row, inertia[i][i]);
+                force[i] = modes.free[i] * (drive * row - load);
+                for j in 0..N {
+                    if j != i {
+                        inertia[i][j] = inertia[i][j] * modes.free[i];
+                        inertia[j][i] = inertia[j][i] * modes.free[i];
+                    }
+                }
+            }
+        }
+        let link = solve(&inertia, &force);
+        for i in 0..N {
+            if self.joints[i].gear.is_none() {
+                motor[i] = link[i] / self.joints[i].ratio;
+            }
+        }
+        Acceleration { motor, link }
+    }
+
+    /// Torque [N m] that friction must supply at each motor to keep it from moving, offset apart.
+    ///
+    /// The motor stands while this stays within +-f_M: Sgn(0) is the whole interval [-1, 1].
+    #[inline(always)]
+    pub fn holding_torques(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> [R; N] {
+        let mut holding = [R::splat(0.0); N];
+        for i in 0..N {
+            let joint = &self.joints[i];
+            holding[i] = torque[i] - joint.offset;
+            if let Some((spring, damping)) = &joint.gear {
+                holding[i] = holding[i] - joint.ratio * transmitted(joint, spring, *damping, x, i);
+            }
+        }
+        if self.joints.iter().any(|joint| joint.gear.is_none()) {
+            self.subtract_rigid_loads(x, torque, modes, &mut holding);
+        }
+        holding
+    }
+
+    /// Behind a rigid gear the load is what the link's row needs with that link at rest.
+    fn subtract_rigid_loads(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+        holding: &mut [R; N],
+    ) {
+        let at = self.arm.posture(&x.link_angle);
+        let inertia = A::inertia(&self.base, &at);
+        let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
+        for i in 0..N {
+            if self.joints[i].gear.is_some() {
+                continue;
+            }
+            let mut held = *modes;
+            held.direction[i] = R::splat(0.0);
+            held.free[i] = R::splat(0.0);
+            let others = self.accelerations(x, torque, &held).link;
+            let mut load = bias[i];
+            for j in 0..N {
+                if j != i {
+                    load = inertia[i][j].mul_add(others[j], load);
+                }
+            }
+            holding[i] = holding[i] - self.joints[i].ratio * load;
+        }
+    }
+
+    /// One classical Runge-Kutta step with fixed friction modes.
+    ///
+    /// For q'' = a(q, q', t) the four stages need the positions only through earlier stages'
+    /// velocities, and collapse to
+    /// q+ = q + h q' + h^2/6 (a1 + a2 + a3), q'+ = q' + h/6 (a1 + 2 a2 + 2 a3 + a4).
+    #[inline(always)]
+    pub fn runge_kutta(
+        &self,
+        x: &State<R, N>,
+        a1: &Acceleration<R, N>,
+        torque: &StepTorque<R, N>,
+        modes: &Modes<R, N>,
+        h: R,
+    ) -> State<R, N> {
+        let half = R::splat(0.5) * h;
+        let x2 = x.drifted(half, a1);
+        let a2 = self.accelerations(&x2, &torque.middle, modes);
+        let x3 = x.moved(half, half * half, a1, half, &a2);
+        let a3 = self.accelerations(&x3, &torque.middle, modes);
+        let x4 = x.moved(h, h * half, &a2, h, &a3);
+        let a4 = self.accelerations(&x4, &torque.end, modes);
+        let sixth = h * R::splat(1.0 / 6.0);
+        let inner = a2.plus(&a3);
+        let for_angle = a1.plus(&inner);
+        let for_velocity = for_angle.plus(&inner).plus(&a4);
+        x.moved(h, h * sixth, &for_angle, sixth, &for_velocity)
+    }
+
+    /// Kinetic, elastic and gravitational energy [J].
+    pub fn energy(&self, x: &State<R, N>) -> R {
+        let at = self.arm.posture(&x.link_angle);
+        let inertia = A::inertia(&self.base, &at);
+        let half = R::splat(0.5);
+        let mut energy = self.arm.potential(&self.base, &at);
+        for i in 0..N {
+            let joint = &self.joints[i];
+            let v = x.motor_velocity[i];
+            energy = energy + half * joint.motor_inertia * v * v;
+            for j in 0..N {
+                energy = energy + half * inertia[i][j] * x.link_velocity[i] * x.link_velocity[j];
+            }
+            if let Some((spring, _)) = &joint.gear {
+                let twist = joint.ratio * x.motor_angle[i] - x.link_angle[i];
+                energy = energy + spring.energy(twist);
+            }
+        }
+        energy
+    }
+
+    /// Power [W] that friction and damping take out, given the friction modes.
+    pub fn dissipation(&self, x: &State<R, N>, modes: &Modes<R, N>) -> R {
+        let mut power = R::splat(0.0);
+        for (i, joint) in self.joints.iter().enumerate() {
+            let v = x.motor_velocity[i];
+            let w = x.link_velocity[i];
+            power = power + joint.motor_viscous * v * v + joint.link_viscous * w * w;
+            power = power + (joint.coulomb * modes.direction[i] + joint.offset) * v;
+            if let Some((_, damping)) = joint.gear {
+                let rate = joint.ratio * v - w;
+                power = power + damping * rate * rate;
+            }
+        }
+        power
+    }
+
+    /// Torque [N m] each gear passes to its link; a rigid gear's is left at zero.
+    pub fn gear_torques(&self, x: &State<R, N>) -> [R; N] {
+        let mut torque = [R::splat(0.0); N];
+        for i in 0..N {
+            if let Some((spring, damping)) = &self.joints[i].gear {
+                torque[i] = transmitted(&self.joints[i], spring, *damping, x, i);
+            }
+        }
+        torque
+    }
+}
+
+impl<R: Real, const N: usize> State<R, N> {
+    /// q + t q', q' + t a: the second stage.
+    #[inline(always)]
+    fn drifted(&self, t: R, a: &Acceleration<R, N>) -> Self {
+        let mut next = *self;
+        for i in 0..N {
+            next.motor_angle[i] = t.mul_add(self.motor_velocity[i], self.motor_angle[i]);
+            next.link_angle[i] = t.mul_add(self.link_velocity[i], self.link_angle[i]);
+            next.motor_velocity[i] = t.mul_add(a.motor[i], self.motor_velocity[i]);
+            next.link_velocity[i] = t.mul_add(a.link[i], self.link_velocity[i]);
+        }
+        next
+    }
+
+    /// q + t q' + s a, q' + r b: the later stages and the end.
+    #[inline(always)]
+    fn moved(
+        &self,
+        t: R,
+        s: R,
+        a: &Acceleration<R, N>,
+        r: R,
+        b: &Acceleration<R, N>,
+    ) -> Self {
+        let mut next = *self;
+        for i in 0..N {
+            next.motor_angle[i] =
+                s.mul_add(a.motor[i], t.mul_add(self.motor_velocity[i], self.motor_angle[i]));
+            next.link_angle[i] =
+                s.mul_add(a.link[i], t.mul_add(self.link_velocity[i], self.link_angle[i]));
+            next.motor_velocity[i] = r.mul_add(b.motor[i], self.motor_velocity[i]);
+            next.link_velocity[i] = r.mul_add(b.link[i], self.link_velocity[i]);
+        }
+        next
+    }
+}
+
+impl<R: Real, const N: usize> Acceleration<R, N> {
+    #[inline(always)]
+    fn plus(&self, other: &Self) -> Self {
+        let mut sum = *self;
+        for i in 0..N {
+            sum.motor[i] = sum.motor[i] + other.motor[i];
+            sum.link[i] = sum.link[i] + other.link[i];
+        }
+        sum
+    }
+}
+
+/// T(delta) + d_G ddelta of joint `i`.
+#[inline(always)]
+fn transmitted<R: Real, const N: usize>(
+    joint: &Joint<R>,
+    spring: &Spring<R>,
+    damping: R,
+    x: &State<R, N>,
+    i: usize,
+) -> R {
+    let twist = joint.ratio.mul_add(x.motor_angle[i], -x.link_angle[i]);
+    let rate = joint.ratio.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
+    damping.mul_add(rate, spring.torque(twist))
+}
+
+/// Solves a small symmetric positive definite system: Cramer's rule for two rows (one division),
+/// L D L' beyond.
+#[inline(always)]
+fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N]) -> [R; N] {
+    let mut x = *right;
+    if N == 1 {
+        x[0] = right[0] / matrix[0][0];
+    } else if N == 2 {
+        let (a, b, d) = (matrix[0][0], matrix[0][1], matrix[1][1]);
+        let scale = R::splat(1.0) / a.mul_add(d, -(b * b));
+        x[0] = d.mul_add(right[0], -(b * right[1])) * scale;
+        x[1] = a.mul_add(right[1], -(b * right[0])) * scale;
+    } else {
+        x = solve_ldl(matrix, right);
+    }
+    x
+}
+
+fn solve_ldl<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N]) -> [R; N] {
+    let mut l = *matrix;
+    for j in 0..N {
+        for k in 0..j {
+            l[j][j] = l[j][j] - l[j][k] * l[j][k] * l[k][k];
+        }
+        for i in j + 1..N {
+            for k in 0..j {
+                l[i][j] = l[i][j] - l[i][k] * l[j][k] * l[k][k];
+            }
+            l[i][j] = l[i][j] / l[j][j];
+        }
+    }
+    let mut x = *right;
+    for i in 0..N {
+        for k in 0..i {
+            x[i] = x[i] - l[i][k] * x[k];
+        }
+    }
+    for i in (0..N).rev() {
+        x[i] = x[i] / l[i][i];
+        for k in i + 1..N {
+            x[i] = x[i] - l[k][i] * x[k];
+        }
+    }
+    x
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn solves_what_it_multiplied(factor in prop::array::uniform9(-1.0..1.0f64), x in prop::array::uniform3(-2.0..2.0f64)) {
+            let mut matrix = [[0.0; 3]; 3];
+            for i in 0..3 {
+                for j in 0..3 {
+                    matrix[i][j] = (0..3).map(|k| factor[3 * i + k] * factor[3 * j + k]).sum::<f64>();
+                }
+                matrix[i][i] += 0.5;
+            }
+            let right: [f64; 3] = std::array::from_fn(|i| (0..3).map(|j| matrix[i][j] * x[j]).sum());
+            let found = solve(&matrix, &right);
+            for i in 0..3 {
+                prop_assert!((found[i] - x[i]).abs() < 1e-12); // condition number below 10
+            }
+            let corner = [[matrix[0][0], matrix[0][1]], [matrix[1][0], matrix[1][1]]];
+            let right = [corner[0][0] * x[0] + corner[0][1] * x[1], corner[1][0] * x[0] + corner[1][1] * x[1]];
+            let (fast, general) = (solve(&corner, &right), solve_ldl(&corner, &right));
+            for i in 0..2 {
+                prop_assert!((fast[i] - x[i]).abs() < 1e-12);
+                prop_assert!((general[i] - x[i]).abs() < 1e-12);
+            }
+        }
+    }
+}

@@ -1,0 +1,326 @@
+//! The scalar that the arm's equations are written over.
+//!
+//! One source serves a single trajectory (`f64`, or [`Fused`] where the machine has a fused
+//! multiply-add) and a batch side by side in vector lanes ([`crate::lanes`], [`Pair`]). Derivatives
+//! with respect to parameters are to be one more scalar. Everything is branch-free: a lane cannot
+//! take another path than its neighbour.
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// Work for [`Real::scope`]: a closure, but one whose `run` can be forced inline.
+pub trait Work {
+    /// What it gives.
+    type Output;
+    /// Does it. Implementations are `#[inline(always)]`.
+    fn run(self) -> Self::Output;
+}
+
+/// A real number, or several side by side.
+pub trait Real:
+    Copy
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+    /// How many numbers stand side by side.
+    const LANES: usize;
+    /// Runs work compiled for the processor features that this scalar's operations need.
+    ///
+    /// Outside of such a scope each operation would be a call, so every hot function that is not
+    /// inlined into one opens its own. Only [`crate::dispatch`] picks the scalar, after asking the
+    /// processor.
+    fn scope<W: Work>(work: W) -> W::Output;
+    /// The same number in every lane.
+    fn splat(value: f64) -> Self;
+    /// `self * factor + term`, rounded once where the hardware can.
+    fn mul_add(self, factor: Self, term: Self) -> Self;
+    /// Magnitude.
+    fn abs(self) -> Self;
+    /// The smaller of two.
+    fn min(self, other: Self) -> Self;
+    /// The larger of two.
+    fn max(self, other: Self) -> Self;
+    /// This magnitude with the sign of another.
+    fn copysign(self, sign: Self) -> Self;
+    /// Whether any lane is less than zero.
+    fn any_negative(self) -> bool;
+    /// The number in one lane.
+    fn lane(self, index: usize) -> f64;
+    /// Replace the number in one lane.
+    fn set_lane(&mut self, index: usize, value: f64);
+
+    /// Sine and cosine, within 4e-16 for arguments below 1e5.
+    ///
+    /// The argument is reduced by a multiple of pi (Cody and Waite, three parts) and halved; the
+    /// Taylor series on [-pi/4, pi/4] end below the rounding; the double angle and the parity of
+    /// the multiple give the result without a branch.
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        // Adding and taking away 1.5 * 2^52 rounds to the nearest whole number.
+        let magic = Self::splat(6_755_399_441_055_744.0);
+        let turns = self.mul_add(Self::splat(std::f64::consts::FRAC_1_PI), magic) - magic;
+        let mut rest = turns.mul_add(Self::splat(-3.141_592_502_593_994), self);
+        rest = turns.mul_add(Self::splat(-1.509_957_883_172_319_3e-7), rest);
+        rest = turns.mul_add(Self::splat(-1.078_060_571_631_623_8e-14), rest);
+        let half = rest * Self::splat(0.5);
+        let square = half * half;
+        let sine = half * series(square, &SINE);
+        let cosine = series(square, &COSINE);
+        let even = turns.mul_add(Self::splat(0.5), magic) - magic;
+        let parity = (turns - (even + even)).abs();
+        let sign = parity.mul_add(Self::splat(-2.0), Self::splat(1.0));
+        let twice = sine + sine;
+        (
+            sign * (twice * cosine),
+            sign * (-twice).mul_add(sine, Self::splat(1.0)),
+        )
+    }
+}
+
+/// 1/1!, -1/3!, 1/5!, ... highest power first.
+const SINE: [f64; 8] = [
+    -7.647_163_731_819_816e-13,
+    1.605_904_383_682_161_3e-10,
+    -2.505_210_838_544_172e-8,
+    2.755_731_922_398_589_3e-6,
+    -1.984_126_984_126_984e-4,
+    8.333_333_333_333_333e-3,
+    -1.666_666_666_666_666_6e-1,
+    1.0,
+];
+/// 1/0!, -1/2!, 1/4!, ... highest power first.
+const COSINE: [f64; 9] = [
+    4.779_477_332_387_385e-14,
+    -1.147_074_559_772_972_5e-11,
+    2.087_675_698_786_81e-9,
+    -2.755_731_922_398_589e-7,
+    2.480_158_730_158_73e-5,
+    -1.388_888_888_888_889e-3,
+    4.166_666_666_666_666_4e-2,
+    -0.5,
+    1.0,
+];
+
+#[inline(always)]
+fn series<R: Real>(x: R, coefficients: &[f64]) -> R {
+    let mut sum = R::splat(coefficients[0]);
+    for &coefficient in &coefficients[1..] {
+        sum = sum.mul_add(x, R::splat(coefficient));
+    }
+    sum
+}
+
+impl Real for f64 {
+    const LANES: usize = 1;
+    #[inline(always)]
+    fn scope<W: Work>(work: W) -> W::Output {
+        work.run()
+    }
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        value
+    }
+    /// Rounded twice: without the instruction, `f64::mul_add` would be a call into libm.
+    #[inline(always)]
+    fn mul_add(self, factor: Self, term: Self) -> Self {
+        self * factor + term
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        f64::abs(self)
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        if self < other { self } else { other }
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        if self > other { self } else { other }
+    }
+    #[inline(always)]
+    fn copysign(self, sign: Self) -> Self {
+        f64::copysign(self, sign)
+    }
+    #[inline(always)]
+    fn any_negative(self) -> bool {
+        self < 0.0
+    }
+    #[inline(always)]
+    fn lane(self, _: usize) -> f64 {
+        self
+    }
+    #[inline(always)]
+    fn set_lane(&mut self, _: usize, value: f64) {
+        *self = value;
+    }
+}
+
+/// Implements the four operations and the sign lane by lane for a type that wraps its parts.
+macro_rules! operators {
+    ($type:ty, $(<$generic:ident: $bound:ident>,)? |$a:ident, $b:ident| $add:expr, $sub:expr, $mul:expr, $div:expr, $neg:expr) => {
+        impl $(<$generic: $bound>)? std::ops::Add for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn add(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $add
+            }
+        }
+        impl $(<$generic: $bound>)? std::ops::Sub for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn sub(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $sub
+            }
+        }
+        impl $(<$generic: $bound>)? std::ops::Mul for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn mul(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $mul
+            }
+        }
+        impl $(<$generic: $bound>)? std::ops::Div for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn div(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $div
+            }
+        }
+        impl $(<$generic: $bound>)? std::ops::Neg for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                let $a = self;
+                $neg
+            }
+        }
+    };
+}
+pub(crate) use operators;
+
+/// One number on a machine with a fused multiply-add.
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy, Debug)]
+pub struct Fused(pub f64);
+
+#[cfg(target_arch = "x86_64")]
+operators!(Fused, |a, b| Fused(a.0 + b.0), Fused(a.0 - b.0), Fused(a.0 * b.0), Fused(a.0 / b.0), Fused(-a.0));
+
+#[cfg(target_arch = "x86_64")]
+impl Real for Fused {
+    const LANES: usize = 1;
+    #[inline(always)]
+    fn scope<W: Work>(work: W) -> W::Output {
+        // SAFETY: `dispatch` picks this scalar only where the processor has the features.
+        unsafe { crate::lanes::with_avx2(work) }
+    }
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        Fused(value)
+    }
+    #[inline(always)]
+    fn mul_add(self, factor: Self, term: Self) -> Self {
+        Fused(f64::mul_add(self.0, factor.0, term.0))
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Fused(self.0.abs())
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Fused(Real::min(self.0, other.0))
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Fused(Real::max(self.0, other.0))
+    }
+    #[inline(always)]
+    fn copysign(self, sign: Self) -> Self {
+        Fused(f64::copysign(self.0, sign.0))
+    }
+    #[inline(always)]
+    fn any_negative(self) -> bool {
+        self.0 < 0.0
+    }
+    #[inline(always)]
+    fn lane(self, _: usize) -> f64 {
+        self.0
+    }
+    #[inline(always)]
+    fn set_lane(&mut self, _: usize, value: f64) {
+        self.0 = value;
+    }
+}
+
+/// Two scalars side by side: two chains of operations hide each other's latency.
+#[derive(Clone, Copy, Debug)]
+pub struct Pair<R>(pub R, pub R);
+
+operators!(
+    Pair<R>, <R: Real>, |a, b| Pair(a.0 + b.0, a.1 + b.1), Pair(a.0 - b.0, a.1 - b.1),
+    Pair(a.0 * b.0, a.1 * b.1), Pair(a.0 / b.0, a.1 / b.1), Pair(-a.0, -a.1)
+);
+
+impl<R: Real> Real for Pair<R> {
+    const LANES: usize = 2 * R::LANES;
+    #[inline(always)]
+    fn scope<W: Work>(work: W) -> W::Output {
+        R::scope(work)
+    }
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        Pair(R::splat(value), R::splat(value))
+    }
+    #[inline(always)]
+    fn mul_add(self, factor: Self, term: Self) -> Self {
+        Pair(
+            self.0.mul_add(factor.0, term.0),
+            self.1.mul_add(factor.1, term.1),
+        )
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Pair(self.0.abs(), self.1.abs())
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Pair(self.0.min(other.0), self.1.min(other.1))
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Pair(self.0.max(other.0), self.1.max(other.1))
+    }
+    #[inline(always)]
+    fn copysign(self, sign: Self) -> Self {
+        Pair(self.0.copysign(sign.0), self.1.copysign(sign.1))
+    }
+    #[inline(always)]
+    fn any_negative(self) -> bool {
+        self.0.any_negative() | self.1.any_negative()
+    }
+    #[inline(always)]
+    fn lane(self, index: usize) -> f64 {
+        if index < R::LANES {
+            self.0.lane(index)
+        } else {
+            self.1.lane(index - R::LANES)
+        }
+    }
+    #[inline(always)]
+    fn set_lane(&mut self, index: usize, value: f64) {
+        if index < R::LANES {
+            self.0.set_lane(index, value);
+        } else {
+            self.1.set_lane(index - R::LANES, value);
+        }
+    }
+}

@@ -1,0 +1,563 @@
+//! Whole experiments: voltages and references in, what motors, links and sensors did out.
+
+use std::marker::PhantomData;
+
+use crate::arm::Arm;
+use crate::config::{Config, gather};
+use crate::drive::{CurrentLoop, Servo, ServoState, encoder_angle};
+use crate::friction::Motion;
+use crate::plant::{Acceleration, Plant, State};
+use crate::real::{Real, Work};
+use crate::sensors::LowPass;
+
+/// What can be recorded, each a value per joint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// u [V], as applied from this instant on.
+    Voltage,
+    /// Torque of the motor [N m].
+    MotorTorque,
+    /// theta_M [rad].
+    MotorAngle,
+    /// dtheta_M [rad/s].
+    MotorVelocity,
+    /// theta_L [rad].
+    LinkAngle,
+    /// dtheta_L [rad/s].
+    LinkVelocity,
+    /// ddtheta_L [rad/s^2].
+    LinkAcceleration,
+    /// Torque [N m] each gear passes to its link; zero for a rigid gear.
+    GearTorque,
+    /// Encoder reading [rad].
+    Encoder,
+    /// Accelerometer reading [m/s^2], after its bandwidth.
+    Accelerometer,
+    /// Gyro reading [rad/s], after its bandwidth.
+    Gyro,
+    /// 0 where the motor stands still by friction, else the sign of its motion.
+    Sliding,
+}
+
+/// How time is cut: everything happens at multiples of the integrator's step.
+#[derive(Clone, Copy, Debug)]
+pub struct Clock {
+    /// Step of the integrator [s].
+    pub step: f64,
+    /// Steps from one voltage of the feed-forward to the next.
+    pub steps_per_tick: usize,
+    /// Steps from one servo reading to the next.
+    pub steps_per_servo: usize,
+    /// Steps from one recorded sample to the next.
+    pub steps_per_sample: usize,
+    /// Samples to record; the first is at time zero.
+    pub samples: usize,
+}
+
+impl Clock {
+    /// Steps from the first sample to the last.
+    pub fn steps(&self) -> usize {
+        self.samples.saturating_sub(1) * self.steps_per_sample
+    }
+
+    /// Ticks the feed-forward and the reference must hold.
+    pub fn ticks(&self) -> usize {
+        self.steps() / self.steps_per_tick + 1
+    }
+}
+
+/// How an experiment begins.
+#[derive(Clone, Copy, Debug)]
+pub struct Initial<const N: usize> {
+    /// theta_M [rad].
+    pub motor_angle: [f64; N],
+    /// dtheta_M [rad/s].
+    pub motor_velocity: [f64; N],
+    /// theta_L [rad]; `None`: where the links hang at rest on their gears.
+    pub link_angle: Option<[f64; N]>,
+    /// dtheta_L [rad/s].
+    pub link_velocity: [f64; N],
+    /// Voltage [V] that has been there long enough for the torque to have followed.
+    pub voltage: [f64; N],
+}
+
+/// One arm in one experiment.
+#[derive(Clone, Copy, Debug)]
+pub struct Member<'a, const N: usize> {
+    /// Parameter values, in the order of [`Config::parameter_names`].
+    pub parameters: &'a [f64],
+    /// Voltage [V] per tick, added to the servo's.
+    pub feed_forward: &'a [[f64; N]],
+    /// Servo reference [rad/s] per tick.
+    pub reference: &'a [[f64; N]],
+    /// How it begins.
+    pub initial: Initial<N>,
+}
+
+/// What is common to all arms of a batch.
+#[derive(Clone, Debug)]
+pub struct Task<A, const N: usize> {
+    /// The arm's known constants.
+    pub config: Config<A, N>,
+    /// How time is cut.
+    pub clock: Clock,
+    /// The servo; `None`: every joint gets its feed-forward voltage.
+    pub servo: Option<Servo<N>>,
+    /// What to record.
+    pub record: Vec<Quantity>,
+}
+
+/// What was recorded: for each quantity of the task, samples times joints.
+pub type Record<const N: usize> = Vec<Vec<[f64; N]>>;
+
+/// A motion that left the finite numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Diverged {
+    /// When [s].
+    pub time: f64,
+}
+
+/// One group of arms to be run side by side, `R::LANES` of them; `S` is the scalar of the same
+/// machine, which redoes the steps of single lanes in which friction changes its mode.
+pub struct SideBySide<'a, A, R, S, const N: usize> {
+    task: &'a Task<A, N>,
+    members: &'a [Member<'a, N>],
+    scalars: PhantomData<(R, S)>,
+}
+
+impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> SideBySide<'a, A, R, S, N> {
+    /// As many members as `R` has lanes.
+    pub fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>]) -> Self {
+        Self {
+            task,
+            members,
+            scalars: PhantomData,
+        }
+    }
+}
+
+impl<A: Arm<N>, R: Real, S: Real, const N: usize> Work for SideBySide<'_, A, R, S, N> {
+    type Output = Vec<Result<Record<N>, Diverged>>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let mut group = Group::<A, R, S, N>::new(self.task, self.members);
+        let clock = &self.task.clock;
+        let (mut to_tick, mut to_servo, mut to_sample) = (0, 0, 0);
+        let steps = clock.steps();
+        for step in 0..=steps {
+            if to_tick == 0 || to_servo == 0 {
+                group.command(step, to_servo == 0);
+                to_tick = if to_tick == 0 { clock.steps_per_tick } else { to_tick };
+                to_servo = if to_servo == 0 { clock.steps_per_servo } else { to_servo };
+            }
+            let now = group.plant.accelerations(
+                &group.motion.state,
+                &group.motion.torque,
+                &group.motion.modes,
+            );
+            group.sense(&now);
+            if to_sample == 0 {
+                group.record(step, &now);
+                to_sample = clock.steps_per_sample;
+            }
+            if step < steps {
+                group.advance(&now);
+            }
+            (to_tick, to_servo, to_sample) = (to_tick - 1, to_servo - 1, to_sample - 1);
+        }
+        group.results()
+    }
+}
+
+/// Arms that run side by side.
+struct Group<'a, A: Arm<N>, R: Real, S: Real, const N: usize> {
+    task: &'a Task<A, N>,
+    members: &'a [Member<'a, N>],
+    plant: Plant<A, R, N>,
+    current: CurrentLoop<R, N>,
+    single: Vec<Plant<A, S, N>>,
+    single_current: CurrentLoop<S, N>,
+    motion: Motion<R, N>,
+    standing: bool,
+    target: [R; N],
+    voltage: Vec<[f64; N]>,
+    servo: Vec<ServoState<N>>,
+    sensors: Option<Sensors<R, N>>,
+    records: Vec<Record<N>>,
+    diverged: Vec<Option<Diverged>>,
+}
+
+/// The sensors with a memory, one of each kind a joint.
+struct Sensors<R, const N: usize> {
+    accelerometer: [Option<LowPass<R, 2>>; N],
+    gyro: [Option<LowPass<R, 1>>; N],
+    readings: [[R; N]; 2],
+}
+
+impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
+    fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>]) -> Self {
+        assert_eq!(members.len(), R::LANES);
+        let step = task.clock.step;
+        let values: Vec<&[f64]> = members.iter().map(|member| member.parameters).collect();
+        let single: Vec<Plant<A, S, N>> =
+            values.iter().map(|&own| task.config.plant(&[own])).collect();
+        let single_current = task.config.current_loop(step);
+        let starts: Vec<Motion<S, N>> = members
+            .iter()
+            .zip(&single)
+            .map(|(member, plant)| start(plant, &single_current, &member.initial))
+            .collect();
+        let motion = side_by_side(&starts);
+        let mut group = Self {
+            task,
+            members,
+            plant: task.config.plant(&values),
+            current: task.config.current_loop(step),
+            single,
+            single_current,
+            standing: any_standing(&motion),
+            target: motion.torque,
+            motion,
+            voltage: members.iter().map(|member| member.initial.voltage).collect(),
+            servo: members.iter().map(|member| member.servo_at_rest(task)).collect(),
+            sensors: None,
+            records: vec![vec![Vec::with_capacity(task.clock.samples); task.record.len()]; R::LANES],
+            diverged: vec![None; R::LANES],
+        };
+        let senses = |quantity| task.record.contains(&quantity);
+        if senses(Quantity::Accelerometer) || senses(Quantity::Gyro) {
+            group.sensors = Some(group.sensors_at_rest());
+        }
+        group
+    }
+
+    /// Takes in the voltages of this instant: the tick's feed-forward, and the servo where it reads.
+    fn command(&mut self, step: usize, servo_reads: bool) {
+        let tick = step / self.task.clock.steps_per_tick;
+        for lane in 0..R::LANES {
+            let member = &self.members[lane];
+            let feed_forward = &member.feed_forward[tick];
+            let voltage = &mut self.voltage[lane];
+            match &self.task.servo {
+                Some(servo) if servo_reads => {
+                    let mut encoder = [0.0; N];
+                    for i in 0..N {
+                        let angle = self.motion.state.motor_angle[i].lane(lane);
+                        encoder[i] = encoder_angle(angle, self.task.config.joints[i].encoder_counts);
+                    }
+                    let reference = &member.reference[tick];
+                    *voltage =
+                        servo.command(&mut self.servo[lane], reference, &encoder, feed_forward);
+                }
+                Some(servo) => {
+                    for i in 0..N {
+                        if !servo.active[i] {
+                            voltage[i] = feed_forward[i];
+                        }
+                    }
+                }
+                None => *voltage = *feed_forward,
+            }
+            for i in 0..N {
+                let torque = self.current.torque_per_volt[i] * voltage[i];
+                self.target[i].set_lane(lane, torque);
+                if self.current.bandwidth[i].is_infinite() {
+                    self.motion.torque[i].set_lane(lane, torque);
+                }
+            }
+        }
+        if self.standing {
+            self.release();
+        }
+    }
+
+    /// A torque that jumped may be more than friction can hold.
+    fn release(&mut self) {
+        for lane in 0..R::LANES {
+            let mut one: Motion<S, N> = self.lane(lane);
+            if self.single[lane].release(&one.state, &one.torque, &mut one.modes) {
+                self.set_lane(lane, &one);
+            }
+        }
+        self.standing = any_standing(&self.motion);
+    }
+
+    /// One step of the integrator; lanes in which friction changes its mode are redone singly.
+    #[inline(always)]
+    fn advance(&mut self, now: &Acceleration<R, N>) {
+        let torque = self.current.over_step(&self.motion.torque, &self.target);
+        let h = R::splat(self.task.clock.step);
+        let modes = &self.motion.modes;
+        let state = self.plant.runge_kutta(&self.motion.state, now, &torque, modes, h);
+        let margins = self.plant.margins(&state, &torque.end, modes, self.standing);
+        let mut least = margins[0];
+        for margin in &margins[1..] {
+            least = least.min(*margin);
+        }
+        let before = self.motion;
+        self.motion.state = state;
+        self.motion.torque = torque.end;
+        if least.any_negative() {
+            self.redo(&before, least);
+        }
+    }
+
+    #[inline(never)]
+    fn redo(&mut self, before: &Motion<R, N>, least: R) {
+        for lane in 0..R::LANES {
+            if least.lane(lane) < 0.0 {
+                let from: Motion<S, N> = one_of(before, lane);
+                let target = self.target.map(|target| S::splat(target.lane(lane)));
+                let h = self.task.clock.step;
+                let to = self.single[lane].advance(&from, &target, &self.single_current, h);
+                self.set_lane(lane, &to);
+            }
+        }
+        self.standing = any_standing(&self.motion);
+    }
+
+    fn lane(&self, lane: usize) -> Motion<S, N> {
+        one_of(&self.motion, lane)
+    }
+
+    fn set_lane(&mut self, lane: usize, one: &Motion<S, N>) {
+        let put = |all: &mut [R; N], own: &[S; N]| {
+            for i in 0..N {
+                all[i].set_lane(lane, own[i].lane(0));
+            }
+        };
+        put(&mut self.motion.state.motor_angle, &one.state.motor_angle);
+        put(&mut self.motion.state.motor_velocity, &one.state.motor_velocity);
+        put(&mut self.motion.state.link_angle, &one.state.link_angle);
+        put(&mut self.motion.state.link_velocity, &one.state.link_velocity);
+        put(&mut self.motion.torque, &one.torque);
+        put(&mut self.motion.modes.direction, &one.modes.direction);
+        put(&mut self.motion.modes.free, &one.modes.free);
+    }
+
+    fn sensors_at_rest(&self) -> Sensors<R, N> {
+        let now = self
+            .plant
+            .accelerations(&self.motion.state, &self.motion.torque, &self.motion.modes);
+        let readings = self.readings(&now);
+        let joints = &self.task.config.joints;
+        let h = self.task.clock.step;
+        Sensors {
+            accelerometer: std::array::from_fn(|i| {
+                let hz = joints[i].accelerometer_hz?;
+                Some(LowPass::butterworth(hz, h, readings[0][i]))
+            }),
+            gyro: std::array::from_fn(|i| {
+                let hz = joints[i].gyro_hz?;
+                Some(LowPass::first_order(hz, h, readings[1][i]))
+            }),
+            readings,
+        }
+    }
+
+    /// What ideal accelerometers and gyros read.
+    #[inline(always)]
+    fn readings(&self, now: &Acceleration<R, N>) -> [[R; N]; 2] {
+        let state = &self.motion.state;
+        let at = self.plant.arm.posture(&state.link_angle);
+        let places = self.task.config.accelerometers();
+        [
+            self.plant
+                .arm
+                .accelerometers(&places, &at, &state.link_velocity, &now.link),
+            A::absolute_rates(&state.link_velocity),
+        ]
+    }
+
+    #[inline(always)]
+    fn sense(&mut self, now: &Acceleration<R, N>) {
+        if self.sensors.is_none() {
+            return;
+        }
+        let readings = self.readings(now);
+        let Some(sensors) = &mut self.sensors else {
+            return;
+        };
+        sensors.readings = readings;
+        for i in 0..N {
+            if let Some(filter) = &mut sensors.accelerometer[i] {
+                filter.update(readings[0][i]);
+                sensors.readings[0][i] = filter.output();
+            }
+            if let Some(filter) = &mut sensors.gyro[i] {
+                filter.update(readings[1][i]);
+                sensors.readings[1][i] = filter.output();
+            }
+        }
+    }
+
+    #[inline(never)]
+    fn record(&mut self, step: usize, now: &Acceleration<R, N>) {
+        let state = &self.motion.state;
+        let gear_torque = self.plant.gear_torques(state);
+        for lane in 0..R::LANES {
+            let of = |values: &[R; N]| values.map(|value| value.lane(lane));
+            let sensed = |kind: usize| self.sensors.as_ref().map_or([0.0; N], |s| of(&s.readings[kind]));
+            for (k, quantity) in self.task.record.iter().enumerate() {
+                let row = match quantity {
+                    Quantity::Voltage => self.voltage[lane],
+                    Quantity::MotorTorque => of(&self.motion.torque),
+                    Quantity::MotorAngle => of(&state.motor_angle),
+                    Quantity::MotorVelocity => of(&state.motor_velocity),
+                    Quantity::LinkAngle => of(&state.link_angle),
+                    Quantity::LinkVelocity => of(&state.link_velocity),
+                    Quantity::LinkAcceleration => of(&now.link),
+                    Quantity::GearTorque => of(&gear_torque),
+                    Quantity::Encoder => {
+                        let angle = of(&state.motor_angle);
+                        std::array::from_fn(|i| {
+                            encoder_angle(angle[i], self.task.config.joints[i].encoder_counts)
+                        })
+                    }
+                    Quantity::Accelerometer => sensed(0),
+                    Quantity::Gyro => sensed(1),
+                    Quantity::Sliding => std::array::from_fn(|i| {
+                        let velocity = state.motor_velocity[i].lane(lane);
+                        if velocity == 0.0 { 0.0 } else { velocity.signum() }
+                    }),
+                };
+                self.records[lane][k].push(row);
+            }
+            let finite = of(&state.motor_velocity).iter().chain(&of(&state.link_velocity)).all(|v| v.is_finite());
+            if !finite && self.diverged[lane].is_none() {
+                let time = step as f64 * self.task.clock.step;
+                self.diverged[lane] = Some(Diverged { time });
+            }
+        }
+    }
+
+    fn results(self) -> Vec<Result<Record<N>, Diverged>> {
+        self.records
+            .into_iter()
+            .zip(self.diverged)
+            .map(|(record, diverged)| diverged.map_or(Ok(record), Err))
+            .collect()
+    }
+}
+
+impl<const N: usize> Member<'_, N> {
+    /// A servo whose integral already commands the initial voltage.
+    fn servo_at_rest<A: Arm<N>>(&self, task: &Task<A, N>) -> ServoState<N> {
+        let mut state = ServoState {
+            integral: [0.0; N],
+            last_angle: [0.0; N],
+        };
+        for i in 0..N {
+            let counts = task.config.joints[i].encoder_counts;
+            state.last_angle[i] = encoder_angle(self.initial.motor_angle[i], counts);
+            if let Some(servo) = &task.servo
+                && servo.active[i]
+                && servo.ki[i] > 0.0
+            {
+                state.integral[i] = self.initial.voltage[i] / servo.ki[i];
+            }
+        }
+        state
+    }
+}
+
+/// The motion an experiment begins with.
+fn start<A: Arm<N>, S: Real, const N: usize>(
+    plant: &Plant<A, S, N>,
+    current: &CurrentLoop<S, N>,
+    initial: &Initial<N>,
+) -> Motion<S, N> {
+    let mut state = State {
+        motor_angle: initial.motor_angle.map(S::splat),
+        motor_velocity: initial.motor_velocity.map(S::splat),
+        link_angle: [S::splat(0.0); N],
+        link_velocity: initial.link_velocity.map(S::splat),
+    };
+    state.link_angle = match initial.link_angle {
+        Some(angle) => angle.map(S::splat),
+        None => hanging(plant, &state.motor_angle),
+    };
+    for i in 0..N {
+        if plant.joints[i].gear.is_none() {
+            state.link_angle[i] = plant.joints[i].ratio * state.motor_angle[i];
+            state.link_velocity[i] = plant.joints[i].ratio * state.motor_velocity[i];
+        }
+    }
+    let torque = std::array::from_fn(|i| S::splat(current.torque_per_volt[i] * initial.voltage[i]));
+    Motion {
+        modes: plant.modes_at(&state, &torque),
+        state,
+        torque,
+    }
+}
+
+/// Link angles at which gravity's torques and the gears' balance, for motors held where they are.
+///
+/// Newton's iteration with the gears' first slopes alone: gravity's own stiffness is some thousandth
+/// of theirs, so each round gains three digits, and a softer spring than assumed only slows it.
+fn hanging<A: Arm<N>, S: Real, const N: usize>(
+    plant: &Plant<A, S, N>,
+    motor_angle: &[S; N],
+) -> [S; N] {
+    let rigid: [S; N] = std::array::from_fn(|i| plant.joints[i].ratio * motor_angle[i]);
+    let mut angle = rigid;
+    for _ in 0..200 {
+        let at = plant.arm.posture(&angle);
+        let gravity = plant.arm.bias(&plant.base, &at, &[S::splat(0.0); N]);
+        let mut change = 0.0f64;
+        for i in 0..N {
+            if let Some((spring, _)) = &plant.joints[i].gear {
+                let rest = spring.torque(rigid[i] - angle[i]) - gravity[i];
+                let step = rest / spring.initial_stiffness();
+                angle[i] = angle[i] + step;
+                change = change.max(step.lane(0).abs());
+            }
+        }
+        if change < 1e-15 {
+            break;
+        }
+    }
+    angle
+}
+
+fn any_standing<R: Real, const N: usize>(motion: &Motion<R, N>) -> bool {
+    let half = R::splat(0.5);
+    motion.modes.free.iter().any(|&free| (free - half).any_negative())
+}
+
+fn one_of<R: Real, S: Real, const N: usize>(all: &Motion<R, N>, lane: usize) -> Motion<S, N> {
+    let own = |values: &[R; N]| values.map(|value| S::splat(value.lane(lane)));
+    Motion {
+        state: State {
+            motor_angle: own(&all.state.motor_angle),
+            motor_velocity: own(&all.state.motor_velocity),
+            link_angle: own(&all.state.link_angle),
+            link_velocity: own(&all.state.link_velocity),
+        },
+        torque: own(&all.torque),
+        modes: crate::plant::Modes {
+            direction: own(&all.modes.direction),
+            free: own(&all.modes.free),
+        },
+    }
+}
+
+fn side_by_side<R: Real, S: Real, const N: usize>(ones: &[Motion<S, N>]) -> Motion<R, N> {
+    let all = |pick: fn(&Motion<S, N>) -> &[S; N]| -> [R; N] {
+        std::array::from_fn(|i| gather(|lane| pick(&ones[lane])[i].lane(0)))
+    };
+    Motion {
+        state: State {
+            motor_angle: all(|one| &one.state.motor_angle),
+            motor_velocity: all(|one| &one.state.motor_velocity),
+            link_angle: all(|one| &one.state.link_angle),
+            link_velocity: all(|one| &one.state.link_velocity),
+        },
+        torque: all(|one| &one.torque),
+        modes: crate::plant::Modes {
+            direction: all(|one| &one.modes.direction),
+            free: all(|one| &one.modes.free),
+        },
+    }
+}
