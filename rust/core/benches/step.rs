@@ -1,5 +1,6 @@
 //! Nanoseconds per integrator step: one arm, and a batch side by side on one core.
 
+use std::marker::PhantomData;
 use std::time::Instant;
 
 use strainwave_core::arm::TwoLink;
@@ -18,7 +19,7 @@ const PARAMETERS: [f64; 27] = [
     0.5e-4, 0.8e-4, 0.03, 0.0, 0.15, 4.7e3, 6.1e3, 7.1e3, 2.0, 6.9, 4.0,
 ];
 
-fn task(record: Vec<Quantity>) -> Task<TwoLink, 2> {
+fn task(record: Vec<Quantity>) -> Task<TwoLink<false>, 2> {
     let joint = |torque_per_volt, accelerometer_distance| JointConfig {
         gear: GearKind::ThreeSlope,
         ratio: 0.01,
@@ -31,7 +32,7 @@ fn task(record: Vec<Quantity>) -> Task<TwoLink, 2> {
     };
     Task {
         config: Config {
-            arm: TwoLink { vertical: false },
+            arm: PhantomData,
             link_length: 0.35,
             gravity: 0.0,
             corner: CORNER,
@@ -41,8 +42,8 @@ fn task(record: Vec<Quantity>) -> Task<TwoLink, 2> {
             step: 1.0 / STEPS_PER_SECOND as f64,
             steps_per_tick: 8,
             steps_per_servo: 8,
-            steps_per_sample: 80,
-            samples: SECONDS * STEPS_PER_SECOND / 80 + 1,
+            steps_per_sample: 8,
+            samples: SECONDS * STEPS_PER_SECOND / 8 + 1,
         },
         servo: None,
         record,
@@ -54,7 +55,9 @@ fn main() {
     let mut state = 0x9E37_79B9_7F4A_7C15_u64;
     let voltage: Vec<[f64; 2]> = (0..=SECONDS * 1000)
         .map(|_| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
             [if state >> 63 == 0 { 10.0 } else { -10.0 }, 0.0]
         })
         .collect();
@@ -74,13 +77,17 @@ fn main() {
     let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build();
     let pool = one_core.expect("a thread pool of one");
     let plain = task(vec![Quantity::MotorVelocity]);
-    let sensed = task(vec![Quantity::Encoder, Quantity::Accelerometer, Quantity::Gyro]);
+    let sensed = task(vec![
+        Quantity::Encoder,
+        Quantity::Accelerometer,
+        Quantity::Gyro,
+    ]);
     for (name, task) in [("two links", &plain), ("with sensors", &sensed)] {
-        for width in [Width::Avx2] {
+        for width in [Width::Portable, Width::Avx2, Width::Avx512] {
             if width > Width::detect() {
                 continue;
             }
-            for members in [8 * width.lanes()] {
+            for members in [1, 8 * width.lanes()] {
                 let all = vec![member; members];
                 let mut best = f64::INFINITY;
                 for _ in 0..7 {
@@ -90,7 +97,10 @@ fn main() {
                     assert!(results.iter().all(Result::is_ok));
                 }
                 let steps = (members * SECONDS * STEPS_PER_SECOND) as f64;
-                println!("{name}, {width:?}, {members} arms: {:.1} ns a step", best / steps * 1e9);
+                println!(
+                    "{name}, {width:?}, {members} arms: {:.1} ns a step",
+                    best / steps * 1e9
+                );
             }
         }
     }

@@ -20,17 +20,19 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// Base parameters from a flat list in the order of [`Arm::NAMES`].
     fn base<R: Real>(values: &[R]) -> Self::Base<R>;
     /// Sines and cosines of a posture.
-    fn posture<R: Real>(&self, q: &[R; N]) -> Self::Posture<R>;
+    fn posture<R: Real>(q: &[R; N]) -> Self::Posture<R>;
+    /// Sines and cosines a little further on: exact to rounding for less than 0.05 rad, the
+    /// rotation within one step of the integrator.
+    fn near<R: Real>(from: &Self::Posture<R>, increment: &[R; N]) -> Self::Posture<R>;
     /// Inertia matrix M_L(q) [kg m^2], symmetric and positive definite.
     fn inertia<R: Real>(base: &Self::Base<R>, at: &Self::Posture<R>) -> [[R; N]; N];
     /// Centrifugal, Coriolis and gravity torques c(q, dq) + g(q) [N m].
-    fn bias<R: Real>(&self, base: &Self::Base<R>, at: &Self::Posture<R>, dq: &[R; N]) -> [R; N];
+    fn bias<R: Real>(base: &Self::Base<R>, at: &Self::Posture<R>, dq: &[R; N]) -> [R; N];
     /// Potential energy of gravity [J], zero at zero angles' height.
-    fn potential<R: Real>(&self, base: &Self::Base<R>, at: &Self::Posture<R>) -> R;
+    fn potential<R: Real>(base: &Self::Base<R>, at: &Self::Posture<R>) -> R;
     /// Tangential reading [m/s^2] of an accelerometer on each link, (8) and (9) in general form,
     /// gravity's part included: sensors read specific force.
     fn accelerometers<R: Real>(
-        &self,
         sensors: &Accelerometers<N>,
         at: &Self::Posture<R>,
         dq: &[R; N],
@@ -51,12 +53,46 @@ pub struct Accelerometers<const N: usize> {
     pub gravity: f64,
 }
 
-/// A planar arm of two links whose second angle is relative to the first, (3) and (4).
+/// Sine and cosine of one angle.
 #[derive(Clone, Copy, Debug)]
-pub struct TwoLink {
-    /// Whether gravity acts in the plane of motion.
-    pub vertical: bool,
+pub struct Turn<R> {
+    sin: R,
+    cos: R,
 }
+
+impl<R: Real> Turn<R> {
+    #[inline(always)]
+    fn of(angle: R) -> Self {
+        let (sin, cos) = angle.sin_cos();
+        Self { sin, cos }
+    }
+
+    /// The sum of two angles.
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        Self {
+            sin: self.sin.mul_add(other.cos, self.cos * other.sin),
+            cos: self.cos.mul_add(other.cos, -(self.sin * other.sin)),
+        }
+    }
+
+    /// A small angle more: Taylor series whose first neglected term is x^8/8!.
+    #[inline(always)]
+    fn further(self, x: R) -> Self {
+        let c = R::splat;
+        let square = x * x;
+        let sin = square.mul_add(c(-1.0 / 5040.0), c(1.0 / 120.0));
+        let sin = sin.mul_add(square, c(-1.0 / 6.0)).mul_add(square, c(1.0)) * x;
+        let cos = square.mul_add(c(-1.0 / 720.0), c(1.0 / 24.0));
+        let cos = cos.mul_add(square, c(-0.5)).mul_add(square, c(1.0));
+        self.plus(Self { sin, cos })
+    }
+}
+
+/// A planar arm of two links whose second angle is relative to the first, (3) and (4), with or
+/// without gravity in the plane of motion.
+#[derive(Clone, Copy, Debug)]
+pub struct TwoLink<const VERTICAL: bool>;
 
 /// alpha, beta, gamma [kg m^2] and the gravity torques G1, G2 [N m].
 #[derive(Clone, Copy, Debug)]
@@ -68,16 +104,14 @@ pub struct TwoLinkBase<R> {
     g2: R,
 }
 
-/// Sines and cosines of two links' angles; those of gravity only where it acts.
+/// The turns of q1 and q2; a horizontal arm does not need the first.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoLinkPosture<R> {
-    sin2: R,
-    cos2: R,
-    first: Option<(R, R)>,  // of q1
-    second: Option<(R, R)>, // of q1 + q2
+    first: Turn<R>,
+    second: Turn<R>,
 }
 
-impl Arm<2> for TwoLink {
+impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     type Base<R: Real> = TwoLinkBase<R>;
     type Posture<R: Real> = TwoLinkPosture<R>;
 
@@ -101,30 +135,26 @@ impl Arm<2> for TwoLink {
     }
 
     #[inline(always)]
-    fn posture<R: Real>(&self, q: &[R; 2]) -> TwoLinkPosture<R> {
-        let (sin2, cos2) = q[1].sin_cos();
-        if !self.vertical {
-            return TwoLinkPosture {
-                sin2,
-                cos2,
-                first: None,
-                second: None,
-            };
-        }
-        let (sin1, cos1) = q[0].sin_cos();
-        let sin12 = sin1.mul_add(cos2, cos1 * sin2);
-        let cos12 = cos1.mul_add(cos2, -(sin1 * sin2));
-        TwoLinkPosture {
-            sin2,
-            cos2,
-            first: Some((sin1, cos1)),
-            second: Some((sin12, cos12)),
-        }
+    fn posture<R: Real>(q: &[R; 2]) -> TwoLinkPosture<R> {
+        let second = Turn::of(q[1]);
+        let first = if VERTICAL { Turn::of(q[0]) } else { second };
+        TwoLinkPosture { first, second }
+    }
+
+    #[inline(always)]
+    fn near<R: Real>(from: &TwoLinkPosture<R>, increment: &[R; 2]) -> TwoLinkPosture<R> {
+        let second = from.second.further(increment[1]);
+        let first = if VERTICAL {
+            from.first.further(increment[0])
+        } else {
+            second
+        };
+        TwoLinkPosture { first, second }
     }
 
     #[inline(always)]
     fn inertia<R: Real>(base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> [[R; 2]; 2] {
-        let swing = base.gamma * at.cos2;
+        let swing = base.gamma * at.second.cos;
         let coupling = base.beta + swing;
         [
             [base.alpha + (coupling + swing), coupling],
@@ -133,47 +163,43 @@ impl Arm<2> for TwoLink {
     }
 
     #[inline(always)]
-    fn bias<R: Real>(
-        &self,
-        base: &TwoLinkBase<R>,
-        at: &TwoLinkPosture<R>,
-        dq: &[R; 2],
-    ) -> [R; 2] {
-        let swing = base.gamma * at.sin2;
+    fn bias<R: Real>(base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>, dq: &[R; 2]) -> [R; 2] {
+        let swing = base.gamma * at.second.sin;
         let mut first = -(swing * dq[1]) * (dq[0] + dq[0] + dq[1]);
         let mut second = swing * dq[0] * dq[0];
-        if let (Some((_, cos1)), Some((_, cos12))) = (at.first, at.second) {
-            let outer = base.g2 * cos12;
-            first = base.g1.mul_add(cos1, first + outer);
+        if VERTICAL {
+            let outer = base.g2 * at.first.plus(at.second).cos;
+            first = base.g1.mul_add(at.first.cos, first + outer);
             second = second + outer;
         }
         [first, second]
     }
 
     #[inline(always)]
-    fn potential<R: Real>(&self, base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> R {
-        match (at.first, at.second) {
-            (Some((sin1, _)), Some((sin12, _))) => base.g1 * sin1 + base.g2 * sin12,
-            _ => R::splat(0.0),
+    fn potential<R: Real>(base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> R {
+        if VERTICAL {
+            base.g1 * at.first.sin + base.g2 * at.first.plus(at.second).sin
+        } else {
+            R::splat(0.0)
         }
     }
 
     #[inline(always)]
     fn accelerometers<R: Real>(
-        &self,
         sensors: &Accelerometers<2>,
         at: &TwoLinkPosture<R>,
         dq: &[R; 2],
         ddq: &[R; 2],
     ) -> [R; 2] {
-        let elbow = ddq[0].mul_add(at.cos2, dq[0] * dq[0] * at.sin2); // of axis 2, across link 2
+        // Acceleration of axis 2 across link 2, per metre of link 1.
+        let elbow = ddq[0].mul_add(at.second.cos, dq[0] * dq[0] * at.second.sin);
         let mut first = R::splat(sensors.distance[0]) * ddq[0];
         let mut second = R::splat(sensors.distance[1]) * (ddq[0] + ddq[1])
             + R::splat(sensors.link_length) * elbow;
-        if let (Some((_, cos1)), Some((_, cos12))) = (at.first, at.second) {
+        if VERTICAL {
             let g = R::splat(sensors.gravity);
-            first = g.mul_add(cos1, first);
-            second = g.mul_add(cos12, second);
+            first = g.mul_add(at.first.cos, first);
+            second = g.mul_add(at.first.plus(at.second).cos, second);
         }
         [first, second]
     }
@@ -184,12 +210,9 @@ impl Arm<2> for TwoLink {
     }
 }
 
-/// One link on one joint, revolute or prismatic.
+/// One link on one joint, revolute or prismatic, with or without gravity in the plane of motion.
 #[derive(Clone, Copy, Debug)]
-pub struct OneLink {
-    /// Whether gravity acts in the plane of motion.
-    pub vertical: bool,
-}
+pub struct OneLink<const VERTICAL: bool>;
 
 /// m_L [kg m^2, or kg] and G1 [N m].
 #[derive(Clone, Copy, Debug)]
@@ -198,9 +221,9 @@ pub struct OneLinkBase<R> {
     g1: R,
 }
 
-impl Arm<1> for OneLink {
+impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
     type Base<R: Real> = OneLinkBase<R>;
-    type Posture<R: Real> = Option<(R, R)>;
+    type Posture<R: Real> = Turn<R>;
 
     const NAMES: &'static [(&'static str, Option<usize>)] =
         &[("link_inertia", Some(1)), ("gravity_torque_1", None)];
@@ -214,37 +237,61 @@ impl Arm<1> for OneLink {
     }
 
     #[inline(always)]
-    fn posture<R: Real>(&self, q: &[R; 1]) -> Option<(R, R)> {
-        self.vertical.then(|| q[0].sin_cos())
+    fn posture<R: Real>(q: &[R; 1]) -> Turn<R> {
+        if VERTICAL {
+            return Turn::of(q[0]);
+        }
+        Turn {
+            sin: R::splat(0.0),
+            cos: R::splat(1.0),
+        }
     }
 
     #[inline(always)]
-    fn inertia<R: Real>(base: &OneLinkBase<R>, _: &Option<(R, R)>) -> [[R; 1]; 1] {
+    fn near<R: Real>(from: &Turn<R>, increment: &[R; 1]) -> Turn<R> {
+        if VERTICAL {
+            from.further(increment[0])
+        } else {
+            *from
+        }
+    }
+
+    #[inline(always)]
+    fn inertia<R: Real>(base: &OneLinkBase<R>, _: &Turn<R>) -> [[R; 1]; 1] {
         [[base.inertia]]
     }
 
     #[inline(always)]
-    fn bias<R: Real>(&self, base: &OneLinkBase<R>, at: &Option<(R, R)>, _: &[R; 1]) -> [R; 1] {
-        [at.map_or(R::splat(0.0), |(_, cos1)| base.g1 * cos1)]
+    fn bias<R: Real>(base: &OneLinkBase<R>, at: &Turn<R>, _: &[R; 1]) -> [R; 1] {
+        [if VERTICAL {
+            base.g1 * at.cos
+        } else {
+            R::splat(0.0)
+        }]
     }
 
     #[inline(always)]
-    fn potential<R: Real>(&self, base: &OneLinkBase<R>, at: &Option<(R, R)>) -> R {
-        at.map_or(R::splat(0.0), |(sin1, _)| base.g1 * sin1)
+    fn potential<R: Real>(base: &OneLinkBase<R>, at: &Turn<R>) -> R {
+        if VERTICAL {
+            base.g1 * at.sin
+        } else {
+            R::splat(0.0)
+        }
     }
 
     #[inline(always)]
     fn accelerometers<R: Real>(
-        &self,
         sensors: &Accelerometers<1>,
-        at: &Option<(R, R)>,
+        at: &Turn<R>,
         _: &[R; 1],
         ddq: &[R; 1],
     ) -> [R; 1] {
         let reading = R::splat(sensors.distance[0]) * ddq[0];
-        [at.map_or(reading, |(_, cos1)| {
-            R::splat(sensors.gravity).mul_add(cos1, reading)
-        })]
+        [if VERTICAL {
+            R::splat(sensors.gravity).mul_add(at.cos, reading)
+        } else {
+            reading
+        }]
     }
 
     #[inline(always)]

@@ -1,6 +1,8 @@
 //! What is known of an arm beforehand, the names of what is not, and the way from a flat list of
 //! parameter values to a [`Plant`].
 
+use std::marker::PhantomData;
+
 use crate::arm::{Accelerometers, Arm};
 use crate::drive::CurrentLoop;
 use crate::gear::Spring;
@@ -42,8 +44,8 @@ pub struct JointConfig {
 /// An arm with all its known constants.
 #[derive(Clone, Copy, Debug)]
 pub struct Config<A, const N: usize> {
-    /// Which arm.
-    pub arm: A,
+    /// Which arm; says nothing that its type does not.
+    pub arm: PhantomData<A>,
     /// l_1 [m], from axis to axis.
     pub link_length: f64,
     /// g [m/s^2] in the plane of motion.
@@ -191,8 +193,12 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     }
 
     /// The arm with given parameter values: lane `l` gets those of `values[l]`.
-    pub fn plant<R: Real>(&self, values: &[&[f64]]) -> Plant<A, R, N> {
+    pub fn plant<R: Real, const ELASTIC: bool>(
+        &self,
+        values: &[&[f64]],
+    ) -> Plant<A, R, N, ELASTIC> {
         assert_eq!(values.len(), R::LANES);
+        assert!(!ELASTIC || self.is_elastic());
         let mut next = 0..;
         let mut take = || {
             let k = next.next().unwrap_or(0);
@@ -202,13 +208,13 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         let joints = self.joints.map(|joint| {
             let [motor_inertia, motor_viscous, coulomb, offset, link_viscous] =
                 DRIVE.map(|_| take());
-            let gear = match joint.gear {
-                GearKind::Rigid => None,
-                GearKind::Linear => Some((Spring::linear(take()), take())),
+            let (spring, gear_damping) = match joint.gear {
+                GearKind::Rigid => (Spring::linear(R::splat(1.0)), R::splat(0.0)),
+                GearKind::Linear => (Spring::linear(take()), take()),
                 GearKind::ThreeSlope => {
                     let slopes = [take(), take(), take()];
                     let knees = [take(), take()];
-                    Some((Spring::three_slope(slopes, knees, self.corner), take()))
+                    (Spring::three_slope(slopes, knees, self.corner), take())
                 }
             };
             Joint {
@@ -219,14 +225,22 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 coulomb,
                 offset,
                 link_viscous,
-                gear,
+                rigid: joint.gear == GearKind::Rigid,
+                spring,
+                gear_damping,
             }
         });
         Plant {
-            arm: self.arm,
             base: A::base(&base),
             joints,
         }
+    }
+
+    /// Whether no gear is rigid.
+    pub fn is_elastic(&self) -> bool {
+        self.joints
+            .iter()
+            .all(|joint| joint.gear != GearKind::Rigid)
     }
 
     /// The current loops for an integrator of step `h` [s].

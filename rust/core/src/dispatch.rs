@@ -10,8 +10,11 @@ use crate::arm::Arm;
 use crate::lanes::{F64x4, F64x8};
 #[cfg(target_arch = "x86_64")]
 use crate::real::Fused;
-use crate::real::{Pair, Real};
+use crate::real::Real;
 use crate::simulate::{Diverged, Member, Record, SideBySide, Task};
+
+/// Registers' worth of arms that take turns.
+const GROUPS: usize = 2;
 
 /// What the processor offers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -40,13 +43,13 @@ impl Width {
         Self::Portable
     }
 
-    /// Arms integrated side by side in a batch: two registers' worth, so that two chains of
+    /// Arms integrated side by side in a batch: some registers' worth, so that their chains of
     /// operations hide each other's latency.
     pub fn lanes(self) -> usize {
         match self {
             Self::Portable => 2,
-            Self::Avx2 => 8,
-            Self::Avx512 => 16,
+            Self::Avx2 => GROUPS * 4,
+            Self::Avx512 => GROUPS * 8,
         }
     }
 }
@@ -64,46 +67,65 @@ pub fn simulate<A: Arm<N>, const N: usize>(
     width: Width,
 ) -> Results<N> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
+    if task.config.is_elastic() {
+        simulate_arms::<A, N, true>(task, members, width)
+    } else {
+        simulate_arms::<A, N, false>(task, members, width)
+    }
+}
+
+fn simulate_arms<A: Arm<N>, const N: usize, const ELASTIC: bool>(
+    task: &Task<A, N>,
+    members: &[Member<'_, N>],
+    width: Width,
+) -> Results<N> {
     if let [only] = members {
-        return single(task, std::slice::from_ref(only), width);
+        return single::<A, N, ELASTIC>(task, std::slice::from_ref(only), width);
     }
     let lanes = width.lanes();
     members
         .par_chunks(lanes)
         .flat_map_iter(|chunk| {
             // The last group is filled up with copies of its last member.
-            let filled: Vec<Member<'_, N>> =
-                (0..lanes).map(|lane| chunk[lane.min(chunk.len() - 1)]).collect();
-            group(task, &filled, width).into_iter().take(chunk.len())
+            let filled: Vec<Member<'_, N>> = (0..lanes)
+                .map(|lane| chunk[lane.min(chunk.len() - 1)])
+                .collect();
+            group::<A, N, ELASTIC>(task, &filled, width)
+                .into_iter()
+                .take(chunk.len())
         })
         .collect()
 }
 
-fn single<A: Arm<N>, const N: usize>(
+fn single<A: Arm<N>, const N: usize, const ELASTIC: bool>(
     task: &Task<A, N>,
     member: &[Member<'_, N>],
     width: Width,
 ) -> Results<N> {
     match width {
-        Width::Portable => f64::scope(SideBySide::<A, f64, f64, N>::new(task, member)),
+        Width::Portable => f64::scope(SideBySide::<A, f64, f64, N, ELASTIC>::new(task, member)),
         #[cfg(target_arch = "x86_64")]
-        _ => Fused::scope(SideBySide::<A, Fused, Fused, N>::new(task, member)),
+        _ => Fused::scope(SideBySide::<A, Fused, Fused, N, ELASTIC>::new(task, member)),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }
 }
 
-fn group<A: Arm<N>, const N: usize>(
+fn group<A: Arm<N>, const N: usize, const ELASTIC: bool>(
     task: &Task<A, N>,
     members: &[Member<'_, N>],
     width: Width,
 ) -> Results<N> {
     match width {
-        Width::Portable => f64::scope(SideBySide::<A, Pair<f64>, f64, N>::new(task, members)),
+        Width::Portable => f64::scope(SideBySide::<A, f64, f64, N, ELASTIC>::new(task, members)),
         #[cfg(target_arch = "x86_64")]
-        Width::Avx2 => F64x4::scope(SideBySide::<A, Pair<F64x4>, Fused, N>::new(task, members)),
+        Width::Avx2 => F64x4::scope(SideBySide::<A, F64x4, Fused, N, ELASTIC>::new(
+            task, members,
+        )),
         #[cfg(target_arch = "x86_64")]
-        Width::Avx512 => F64x8::scope(SideBySide::<A, Pair<F64x8>, Fused, N>::new(task, members)),
+        Width::Avx512 => F64x8::scope(SideBySide::<A, F64x8, Fused, N, ELASTIC>::new(
+            task, members,
+        )),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }

@@ -43,19 +43,19 @@ impl<R: Real, const N: usize> CurrentLoop<R, N> {
     }
 
     /// Torques over a part of a step, `t` seconds long.
+    #[inline(always)]
     pub fn over(&self, begin: &[R; N], target: &[R; N], t: f64) -> StepTorque<R, N> {
-        let after = |t: f64| {
-            let mut torque = *target;
-            for i in 0..N {
-                let decay = R::splat(decay(self.bandwidth[i], t));
-                torque[i] = (begin[i] - target[i]).mul_add(decay, target[i]);
-            }
-            torque
-        };
+        let (mut middle, mut end) = (*target, *target);
+        for i in 0..N {
+            let half_way = R::splat(decay(self.bandwidth[i], 0.5 * t));
+            let distance = begin[i] - target[i];
+            middle[i] = distance.mul_add(half_way, target[i]);
+            end[i] = distance.mul_add(half_way * half_way, target[i]);
+        }
         StepTorque {
             begin: *begin,
-            middle: after(0.5 * t),
-            end: after(t),
+            middle,
+            end,
         }
     }
 }

@@ -14,7 +14,7 @@
 
 use crate::arm::Arm;
 use crate::drive::CurrentLoop;
-use crate::plant::{Acceleration, Modes, Plant, State};
+use crate::plant::{Instant, Modes, Plant, State};
 use crate::real::{Real, Work};
 
 /// Most events within one step; beyond, the motor that asks again is held until the step ends.
@@ -34,7 +34,7 @@ pub struct Motion<R, const N: usize> {
     pub modes: Modes<R, N>,
 }
 
-impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELASTIC> {
     /// Modes that fit a state: moving motors slide, resting ones stand if friction can hold them.
     pub fn modes_at(&self, x: &State<R, N>, torque: &[R; N]) -> Modes<R, N> {
         const { assert!(R::LANES == 1) };
@@ -112,9 +112,8 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
             let Some((part, joint)) = leg.first_event(&margins) else {
                 return end;
             };
-            let (mut at, _) = leg.end(part);
-            self.turn(&mut at, joint);
-            now = at;
+            now = leg.end(part).0;
+            self.turn(&mut now, joint);
             left *= 1.0 - part;
             if left <= 1e-15 * h {
                 return now;
@@ -128,7 +127,7 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
     fn turn(&self, motion: &mut Motion<R, N>, joint: usize) {
         if motion.modes.free[joint].lane(0) != 0.0 {
             motion.state.motor_velocity[joint] = R::splat(0.0);
-            if self.joints[joint].gear.is_none() {
+            if self.is_rigid(joint) {
                 motion.state.link_velocity[joint] = R::splat(0.0);
             }
             motion.modes.direction[joint] = R::splat(0.0);
@@ -155,29 +154,39 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
 }
 
 /// A stretch of time with fixed modes, and the integrator's step over any part of it.
-struct Leg<'a, A: Arm<N>, R: Real, const N: usize> {
-    plant: &'a Plant<A, R, N>,
+struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
+    plant: &'a Plant<A, R, N, ELASTIC>,
     from: &'a Motion<R, N>,
     target: &'a [R; N],
     current: &'a CurrentLoop<R, N>,
     length: f64,
-    begin: Acceleration<R, N>,
+    begin: Instant<A, R, N>,
     standing: bool,
 }
 
-struct BeginOf<'a, A: Arm<N>, R: Real, const N: usize>(&'a Plant<A, R, N>, &'a Motion<R, N>);
+struct BeginOf<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool>(
+    &'a Plant<A, R, N, ELASTIC>,
+    &'a Motion<R, N>,
+);
 
-impl<A: Arm<N>, R: Real, const N: usize> Work for BeginOf<'_, A, R, N> {
-    type Output = Acceleration<R, N>;
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
+    for BeginOf<'_, A, R, N, ELASTIC>
+{
+    type Output = Instant<A, R, N>;
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.0.accelerations(&self.1.state, &self.1.torque, &self.1.modes)
+        self.0.instant(&self.1.state, &self.1.torque, &self.1.modes)
     }
 }
 
-struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize>(&'l Leg<'a, A, R, N>, f64);
+struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool>(
+    &'l Leg<'a, A, R, N, ELASTIC>,
+    f64,
+);
 
-impl<A: Arm<N>, R: Real, const N: usize> Work for EndOf<'_, '_, A, R, N> {
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
+    for EndOf<'_, '_, A, R, N, ELASTIC>
+{
     type Output = (Motion<R, N>, [R; N]);
     #[inline(always)]
     fn run(self) -> Self::Output {
@@ -185,9 +194,9 @@ impl<A: Arm<N>, R: Real, const N: usize> Work for EndOf<'_, '_, A, R, N> {
     }
 }
 
-impl<'a, A: Arm<N>, R: Real, const N: usize> Leg<'a, A, R, N> {
+impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, N, ELASTIC> {
     fn new(
-        plant: &'a Plant<A, R, N>,
+        plant: &'a Plant<A, R, N, ELASTIC>,
         from: &'a Motion<R, N>,
         target: &'a [R; N],
         current: &'a CurrentLoop<R, N>,
@@ -217,7 +226,9 @@ impl<'a, A: Arm<N>, R: Real, const N: usize> Leg<'a, A, R, N> {
         let state =
             self.plant
                 .runge_kutta(&self.from.state, &self.begin, &torque, modes, R::splat(t));
-        let margins = self.plant.margins(&state, &torque.end, modes, self.standing);
+        let margins = self
+            .plant
+            .margins(&state, &torque.end, modes, self.standing);
         let motion = Motion {
             state,
             torque: torque.end,
@@ -238,7 +249,10 @@ impl<'a, A: Arm<N>, R: Real, const N: usize> Leg<'a, A, R, N> {
             .filter(|&i| margins_at_end[i].lane(0) < 0.0)
             .map(|i| {
                 let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
-                (root(|part| self.end(part).1[i].lane(0), ends), i)
+                // The margin of a sliding motor is its speed, whose slope is known at the beginning.
+                let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
+                let slope = slope.lane(0) * self.length;
+                (root(|part| self.end(part).1[i].lane(0), ends, slope), i)
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
     }
@@ -246,17 +260,28 @@ impl<'a, A: Arm<N>, R: Real, const N: usize> Leg<'a, A, R, N> {
 
 /// Where a function that ends below zero comes there from above, on [0, 1].
 ///
-/// Regula falsi in Anderson and Bjorck's form: it keeps a bracket, and scales down the value at the
-/// end that stays, so that it converges superlinearly. The function is zero there to rounding.
-fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2]) -> f64 {
-    let tiny = 1e-15 * (begin.abs() + end.abs());
+/// The first guess is the root of the parabola through both ends with the given slope at the
+/// beginning; from there regula falsi in Anderson and Bjorck's form, which keeps a bracket and
+/// scales down the value at the end that stays, so that it converges superlinearly. What is left of
+/// the function there is 1e-12 of its ends, and the caller sets it to zero.
+fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
+    let tiny = 1e-12 * (begin.abs() + end.abs());
     if begin <= tiny {
         return 0.0;
     }
+    let bend = end - begin - slope;
+    let discriminant = slope * slope - 4.0 * bend * begin;
+    // The form of the quadratic's root that does not cancel.
+    let guess = 2.0 * begin / (discriminant.max(0.0).sqrt() - slope);
+    let chord = begin / (begin - end);
+    let mut next = if guess > 0.0 && guess < 1.0 {
+        guess
+    } else {
+        chord
+    };
     let (mut kept, mut f_kept) = (0.0, begin);
     let (mut last, mut f_last) = (1.0, end);
     for _ in 0..60 {
-        let next = last - f_last * (last - kept) / (f_last - f_kept);
         let value = f(next);
         if value.abs() <= tiny || (next - last).abs() < 1e-15 {
             return next;
@@ -268,6 +293,7 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2]) -> f64 {
             f_kept *= if factor > 0.0 { factor } else { 0.5 };
         }
         (last, f_last) = (next, value);
+        next = last - f_last * (last - kept) / (f_last - f_kept);
     }
     last
 }

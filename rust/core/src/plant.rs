@@ -21,8 +21,12 @@ pub struct Joint<R> {
     pub offset: R,
     /// d_L [N m s/rad] at the link.
     pub link_viscous: R,
-    /// The gear's spring and its damping d_G [N m s/rad]; `None` for a rigid gear.
-    pub gear: Option<(Spring<R>, R)>,
+    /// Whether the gear is rigid; its spring and damping then mean nothing.
+    pub rigid: bool,
+    /// T(delta).
+    pub spring: Spring<R>,
+    /// d_G [N m s/rad].
+    pub gear_damping: R,
 }
 
 /// Angles [rad] and velocities [rad/s] of motors and links.
@@ -71,48 +75,70 @@ pub struct StepTorque<R, const N: usize> {
     pub end: [R; N],
 }
 
-/// An arm with its joints.
+/// The arm at one instant.
 #[derive(Clone, Copy)]
-pub struct Plant<A: Arm<N>, R: Real, const N: usize> {
-    /// Which arm.
-    pub arm: A,
+pub struct Instant<A: Arm<N>, R: Real, const N: usize> {
+    /// Sines and cosines of the link angles.
+    pub posture: A::Posture<R>,
+    /// Accelerations there.
+    pub acceleration: Acceleration<R, N>,
+}
+
+/// An arm with its joints. `ELASTIC` says at compile time that no gear is rigid, which takes a
+/// branch out of the innermost loop.
+#[derive(Clone, Copy)]
+pub struct Plant<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
     /// Its inertial and gravity parameters.
     pub base: A::Base<R>,
     /// Its drive trains.
     pub joints: [Joint<R>; N],
 }
 
-impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
-    /// Accelerations for given motor torques and friction modes, from (1) and (2).
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELASTIC> {
+    /// Whether a joint's gear is rigid.
+    #[inline(always)]
+    pub fn is_rigid(&self, joint: usize) -> bool {
+        !ELASTIC && self.joints[joint].rigid
+    }
+
+    /// Posture and accelerations for given motor torques and friction modes.
+    #[inline(always)]
+    pub fn instant(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> Instant<A, R, N> {
+        let posture = A::posture(&x.link_angle);
+        Instant {
+            posture,
+            acceleration: self.accelerations(x, &posture, torque, modes),
+        }
+    }
+
+    /// Accelerations from (1) and (2).
     ///
     /// A rigid gear has no row of its own: its motor's inertia and friction join the link's row as
     /// m_M/n^2 and d_M/n^2, (5). A standing motor behind a rigid gear holds its link: that link's
     /// row and column leave the equations.
     #[inline(always)]
-    pub fn accelerations(
+    fn accelerations(
         &self,
         x: &State<R, N>,
+        at: &A::Posture<R>,
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        let at = self.arm.posture(&x.link_angle);
-        let mut inertia = A::inertia(&self.base, &at);
-        let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
+        let mut inertia = A::inertia(&self.base, at);
+        let bias = A::bias(&self.base, at, &x.link_velocity);
         let mut motor = [R::splat(0.0); N];
         let mut force = [R::splat(0.0); N];
         for i in 0..N {
             let joint = &self.joints[i];
-            let friction = joint
-                .motor_viscous
-                .mul_add(x.motor_velocity[i], joint.coulomb.mul_add(modes.direction[i], joint.offset));
-            let drive = torque[i] - friction;
+            let dry = joint.coulomb.mul_add(modes.direction[i], joint.offset);
+            let drive = (-joint.motor_viscous).mul_add(x.motor_velocity[i], torque[i] - dry);
             let load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
-            if let Some((spring, damping)) = &joint.gear {
-                let transmitted = transmitted(joint, spring, *damping, x, i);
-                let net = drive - joint.ratio * transmitted;
-                motor[i] = modes.free[i] * joint.motor_mobility * net;
-                force[i] = transmitted - load;
-            } else {
+            if self.is_rigid(i) {
                 let row = R::splat(1.0) / joint.ratio;
                 inertia[i][i] = (joint.motor_inertia * row).mul_add(row, inertia[i][i]);
                 force[i] = modes.free[i] * (drive * row - load);
@@ -122,11 +148,16 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
                         inertia[j][i] = inertia[j][i] * modes.free[i];
                     }
                 }
+            } else {
+                let transmitted = joint.transmitted(x, i);
+                let net = (-joint.ratio).mul_add(transmitted, drive);
+                motor[i] = modes.free[i] * joint.motor_mobility * net;
+                force[i] = transmitted - load;
             }
         }
         let link = solve(&inertia, &force);
         for i in 0..N {
-            if self.joints[i].gear.is_none() {
+            if self.is_rigid(i) {
                 motor[i] = link[i] / self.joints[i].ratio;
             }
         }
@@ -137,21 +168,16 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
     ///
     /// The motor stands while this stays within +-f_M: Sgn(0) is the whole interval [-1, 1].
     #[inline(always)]
-    pub fn holding_torques(
-        &self,
-        x: &State<R, N>,
-        torque: &[R; N],
-        modes: &Modes<R, N>,
-    ) -> [R; N] {
+    pub fn holding_torques(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> [R; N] {
         let mut holding = [R::splat(0.0); N];
         for i in 0..N {
             let joint = &self.joints[i];
             holding[i] = torque[i] - joint.offset;
-            if let Some((spring, damping)) = &joint.gear {
-                holding[i] = holding[i] - joint.ratio * transmitted(joint, spring, *damping, x, i);
+            if !self.is_rigid(i) {
+                holding[i] = (-joint.ratio).mul_add(joint.transmitted(x, i), holding[i]);
             }
         }
-        if self.joints.iter().any(|joint| joint.gear.is_none()) {
+        if !ELASTIC {
             self.subtract_rigid_loads(x, torque, modes, &mut holding);
         }
         holding
@@ -165,17 +191,17 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
         modes: &Modes<R, N>,
         holding: &mut [R; N],
     ) {
-        let at = self.arm.posture(&x.link_angle);
+        let at = A::posture(&x.link_angle);
         let inertia = A::inertia(&self.base, &at);
-        let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
+        let bias = A::bias(&self.base, &at, &x.link_velocity);
         for i in 0..N {
-            if self.joints[i].gear.is_some() {
+            if !self.is_rigid(i) {
                 continue;
             }
             let mut held = *modes;
             held.direction[i] = R::splat(0.0);
             held.free[i] = R::splat(0.0);
-            let others = self.accelerations(x, torque, &held).link;
+            let others = self.accelerations(x, &at, torque, &held).link;
             let mut load = bias[i];
             for j in 0..N {
                 if j != i {
@@ -195,31 +221,43 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
     pub fn runge_kutta(
         &self,
         x: &State<R, N>,
-        a1: &Acceleration<R, N>,
+        now: &Instant<A, R, N>,
         torque: &StepTorque<R, N>,
         modes: &Modes<R, N>,
         h: R,
     ) -> State<R, N> {
+        let a1 = &now.acceleration;
         let half = R::splat(0.5) * h;
-        let x2 = x.drifted(half, a1);
-        let a2 = self.accelerations(&x2, &torque.middle, modes);
-        let x3 = x.moved(half, half * half, a1, half, &a2);
-        let a3 = self.accelerations(&x3, &torque.middle, modes);
-        let x4 = x.moved(h, h * half, &a2, h, &a3);
-        let a4 = self.accelerations(&x4, &torque.end, modes);
+        let a2 = self.after(now, &x.drifted(half, a1), &torque.middle, modes);
+        let third = x.moved(half, half * half, a1, half, &a2);
+        let a3 = self.after(now, &third, &torque.middle, modes);
+        let fourth = x.moved(h, h * half, &a2, h, &a3);
+        let a4 = self.after(now, &fourth, &torque.end, modes);
         let sixth = h * R::splat(1.0 / 6.0);
         let inner = a2.plus(&a3);
         let for_angle = a1.plus(&inner);
         let for_velocity = for_angle.plus(&inner).plus(&a4);
-        x.moved(h, h * sixth, &for_angle, sixth, &for_velocity)
+        x.moved(h, h * sixth, &for_angle, sixth, &for_velocity).0
+    }
+
+    /// Accelerations at a later stage, whose links have turned a little since `now`.
+    #[inline(always)]
+    fn after(
+        &self,
+        now: &Instant<A, R, N>,
+        (x, turned): &Stage<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> Acceleration<R, N> {
+        self.accelerations(x, &A::near(&now.posture, turned), torque, modes)
     }
 
     /// Kinetic, elastic and gravitational energy [J].
     pub fn energy(&self, x: &State<R, N>) -> R {
-        let at = self.arm.posture(&x.link_angle);
+        let at = A::posture(&x.link_angle);
         let inertia = A::inertia(&self.base, &at);
         let half = R::splat(0.5);
-        let mut energy = self.arm.potential(&self.base, &at);
+        let mut energy = A::potential(&self.base, &at);
         for i in 0..N {
             let joint = &self.joints[i];
             let v = x.motor_velocity[i];
@@ -227,9 +265,9 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
             for j in 0..N {
                 energy = energy + half * inertia[i][j] * x.link_velocity[i] * x.link_velocity[j];
             }
-            if let Some((spring, _)) = &joint.gear {
+            if !self.is_rigid(i) {
                 let twist = joint.ratio * x.motor_angle[i] - x.link_angle[i];
-                energy = energy + spring.energy(twist);
+                energy = energy + joint.spring.energy(twist);
             }
         }
         energy
@@ -243,9 +281,9 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
             let w = x.link_velocity[i];
             power = power + joint.motor_viscous * v * v + joint.link_viscous * w * w;
             power = power + (joint.coulomb * modes.direction[i] + joint.offset) * v;
-            if let Some((_, damping)) = joint.gear {
+            if !self.is_rigid(i) {
                 let rate = joint.ratio * v - w;
-                power = power + damping * rate * rate;
+                power = power + joint.gear_damping * rate * rate;
             }
         }
         power
@@ -253,28 +291,43 @@ impl<A: Arm<N>, R: Real, const N: usize> Plant<A, R, N> {
 
     /// Torque [N m] each gear passes to its link; a rigid gear's is left at zero.
     pub fn gear_torques(&self, x: &State<R, N>) -> [R; N] {
-        let mut torque = [R::splat(0.0); N];
-        for i in 0..N {
-            if let Some((spring, damping)) = &self.joints[i].gear {
-                torque[i] = transmitted(&self.joints[i], spring, *damping, x, i);
+        std::array::from_fn(|i| {
+            if self.is_rigid(i) {
+                R::splat(0.0)
+            } else {
+                self.joints[i].transmitted(x, i)
             }
-        }
-        torque
+        })
     }
 }
+
+impl<R: Real> Joint<R> {
+    /// T(delta) + d_G ddelta of this joint, the `i`-th.
+    #[inline(always)]
+    fn transmitted<const N: usize>(&self, x: &State<R, N>, i: usize) -> R {
+        let twist = self.ratio.mul_add(x.motor_angle[i], -x.link_angle[i]);
+        let rate = self.ratio.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
+        self.gear_damping.mul_add(rate, self.spring.torque(twist))
+    }
+}
+
+/// A state within a step, and by how much its links have turned since the step began.
+type Stage<R, const N: usize> = (State<R, N>, [R; N]);
 
 impl<R: Real, const N: usize> State<R, N> {
     /// q + t q', q' + t a: the second stage.
     #[inline(always)]
-    fn drifted(&self, t: R, a: &Acceleration<R, N>) -> Self {
+    fn drifted(&self, t: R, a: &Acceleration<R, N>) -> Stage<R, N> {
         let mut next = *self;
+        let mut turned = self.link_velocity;
         for i in 0..N {
+            turned[i] = t * self.link_velocity[i];
             next.motor_angle[i] = t.mul_add(self.motor_velocity[i], self.motor_angle[i]);
-            next.link_angle[i] = t.mul_add(self.link_velocity[i], self.link_angle[i]);
+            next.link_angle[i] = self.link_angle[i] + turned[i];
             next.motor_velocity[i] = t.mul_add(a.motor[i], self.motor_velocity[i]);
             next.link_velocity[i] = t.mul_add(a.link[i], self.link_velocity[i]);
         }
-        next
+        (next, turned)
     }
 
     /// q + t q' + s a, q' + r b: the later stages and the end.
@@ -286,17 +339,20 @@ impl<R: Real, const N: usize> State<R, N> {
         a: &Acceleration<R, N>,
         r: R,
         b: &Acceleration<R, N>,
-    ) -> Self {
+    ) -> Stage<R, N> {
         let mut next = *self;
+        let mut turned = self.link_velocity;
         for i in 0..N {
-            next.motor_angle[i] =
-                s.mul_add(a.motor[i], t.mul_add(self.motor_velocity[i], self.motor_angle[i]));
-            next.link_angle[i] =
-                s.mul_add(a.link[i], t.mul_add(self.link_velocity[i], self.link_angle[i]));
+            turned[i] = s.mul_add(a.link[i], t * self.link_velocity[i]);
+            next.motor_angle[i] = s.mul_add(
+                a.motor[i],
+                t.mul_add(self.motor_velocity[i], self.motor_angle[i]),
+            );
+            next.link_angle[i] = self.link_angle[i] + turned[i];
             next.motor_velocity[i] = r.mul_add(b.motor[i], self.motor_velocity[i]);
             next.link_velocity[i] = r.mul_add(b.link[i], self.link_velocity[i]);
         }
-        next
+        (next, turned)
     }
 }
 
@@ -310,20 +366,6 @@ impl<R: Real, const N: usize> Acceleration<R, N> {
         }
         sum
     }
-}
-
-/// T(delta) + d_G ddelta of joint `i`.
-#[inline(always)]
-fn transmitted<R: Real, const N: usize>(
-    joint: &Joint<R>,
-    spring: &Spring<R>,
-    damping: R,
-    x: &State<R, N>,
-    i: usize,
-) -> R {
-    let twist = joint.ratio.mul_add(x.motor_angle[i], -x.link_angle[i]);
-    let rate = joint.ratio.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
-    damping.mul_add(rate, spring.torque(twist))
 }
 
 /// Solves a small symmetric positive definite system: Cramer's rule for two rows (one division),

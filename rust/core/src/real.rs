@@ -1,7 +1,7 @@
 //! The scalar that the arm's equations are written over.
 //!
 //! One source serves a single trajectory (`f64`, or [`Fused`] where the machine has a fused
-//! multiply-add) and a batch side by side in vector lanes ([`crate::lanes`], [`Pair`]). Derivatives
+//! multiply-add) and a batch side by side in vector lanes (`lanes`). Derivatives
 //! with respect to parameters are to be one more scalar. Everything is branch-free: a lane cannot
 //! take another path than its neighbour.
 
@@ -162,8 +162,8 @@ impl Real for f64 {
 
 /// Implements the four operations and the sign lane by lane for a type that wraps its parts.
 macro_rules! operators {
-    ($type:ty, $(<$generic:ident: $bound:ident>,)? |$a:ident, $b:ident| $add:expr, $sub:expr, $mul:expr, $div:expr, $neg:expr) => {
-        impl $(<$generic: $bound>)? std::ops::Add for $type {
+    ($type:ty, |$a:ident, $b:ident| $add:expr, $sub:expr, $mul:expr, $div:expr, $neg:expr) => {
+        impl std::ops::Add for $type {
             type Output = Self;
             #[inline(always)]
             fn add(self, other: Self) -> Self {
@@ -171,7 +171,7 @@ macro_rules! operators {
                 $add
             }
         }
-        impl $(<$generic: $bound>)? std::ops::Sub for $type {
+        impl std::ops::Sub for $type {
             type Output = Self;
             #[inline(always)]
             fn sub(self, other: Self) -> Self {
@@ -179,7 +179,7 @@ macro_rules! operators {
                 $sub
             }
         }
-        impl $(<$generic: $bound>)? std::ops::Mul for $type {
+        impl std::ops::Mul for $type {
             type Output = Self;
             #[inline(always)]
             fn mul(self, other: Self) -> Self {
@@ -187,7 +187,7 @@ macro_rules! operators {
                 $mul
             }
         }
-        impl $(<$generic: $bound>)? std::ops::Div for $type {
+        impl std::ops::Div for $type {
             type Output = Self;
             #[inline(always)]
             fn div(self, other: Self) -> Self {
@@ -195,7 +195,7 @@ macro_rules! operators {
                 $div
             }
         }
-        impl $(<$generic: $bound>)? std::ops::Neg for $type {
+        impl std::ops::Neg for $type {
             type Output = Self;
             #[inline(always)]
             fn neg(self) -> Self {
@@ -213,7 +213,14 @@ pub(crate) use operators;
 pub struct Fused(pub f64);
 
 #[cfg(target_arch = "x86_64")]
-operators!(Fused, |a, b| Fused(a.0 + b.0), Fused(a.0 - b.0), Fused(a.0 * b.0), Fused(a.0 / b.0), Fused(-a.0));
+operators!(
+    Fused,
+    |a, b| Fused(a.0 + b.0),
+    Fused(a.0 - b.0),
+    Fused(a.0 * b.0),
+    Fused(a.0 / b.0),
+    Fused(-a.0)
+);
 
 #[cfg(target_arch = "x86_64")]
 impl Real for Fused {
@@ -258,69 +265,5 @@ impl Real for Fused {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, value: f64) {
         self.0 = value;
-    }
-}
-
-/// Two scalars side by side: two chains of operations hide each other's latency.
-#[derive(Clone, Copy, Debug)]
-pub struct Pair<R>(pub R, pub R);
-
-operators!(
-    Pair<R>, <R: Real>, |a, b| Pair(a.0 + b.0, a.1 + b.1), Pair(a.0 - b.0, a.1 - b.1),
-    Pair(a.0 * b.0, a.1 * b.1), Pair(a.0 / b.0, a.1 / b.1), Pair(-a.0, -a.1)
-);
-
-impl<R: Real> Real for Pair<R> {
-    const LANES: usize = 2 * R::LANES;
-    #[inline(always)]
-    fn scope<W: Work>(work: W) -> W::Output {
-        R::scope(work)
-    }
-    #[inline(always)]
-    fn splat(value: f64) -> Self {
-        Pair(R::splat(value), R::splat(value))
-    }
-    #[inline(always)]
-    fn mul_add(self, factor: Self, term: Self) -> Self {
-        Pair(
-            self.0.mul_add(factor.0, term.0),
-            self.1.mul_add(factor.1, term.1),
-        )
-    }
-    #[inline(always)]
-    fn abs(self) -> Self {
-        Pair(self.0.abs(), self.1.abs())
-    }
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        Pair(self.0.min(other.0), self.1.min(other.1))
-    }
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        Pair(self.0.max(other.0), self.1.max(other.1))
-    }
-    #[inline(always)]
-    fn copysign(self, sign: Self) -> Self {
-        Pair(self.0.copysign(sign.0), self.1.copysign(sign.1))
-    }
-    #[inline(always)]
-    fn any_negative(self) -> bool {
-        self.0.any_negative() | self.1.any_negative()
-    }
-    #[inline(always)]
-    fn lane(self, index: usize) -> f64 {
-        if index < R::LANES {
-            self.0.lane(index)
-        } else {
-            self.1.lane(index - R::LANES)
-        }
-    }
-    #[inline(always)]
-    fn set_lane(&mut self, index: usize, value: f64) {
-        if index < R::LANES {
-            self.0.set_lane(index, value);
-        } else {
-            self.1.set_lane(index - R::LANES, value);
-        }
     }
 }

@@ -28,7 +28,13 @@ impl<R: Real> LowPass<R, 2> {
     pub fn butterworth(hz: f64, h: f64, at: R) -> Self {
         let w = std::f64::consts::TAU * hz;
         let damping = -std::f64::consts::SQRT_2 * w;
-        Self::discretised([[0.0, w], [-w, damping]], [0.0, w], h, [at, R::splat(0.0)], at)
+        Self::discretised(
+            [[0.0, w], [-w, damping]],
+            [0.0, w],
+            h,
+            [at, R::splat(0.0)],
+            at,
+        )
     }
 }
 

@@ -6,7 +6,7 @@ use crate::arm::Arm;
 use crate::config::{Config, gather};
 use crate::drive::{CurrentLoop, Servo, ServoState, encoder_angle};
 use crate::friction::Motion;
-use crate::plant::{Acceleration, Plant, State};
+use crate::plant::{Instant, Plant, State};
 use crate::real::{Real, Work};
 use crate::sensors::LowPass;
 
@@ -117,16 +117,21 @@ pub struct Diverged {
     pub time: f64,
 }
 
-/// One group of arms to be run side by side, `R::LANES` of them; `S` is the scalar of the same
-/// machine, which redoes the steps of single lanes in which friction changes its mode.
-pub struct SideBySide<'a, A, R, S, const N: usize> {
+/// Arms to be run side by side, a multiple of `R::LANES`; `S` is the scalar of the same machine,
+/// which redoes the steps of single lanes in which friction changes its mode.
+///
+/// Groups of `R::LANES` take turns at every step: while one waits for its own last result, the
+/// processor is already at the next one's operations.
+pub struct SideBySide<'a, A, R, S, const N: usize, const ELASTIC: bool> {
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
     scalars: PhantomData<(R, S)>,
 }
 
-impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> SideBySide<'a, A, R, S, N> {
-    /// As many members as `R` has lanes.
+impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
+    SideBySide<'a, A, R, S, N, ELASTIC>
+{
+    /// A multiple of `R::LANES` members.
     pub fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>]) -> Self {
         Self {
             task,
@@ -136,47 +141,55 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> SideBySide<'a, A, R, S, N>
     }
 }
 
-impl<A: Arm<N>, R: Real, S: Real, const N: usize> Work for SideBySide<'_, A, R, S, N> {
+impl<A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool> Work
+    for SideBySide<'_, A, R, S, N, ELASTIC>
+{
     type Output = Vec<Result<Record<N>, Diverged>>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut group = Group::<A, R, S, N>::new(self.task, self.members);
+        let mut groups: Vec<Group<'_, A, R, S, N, ELASTIC>> = self
+            .members
+            .chunks(R::LANES)
+            .map(|members| Group::new(self.task, members))
+            .collect();
         let clock = &self.task.clock;
         let (mut to_tick, mut to_servo, mut to_sample) = (0, 0, 0);
         let steps = clock.steps();
         for step in 0..=steps {
-            if to_tick == 0 || to_servo == 0 {
-                group.command(step, to_servo == 0);
-                to_tick = if to_tick == 0 { clock.steps_per_tick } else { to_tick };
-                to_servo = if to_servo == 0 { clock.steps_per_servo } else { to_servo };
+            let event = Event {
+                commands: to_tick == 0 || to_servo == 0,
+                servo_reads: to_servo == 0,
+                samples: to_sample == 0,
+                last: step == steps,
+            };
+            for group in &mut groups {
+                group.step(step, &event);
             }
-            let now = group.plant.accelerations(
-                &group.motion.state,
-                &group.motion.torque,
-                &group.motion.modes,
-            );
-            group.sense(&now);
-            if to_sample == 0 {
-                group.record(step, &now);
-                to_sample = clock.steps_per_sample;
-            }
-            if step < steps {
-                group.advance(&now);
-            }
-            (to_tick, to_servo, to_sample) = (to_tick - 1, to_servo - 1, to_sample - 1);
+            let next = |left: usize, period: usize| if left == 0 { period - 1 } else { left - 1 };
+            to_tick = next(to_tick, clock.steps_per_tick);
+            to_servo = next(to_servo, clock.steps_per_servo);
+            to_sample = next(to_sample, clock.steps_per_sample);
         }
-        group.results()
+        groups.into_iter().flat_map(Group::results).collect()
     }
 }
 
+/// What the clock asks for at one step.
+struct Event {
+    commands: bool,
+    servo_reads: bool,
+    samples: bool,
+    last: bool,
+}
+
 /// Arms that run side by side.
-struct Group<'a, A: Arm<N>, R: Real, S: Real, const N: usize> {
+struct Group<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool> {
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
-    plant: Plant<A, R, N>,
+    plant: Plant<A, R, N, ELASTIC>,
     current: CurrentLoop<R, N>,
-    single: Vec<Plant<A, S, N>>,
+    single: Vec<Plant<A, S, N, ELASTIC>>,
     single_current: CurrentLoop<S, N>,
     motion: Motion<R, N>,
     standing: bool,
@@ -195,13 +208,17 @@ struct Sensors<R, const N: usize> {
     readings: [[R; N]; 2],
 }
 
-impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
+impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
+    Group<'a, A, R, S, N, ELASTIC>
+{
     fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>]) -> Self {
         assert_eq!(members.len(), R::LANES);
         let step = task.clock.step;
         let values: Vec<&[f64]> = members.iter().map(|member| member.parameters).collect();
-        let single: Vec<Plant<A, S, N>> =
-            values.iter().map(|&own| task.config.plant(&[own])).collect();
+        let single: Vec<Plant<A, S, N, ELASTIC>> = values
+            .iter()
+            .map(|&own| task.config.plant(&[own]))
+            .collect();
         let single_current = task.config.current_loop(step);
         let starts: Vec<Motion<S, N>> = members
             .iter()
@@ -219,10 +236,19 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
             standing: any_standing(&motion),
             target: motion.torque,
             motion,
-            voltage: members.iter().map(|member| member.initial.voltage).collect(),
-            servo: members.iter().map(|member| member.servo_at_rest(task)).collect(),
+            voltage: members
+                .iter()
+                .map(|member| member.initial.voltage)
+                .collect(),
+            servo: members
+                .iter()
+                .map(|member| member.servo_at_rest(task))
+                .collect(),
             sensors: None,
-            records: vec![vec![Vec::with_capacity(task.clock.samples); task.record.len()]; R::LANES],
+            records: vec![
+                vec![Vec::with_capacity(task.clock.samples); task.record.len()];
+                R::LANES
+            ],
             diverged: vec![None; R::LANES],
         };
         let senses = |quantity| task.record.contains(&quantity);
@@ -230,6 +256,25 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
             group.sensors = Some(group.sensors_at_rest());
         }
         group
+    }
+
+    /// What happens at one instant, and the step that follows it.
+    #[inline(always)]
+    fn step(&mut self, step: usize, event: &Event) {
+        if event.commands {
+            self.command(step, event.servo_reads);
+        }
+        let motion = &self.motion;
+        let now = self
+            .plant
+            .instant(&motion.state, &motion.torque, &motion.modes);
+        self.sense(&now);
+        if event.samples {
+            self.record(step, &now);
+        }
+        if !event.last {
+            self.advance(&now);
+        }
     }
 
     /// Takes in the voltages of this instant: the tick's feed-forward, and the servo where it reads.
@@ -244,7 +289,8 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
                     let mut encoder = [0.0; N];
                     for i in 0..N {
                         let angle = self.motion.state.motor_angle[i].lane(lane);
-                        encoder[i] = encoder_angle(angle, self.task.config.joints[i].encoder_counts);
+                        encoder[i] =
+                            encoder_angle(angle, self.task.config.joints[i].encoder_counts);
                     }
                     let reference = &member.reference[tick];
                     *voltage =
@@ -285,12 +331,16 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
 
     /// One step of the integrator; lanes in which friction changes its mode are redone singly.
     #[inline(always)]
-    fn advance(&mut self, now: &Acceleration<R, N>) {
+    fn advance(&mut self, now: &Instant<A, R, N>) {
         let torque = self.current.over_step(&self.motion.torque, &self.target);
         let h = R::splat(self.task.clock.step);
         let modes = &self.motion.modes;
-        let state = self.plant.runge_kutta(&self.motion.state, now, &torque, modes, h);
-        let margins = self.plant.margins(&state, &torque.end, modes, self.standing);
+        let state = self
+            .plant
+            .runge_kutta(&self.motion.state, now, &torque, modes, h);
+        let margins = self
+            .plant
+            .margins(&state, &torque.end, modes, self.standing);
         let mut least = margins[0];
         for margin in &margins[1..] {
             least = least.min(*margin);
@@ -328,9 +378,15 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
             }
         };
         put(&mut self.motion.state.motor_angle, &one.state.motor_angle);
-        put(&mut self.motion.state.motor_velocity, &one.state.motor_velocity);
+        put(
+            &mut self.motion.state.motor_velocity,
+            &one.state.motor_velocity,
+        );
         put(&mut self.motion.state.link_angle, &one.state.link_angle);
-        put(&mut self.motion.state.link_velocity, &one.state.link_velocity);
+        put(
+            &mut self.motion.state.link_velocity,
+            &one.state.link_velocity,
+        );
         put(&mut self.motion.torque, &one.torque);
         put(&mut self.motion.modes.direction, &one.modes.direction);
         put(&mut self.motion.modes.free, &one.modes.free);
@@ -339,7 +395,7 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
     fn sensors_at_rest(&self) -> Sensors<R, N> {
         let now = self
             .plant
-            .accelerations(&self.motion.state, &self.motion.torque, &self.motion.modes);
+            .instant(&self.motion.state, &self.motion.torque, &self.motion.modes);
         let readings = self.readings(&now);
         let joints = &self.task.config.joints;
         let h = self.task.clock.step;
@@ -358,20 +414,18 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
 
     /// What ideal accelerometers and gyros read.
     #[inline(always)]
-    fn readings(&self, now: &Acceleration<R, N>) -> [[R; N]; 2] {
+    fn readings(&self, now: &Instant<A, R, N>) -> [[R; N]; 2] {
         let state = &self.motion.state;
-        let at = self.plant.arm.posture(&state.link_angle);
         let places = self.task.config.accelerometers();
+        let acceleration = &now.acceleration.link;
         [
-            self.plant
-                .arm
-                .accelerometers(&places, &at, &state.link_velocity, &now.link),
+            A::accelerometers(&places, &now.posture, &state.link_velocity, acceleration),
             A::absolute_rates(&state.link_velocity),
         ]
     }
 
     #[inline(always)]
-    fn sense(&mut self, now: &Acceleration<R, N>) {
+    fn sense(&mut self, now: &Instant<A, R, N>) {
         if self.sensors.is_none() {
             return;
         }
@@ -393,39 +447,67 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize> Group<'a, A, R, S, N> {
     }
 
     #[inline(never)]
-    fn record(&mut self, step: usize, now: &Acceleration<R, N>) {
-        let state = &self.motion.state;
-        let gear_torque = self.plant.gear_torques(state);
-        for lane in 0..R::LANES {
-            let of = |values: &[R; N]| values.map(|value| value.lane(lane));
-            let sensed = |kind: usize| self.sensors.as_ref().map_or([0.0; N], |s| of(&s.readings[kind]));
-            for (k, quantity) in self.task.record.iter().enumerate() {
-                let row = match quantity {
-                    Quantity::Voltage => self.voltage[lane],
-                    Quantity::MotorTorque => of(&self.motion.torque),
-                    Quantity::MotorAngle => of(&state.motor_angle),
-                    Quantity::MotorVelocity => of(&state.motor_velocity),
-                    Quantity::LinkAngle => of(&state.link_angle),
-                    Quantity::LinkVelocity => of(&state.link_velocity),
-                    Quantity::LinkAcceleration => of(&now.link),
-                    Quantity::GearTorque => of(&gear_torque),
-                    Quantity::Encoder => {
-                        let angle = of(&state.motor_angle);
-                        std::array::from_fn(|i| {
-                            encoder_angle(angle[i], self.task.config.joints[i].encoder_counts)
-                        })
+    fn record(&mut self, step: usize, now: &Instant<A, R, N>) {
+        for k in 0..self.task.record.len() {
+            match self.task.record[k] {
+                Quantity::Voltage => self.put(k, |group, lane, i| group.voltage[lane][i]),
+                Quantity::MotorTorque => self.put_all(k, &self.motion.torque.clone()),
+                Quantity::MotorAngle => self.put_all(k, &self.motion.state.motor_angle.clone()),
+                Quantity::MotorVelocity => {
+                    self.put_all(k, &self.motion.state.motor_velocity.clone())
+                }
+                Quantity::LinkAngle => self.put_all(k, &self.motion.state.link_angle.clone()),
+                Quantity::LinkVelocity => self.put_all(k, &self.motion.state.link_velocity.clone()),
+                Quantity::LinkAcceleration => self.put_all(k, &now.acceleration.link),
+                Quantity::GearTorque => {
+                    self.put_all(k, &self.plant.gear_torques(&self.motion.state))
+                }
+                Quantity::Encoder => self.put(k, |group, lane, i| {
+                    let angle = group.motion.state.motor_angle[i].lane(lane);
+                    encoder_angle(angle, group.task.config.joints[i].encoder_counts)
+                }),
+                Quantity::Accelerometer => self.put_all(k, &self.sensed(0)),
+                Quantity::Gyro => self.put_all(k, &self.sensed(1)),
+                Quantity::Sliding => self.put(k, |group, lane, i| {
+                    let velocity = group.motion.state.motor_velocity[i].lane(lane);
+                    if velocity == 0.0 {
+                        0.0
+                    } else {
+                        velocity.signum()
                     }
-                    Quantity::Accelerometer => sensed(0),
-                    Quantity::Gyro => sensed(1),
-                    Quantity::Sliding => std::array::from_fn(|i| {
-                        let velocity = state.motor_velocity[i].lane(lane);
-                        if velocity == 0.0 { 0.0 } else { velocity.signum() }
-                    }),
-                };
-                self.records[lane][k].push(row);
+                }),
             }
-            let finite = of(&state.motor_velocity).iter().chain(&of(&state.link_velocity)).all(|v| v.is_finite());
-            if !finite && self.diverged[lane].is_none() {
+        }
+        self.check_finite(step);
+    }
+
+    fn put_all(&mut self, quantity: usize, values: &[R; N]) {
+        for lane in 0..R::LANES {
+            self.records[lane][quantity].push(values.map(|value| value.lane(lane)));
+        }
+    }
+
+    fn put(&mut self, quantity: usize, value: impl Fn(&Self, usize, usize) -> f64) {
+        for lane in 0..R::LANES {
+            let row = std::array::from_fn(|i| value(self, lane, i));
+            self.records[lane][quantity].push(row);
+        }
+    }
+
+    fn sensed(&self, kind: usize) -> [R; N] {
+        match &self.sensors {
+            Some(sensors) => sensors.readings[kind],
+            None => [R::splat(0.0); N],
+        }
+    }
+
+    fn check_finite(&mut self, step: usize) {
+        for lane in 0..R::LANES {
+            let state = &self.motion.state;
+            let sum = (0..N)
+                .map(|i| state.motor_velocity[i].lane(lane) + state.link_velocity[i].lane(lane))
+                .sum::<f64>();
+            if !sum.is_finite() && self.diverged[lane].is_none() {
                 let time = step as f64 * self.task.clock.step;
                 self.diverged[lane] = Some(Diverged { time });
             }
@@ -463,8 +545,8 @@ impl<const N: usize> Member<'_, N> {
 }
 
 /// The motion an experiment begins with.
-fn start<A: Arm<N>, S: Real, const N: usize>(
-    plant: &Plant<A, S, N>,
+fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
+    plant: &Plant<A, S, N, ELASTIC>,
     current: &CurrentLoop<S, N>,
     initial: &Initial<N>,
 ) -> Motion<S, N> {
@@ -479,7 +561,7 @@ fn start<A: Arm<N>, S: Real, const N: usize>(
         None => hanging(plant, &state.motor_angle),
     };
     for i in 0..N {
-        if plant.joints[i].gear.is_none() {
+        if plant.is_rigid(i) {
             state.link_angle[i] = plant.joints[i].ratio * state.motor_angle[i];
             state.link_velocity[i] = plant.joints[i].ratio * state.motor_velocity[i];
         }
@@ -496,18 +578,19 @@ fn start<A: Arm<N>, S: Real, const N: usize>(
 ///
 /// Newton's iteration with the gears' first slopes alone: gravity's own stiffness is some thousandth
 /// of theirs, so each round gains three digits, and a softer spring than assumed only slows it.
-fn hanging<A: Arm<N>, S: Real, const N: usize>(
-    plant: &Plant<A, S, N>,
+fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
+    plant: &Plant<A, S, N, ELASTIC>,
     motor_angle: &[S; N],
 ) -> [S; N] {
     let rigid: [S; N] = std::array::from_fn(|i| plant.joints[i].ratio * motor_angle[i]);
     let mut angle = rigid;
     for _ in 0..200 {
-        let at = plant.arm.posture(&angle);
-        let gravity = plant.arm.bias(&plant.base, &at, &[S::splat(0.0); N]);
+        let at = A::posture(&angle);
+        let gravity = A::bias(&plant.base, &at, &[S::splat(0.0); N]);
         let mut change = 0.0f64;
         for i in 0..N {
-            if let Some((spring, _)) = &plant.joints[i].gear {
+            let spring = &plant.joints[i].spring;
+            if !plant.is_rigid(i) {
                 let rest = spring.torque(rigid[i] - angle[i]) - gravity[i];
                 let step = rest / spring.initial_stiffness();
                 angle[i] = angle[i] + step;
@@ -523,7 +606,11 @@ fn hanging<A: Arm<N>, S: Real, const N: usize>(
 
 fn any_standing<R: Real, const N: usize>(motion: &Motion<R, N>) -> bool {
     let half = R::splat(0.5);
-    motion.modes.free.iter().any(|&free| (free - half).any_negative())
+    motion
+        .modes
+        .free
+        .iter()
+        .any(|&free| (free - half).any_negative())
 }
 
 fn one_of<R: Real, S: Real, const N: usize>(all: &Motion<R, N>, lane: usize) -> Motion<S, N> {
