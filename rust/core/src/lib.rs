@@ -17,5 +17,6 @@ pub mod gear;
 mod lanes;
 pub mod plant;
 pub mod real;
+pub mod rigid;
 pub mod sensors;
 pub mod simulate;

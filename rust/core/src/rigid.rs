@@ -1,0 +1,61 @@
+//! The arm behind rigid gears, (5)-(7): torques from motion, linear in the base parameters.
+
+use crate::arm::Arm;
+use crate::plant::Plant;
+
+/// Link-side torques [N m] per base parameter, in the order of [`Arm::NAMES`].
+///
+/// The equations are linear in the base parameters, so each column is what they give for that
+/// parameter at one and the others at zero: the regressor has no equations of its own.
+pub fn base_regressor<A: Arm<N>, const N: usize>(
+    q: &[f64; N],
+    dq: &[f64; N],
+    ddq: &[f64; N],
+) -> Vec<[f64; N]> {
+    let at = A::posture(q);
+    let mut unit = vec![0.0; A::NAMES.len()];
+    (0..unit.len())
+        .map(|k| {
+            unit.fill(0.0);
+            unit[k] = 1.0;
+            link_torques::<A, N>(&A::base(&unit), &at, dq, ddq)
+        })
+        .collect()
+}
+
+fn link_torques<A: Arm<N>, const N: usize>(
+    base: &A::Base<f64>,
+    at: &A::Posture<f64>,
+    dq: &[f64; N],
+    ddq: &[f64; N],
+) -> [f64; N] {
+    let inertia = A::inertia(base, at);
+    let mut torque = A::bias(base, at, dq);
+    for i in 0..N {
+        for j in 0..N {
+            torque[i] += inertia[i][j] * ddq[j];
+        }
+    }
+    torque
+}
+
+/// Motor torques [N m] that a motion of the links takes if no gear gives way, (5).
+///
+/// A resting joint is taken to need no Coulomb torque: anything within +-f_M would do.
+pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
+    plant: &Plant<A, f64, N, false>,
+    q: &[f64; N],
+    dq: &[f64; N],
+    ddq: &[f64; N],
+) -> [f64; N] {
+    let mut torque = link_torques::<A, N>(&plant.base, &A::posture(q), dq, ddq);
+    for (i, joint) in plant.joints.iter().enumerate() {
+        let n = joint.ratio;
+        let direction = if dq[i] == 0.0 { 0.0 } else { dq[i].signum() };
+        let friction = joint.motor_viscous * dq[i] / n + joint.coulomb * direction + joint.offset;
+        torque[i] = n * (torque[i] + joint.link_viscous * dq[i])
+            + joint.motor_inertia * ddq[i] / n
+            + friction;
+    }
+    torque
+}

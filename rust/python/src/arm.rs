@@ -1,0 +1,412 @@
+//! The arm as a Python class.
+
+use std::marker::PhantomData;
+
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::{PyFloatingPointError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use strainwave_core::arm::{OneLink, TwoLink};
+use strainwave_core::config::{Config, GearKind, JointConfig};
+use strainwave_core::dispatch::{self, Width};
+use strainwave_core::drive::Servo;
+use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Record, Task};
+use strainwave_core::{arm, gear, rigid};
+
+type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+type Vector<'py> = PyReadonlyArray1<'py, f64>;
+
+/// Each arm the core knows, with its constants.
+#[derive(Clone, Copy)]
+enum Any {
+    TwoLinkLevel(Config<TwoLink<false>, 2>),
+    TwoLinkUpright(Config<TwoLink<true>, 2>),
+    OneLinkLevel(Config<OneLink<false>, 1>),
+    OneLinkUpright(Config<OneLink<true>, 1>),
+}
+
+/// Runs the same generic code on whichever arm it is.
+macro_rules! each {
+    ($any:expr, $config:ident => $code:expr) => {
+        match $any {
+            Any::TwoLinkLevel($config) => $code,
+            Any::TwoLinkUpright($config) => $code,
+            Any::OneLinkLevel($config) => $code,
+            Any::OneLinkUpright($config) => $code,
+        }
+    };
+}
+
+/// An arm with its known constants; see _core.pyi.
+#[pyclass(frozen, module = "strainwave._core")]
+pub struct Arm(Any);
+
+/// What `simulate` takes beside the parameters.
+struct Experiment<'py> {
+    voltage: Matrix<'py>,
+    reference: Option<Matrix<'py>>,
+    servo: Option<(Vec<f64>, Vec<f64>, f64, Vec<bool>)>,
+    clock: Clock,
+    motor_angle: Vec<f64>,
+    motor_velocity: Option<Vec<f64>>,
+    link_angle: Option<Vec<f64>>,
+    link_velocity: Option<Vec<f64>>,
+    initial_voltage: Option<Vec<f64>>,
+    record: Vec<Quantity>,
+}
+
+#[pymethods]
+impl Arm {
+    #[new]
+    #[pyo3(signature = (kind, springs, gear_ratio, *, torque_per_volt=None, link_length=0.0,
+        gravity=0.0, current_loop_hz=None, encoder_counts=None, accelerometer_distance=None,
+        accelerometer_hz=None, gyro_hz=None, gear_corner=gear::CORNER))]
+    fn new(
+        kind: &str,
+        springs: Vec<String>,
+        gear_ratio: Vec<f64>,
+        torque_per_volt: Option<Vec<f64>>,
+        link_length: f64,
+        gravity: f64,
+        current_loop_hz: Option<Vec<Option<f64>>>,
+        encoder_counts: Option<Vec<Option<f64>>>,
+        accelerometer_distance: Option<Vec<f64>>,
+        accelerometer_hz: Option<Vec<Option<f64>>>,
+        gyro_hz: Option<Vec<Option<f64>>>,
+        gear_corner: f64,
+    ) -> PyResult<Self> {
+        let count = springs.len();
+        let torque_per_volt = given(torque_per_volt, 1.0, count, "torque_per_volt")?;
+        let distance = given(accelerometer_distance, 1.0, count, "accelerometer_distance")?;
+        let current_loop_hz = given(current_loop_hz, None, count, "current_loop_hz")?;
+        let encoder_counts = given(encoder_counts, None, count, "encoder_counts")?;
+        let accelerometer_hz = given(accelerometer_hz, None, count, "accelerometer_hz")?;
+        let gyro_hz = given(gyro_hz, None, count, "gyro_hz")?;
+        let gear_ratio = given(Some(gear_ratio), 1.0, count, "gear_ratio")?;
+        let mut joints = Vec::new();
+        for i in 0..count {
+            joints.push(JointConfig {
+                gear: gear_kind(&springs[i])?,
+                ratio: gear_ratio[i],
+                torque_per_volt: torque_per_volt[i],
+                current_loop_hz: current_loop_hz[i],
+                encoder_counts: encoder_counts[i],
+                accelerometer_distance: distance[i],
+                accelerometer_hz: accelerometer_hz[i],
+                gyro_hz: gyro_hz[i],
+            });
+        }
+        if gear_corner <= 0.0 || gear_corner.is_nan() {
+            return Err(PyValueError::new_err("gear_corner must be positive"));
+        }
+        let geometry = (link_length, gravity, gear_corner);
+        let upright = gravity != 0.0;
+        Ok(Self(match (kind, upright) {
+            ("planar-two-link", false) => Any::TwoLinkLevel(configure(geometry, &joints)?),
+            ("planar-two-link", true) => Any::TwoLinkUpright(configure(geometry, &joints)?),
+            ("single-joint", false) => Any::OneLinkLevel(configure(geometry, &joints)?),
+            ("single-joint", true) => Any::OneLinkUpright(configure(geometry, &joints)?),
+            _ => return Err(PyValueError::new_err(format!("no arm of kind {kind:?}"))),
+        }))
+    }
+
+    #[getter]
+    fn n_joints(&self) -> usize {
+        each!(&self.0, config => config.joints.len())
+    }
+
+    #[getter]
+    fn parameter_names(&self) -> Vec<(&'static str, Option<usize>)> {
+        each!(&self.0, config => config.parameter_names())
+    }
+
+    #[pyo3(signature = (parameters, voltage, *, motor_angle, step, steps_per_tick, steps_per_sample,
+        samples, record, reference=None, servo=None, steps_per_servo=1, motor_velocity=None,
+        link_angle=None, link_velocity=None, initial_voltage=None))]
+    fn simulate<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: Matrix<'py>,
+        voltage: Matrix<'py>,
+        motor_angle: Vec<f64>,
+        step: f64,
+        steps_per_tick: usize,
+        steps_per_sample: usize,
+        samples: usize,
+        record: Vec<String>,
+        reference: Option<Matrix<'py>>,
+        servo: Option<(Vec<f64>, Vec<f64>, f64, Vec<bool>)>,
+        steps_per_servo: usize,
+        motor_velocity: Option<Vec<f64>>,
+        link_angle: Option<Vec<f64>>,
+        link_velocity: Option<Vec<f64>>,
+        initial_voltage: Option<Vec<f64>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let clock = Clock {
+            step,
+            steps_per_tick,
+            steps_per_servo,
+            steps_per_sample,
+            samples,
+        };
+        check_clock(&clock)?;
+        let quantities = record.iter().map(|name| quantity(name)).collect::<PyResult<_>>()?;
+        let experiment = Experiment {
+            voltage,
+            reference,
+            servo,
+            clock,
+            motor_angle,
+            motor_velocity,
+            link_angle,
+            link_velocity,
+            initial_voltage,
+            record: quantities,
+        };
+        let columns = each!(&self.0, config => run(py, config, &parameters, &experiment))?;
+        let shape = [parameters.as_array().nrows(), samples, self.n_joints()];
+        let result = PyDict::new(py);
+        for (name, column) in record.iter().zip(columns) {
+            let array: Bound<'py, PyArray3<f64>> = PyArray1::from_vec(py, column).reshape(shape)?;
+            result.set_item(name, array)?;
+        }
+        Ok(result)
+    }
+
+    fn base_regressor<'py>(
+        &self,
+        py: Python<'py>,
+        angle: Matrix<'py>,
+        velocity: Matrix<'py>,
+        acceleration: Matrix<'py>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        each!(&self.0, config => base_regressor(py, config, [&angle, &velocity, &acceleration]))
+    }
+
+    fn inverse_dynamics<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: Vector<'py>,
+        angle: Matrix<'py>,
+        velocity: Matrix<'py>,
+        acceleration: Matrix<'py>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let motion = [&angle, &velocity, &acceleration];
+        each!(&self.0, config => inverse_dynamics(py, config, &parameters, motion))
+    }
+}
+
+fn configure<A: arm::Arm<N>, const N: usize>(
+    (link_length, gravity, corner): (f64, f64, f64),
+    joints: &[JointConfig],
+) -> PyResult<Config<A, N>> {
+    let joints = joints
+        .try_into()
+        .map_err(|_| PyValueError::new_err(format!("expected {N} joints, got {}", joints.len())))?;
+    Ok(Config {
+        arm: PhantomData,
+        link_length,
+        gravity,
+        corner,
+        joints,
+    })
+}
+
+fn run<A: arm::Arm<N>, const N: usize>(
+    py: Python<'_>,
+    config: &Config<A, N>,
+    parameters: &Matrix<'_>,
+    experiment: &Experiment<'_>,
+) -> PyResult<Vec<Vec<f64>>> {
+    let values = checked_parameters(config, parameters)?;
+    let ticks = experiment.clock.ticks();
+    let voltage = rows::<N>(&experiment.voltage, "voltage", ticks)?;
+    let reference = match &experiment.reference {
+        Some(reference) => rows::<N>(reference, "reference", ticks)?,
+        None => vec![[0.0; N]; ticks],
+    };
+    let or_zero = |values: &Option<Vec<f64>>, name| match values {
+        Some(values) => fixed(values, name),
+        None => Ok([0.0; N]),
+    };
+    let initial = Initial {
+        motor_angle: fixed(&experiment.motor_angle, "motor_angle")?,
+        motor_velocity: or_zero(&experiment.motor_velocity, "motor_velocity")?,
+        link_angle: match &experiment.link_angle {
+            Some(angle) => Some(fixed(angle, "link_angle")?),
+            None => None,
+        },
+        link_velocity: or_zero(&experiment.link_velocity, "link_velocity")?,
+        voltage: or_zero(&experiment.initial_voltage, "initial_voltage")?,
+    };
+    let servo = match &experiment.servo {
+        Some((kp, ki, limit, active)) => Some(Servo {
+            kp: fixed(kp, "kp")?,
+            ki: fixed(ki, "ki")?,
+            limit: *limit,
+            period: experiment.clock.step * experiment.clock.steps_per_servo as f64,
+            active: fixed(active, "active")?,
+        }),
+        None => None,
+    };
+    let task = Task {
+        config: *config,
+        clock: experiment.clock,
+        servo,
+        record: experiment.record.clone(),
+    };
+    let members: Vec<Member<'_, N>> = values
+        .iter()
+        .map(|own| Member {
+            parameters: own,
+            feed_forward: &voltage,
+            reference: &reference,
+            initial,
+        })
+        .collect();
+    let results = py.detach(|| dispatch::simulate(&task, &members, Width::detect()));
+    let mut records: Vec<Record<N>> = Vec::with_capacity(results.len());
+    for result in results {
+        records.push(result.map_err(|diverged| {
+            PyFloatingPointError::new_err(format!("the motion diverged at {} s", diverged.time))
+        })?);
+    }
+    Ok((0..task.record.len())
+        .map(|k| records.iter().flat_map(|record| record[k].as_flattened().to_vec()).collect())
+        .collect())
+}
+
+fn base_regressor<'py, A: arm::Arm<N>, const N: usize>(
+    py: Python<'py>,
+    _: &Config<A, N>,
+    motion: [&Matrix<'py>; 3],
+) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    let [q, dq, ddq] = same_rows::<N>(motion)?;
+    let bases = A::NAMES.len();
+    let mut all = vec![0.0; q.len() * N * bases];
+    py.detach(|| {
+        for (k, row) in all.chunks_mut(N * bases).enumerate() {
+            for (b, torque) in rigid::base_regressor::<A, N>(&q[k], &dq[k], &ddq[k]).iter().enumerate() {
+                for i in 0..N {
+                    row[i * bases + b] = torque[i];
+                }
+            }
+        }
+    });
+    PyArray1::from_vec(py, all).reshape([q.len(), N, bases])
+}
+
+fn inverse_dynamics<'py, A: arm::Arm<N>, const N: usize>(
+    py: Python<'py>,
+    config: &Config<A, N>,
+    parameters: &Vector<'py>,
+    motion: [&Matrix<'py>; 3],
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let values = parameters.as_array().to_vec();
+    check_values(config, &values)?;
+    let [q, dq, ddq] = same_rows::<N>(motion)?;
+    let all = py.detach(|| {
+        let plant = config.plant(&[&values]);
+        (0..q.len())
+            .flat_map(|k| rigid::inverse_dynamics(&plant, &q[k], &dq[k], &ddq[k]))
+            .collect::<Vec<f64>>()
+    });
+    PyArray1::from_vec(py, all).reshape([q.len(), N])
+}
+
+fn checked_parameters<A: arm::Arm<N>, const N: usize>(
+    config: &Config<A, N>,
+    parameters: &Matrix<'_>,
+) -> PyResult<Vec<Vec<f64>>> {
+    let values: Vec<Vec<f64>> = parameters.as_array().rows().into_iter().map(|row| row.to_vec()).collect();
+    if values.is_empty() {
+        return Err(PyValueError::new_err("parameters has no rows: expected one for each arm"));
+    }
+    for own in &values {
+        check_values(config, own)?;
+    }
+    Ok(values)
+}
+
+fn check_values<A: arm::Arm<N>, const N: usize>(config: &Config<A, N>, values: &[f64]) -> PyResult<()> {
+    let expected = config.parameter_names().len();
+    if values.len() != expected {
+        let got = values.len();
+        return Err(PyValueError::new_err(format!("expected {expected} parameters, got {got}")));
+    }
+    config.check(values).map_err(|invalid| PyValueError::new_err(invalid.to_string()))
+}
+
+fn check_clock(clock: &Clock) -> PyResult<()> {
+    let positive = clock.step > 0.0 && clock.step.is_finite();
+    let counts = [clock.steps_per_tick, clock.steps_per_servo, clock.steps_per_sample, clock.samples];
+    if !positive || counts.contains(&0) {
+        return Err(PyValueError::new_err("step, samples and the numbers of steps must be positive"));
+    }
+    Ok(())
+}
+
+fn gear_kind(name: &str) -> PyResult<GearKind> {
+    match name {
+        "linear" => Ok(GearKind::Linear),
+        "three-slope" => Ok(GearKind::ThreeSlope),
+        "rigid" => Ok(GearKind::Rigid),
+        _ => Err(PyValueError::new_err(format!("no gear spring {name:?}"))),
+    }
+}
+
+fn quantity(name: &str) -> PyResult<Quantity> {
+    Ok(match name {
+        "voltage" => Quantity::Voltage,
+        "motor_torque" => Quantity::MotorTorque,
+        "motor_angle" => Quantity::MotorAngle,
+        "motor_velocity" => Quantity::MotorVelocity,
+        "link_angle" => Quantity::LinkAngle,
+        "link_velocity" => Quantity::LinkVelocity,
+        "link_acceleration" => Quantity::LinkAcceleration,
+        "gear_torque" => Quantity::GearTorque,
+        "encoder" => Quantity::Encoder,
+        "accelerometer" => Quantity::Accelerometer,
+        "gyro" => Quantity::Gyro,
+        "sliding" => Quantity::Sliding,
+        _ => return Err(PyValueError::new_err(format!("nothing called {name:?} can be recorded"))),
+    })
+}
+
+fn given<T: Clone>(values: Option<Vec<T>>, default: T, count: usize, name: &str) -> PyResult<Vec<T>> {
+    let values = values.unwrap_or_else(|| vec![default; count]);
+    if values.len() != count {
+        let got = values.len();
+        return Err(PyValueError::new_err(format!("{name}: expected {count} values, got {got}")));
+    }
+    Ok(values)
+}
+
+fn fixed<T: Copy, const N: usize>(values: &[T], name: &str) -> PyResult<[T; N]> {
+    values.try_into().map_err(|_| {
+        PyValueError::new_err(format!("{name}: expected {N} values, got {}", values.len()))
+    })
+}
+
+fn rows<const N: usize>(matrix: &Matrix<'_>, name: &str, least: usize) -> PyResult<Vec<[f64; N]>> {
+    let matrix = matrix.as_array();
+    if matrix.ncols() != N || matrix.nrows() < least {
+        let (rows, columns) = matrix.dim();
+        let text = format!("{name}: expected at least {least} x {N} values, got {rows} x {columns}");
+        return Err(PyValueError::new_err(text));
+    }
+    Ok(matrix.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
+}
+
+fn same_rows<const N: usize>(motion: [&Matrix<'_>; 3]) -> PyResult<[Vec<[f64; N]>; 3]> {
+    let samples = motion[0].as_array().nrows();
+    if motion.iter().any(|part| part.as_array().nrows() != samples) {
+        return Err(PyValueError::new_err("angle, velocity and acceleration differ in length"));
+    }
+    let [q, dq, ddq] = motion;
+    Ok([
+        rows(q, "angle", 0)?,
+        rows(dq, "velocity", 0)?,
+        rows(ddq, "acceleration", 0)?,
+    ])
+}

@@ -1,0 +1,13 @@
+//! Python's door to the core: convert, compute without the GIL, map the error. No arithmetic.
+
+mod arm;
+
+use pyo3::prelude::*;
+
+/// The compiled core of strainwave.
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<arm::Arm>()?;
+    module.add("GEAR_CORNER", strainwave_core::gear::CORNER)?;
+    Ok(())
+}
