@@ -1,88 +1,52 @@
-"""Signals of one record -> filtered, decimated linear equations in the base parameters.
+"""Signals -> linear equations in the rigid model's parameters, filtered and decimated.
 
-Friction enters as viscous * dq + Coulomb * sgn(dq) + offset where the motor slides. Where it may
-stand, its Coulomb friction is an unknown of that stretch alone. Elastic joints are seen to first
-order: the link lags behind the motor by its torque over the gear's stiffness, (1), (2).
+Both sides of the equation of motion pass one low-pass filter. Where the motor certainly slides its
+friction is viscous * dq + Coulomb * sgn(dq) + offset; where it may stand, the Coulomb part is an
+unknown of that stretch. Elastic joints are seen to first order: the link lags the motor by the
+gear's torque times its compliance, (1) and (2).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave import _regressor
 from strainwave._filters import differentiate, low_pass
 from strainwave._friction import free_friction
-from strainwave.records import FloatArray, Signals, Study
+from strainwave._least_squares import Equations, Factor
+from strainwave._regressor import (
+    FRICTION_COLUMNS,
+    body_regressor,
+    columns_of,
+    gear_ratios,
+    n_body,
+)
+from strainwave.records import BoolArray, FloatArray, Signals, Study
 
-_ROWS_PER_CUTOFF = 4.0  # sampling rate after decimation, in cut-offs; nothing is left at half of it
 MOTOR_SHARE = 0.5
-"""Share of joint 1's rigid inertia taken for its motor's.
+"""Share of joint 1's rigid inertia (a single joint's inertia) taken for its motor's.
 
-The two only come apart through the gear's compliance. Designs match them within a factor of a few;
-the compliance, which is fitted, takes up what is wrong with the share.
+The two come apart only through the gear's compliance. Designs match them within a factor of a few,
+and the compliance, which is fitted, takes up what is wrong with the share.
 """
+
+_ROWS_PER_CUTOFF = 4.0  # rate of the equations in cut-offs; the filter leaves nothing at half of it
+_KNOTS_PER_PERIOD = 16.0  # of free friction, in periods of the cut-off: convergence is at 8
+_MOST_KNOTS = 100  # per record and joint: a joint that rarely slides has little to say
+_STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
+_BLOCKS = 20
+_STIFF = 0.25  # deviation of the prior of (bandwidth / anti-resonance)^2
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
-    """One parameter: its name, joint and unit."""
+class Estimate:
+    """Parameters and compliances around which the equations are built."""
 
-    name: str
-    joint: int | None
-    unit: str
-
-
-def columns_of(study: Study) -> tuple[Column, ...]:
-    """The rigid model's parameters of a study, inertial ones first, then friction by joint."""
-    prismatic = study.joints[0].motion == "prismatic"
-    gravity = study.arm.gravity is not None
-    if study.arm.kind == "single-joint":
-        body = [Column("inertia", 1, "kg" if prismatic else "kg m^2")]
-        if gravity:
-            body.append(Column("gravity_torque_1", None, "N" if prismatic else "N m"))
-    else:
-        body = [
-            Column("rigid_inertia", 1, "kg m^2"),
-            Column("motor_inertia", 2, "kg m^2"),
-            Column("beta", None, "kg m^2"),
-            Column("gamma", None, "kg m^2"),
-        ]
-        if gravity:
-            body += [Column(f"gravity_torque_{i}", None, "N m") for i in (1, 2)]
-    for number, joint in enumerate(study.joints, start=1):
-        torque, viscous = ("N", "N s/m") if joint.motion == "prismatic" else ("N m", "N m s/rad")
-        rigid_drive = study.arm.kind == "single-joint" and joint.spring == "rigid"
-        name = "motor_viscous_friction" if rigid_drive else "total_viscous_friction"
-        body += [
-            Column(name, number, viscous),
-            Column("motor_coulomb_friction", number, torque),
-            Column("friction_offset", number, torque),
-        ]
-    return tuple(body)
-
-
-def body_regressor(
-    study: Study, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
-) -> FloatArray:
-    """Motor torques per inertial and gravity parameter, at link-side motion.
-
-    Parameters
-    ----------
-    study : Study
-    angle, velocity, acceleration : (n_samples, n_joints)
-
-    Returns
-    -------
-    (n_samples, n_joints, n_body)
-    """
-    n = np.array([joint.gear_ratio for joint in study.joints])
-    if study.arm.kind == "single-joint":
-        phi = _regressor.single_joint(angle, acceleration, float(n[0]))
-        return phi if study.arm.gravity is not None else phi[:, :, :1]
-    phi = _regressor.two_link(angle, velocity, acceleration, n)
-    return phi if study.arm.gravity is not None else phi[:, :, :4]
+    solution: FloatArray  # (n_parameters,)
+    compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, not negative
+    standing: tuple[FloatArray, ...]  # per record (n_samples, n_joints) free friction [N m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +56,21 @@ class Stretch:
     signals: Signals
     bandwidth_hz: float
     rows: FloatArray  # (n_rows,) samples kept
-    keep: FloatArray  # (n_rows, n_joints) bool
+    keep: BoolArray  # (n_rows, n_joints)
     torque: FloatArray  # (n_rows, n_joints)
     friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
-    free: tuple[FloatArray, ...]  # per joint (n_rows, n_free)
+    shapes: tuple[list[tuple[int, FloatArray]], ...]  # per joint, of free friction
+    free: tuple[FloatArray, ...]  # per joint (n_rows, n_free), those shapes filtered
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return len(self.signals.time) * self.signals.sample_time
+
+
+def decimation(sample_time: float, bandwidth_hz: float) -> int:
+    """Samples per equation."""
+    return max(1, int(1.0 / (_ROWS_PER_CUTOFF * bandwidth_hz * sample_time)))
 
 
 def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
@@ -105,196 +80,269 @@ def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
     ----------
     signals : Signals
     bandwidth_hz : float [Hz]
-        Of the filter that both sides of the equations pass.
 
     Returns
     -------
     Stretch
     """
     T = signals.sample_time
+    n_samples, n_joints = signals.motor_torque.shape
     reach = 1.0 / (bandwidth_hz * T)  # samples after which the filter has forgotten
-    rows = np.arange(int(reach), len(signals.time) - int(reach), decimation(T, bandwidth_hz))
-    sides = [signals.motor_velocity, signals.direction, np.ones_like(signals.motor_velocity)]
-    friction = low_pass(np.stack(sides, axis=2), bandwidth_hz, T)[rows]
-    keep = np.column_stack(
-        [_clear_of(~signals.valid[:, i], int(reach / 2))[rows] for i in range(friction.shape[1])]
-    )
-    free = []
-    for i in range(friction.shape[1]):
-        shapes = free_friction(signals.direction[:, i], max(2, round(0.5 * reach)))
-        free.append(_filtered_shapes(shapes, rows, len(signals.time), bandwidth_hz, T))
+    rows = np.arange(int(reach), n_samples - int(reach), decimation(T, bandwidth_hz))
+    sides = [signals.motor_velocity, signals.direction, np.ones((n_samples, n_joints))]
+    keep, shapes, free = [], [], []
+    for i in range(n_joints):
+        keep.append(_clear_of(~signals.valid[:, i], int(reach / 2))[rows])
+        uncertain = np.count_nonzero(signals.direction[:, i] == 0.0)
+        spacing = max(2, round(reach / _KNOTS_PER_PERIOD), uncertain // _MOST_KNOTS)
+        shapes.append(free_friction(signals.direction[:, i], spacing))
+        free.append(_filtered_shapes(shapes[i], rows, n_samples, bandwidth_hz, T))
     return Stretch(
         signals=signals,
         bandwidth_hz=bandwidth_hz,
         rows=rows,
-        keep=keep,
+        keep=np.column_stack(keep),
         torque=low_pass(signals.motor_torque, bandwidth_hz, T)[rows],
-        friction=friction,
+        friction=low_pass(np.stack(sides, axis=2), bandwidth_hz, T)[rows],
+        shapes=tuple(shapes),
         free=tuple(free),
     )
 
 
-def decimation(sample_time: float, bandwidth_hz: float) -> int:
-    """Samples per equation kept."""
-    return max(1, int(1.0 / (_ROWS_PER_CUTOFF * bandwidth_hz * sample_time)))
+def assemble(
+    study: Study, stretches: Sequence[Stretch], around: Estimate | None
+) -> Equations:
+    """The equations of all records and joints in one.
 
-
-def elastic_body(
-    study: Study, stretch: Stretch, link_torque: FloatArray | None, compliance: FloatArray
-) -> FloatArray:
-    """Filtered regressor of the body at the links' motion, Q - compliance * link torque.
-
-    Motor inertias see the motors' acceleration, everything else the links'.
+    Nuisance unknowns are the compliances of elastic joints, first, and the free friction. Blocks
+    are equal lengths of time, about `_BLOCKS` in all; both joints share them.
 
     Parameters
     ----------
     study : Study
-    stretch : Stretch
-    link_torque : (n_samples, n_joints) [N m] or None
-        That the gears transmit, link side; None: rigid.
-    compliance : (n_joints,) [rad/(N m)]
-        Of the gears, link side.
+    stretches : sequence of Stretch
+    around : Estimate or None
+        None: rigid, free friction as large as the torque.
 
     Returns
     -------
-    (n_rows, n_joints, n_body)
+    Equations
     """
-    signals = stretch.signals
-    n = np.array([joint.gear_ratio for joint in study.joints])
-    T = signals.sample_time
-    Q, dQ = signals.motor_angle * n, signals.motor_velocity * n
-    ddQ = signals.motor_acceleration * n
-    if link_torque is not None and np.any(compliance):
-        lag = link_torque * compliance
-        dlag = differentiate(lag, T)
-        ddlag = differentiate(dlag, T)
-        phi = body_regressor(study, Q - lag, dQ - dlag, ddQ - ddlag)
-        phi[:, 0, 0] += MOTOR_SHARE * body_regressor(study, Q, dQ, ddlag)[:, 0, 0]
-        if study.arm.kind == "planar-two-link":
-            phi[:, 1, 1] = signals.motor_acceleration[:, 1]
-    else:
-        phi = body_regressor(study, Q, dQ, ddQ)
-    return low_pass(phi, stretch.bandwidth_hz, T)[stretch.rows]
+    elastic = np.array([joint.spring != "rigid" for joint in study.joints])
+    n_elastic = n_compliances(study) if around is not None else 0
+    n_local = n_elastic + sum(free.shape[1] for s in stretches for free in s.free)
+    total = sum(s.duration for s in stretches)
+    columns = columns_of(study)
+    shared, local, target, group, block = [], [], [], [], []
+    deviation = list(_compliance_deviation(study, stretches, around)) if n_elastic else []
+    first_block, at = 0, n_elastic
+    for record, stretch in enumerate(stretches):
+        body, lags, torque = _body_equations(study, stretch, around, record, elastic)
+        n_blocks = max(2, round(_BLOCKS * stretch.duration / total))
+        label = first_block + np.arange(len(stretch.rows)) * n_blocks // len(stretch.rows)
+        first_block += n_blocks
+        for i, free in enumerate(stretch.free):
+            friction = n_body(study) + FRICTION_COLUMNS * i
+            X = np.zeros((len(stretch.rows), len(columns)))
+            X[:, : n_body(study)] = body[:, i]
+            X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
+            Z = np.zeros((len(stretch.rows), n_local))
+            Z[:, :n_elastic] = lags[:, i, :n_elastic]
+            Z[:, at : at + free.shape[1]] = free
+            at += free.shape[1]
+            size = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
+            deviation += [max(_STANDING * abs(float(size)), 1e-300)] * free.shape[1]
+            keep = stretch.keep[:, i]
+            shared.append(X[keep])
+            local.append(Z[keep])
+            target.append(torque[keep, i])
+            group.append(np.full(np.count_nonzero(keep), i))
+            block.append(label[keep])
+    noise = np.mean([_column_noise(study, s) ** 2 for s in stretches], axis=0)
+    return Equations(
+        shared=np.concatenate(shared),
+        noise=np.sqrt(noise),
+        local=np.concatenate(local),
+        local_deviation=np.array(deviation),
+        target=np.concatenate(target),
+        group=np.concatenate(group),
+        block=np.concatenate(block),
+    )
 
 
-def link_torque(study: Study, stretch: Stretch, value: FloatArray) -> FloatArray:
-    """Torque through each gear, link side: motor torque less friction and the motor's inertia.
+def n_compliances(study: Study) -> int:
+    """How many compliances lead the nuisance unknowns: one a joint if any gear is elastic."""
+    return study.n_joints if any(joint.spring != "rigid" for joint in study.joints) else 0
+
+
+def estimate_of(
+    study: Study, stretches: Sequence[Stretch], equations: Equations, factor: Factor
+) -> Estimate:
+    """What a solve says, as the point around which to build the next equations.
+
+    Compliances are kept between zero and three deviations of their prior, beyond which an arm is
+    not nearly rigid and the first order says nothing.
+
+    Parameters
+    ----------
+    study : Study
+    stretches : sequence of Stretch
+    equations : Equations
+    factor : Factor
+
+    Returns
+    -------
+    Estimate
+    """
+    n_free = sum(free.shape[1] for s in stretches for free in s.free)
+    at = len(factor.local) - n_free  # compliances lead, where there are any
+    compliance = np.zeros(study.n_joints)
+    if at:
+        elastic = np.array([joint.spring != "rigid" for joint in study.joints])
+        compliance = np.clip(factor.local[:at], 0.0, 3.0 * equations.local_deviation[:at]) * elastic
+    standing = []
+    for stretch in stretches:
+        friction = np.zeros_like(stretch.signals.motor_torque)
+        for i, shapes in enumerate(stretch.shapes):
+            for first, shape in shapes:
+                friction[first : first + len(shape), i] += factor.local[at] * shape
+                at += 1
+        standing.append(friction)
+    return Estimate(factor.value, compliance, tuple(standing))
+
+
+def anti_resonances(study: Study, estimate: Estimate) -> FloatArray:
+    """Lowest frequency at which each link rings on its gear, sqrt(1 / (c M_ii)) / 2 pi.
+
+    Parameters
+    ----------
+    study : Study
+    estimate : Estimate
+
+    Returns
+    -------
+    (n_joints,) [Hz]
+        Infinite where the gear is rigid.
+    """
+    inertia = np.maximum(_link_inertias(study, estimate.solution), 1e-300)
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / (2.0 * np.pi * np.sqrt(estimate.compliance * inertia)))
+
+
+def _body_equations(
+    study: Study, stretch: Stretch, around: Estimate | None, record: int, elastic: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Regressor of the body, regressor of the compliances, and the torque they are to explain."""
+    signals, T = stretch.signals, stretch.signals.sample_time
+    n = gear_ratios(study)
+    q, dq, ddq = (
+        x * n for x in (signals.motor_angle, signals.motor_velocity, signals.motor_acceleration)
+    )
+    if around is None or not elastic.any():
+        phi = low_pass(body_regressor(study, q, dq, ddq), stretch.bandwidth_hz, T)[stretch.rows]
+        return phi, np.zeros((len(phi), study.n_joints, 0)), stretch.torque
+    gear = _gear_torque(study, stretch, around.solution, around.standing[record])
+    dgear = differentiate(gear, T)
+    ddgear = differentiate(dgear, T)
+    c = around.compliance
+    phi = body_regressor(study, q - c * gear, dq - c * dgear, ddq - c * ddgear)
+    # motors turn with the motors' acceleration, not the links'
+    per_acceleration = n[0] if study.n_joints == 2 else 1.0 / n[0]
+    phi[:, 0, 0] += MOTOR_SHARE * per_acceleration * c[0] * ddgear[:, 0]
+    if study.n_joints == 2:
+        phi[:, 1, 1] = signals.motor_acceleration[:, 1]
+    lags = _mass_times(study, around.solution, q, ddgear) * elastic
+    both = low_pass(np.concatenate([phi, lags], axis=2), stretch.bandwidth_hz, T)[stretch.rows]
+    phi, lags = both[:, :, : phi.shape[2]], both[:, :, phi.shape[2] :]
+    return phi, lags, stretch.torque + lags @ c
+
+
+def _gear_torque(
+    study: Study, stretch: Stretch, solution: FloatArray, standing: FloatArray
+) -> FloatArray:
+    """Torque through each gear, link side: the motor's less friction and its own inertia's.
 
     Low-passed at twice the equations' bandwidth, for it is to be differentiated twice.
-
-    Parameters
-    ----------
-    study : Study
-    stretch : Stretch
-    value : (n_parameters,)
-        The current estimate.
-
-    Returns
-    -------
-    (n_samples, n_joints) [N m]
     """
     signals = stretch.signals
-    names = [(c.name, c.joint) for c in columns_of(study)]
-    n_body = len(names) - 3 * study.n_joints
-    result = np.empty_like(signals.motor_torque)
-    for i, joint in enumerate(study.joints):
-        viscous, coulomb, offset = value[n_body + 3 * i : n_body + 3 * i + 3]
-        friction = viscous * signals.motor_velocity[:, i] + coulomb * signals.direction[:, i] + offset
-        inertia = motor_inertias(study, value)[i]
-        net = signals.motor_torque[:, i] - friction - inertia * signals.motor_acceleration[:, i]
-        result[:, i] = net / joint.gear_ratio
-    return low_pass(result, 2.0 * stretch.bandwidth_hz, signals.sample_time)
+    n = gear_ratios(study)
+    viscous, coulomb, offset = solution[n_body(study) :].reshape(-1, FRICTION_COLUMNS).T
+    friction = viscous * signals.motor_velocity + coulomb * signals.direction + offset + standing
+    if study.n_joints == 2:
+        inertia = np.array([MOTOR_SHARE * solution[0] * n[0] ** 2, solution[1]])
+    else:
+        inertia = np.array([MOTOR_SHARE * solution[0]])
+    net = signals.motor_torque - friction - inertia * signals.motor_acceleration
+    return low_pass(net / n, 2.0 * stretch.bandwidth_hz, signals.sample_time)
 
 
-def motor_inertias(study: Study, value: FloatArray) -> FloatArray:
-    """Inertia of each motor alone, motor side, as far as a rigid model can say."""
-    n = study.joints[0].gear_ratio
-    if study.arm.kind == "single-joint":
-        return np.array([MOTOR_SHARE * value[0]])
-    return np.array([MOTOR_SHARE * value[0] * n**2, value[1]])
-
-
-def compliance_columns(
-    study: Study, stretch: Stretch, torque: FloatArray, value: FloatArray
+def _mass_times(
+    study: Study, solution: FloatArray, angle: FloatArray, ddgear: FloatArray
 ) -> FloatArray:
-    """Filtered motor torque per compliance, -n_i M_ij ddT_j, the first order of the elasticity.
-
-    Parameters
-    ----------
-    study : Study
-    stretch : Stretch
-    torque : (n_samples, n_joints) [N m]
-        Through the gears, link side.
-    value : (n_parameters,)
-
-    Returns
-    -------
-    (n_rows, n_joints, n_joints)
-        [motor joint, compliant joint]
-    """
-    signals = stretch.signals
-    T = signals.sample_time
-    n = np.array([joint.gear_ratio for joint in study.joints])
-    jerk = differentiate(differentiate(torque, T), T)
-    still = np.zeros_like(jerk)
-    columns = np.empty((*jerk.shape, study.n_joints))
-    inertial = np.array([not c.name.startswith("gravity") for c in columns_of(study)])
-    n_body = len(value) - 3 * study.n_joints
-    inertial = inertial[:n_body]
-    body = value[:n_body].copy()
-    body[0] *= 1.0 - MOTOR_SHARE
-    if study.arm.kind == "planar-two-link":
-        body[1] = 0.0
-    for j in range(study.n_joints):
-        one = still.copy()
-        one[:, j] = jerk[:, j]
-        phi = body_regressor(study, signals.motor_angle * n, still, one)[:, :, inertial]
-        columns[:, :, j] = -phi @ body[inertial]
-    return low_pass(columns, stretch.bandwidth_hz, T)[stretch.rows]
+    """Motor torque per compliance, -n_i M_ij(q) ddT_j: (n_samples, n_joints, n_joints)."""
+    n = gear_ratios(study)
+    if study.n_joints == 1:
+        link = _link_inertias(study, solution)[0]
+        return -n[0] * link * ddgear[:, :, None]
+    alpha, beta, gamma = (1.0 - MOTOR_SHARE) * solution[0], solution[2], solution[3]
+    cos = np.cos(angle[:, 1])
+    M = np.empty((len(angle), 2, 2))
+    M[:, 0, 0] = alpha + beta + 2.0 * gamma * cos
+    M[:, 0, 1] = M[:, 1, 0] = beta + gamma * cos
+    M[:, 1, 1] = beta
+    return -n[:, None] * M * ddgear[:, None, :]
 
 
-def column_noise(study: Study, stretch: Stretch) -> FloatArray:
+def _link_inertias(study: Study, solution: FloatArray) -> FloatArray:
+    """Each link's own inertia with the arm stretched, link side: (n_joints,)."""
+    if study.n_joints == 1:
+        return np.array([(1.0 - MOTOR_SHARE) * solution[0] / study.joints[0].gear_ratio ** 2])
+    first = (1.0 - MOTOR_SHARE) * solution[0] + solution[2] + 2.0 * solution[3]
+    return np.array([first, solution[2]])
+
+
+def _compliance_deviation(
+    study: Study, stretches: Sequence[Stretch], around: Estimate | None
+) -> FloatArray:
+    """Prior deviation of the compliances: the anti-resonance lies well above the bandwidth."""
+    assert around is not None
+    w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
+    inertia = np.abs(_link_inertias(study, around.solution))
+    return np.asarray(_STIFF / (np.maximum(inertia, 1e-300) * w**2))
+
+
+def _column_noise(study: Study, stretch: Stretch) -> FloatArray:
     """Deviation of the noise that the angles' own noise leaves in each column.
 
-    White noise s of the angle, sampled at T and low-passed at f, leaves s (2 pi f)^k sqrt(2 f T /
-    (2 k + 1)) in the k-th derivative.
-
-    Parameters
-    ----------
-    study : Study
-    stretch : Stretch
-
-    Returns
-    -------
-    (n_parameters,)
+    White noise s of an angle, sampled at T and low-passed at f, leaves
+    s (2 pi f)^k sqrt(2 f T / (2 k + 1)) in the k-th derivative.
     """
     signals = stretch.signals
     f, T = stretch.bandwidth_hz, signals.sample_time
-    n = np.array([joint.gear_ratio for joint in study.joints])
+    n = gear_ratios(study)
     first, second = (
-        signals.angle_noise * (2.0 * np.pi * f) ** k * np.sqrt(min(1.0, 2.0 * f * T / (2 * k + 1)))
+        signals.angle_noise * (2.0 * np.pi * f) ** k * np.sqrt(2.0 * f * T / (2 * k + 1))
         for k in (1, 2)
     )
-    at = slice(None, None, max(1, len(signals.time) // 200))
-    angle = signals.motor_angle[at] * n
+    angle = signals.motor_angle[:: max(1, len(signals.time) // 200)] * n
     still = np.zeros_like(angle)
+    at_rest = body_regressor(study, angle, still, still)
     power = np.zeros(len(columns_of(study)))
-    n_body = len(power) - 3 * study.n_joints
-    still_phi = body_regressor(study, angle, still, still)
     for j in range(study.n_joints):
         noisy = still.copy()
-        noisy[:, j] = second[j] * n[j]
-        phi = body_regressor(study, angle, still, noisy) - still_phi
-        power[:n_body] += np.mean(np.sum(phi**2, axis=1), axis=0) / study.n_joints
-        power[n_body + 3 * j] = first[j] ** 2 / study.n_joints
+        noisy[:, j] = n[j] * second[j]
+        phi = body_regressor(study, angle, still, noisy) - at_rest
+        power[: n_body(study)] += np.mean(phi**2, axis=(0, 1))
+        power[n_body(study) + FRICTION_COLUMNS * j] = first[j] ** 2 / study.n_joints
     return np.asarray(np.sqrt(power))
 
 
-def _clear_of(bad: FloatArray, reach: int) -> FloatArray:
+def _clear_of(bad: BoolArray, reach: int) -> BoolArray:
     """Samples at least `reach` away from every bad one."""
     from scipy.ndimage import maximum_filter1d
 
-    return np.asarray(maximum_filter1d(bad.astype(np.int8), 2 * max(1, reach) + 1) == 0)
+    near = maximum_filter1d(bad.astype(np.int8), 2 * max(1, reach) + 1)
+    return np.asarray(near == 0)
 
 
 def _filtered_shapes(

@@ -1,179 +1,240 @@
-"""Least squares with local unknowns: robust weights, what cannot be told, honest deviations."""
+"""Least squares with nuisance unknowns: robust weights, what cannot be told, honest deviations."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from strainwave.records import BoolArray, FloatArray
 
-HUBER = 2.5
-"""Deviations beyond which a residual counts linearly; 1 % of Gaussian ones lie there."""
+HUBER = 4.0
+"""Deviations beyond which a residual counts linearly: gross errors only, for the friction of real
+drives has honest tails that a tighter limit would cut off on one side of each reversal."""
 
-_ITERATIONS = 8
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
+_TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
+_TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
+
+IntArray = NDArray[np.int_]
 
 
 @dataclass(frozen=True, slots=True)
 class Equations:
-    """Weighted linear equations shared @ x + local @ z = target + error, z of zero-mean prior."""
+    """shared @ x + local @ z = target + error, with z of zero mean and known deviation."""
 
     shared: FloatArray  # (n_rows, n_parameters)
     noise: FloatArray  # (n_parameters,) rms of the noise in each shared column
-    local: FloatArray  # (n_rows, n_local) columns of nuisance unknowns
-    local_deviation: FloatArray  # (n_local,) of the prior
+    local: FloatArray  # (n_rows, n_local)
+    local_deviation: FloatArray  # (n_local,)
     target: FloatArray  # (n_rows,)
-    group: FloatArray  # (n_rows,) rows of one group have one error deviation
-    block: FloatArray  # (n_rows,) rows of one block may have errors in common
+    group: IntArray  # (n_rows,) rows of one group have errors of one size
+    block: IntArray  # (n_rows,) rows of one block may have errors in common
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
-    """Estimate, covariance and what the data could not tell."""
+class Factor:
+    """One weighted solve, and what its singular values say."""
 
-    value: FloatArray  # (n_parameters,)
-    covariance: FloatArray  # (n_parameters, n_parameters)
-    determined: BoolArray  # (n_parameters,)
-    blind: FloatArray  # (n_blind, n_parameters) directions the data are blind to, column-scaled
-    condition_number: float
-    deviation: FloatArray  # (n_groups,) of the residuals
-    residual: FloatArray  # (n_rows,)
-    n_blocks: int
+    root: FloatArray  # (n_rows,) square roots of the weights
+    value: FloatArray  # (n_parameters,) of least norm in the scaled unknowns where not unique
+    local: FloatArray  # (n_local,)
+    scale: FloatArray  # (n_parameters,) norms of the weighted columns
+    singular: FloatArray  # (n_parameters,)
+    directions: FloatArray  # (n_parameters, n_parameters) rows, in scaled unknowns
+    seen: BoolArray  # (n_parameters,) which directions stand out of the noise
+    leverage: FloatArray  # (n_rows,) share of each row's error that the fit takes up
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Of each unknown if the errors were white: a yardstick for convergence."""
+        spread = self.directions[self.seen] / self.singular[self.seen, None]
+        return np.asarray(np.sqrt(np.sum(spread**2, axis=0)) / self.scale)
+
+    @property
+    def condition_number(self) -> float:
+        """Of the weighted, column-scaled regressor, nuisance unknowns taken out."""
+        smallest = float(self.singular[-1])
+        return float(self.singular[0]) / smallest if smallest > 0.0 else np.inf
 
 
-def solve(equations: Equations) -> Solution:
-    """Iteratively reweighted least squares (Huber within each group's own deviation).
+def factorise(equations: Equations, root: FloatArray) -> Factor:
+    """Weighted least squares by QR and SVD.
 
-    The covariance is the delete-one-block jackknife's,
-
-        V = (m - 1)/m sum_b (x_b - x)(x_b - x)',
-
-    with x_b the estimate without block b: it holds for errors of any colour within a block, and
-    takes in model error as far as that differs from block to block.
+    QR of [local, shared, target] with the prior's rows below leaves, in the last rows of R, the
+    shared unknowns' equations free of the nuisance; their SVD tells which directions the data see:
+    those whose singular value exceeds what the regressor's own noise would make of it.
 
     Parameters
     ----------
     equations : Equations
+    root : (n_rows,)
+        Square roots of the weights.
 
     Returns
     -------
-    Solution
+    Factor
     """
-    groups = equations.group.astype(int)
-    deviation = _group_rms(equations.target, groups)
-    weight = np.ones(len(groups))
-    for _ in range(_ITERATIONS):
-        root = np.sqrt(weight) / deviation[groups]
-        factor = _Factor.of(equations, root)
-        residual = equations.target - equations.shared @ factor.value - equations.local @ factor.local
-        previous, deviation = deviation, _group_scale(residual, groups, deviation)
-        weight = huber_weights(residual / deviation[groups])
-        if np.allclose(previous, deviation, rtol=1e-3):
-            break
-    covariance, n_blocks = _jackknife(equations, root, factor)
-    torque = np.linalg.norm(root * equations.target)
-    share = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * factor.scale / torque
-    determined = factor.visible & (share < _SHARE_OF_TORQUE)
-    return Solution(
-        value=factor.value,
-        covariance=covariance,
-        determined=determined,
-        blind=factor.blind,
-        condition_number=factor.condition_number,
-        deviation=deviation,
-        residual=residual,
-        n_blocks=n_blocks,
+    from scipy.linalg import qr, solve_triangular
+
+    p, n_local = equations.shared.shape[1], equations.local.shape[1]
+    shared = equations.shared * root[:, None]
+    scale = np.linalg.norm(shared, axis=0)
+    scale[scale == 0.0] = 1.0
+    stacked = np.zeros((len(root) + n_local, n_local + p + 1))
+    stacked[: len(root), :n_local] = equations.local * (
+        root[:, None] * equations.local_deviation
+    )
+    stacked[: len(root), n_local:-1] = shared / scale
+    stacked[: len(root), -1] = equations.target * root
+    stacked[len(root) :, :n_local] = np.eye(n_local)
+    Q, R = qr(stacked, mode="economic", overwrite_a=True, check_finite=False)
+    leverage = np.sum(Q[: len(root), :-1] ** 2, axis=1)
+    rows = slice(n_local, n_local + p)
+    U, s, Vt = np.linalg.svd(R[rows, rows])
+    noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
+    seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
+    x = Vt[seen].T @ ((U[:, seen].T @ R[rows, -1]) / s[seen])
+    z = solve_triangular(R[:n_local, :n_local], R[:n_local, -1] - R[:n_local, rows] @ x)
+    return Factor(
+        root=root,
+        value=x / scale,
+        local=z * equations.local_deviation,
+        scale=scale,
+        singular=s,
+        directions=Vt,
+        seen=seen,
+        leverage=leverage,
     )
 
 
-def huber_weights(standardised: FloatArray) -> FloatArray:
-    """Weights min(1, HUBER / |r|) of Huber's loss, for residuals in their own deviations."""
-    return np.asarray(HUBER / np.maximum(np.abs(standardised), HUBER))
+def residual_of(equations: Equations, factor: Factor) -> FloatArray:
+    """What the equations leave unexplained: (n_rows,)."""
+    explained = equations.shared @ factor.value + equations.local @ factor.local
+    return equations.target - explained
 
 
-@dataclass(frozen=True, slots=True)
-class _Factor:
-    """One weighted solve, and what its singular values say."""
+def root_weights(equations: Equations, factor: Factor) -> FloatArray:
+    """Square roots of the next weights: Huber's, within each group's own robust deviation.
 
-    value: FloatArray
-    local: FloatArray
-    scale: FloatArray  # (n_parameters,) column norms
-    basis: FloatArray  # (n_parameters, n_visible) scaled directions the data see
-    blind: FloatArray
-    visible: BoolArray
-    condition_number: float
+    w = min(1, HUBER / |r / s|) / s^2,  s = 1.4826 median |r / sqrt(1 - h)|, h the leverage
 
-    @staticmethod
-    def of(equations: Equations, root: FloatArray) -> _Factor:
-        """Solve by QR with the local unknowns first: what is left of R is free of them."""
-        shared, target = equations.shared * root[:, None], equations.target * root
-        scale = np.linalg.norm(shared, axis=0)
-        scale[scale == 0.0] = 1.0
-        n_local = equations.local.shape[1]
-        stacked = np.block(
-            [
-                [equations.local * root[:, None], shared / scale, target[:, None]],
-                [np.diag(1.0 / equations.local_deviation), np.zeros((n_local, len(scale) + 1))],
-            ]
-        )
-        R = np.linalg.qr(stacked, mode="r")
-        p = len(scale)
-        inner = R[n_local : n_local + p, n_local : n_local + p]
-        right = R[n_local : n_local + p, -1]
-        U, s, Vt = np.linalg.svd(inner)
-        # noise of the columns along each direction, in the same scaled units as s
-        noise = np.sqrt((Vt**2) @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
-        seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * max(s[0], 1e-300))
-        x = Vt[seen].T @ ((U[:, seen].T @ right) / s[seen])
-        local = np.zeros(n_local)
-        if n_local:
-            rest = R[:n_local, -1] - R[:n_local, n_local : n_local + p] @ x
-            from scipy.linalg import solve_triangular
+    Parameters
+    ----------
+    equations : Equations
+    factor : Factor
 
-            local = solve_triangular(R[:n_local, :n_local], rest)
-        blind = Vt[~seen]
-        visible = (np.abs(blind) < 0.1).all(axis=0)
-        condition = float(s[0] / s[-1]) if s[-1] > 0.0 else np.inf
-        return _Factor(x / scale, local, scale, Vt[seen].T, blind, visible, condition)
+    Returns
+    -------
+    (n_rows,)
+    """
+    residual = residual_of(equations, factor)
+    free = 1.0 - factor.leverage
+    root = np.empty_like(residual)
+    for g in np.unique(equations.group):
+        rows = equations.group == g
+        telling = rows & (free > _TELLING)
+        telling = telling if telling.any() else rows
+        size = np.abs(residual[telling]) / np.sqrt(np.clip(free[telling], _TELLING, None))
+        # where the model is exact the bulk is rounding: keep the weights finite
+        rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
+        deviation = max(1.4826 * float(np.median(size)), 1e-9 * rms, 1e-300)
+        standard = np.abs(residual[rows]) / deviation
+        root[rows] = np.sqrt(HUBER / np.maximum(standard, HUBER)) / deviation
+    return root
 
 
-def _jackknife(
-    equations: Equations, root: FloatArray, factor: _Factor
-) -> tuple[FloatArray, int]:
-    """Covariance of the shared unknowns by leaving out one block at a time."""
-    A = np.hstack([equations.shared * root[:, None] @ np.diag(1 / factor.scale) @ factor.basis,
-                   equations.local * root[:, None]])
-    y = equations.target * root
-    k = factor.basis.shape[1]
-    prior = np.r_[np.zeros(k), 1.0 / equations.local_deviation**2]
-    gram, right = A.T @ A + np.diag(prior), A.T @ y
-    labels = np.unique(equations.block)
-    whole = np.linalg.solve(gram, right)[:k]
+def first_weights(target: FloatArray, group: IntArray) -> FloatArray:
+    """Square roots of the weights before any residual is known: one over each group's rms."""
+    root = np.empty_like(target)
+    for g in np.unique(group):
+        rms = float(np.sqrt(np.mean(target[group == g] ** 2)))
+        root[group == g] = 1.0 / rms if rms > 0.0 else 1.0
+    return root
+
+
+def jackknife(
+    equations: Equations, factor: Factor, n_local: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance of the shared unknowns by leaving out one block at a time.
+
+    V = (m - 1)/m sum_b (x_b - x)(x_b - x)', x_b the estimate without block b, m blocks. It holds
+    for errors of any colour within the blocks, and counts model error as far as that differs from
+    block to block.
+
+    Parameters
+    ----------
+    equations : Equations
+    factor : Factor
+    n_local : int
+        How many of the first nuisance unknowns are of interest too.
+
+    Returns
+    -------
+    (n_parameters, n_parameters)
+        Covariance within the directions that the data see.
+    (n_local,)
+        Variances of the first nuisance unknowns.
+    """
+    basis = factor.directions[factor.seen].T / factor.scale[:, None]
+    root = factor.root[:, None]
+    A = np.hstack(
+        [
+            (equations.shared * root) @ (basis / factor.singular[factor.seen]),
+            equations.local * (root * equations.local_deviation),
+        ]
+    )
+    y = equations.target * factor.root
+    k = basis.shape[1]
+    gram = A.T @ A
+    gram[range(k, len(gram)), range(k, len(gram))] += 1.0
+    right = A.T @ y
+    whole = np.linalg.solve(gram, right)[: k + n_local]
     shifts = []
-    for label in labels:
+    for label in np.unique(equations.block):
         part = equations.block == label
-        g, b = gram - A[part].T @ A[part], right - A[part].T @ y[part]
-        shifts.append(np.linalg.lstsq(g, b, rcond=1e-12)[0][:k] - whole)
-    spread = np.array(shifts) @ factor.basis.T / factor.scale
-    m = len(labels)
-    return (m - 1) / m * spread.T @ spread, m
+        without = gram - A[part].T @ A[part]
+        # what only this block tells is lost without it: the ridge keeps that at its whole-data
+        # size instead of dividing by nothing
+        without[range(k), range(k)] += 1e-9
+        reduced = np.linalg.solve(without, right - A[part].T @ y[part])
+        shifts.append(reduced[: k + n_local] - whole)
+    # the priors' share: an estimate leans towards them, in proportion to how little the data say
+    lean = np.linalg.inv(gram)[: k + n_local, k:]
+    m = len(shifts)
+    inner = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + lean @ lean.T
+    back = basis / factor.singular[factor.seen]
+    covariance: FloatArray = back @ inner[:k, :k] @ back.T
+    return covariance, np.diag(inner)[k:] * equations.local_deviation[:n_local] ** 2
 
 
-def _group_rms(values: FloatArray, groups: np.ndarray[tuple[int], np.dtype[np.int_]]) -> FloatArray:
-    count = np.bincount(groups)
-    rms = np.sqrt(np.bincount(groups, values**2) / np.maximum(count, 1))
-    return np.where(rms > 0.0, rms, 1.0)
+def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:
+    """Which unknowns the data tell.
+
+    Not those that take part in a direction lost in noise, nor those whose uncertainty, times how
+    much they were exercised, is a good part of all the torque there was.
+
+    Parameters
+    ----------
+    equations : Equations
+    factor : Factor
+    covariance : (n_parameters, n_parameters)
+
+    Returns
+    -------
+    (n_parameters,)
+    """
+    blind = np.abs(factor.directions[~factor.seen])
+    visible = (blind < _TAKES_PART).all(axis=0)
+    torque = np.linalg.norm(factor.root * equations.target)
+    uncertain = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * factor.scale
+    return np.asarray(visible & (uncertain < _SHARE_OF_TORQUE * torque))
 
 
-def _group_scale(
-    residual: FloatArray,
-    groups: np.ndarray[tuple[int], np.dtype[np.int_]],
-    previous: FloatArray,
-) -> FloatArray:
-    """Robust deviation of each group, never quite zero."""
-    found = np.array(
-        [1.4826 * np.median(np.abs(residual[groups == g])) for g in range(len(previous))]
-    )
-    return np.maximum(found, 1e-9 * previous)
+def companions(factor: Factor, unknown: int) -> list[int]:
+    """Unknowns with which one is confounded, from the weakest direction it takes part in."""
+    part = np.abs(factor.directions[:, unknown]) > _TAKES_PART
+    weakest = factor.directions[np.flatnonzero(part)[-1]]
+    return [int(k) for k in np.flatnonzero(np.abs(weakest) > _TAKES_PART) if k != unknown]

@@ -1,67 +1,138 @@
-"""The rigid arm's torques, linear in the base parameters: (5)-(7), (S2), (S3)."""
+"""The rigid arm's torques, linear in its parameters: (5)-(7), (S2), (S3)."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.records import FloatArray, Study
+from strainwave.simulation import build_arm
 
-TWO_LINK = ("rigid_inertia", "motor_inertia", "beta", "gamma")
-GRAVITY = ("gravity_torque_1", "gravity_torque_2")
+FRICTION_COLUMNS = 3
+"""Viscous, Coulomb, offset: the last columns of each joint."""
 
 
-def two_link(
-    angle: FloatArray, velocity: FloatArray, acceleration: FloatArray, gear_ratio: FloatArray
+@dataclass(frozen=True, slots=True)
+class Column:
+    """What one unknown is: its name, joint and unit."""
+
+    name: str
+    joint: int | None
+    unit: str
+
+    def __str__(self) -> str:
+        return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
+
+
+def columns_of(study: Study) -> tuple[Column, ...]:
+    """The rigid model's unknowns: those of the body first, then friction joint by joint.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    tuple of Column
+    """
+    if study.arm.kind == "single-joint":
+        revolute = study.joints[0].motion == "revolute"
+        body = [Column("inertia", 1, "kg m^2" if revolute else "kg")]
+        if study.arm.gravity is not None:
+            body.append(Column("gravity_torque_1", None, "N m" if revolute else "N"))
+    else:
+        body = [
+            Column("rigid_inertia", 1, "kg m^2"),
+            Column("motor_inertia", 2, "kg m^2"),
+            Column("beta", None, "kg m^2"),
+            Column("gamma", None, "kg m^2"),
+        ]
+        if study.arm.gravity is not None:
+            body += [Column(f"gravity_torque_{i}", None, "N m") for i in (1, 2)]
+    for number, joint in enumerate(study.joints, start=1):
+        revolute = joint.motion == "revolute"
+        alone = study.arm.kind == "single-joint" and joint.spring == "rigid"
+        viscous = "motor_viscous_friction" if alone else "total_viscous_friction"
+        body += [
+            Column(viscous, number, "N m s/rad" if revolute else "N s/m"),
+            Column("motor_coulomb_friction", number, "N m" if revolute else "N"),
+            Column("friction_offset", number, "N m" if revolute else "N"),
+        ]
+    return tuple(body)
+
+
+def n_body(study: Study) -> int:
+    """Unknowns that are not friction."""
+    return len(columns_of(study)) - FRICTION_COLUMNS * study.n_joints
+
+
+def gear_ratios(study: Study) -> FloatArray:
+    """n, link turns per motor turn: (n_joints,)."""
+    return np.array([joint.gear_ratio for joint in study.joints])
+
+
+def body_regressor(
+    study: Study, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
 ) -> FloatArray:
-    """Motor torques of the two-link arm per base parameter, friction left out.
+    """Motor torques per inertial and gravity parameter, friction left out: (S2), (S3).
 
-    (S2), (S3) with Q = n q_M.
-
-    Parameters
-    ----------
-    angle, velocity, acceleration : (n_samples, 2) [rad, rad/s, rad/s^2]
-        Of the links, the second relative to the first.
-    gear_ratio : (2,)
-        n, link turns per motor turn.
-
-    Returns
-    -------
-    (n_samples, 2, 6)
-        Columns: rigid_inertia, motor_inertia of joint 2, beta, gamma, gravity_torque_1,
-        gravity_torque_2.
-    """
-    q1, q2 = angle.T
-    v1, v2 = velocity.T
-    a1, a2 = acceleration.T
-    n1, n2 = gear_ratio
-    cos, sin = np.cos(q2), np.sin(q2)
-    phi = np.zeros((len(angle), 2, 6))
-    phi[:, 0, 0] = n1 * a1
-    phi[:, 1, 1] = a2 / n2
-    phi[:, 0, 2] = n1 * (a1 + a2)
-    phi[:, 1, 2] = n2 * (a1 + a2)
-    phi[:, 0, 3] = n1 * (cos * (2.0 * a1 + a2) - (2.0 * v1 + v2) * v2 * sin)
-    phi[:, 1, 3] = n2 * (cos * a1 + v1**2 * sin)
-    phi[:, 0, 4] = n1 * np.cos(q1)
-    phi[:, 0, 5] = n1 * np.cos(q1 + q2)
-    phi[:, 1, 5] = n2 * np.cos(q1 + q2)
-    return phi
-
-
-def single_joint(angle: FloatArray, acceleration: FloatArray, gear_ratio: float) -> FloatArray:
-    """Motor torque of one joint per base parameter, friction left out.
-
-    torque = inertia ddq_M + n G1 cos(n q_M)
+    The core's link-side regressor, brought to the motors: alpha and joint 1's motor are one
+    parameter, and the motor of joint 2 has a column of its own.
 
     Parameters
     ----------
-    angle, acceleration : (n_samples, 1) [rad, rad/s^2]
-        Of the link.
-    gear_ratio : float
+    study : Study
+    angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
+        Of the links; the second relative to the first.
 
     Returns
     -------
-    (n_samples, 1, 2)
-        Columns: inertia (motor side), gravity_torque_1 (link side).
+    (n_samples, n_joints, n_body)
+        Columns as in `columns_of`.
     """
-    return np.stack([acceleration / gear_ratio, gear_ratio * np.cos(angle)], axis=2)
+    n = gear_ratios(study)
+    arm = build_arm(study)
+    names = [name for name, _ in arm.parameter_names]
+    phi = arm.base_regressor(*(np.ascontiguousarray(x) for x in (angle, velocity, acceleration)))
+    phi = n[:, None] * phi
+    if study.n_joints == 1:
+        phi[:, 0, 0] = acceleration[:, 0] / n[0]  # the inertia is the motor's side's
+        return phi[:, :, : n_body(study)]
+    motor = np.zeros((*angle.shape, 1))
+    motor[:, 1, 0] = acceleration[:, 1] / n[1]
+    base = [names.index(name) for name in ("alpha", "beta", "gamma")]
+    base += [names.index(f"gravity_torque_{i}") for i in (1, 2) if study.arm.gravity is not None]
+    return np.concatenate([phi[:, :, base[:1]], motor, phi[:, :, base[1:]]], axis=2)
+
+
+def predict_torque(
+    study: Study,
+    solution: FloatArray,
+    angle: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    direction: FloatArray,
+) -> FloatArray:
+    """Motor torques of the rigid model.
+
+    Parameters
+    ----------
+    study : Study
+    solution : (n_parameters,)
+        As in `columns_of`.
+    angle, velocity, acceleration : (n_samples, n_joints)
+        Of the motors.
+    direction : (n_samples, n_joints)
+        sgn(dq), or what stands for it where the motor may stand.
+
+    Returns
+    -------
+    (n_samples, n_joints) [N m]
+    """
+    n = gear_ratios(study)
+    first = n_body(study)
+    phi = body_regressor(study, angle * n, velocity * n, acceleration * n)
+    viscous, coulomb, offset = solution[first:].reshape(study.n_joints, FRICTION_COLUMNS).T
+    torque: FloatArray = phi @ solution[:first] + viscous * velocity + coulomb * direction + offset
+    return torque

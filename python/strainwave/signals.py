@@ -11,7 +11,8 @@ from strainwave._friction import sliding_direction
 from strainwave.errors import InvalidInput
 from strainwave.records import BoolArray, FloatArray, Joint, Log, Signals, Study, Warning
 
-_STANDING = 0.008  # [s] of an unmoved encoder that count as standing still
+_STANDING = 0.02  # [s] of an unmoved encoder that count as standing still
+_STANDING_SAMPLES = 6  # and at least so many
 _FLAT = 5  # equal samples at the extreme that make a flat top
 _MUCH_SATURATION = 0.01  # share of a record worth a warning
 
@@ -154,11 +155,12 @@ def _channel(log: Log, name: str) -> FloatArray:
 def _direction(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> FloatArray:
     """Sliding direction of each motor, from the angles as measured."""
     columns = []
+    standing = max(_STANDING_SAMPLES, round(_STANDING / T))
     for i, joint in enumerate(study.joints):
         count = 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
         # one count of toggling, or five deviations of noise, say nothing of the direction
         resolution = max(1.5 * count, 0.0 if count else 5.0 * float(noise[i]))
-        columns.append(sliding_direction(angle[:, i], resolution, round(_STANDING / T)))
+        columns.append(sliding_direction(angle[:, i], resolution, standing))
     return np.column_stack(columns)
 
 

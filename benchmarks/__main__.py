@@ -1,0 +1,28 @@
+"""Runs every benchmark and prints one table."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+from rich.console import Console
+from rich.table import Table
+
+import benchmarks
+from benchmarks.timing import Row
+
+
+def main() -> None:
+    table = Table("what", "ours", "peer", "peer's", "ratio", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for module in sorted(m.name for m in pkgutil.iter_modules(benchmarks.__path__)):
+        if module.startswith("bench_"):
+            rows: list[Row] = importlib.import_module(f"benchmarks.{module}").rows()
+            for row in rows:
+                table.add_row(*row.cells())
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,274 @@
+"""Forward models over the compiled core: a study, parameter values and a drive in, motion out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from strainwave import _core
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.parameters import Values
+from strainwave.records import FloatArray, Study
+
+if TYPE_CHECKING:
+    from strainwave._core import Quantity
+
+LONGEST_STEP = 1.25e-4
+"""[s] Runge-Kutta's error over a second of a 26 Hz resonance is then below 1e-9 of its amplitude."""
+
+_OPTIONAL = {"friction_offset": 0.0, "gravity_torque_1": 0.0, "gravity_torque_2": 0.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What an experiment applies, per tick of its clock."""
+
+    tick: float  # [s]
+    voltage: FloatArray  # (n_ticks, n_joints) [V], added to the servo's
+    reference: FloatArray  # (n_ticks, n_joints) [rad/s]; unused where no servo acts
+    servo: tuple[bool, ...]  # per joint: whether its servo acts
+    motor_angle: tuple[float, ...]  # [rad] at the start
+    initial_voltage: tuple[float, ...]  # [V] that has been there before the start
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """What an arm did: (n_samples, n_joints) arrays by name, noise-free."""
+
+    time: FloatArray  # (n_samples,) [s]
+    quantities: Mapping[Quantity, FloatArray]
+
+    def __getitem__(self, name: Quantity) -> FloatArray:
+        return self.quantities[name]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """What real sensors add; theory's orders of magnitude for a decent rig."""
+
+    accelerometer_density: float = 100e-6 * 9.81  # [m/s^2/sqrt(Hz)]
+    accelerometer_bias: float = 25e-3 * 9.81  # [m/s^2], one standard deviation
+    accelerometer_range: float = 5.0 * 9.81  # [m/s^2]
+    accelerometer_bits: int = 16
+    gyro_deviation: float = 2e-3  # [rad/s] per sample
+
+
+def build_arm(study: Study) -> _core.Arm:
+    """The core's arm for a study: kind, gears, electronics, sensors.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    _core.Arm
+    """
+    joints = study.joints
+    distance = [joint.accelerometer_distance or 1.0 for joint in joints]
+    return _core.Arm(
+        study.arm.kind,
+        [joint.spring for joint in joints],
+        [joint.gear_ratio for joint in joints],
+        torque_per_volt=[joint.torque_per_volt or 1.0 for joint in joints],
+        link_length=study.arm.link_length or 0.0,
+        gravity=study.arm.gravity or 0.0,
+        current_loop_hz=[joint.current_loop_hz for joint in joints],
+        encoder_counts=[joint.encoder_counts for joint in joints],
+        accelerometer_distance=distance,
+        accelerometer_hz=[joint.accelerometer_hz for joint in joints],
+        gyro_hz=[joint.gyro_hz for joint in joints],
+    )
+
+
+def parameter_vector(arm: _core.Arm, values: Values, study: Study) -> FloatArray:
+    """Values by name -> the core's flat list.
+
+    A rigid joint's motor and link only ever move together, so what the rigid model knows of them is
+    enough: `inertia`, or `rigid_inertia` of joint 1, stands for both, and `total_viscous_friction`
+    for both frictions.
+
+    Parameters
+    ----------
+    arm : _core.Arm
+    values : dict
+        (name, joint) -> value.
+    study : Study
+
+    Returns
+    -------
+    (n_parameters,)
+
+    Raises
+    ------
+    InvalidInput
+        A parameter the arm needs is not there.
+    """
+    known = _split_rigid(values, study)
+    missing = [name for name in arm.parameter_names if name not in known and name[0] not in _OPTIONAL]
+    if missing:
+        listed = ", ".join(f"{name} of joint {joint}" if joint else name for name, joint in missing)
+        raise InvalidInput(
+            f"the parameters lack {listed}",
+            where="--parameters",
+            remedy="give every parameter of docs/notation.md that this arm has",
+        )
+    vector = [known.get(name, _OPTIONAL.get(name[0], 0.0)) for name in arm.parameter_names]
+    return np.array(vector)
+
+
+def _split_rigid(values: Values, study: Study) -> Values:
+    known = dict(values)
+    for joint, drive in enumerate(study.joints, start=1):
+        if drive.spring != "rigid":
+            continue
+        if ("total_viscous_friction", joint) in known:
+            known.setdefault(("motor_viscous_friction", joint), known["total_viscous_friction", joint])
+        known.setdefault(("link_viscous_friction", joint), 0.0)
+    first = study.joints[0]
+    if first.spring == "rigid" and ("motor_inertia", 1) not in known:
+        if ("inertia", 1) in known:
+            known["motor_inertia", 1] = known["inertia", 1]
+            known.setdefault(("link_inertia", 1), 0.0)
+        elif ("rigid_inertia", 1) in known:
+            # All of it counted as the motor's but what alpha needs for a proper link: gamma^2/beta.
+            beta, gamma = known.get(("beta", None), 1.0), known.get(("gamma", None), 0.0)
+            known["alpha", None] = alpha = min(1.5 * gamma**2 / beta, known["rigid_inertia", 1])
+            known["motor_inertia", 1] = (known["rigid_inertia", 1] - alpha) * first.gear_ratio**2
+    return known
+
+
+def simulate(
+    study: Study,
+    values: Values,
+    drive: Drive,
+    *,
+    sample_time: float,
+    samples: int,
+    record: Sequence[Quantity],
+) -> Trajectory:
+    """Run one experiment on an arm with given parameters.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        (name, joint) -> value.
+    drive : Drive
+    sample_time : float [s]
+        Between recorded samples.
+    samples : int
+    record : sequence of str
+        Quantities to record.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InvalidInput
+        A parameter is missing or impossible, or the clocks have no common step.
+    NumericalFailure
+        The motion left the finite numbers.
+    """
+    arm = build_arm(study)
+    vector = parameter_vector(arm, values, study)
+    servo = study.servo if any(drive.servo) else None
+    if any(drive.servo) and servo is None:
+        raise InvalidInput(
+            "an experiment is under servo control but the study describes no servo",
+            where=str(study.path),
+            remedy="add a [servo] table",
+        )
+    clocks = [drive.tick, sample_time] + ([servo.period] if servo else [])
+    step = common_step(clocks)
+    counts = [round(clock / step) for clock in clocks]
+    try:
+        recorded = arm.simulate(
+            vector[None],
+            np.ascontiguousarray(drive.voltage, dtype=float),
+            reference=np.ascontiguousarray(drive.reference, dtype=float),
+            servo=(servo.kp, servo.ki, servo.limit, drive.servo) if servo else None,
+            step=step,
+            steps_per_tick=counts[0],
+            steps_per_sample=counts[1],
+            steps_per_servo=counts[2] if servo else counts[0],
+            samples=samples,
+            record=record,
+            motor_angle=drive.motor_angle,
+            initial_voltage=drive.initial_voltage,
+        )
+    except ValueError as error:
+        raise InvalidInput(str(error), remedy="check the parameters and the study") from error
+    except FloatingPointError as error:
+        raise NumericalFailure(str(error)) from error
+    time = sample_time * np.arange(samples)
+    return Trajectory(time, {name: values[0] for name, values in recorded.items()})
+
+
+def common_step(clocks: Sequence[float]) -> float:
+    """The longest integrator step, at most `LONGEST_STEP`, of which every clock is a multiple.
+
+    Parameters
+    ----------
+    clocks : sequence of float [s]
+
+    Returns
+    -------
+    float [s]
+
+    Raises
+    ------
+    InvalidInput
+        There is none down to a hundredth of the shortest clock.
+    """
+    shortest = min(clocks)
+    fewest = max(1, int(np.ceil(shortest / LONGEST_STEP - 1e-9)))
+    for parts in range(fewest, fewest + 100):
+        step = shortest / parts
+        ratios = np.array(clocks) / step
+        if np.all(np.abs(ratios - np.round(ratios)) < 1e-6 * ratios):
+            return step
+    raise InvalidInput(
+        f"the clocks {', '.join(f'{clock:g} s' for clock in clocks)} have no common step",
+        remedy="choose servo period, PRBS clock and sampling time as multiples of one another",
+    )
+
+
+def measure(
+    trajectory: Trajectory, noise: SensorNoise | None, rng: np.random.Generator
+) -> dict[Quantity, FloatArray]:
+    """What the sensors write down: bias, noise and rounding added to accelerometers and gyros.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    noise : SensorNoise or None
+        None: ideal sensors.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    dict
+        Quantity -> (n_samples, n_joints).
+    """
+    measured = dict(trajectory.quantities)
+    if noise is None:
+        return measured
+    rate = 1.0 / (trajectory.time[1] - trajectory.time[0])
+    if "accelerometer" in measured:
+        clean = measured["accelerometer"]
+        deviation = noise.accelerometer_density * np.sqrt(rate / 2.0)
+        bias = rng.normal(0.0, noise.accelerometer_bias, clean.shape[1])
+        count = 2.0 * noise.accelerometer_range / 2**noise.accelerometer_bits
+        noisy = clean + bias + rng.normal(0.0, deviation, clean.shape)
+        limited = np.clip(noisy, -noise.accelerometer_range, noise.accelerometer_range)
+        measured["accelerometer"] = count * np.round(limited / count)
+    if "gyro" in measured:
+        clean = measured["gyro"]
+        measured["gyro"] = clean + rng.normal(0.0, noise.gyro_deviation, clean.shape)
+    return measured

@@ -1,0 +1,355 @@
+"""Experiments on a virtual arm: a study and parameters in, logs and a study that identify reads out.
+
+An experiment whose log is there is run again with the log's references and open-loop voltages; one
+whose log is not gets an excitation that fits its use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from strainwave import excitation, logs, pipeline, scara
+from strainwave import study as studies
+from strainwave.errors import InvalidInput
+from strainwave.parameters import Values, read_parameters
+from strainwave.records import Experiment, FloatArray, Identification, Log, Prbs, Study
+from strainwave.simulation import (
+    Drive,
+    SensorNoise,
+    build_arm,
+    measure,
+    parameter_vector,
+    simulate,
+)
+
+if TYPE_CHECKING:
+    from strainwave._core import Quantity
+
+Progress = Callable[[str], None]
+
+_FAST_SAMPLE = 2.5e-4  # [s] where the gears' vibration is to be seen
+_MOTION_SECONDS = 10.0
+_MOTION_TOP_HZ = 1.0
+_MOTION_SPEED = 1.8  # [rad/s] of a link
+_MOTION_EXCURSION = 1.2  # [rad] of a link
+_STEP_SHARE = {"tuning": 0.48, "check": 0.72}  # of the limit that kp times the step takes
+_STEP_SECONDS = 0.5
+_WRITABLE = (".csv", ".csv.gz", ".parquet")
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """One experiment as it is to be run."""
+
+    drive: Drive
+    sample_time: float
+    samples: int
+
+
+def simulate_study_file(
+    study_path: Path,
+    parameters_path: Path,
+    folder: Path,
+    *,
+    seed: int,
+    ideal: bool,
+    progress: Progress,
+) -> int:
+    """Run every experiment of a study file on an arm whose parameters a file holds.
+
+    Parameters
+    ----------
+    study_path, parameters_path, folder : Path
+    seed : int
+        Of the sensors' noise and of the motions.
+    ideal : bool
+        Sensors without noise.
+    progress : callable
+        Told what is being done.
+
+    Returns
+    -------
+    int
+        How many logs were written.
+
+    Raises
+    ------
+    InvalidInput
+        A file, a parameter or the folder is at fault.
+    """
+    study = studies.read_study(study_path, logs_exist=False)
+    values = read_parameters(parameters_path)
+    noise = None if ideal else SensorNoise()
+    return simulate_study(study, values, folder, seed=seed, noise=noise, progress=progress)
+
+
+def simulate_study(
+    study: Study,
+    values: Values,
+    folder: Path,
+    *,
+    seed: int = 0,
+    noise: SensorNoise | None = None,
+    progress: Progress = lambda _: None,
+) -> int:
+    """Run every experiment of a study on a virtual arm; write its logs and study.toml to a folder.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        (name, joint) -> value.
+    folder : Path
+        Made where it does not exist.
+    seed : int
+    noise : SensorNoise, optional
+        Ideal sensors without.
+    progress : callable
+
+    Returns
+    -------
+    int
+        How many logs were written.
+
+    Raises
+    ------
+    InvalidInput
+        A parameter is missing or impossible, an experiment cannot be simulated, or the folder
+        cannot be written to.
+    """
+    experiments = []
+    written = []
+    for number, experiment in enumerate(study.experiments):
+        progress(f"simulating {experiment.name}")
+        rng = np.random.default_rng([seed, number])
+        plan = _plan(study, experiment, values, rng)
+        written.append(_columns(study, plan, values, noise, rng))
+        file = Path(experiment.file).name
+        if not file.endswith(_WRITABLE):
+            file = f"{Path(file).stem}.parquet"
+        experiments.append(replace(experiment, file=file, start=None, stop=None, add={}))
+    for experiment, columns in zip(experiments, written, strict=True):
+        logs.write_log(folder / experiment.file, columns)
+    copy = replace(study, path=folder / "study.toml", experiments=tuple(experiments), channels={})
+    studies.write_study(copy, copy.path)
+    return len(experiments)
+
+
+def demonstrate(
+    folder: Path, *, seed: int, progress: Progress
+) -> tuple[Identification, Values]:
+    """The main job on the built-in arm: simulate, identify from the files, report.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets the logs, study.toml, result.json and report.html.
+    seed : int
+    progress : callable
+
+    Returns
+    -------
+    Identification
+    dict
+        The true values of what was identified, by (name, joint).
+    """
+    values = scara.parameters()
+    study = scara.study(folder)
+    simulate_study(study, values, folder, seed=seed, noise=SensorNoise(), progress=progress)
+    identification = pipeline.identify(folder / "study.toml", progress=progress)
+    progress("writing the report")
+    pipeline.write(identification, folder)
+    return identification, derived(values, study)
+
+
+def derived(values: Values, study: Study) -> Values:
+    """Known values, with the sums of them that identification can tell.
+
+    Parameters
+    ----------
+    values : dict
+        (name, joint) -> value, as simulated.
+    study : Study
+
+    Returns
+    -------
+    dict
+        With `rigid_inertia`, `total_viscous_friction` and `link_inertia` (3), (18).
+    """
+    known = dict(values)
+    for joint, drive in enumerate(study.joints, start=1):
+        link_viscous = values["link_viscous_friction", joint]
+        known["total_viscous_friction", joint] = (
+            values["motor_viscous_friction", joint] + drive.gear_ratio**2 * link_viscous
+        )
+    if study.arm.kind == "planar-two-link":
+        alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+        known["link_inertia", 1] = alpha + beta + 2.0 * gamma
+        known["link_inertia", 2] = beta
+        reflected = values["motor_inertia", 1] / study.joints[0].gear_ratio ** 2
+        known["rigid_inertia", 1] = alpha + reflected
+    return known
+
+
+def _plan(
+    study: Study, experiment: Experiment, values: Values, rng: np.random.Generator
+) -> _Plan:
+    if study.log_path(experiment).exists():
+        return _replay(study, experiment, values, logs.read_log(study, experiment))
+    return _invent(study, experiment, values, rng)
+
+
+def _replay(study: Study, experiment: Experiment, values: Values, log: Log) -> _Plan:
+    """The log's own references and open-loop voltages; a PRBS on top of a servo from its numbers."""
+    voltage = np.zeros((len(log), study.n_joints))
+    reference = np.zeros_like(voltage)
+    for i in range(study.n_joints):
+        if experiment.control[i] == "open":
+            voltage[:, i] = log.channels[_input_channel(log, i + 1)]
+        else:
+            reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
+            if experiment.prbs and experiment.joint == i + 1:
+                voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
+    angle = tuple(float(log.channels[f"theta_m{i + 1}"][0]) for i in range(study.n_joints))
+    drive = _drive(study, experiment, values, log.sample_time, voltage, reference, angle)
+    return _Plan(drive, log.sample_time, len(log))
+
+
+def _input_channel(log: Log, joint: int) -> str:
+    return f"u{joint}" if f"u{joint}" in log.channels else f"torque{joint}"
+
+
+def _invent(
+    study: Study, experiment: Experiment, values: Values, rng: np.random.Generator
+) -> _Plan:
+    """An excitation that fits the experiment's use."""
+    period = study.servo.period if study.servo else 1e-3
+    if experiment.use in ("frequency", "sweep"):
+        prbs = experiment.prbs or Prbs(10, 1e-3, 4, study.servo.limit if study.servo else 10.0)
+        tick, excited = prbs.clock, excitation.prbs(prbs)
+        sample_time = min(_FAST_SAMPLE, tick)
+    elif experiment.joint is not None:
+        tick, excited = period, _steps(study, experiment)
+        sample_time = min(_FAST_SAMPLE, tick)
+    else:
+        tick, excited = period, np.zeros(round(_MOTION_SECONDS / period))
+        sample_time = tick
+    voltage = np.zeros((len(excited), study.n_joints))
+    reference = np.zeros_like(voltage)
+    for i in range(study.n_joints):
+        if experiment.joint == i + 1:
+            (voltage if experiment.use in ("frequency", "sweep") else reference)[:, i] = excited
+        elif experiment.joint is None and experiment.control[i] == "servo":
+            reference[:, i] = _motion(study, i, tick, rng)
+        elif experiment.joint is None:
+            raise InvalidInput(
+                f"experiment {experiment.name!r} moves joint {i + 1} in open loop, without a log",
+                where=str(study.path),
+                remedy='set its control to "servo", or give a log to replay',
+            )
+    drive = _drive(study, experiment, values, tick, voltage, reference, (0.0,) * study.n_joints)
+    return _Plan(drive, sample_time, round(len(excited) * tick / sample_time))
+
+
+def _motion(study: Study, i: int, tick: float, rng: np.random.Generator) -> FloatArray:
+    n = study.joints[i].gear_ratio
+    return excitation.smooth_motion(
+        duration=_MOTION_SECONDS,
+        clock=tick,
+        top_hz=_MOTION_TOP_HZ,
+        excursion=_MOTION_EXCURSION / n,
+        speed=_MOTION_SPEED / n,
+        rng=rng,
+    )
+
+
+def _steps(study: Study, experiment: Experiment) -> FloatArray:
+    """There and back: a step of the reference that the servo can follow without its limit."""
+    if study.servo is None:
+        raise InvalidInput(
+            f"experiment {experiment.name!r} needs a servo",
+            where=str(study.path),
+            remedy="add a [servo] table",
+        )
+    kp = study.servo.kp[(experiment.joint or 1) - 1]
+    level = _STEP_SHARE.get(experiment.use, 0.48) * study.servo.limit / max(kp, 1e-9)
+    levels = np.array([0.0, level, 0.0])
+    return excitation.steps(levels, hold=_STEP_SECONDS, clock=study.servo.period)
+
+
+def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
+    sequence = excitation.prbs(prbs)
+    at = np.floor(np.arange(samples) * sample_time / prbs.clock + 1e-9).astype(int)
+    return sequence[at % len(sequence)]
+
+
+def _drive(
+    study: Study,
+    experiment: Experiment,
+    values: Values,
+    tick: float,
+    voltage: FloatArray,
+    reference: FloatArray,
+    motor_angle: tuple[float, ...],
+) -> Drive:
+    """With the voltage that holds the arm up at the start already there."""
+    arm = build_arm(study)
+    ratio = np.array([joint.gear_ratio for joint in study.joints])
+    still = np.zeros((1, study.n_joints))
+    vector = parameter_vector(arm, values, study)
+    try:
+        holding = arm.inverse_dynamics(vector, np.array([motor_angle]) * ratio, still, still)[0]
+    except ValueError as error:
+        raise InvalidInput(str(error), where="--parameters", remedy="mend that value") from error
+    per_volt = [joint.torque_per_volt or 1.0 for joint in study.joints]
+    return Drive(
+        tick=tick,
+        voltage=voltage,
+        reference=reference,
+        servo=tuple(control == "servo" for control in experiment.control),
+        motor_angle=motor_angle,
+        initial_voltage=tuple(float(t / e) for t, e in zip(holding, per_volt, strict=True)),
+    )
+
+
+def _columns(
+    study: Study,
+    plan: _Plan,
+    values: Values,
+    noise: SensorNoise | None,
+    rng: np.random.Generator,
+) -> dict[str, FloatArray]:
+    """Run one experiment; its log by channel."""
+    quantities: dict[str, Quantity] = {"theta_m": "encoder"}
+    if any(joint.accelerometer_distance for joint in study.joints):
+        quantities["a"] = "accelerometer"
+    if any(joint.gyro_hz for joint in study.joints):
+        quantities["gyro"] = "gyro"
+    record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
+    trajectory = simulate(
+        study, values, plan.drive, sample_time=plan.sample_time, samples=plan.samples, record=record
+    )
+    measured = measure(trajectory, noise, rng)
+    columns = {"t": trajectory.time}
+    for i, joint in enumerate(study.joints):
+        name = f"u{i + 1}" if joint.torque_per_volt else f"torque{i + 1}"
+        columns[name] = measured["voltage"][:, i]
+    for channel, quantity in quantities.items():
+        for i in range(study.n_joints):
+            columns[f"{channel}{i + 1}"] = measured[quantity][:, i]
+    for i, joint in enumerate(study.joints):
+        link = measured["link_angle"][:, i]
+        if f"theta_l{i + 1}" in study.channels:
+            columns[f"theta_l{i + 1}"] = link
+        if f"deflection{i + 1}" in study.channels:
+            columns[f"deflection{i + 1}"] = link - joint.gear_ratio * measured["encoder"][:, i]
+    if any(plan.drive.servo):
+        at = np.floor(trajectory.time / plan.drive.tick + 1e-9).astype(int)
+        for i in range(study.n_joints):
+            columns[f"ref{i + 1}"] = plan.drive.reference[at, i]
+    return columns
