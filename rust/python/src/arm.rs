@@ -150,7 +150,10 @@ impl Arm {
             samples,
         };
         check_clock(&clock)?;
-        let quantities = record.iter().map(|name| quantity(name)).collect::<PyResult<_>>()?;
+        let quantities = record
+            .iter()
+            .map(|name| quantity(name))
+            .collect::<PyResult<_>>()?;
         let experiment = Experiment {
             voltage,
             reference,
@@ -272,7 +275,12 @@ fn run<A: arm::Arm<N>, const N: usize>(
         })?);
     }
     Ok((0..task.record.len())
-        .map(|k| records.iter().flat_map(|record| record[k].as_flattened().to_vec()).collect())
+        .map(|k| {
+            records
+                .iter()
+                .flat_map(|record| record[k].as_flattened().to_vec())
+                .collect()
+        })
         .collect())
 }
 
@@ -286,7 +294,10 @@ fn base_regressor<'py, A: arm::Arm<N>, const N: usize>(
     let mut all = vec![0.0; q.len() * N * bases];
     py.detach(|| {
         for (k, row) in all.chunks_mut(N * bases).enumerate() {
-            for (b, torque) in rigid::base_regressor::<A, N>(&q[k], &dq[k], &ddq[k]).iter().enumerate() {
+            for (b, torque) in rigid::base_regressor::<A, N>(&q[k], &dq[k], &ddq[k])
+                .iter()
+                .enumerate()
+            {
                 for i in 0..N {
                     row[i * bases + b] = torque[i];
                 }
@@ -318,9 +329,16 @@ fn checked_parameters<A: arm::Arm<N>, const N: usize>(
     config: &Config<A, N>,
     parameters: &Matrix<'_>,
 ) -> PyResult<Vec<Vec<f64>>> {
-    let values: Vec<Vec<f64>> = parameters.as_array().rows().into_iter().map(|row| row.to_vec()).collect();
+    let values: Vec<Vec<f64>> = parameters
+        .as_array()
+        .rows()
+        .into_iter()
+        .map(|row| row.to_vec())
+        .collect();
     if values.is_empty() {
-        return Err(PyValueError::new_err("parameters has no rows: expected one for each arm"));
+        return Err(PyValueError::new_err(
+            "parameters has no rows: expected one for each arm",
+        ));
     }
     for own in &values {
         check_values(config, own)?;
@@ -328,20 +346,34 @@ fn checked_parameters<A: arm::Arm<N>, const N: usize>(
     Ok(values)
 }
 
-fn check_values<A: arm::Arm<N>, const N: usize>(config: &Config<A, N>, values: &[f64]) -> PyResult<()> {
+fn check_values<A: arm::Arm<N>, const N: usize>(
+    config: &Config<A, N>,
+    values: &[f64],
+) -> PyResult<()> {
     let expected = config.parameter_names().len();
     if values.len() != expected {
         let got = values.len();
-        return Err(PyValueError::new_err(format!("expected {expected} parameters, got {got}")));
+        return Err(PyValueError::new_err(format!(
+            "expected {expected} parameters, got {got}"
+        )));
     }
-    config.check(values).map_err(|invalid| PyValueError::new_err(invalid.to_string()))
+    config
+        .check(values)
+        .map_err(|invalid| PyValueError::new_err(invalid.to_string()))
 }
 
 fn check_clock(clock: &Clock) -> PyResult<()> {
     let positive = clock.step > 0.0 && clock.step.is_finite();
-    let counts = [clock.steps_per_tick, clock.steps_per_servo, clock.steps_per_sample, clock.samples];
+    let counts = [
+        clock.steps_per_tick,
+        clock.steps_per_servo,
+        clock.steps_per_sample,
+        clock.samples,
+    ];
     if !positive || counts.contains(&0) {
-        return Err(PyValueError::new_err("step, samples and the numbers of steps must be positive"));
+        return Err(PyValueError::new_err(
+            "step, samples and the numbers of steps must be positive",
+        ));
     }
     Ok(())
 }
@@ -369,15 +401,26 @@ fn quantity(name: &str) -> PyResult<Quantity> {
         "accelerometer" => Quantity::Accelerometer,
         "gyro" => Quantity::Gyro,
         "sliding" => Quantity::Sliding,
-        _ => return Err(PyValueError::new_err(format!("nothing called {name:?} can be recorded"))),
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "nothing called {name:?} can be recorded"
+            )));
+        }
     })
 }
 
-fn given<T: Clone>(values: Option<Vec<T>>, default: T, count: usize, name: &str) -> PyResult<Vec<T>> {
+fn given<T: Clone>(
+    values: Option<Vec<T>>,
+    default: T,
+    count: usize,
+    name: &str,
+) -> PyResult<Vec<T>> {
     let values = values.unwrap_or_else(|| vec![default; count]);
     if values.len() != count {
         let got = values.len();
-        return Err(PyValueError::new_err(format!("{name}: expected {count} values, got {got}")));
+        return Err(PyValueError::new_err(format!(
+            "{name}: expected {count} values, got {got}"
+        )));
     }
     Ok(values)
 }
@@ -392,16 +435,23 @@ fn rows<const N: usize>(matrix: &Matrix<'_>, name: &str, least: usize) -> PyResu
     let matrix = matrix.as_array();
     if matrix.ncols() != N || matrix.nrows() < least {
         let (rows, columns) = matrix.dim();
-        let text = format!("{name}: expected at least {least} x {N} values, got {rows} x {columns}");
+        let text =
+            format!("{name}: expected at least {least} x {N} values, got {rows} x {columns}");
         return Err(PyValueError::new_err(text));
     }
-    Ok(matrix.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
+    Ok(matrix
+        .rows()
+        .into_iter()
+        .map(|row| std::array::from_fn(|i| row[i]))
+        .collect())
 }
 
 fn same_rows<const N: usize>(motion: [&Matrix<'_>; 3]) -> PyResult<[Vec<[f64; N]>; 3]> {
     let samples = motion[0].as_array().nrows();
     if motion.iter().any(|part| part.as_array().nrows() != samples) {
-        return Err(PyValueError::new_err("angle, velocity and acceleration differ in length"));
+        return Err(PyValueError::new_err(
+            "angle, velocity and acceleration differ in length",
+        ));
     }
     let [q, dq, ddq] = motion;
     Ok([

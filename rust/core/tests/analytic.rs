@@ -1,0 +1,167 @@
+//! Motions whose solution is known in closed form.
+
+mod common;
+
+use common::{Run, at_rest, config};
+use strainwave_core::arm::OneLink;
+use strainwave_core::config::GearKind;
+use strainwave_core::simulate::{Initial, Quantity};
+
+const N: f64 = 0.01;
+
+/// link inertia, G1, motor inertia, d_M, f_M, f_0, d_L, gear stiffness, gear damping
+fn one_joint(link: f64, motor: f64, coulomb: f64, stiffness: f64) -> Vec<f64> {
+    vec![link, 0.0, motor, 0.0, coulomb, 0.0, 0.0, stiffness, 0.0]
+}
+
+#[test]
+fn two_inertias_on_a_spring_ring_at_their_mode() {
+    let (link, motor, k) = (2.0, 1.5e-4, 20e3);
+    let parameters = one_joint(link, motor, 0.0, k);
+    let twist = 1e-3;
+    let run = Run {
+        config: config::<OneLink<false>, 1>([GearKind::Linear]),
+        parameters: &parameters,
+        voltage: &[[0.0]],
+        steps_per_tick: 1,
+        initial: Initial {
+            link_angle: Some([-twist]),
+            ..at_rest([0.0])
+        },
+        step: 1.25e-4,
+        steps: 8000,
+    };
+    let record = run.record(&[Quantity::MotorAngle, Quantity::LinkAngle]);
+    let omega = (k * (1.0 / link + N * N / motor)).sqrt();
+    for step in 0..=run.steps {
+        let t = step as f64 * run.step;
+        let delta = N * record[0][step][0] - record[1][step][0];
+        // Runge-Kutta's phase error (omega h)^5 / 120 a step: 5e-11 rad, 8000 times.
+        assert!((delta - twist * (omega * t).cos()).abs() < 1e-6 * twist);
+    }
+}
+
+#[test]
+fn a_rigid_joint_follows_its_lagging_torque() {
+    let mut config = config::<OneLink<false>, 1>([GearKind::Rigid]);
+    config.joints[0].current_loop_hz = Some(200.0);
+    let (link, motor) = (0.8, 1.5e-4);
+    let parameters = [link, 0.0, motor, 0.0, 0.0, 0.0, 0.0];
+    let run = Run {
+        config,
+        parameters: &parameters,
+        voltage: &[[5.0]],
+        steps_per_tick: 1,
+        initial: at_rest([0.0]),
+        step: 1.25e-4,
+        steps: 800,
+    };
+    let velocity = &run.record(&[Quantity::MotorVelocity])[0];
+    let lag = 1.0 / (std::f64::consts::TAU * 200.0);
+    let acceleration = 0.1 * 5.0 / (motor + N * N * link);
+    for step in 0..=run.steps {
+        let t = step as f64 * run.step;
+        let exact = acceleration * (t - lag * (1.0 - (-t / lag).exp()));
+        // Simpson's rule over an exponential: (h / lag)^4 / 2880 of the transient.
+        assert!((velocity[step][0] - exact).abs() < 1e-6 * acceleration * lag + 1e-12);
+    }
+}
+
+/// The link is so heavy that it is a wall: the motor swings on the spring against dry friction. Each
+/// half swing loses 2 f / k; it ends where the spring is weaker than the friction.
+#[test]
+fn dry_friction_ends_a_swing_inside_the_dead_band() {
+    let (motor, k, f) = (1.5e-4, 20e3, 0.06);
+    let parameters = one_joint(1e12, motor, f, k);
+    let band = f / (N * N * k); // [rad] at the motor: friction's torque over the spring's stiffness
+    let begin = 10.5 * band;
+    let run = Run {
+        config: config::<OneLink<false>, 1>([GearKind::Linear]),
+        parameters: &parameters,
+        voltage: &[[0.0]],
+        steps_per_tick: 1,
+        initial: Initial {
+            link_angle: Some([0.0]),
+            ..at_rest([begin])
+        },
+        step: 1.25e-4,
+        steps: 2000,
+    };
+    let record = run.record(&[Quantity::MotorAngle, Quantity::MotorVelocity]);
+    let omega = (N * N * k / motor).sqrt();
+    for step in 0..=run.steps {
+        let t = step as f64 * run.step;
+        let swing = (omega * t / std::f64::consts::PI).floor();
+        let side = if swing % 2.0 == 0.0 { 1.0 } else { -1.0 };
+        let exact = if swing < 5.0 {
+            let phase = omega * t - swing * std::f64::consts::PI;
+            side * (band + (begin - (2.0 * swing + 1.0) * band) * phase.cos())
+        } else {
+            -0.5 * band
+        };
+        let found = record[0][step][0];
+        assert!(
+            (found - exact).abs() < 1e-7 * begin,
+            "{found} {exact} at {t}"
+        );
+        if swing >= 5.0 {
+            assert_eq!(record[1][step][0], 0.0);
+        }
+    }
+}
+
+/// The link is pulled at constant speed: the motor stands until the spring is as strong as friction,
+/// then follows with v (1 - cos).
+#[test]
+fn a_pulled_motor_lets_go_when_the_spring_is_as_strong_as_friction() {
+    let (motor, k, f, pull) = (1.5e-4, 20e3, 0.06, 0.05);
+    let parameters = one_joint(1e12, motor, f, k);
+    let run = Run {
+        config: config::<OneLink<false>, 1>([GearKind::Linear]),
+        parameters: &parameters,
+        voltage: &[[0.0]],
+        steps_per_tick: 1,
+        initial: Initial {
+            link_angle: Some([0.0]),
+            link_velocity: [pull],
+            ..at_rest([0.0])
+        },
+        step: 1.25e-4,
+        steps: 1200,
+    };
+    let velocity = &run.record(&[Quantity::MotorVelocity])[0];
+    let omega = (N * N * k / motor).sqrt();
+    let release = f / (N * k * pull);
+    let again = release + std::f64::consts::TAU / omega; // it just touches rest: a graze
+    for step in 0..=run.steps {
+        let t = step as f64 * run.step;
+        if t < release {
+            assert_eq!(velocity[step][0], 0.0);
+        } else if t < again - run.step {
+            let exact = pull / N * (1.0 - (omega * (t - release)).cos());
+            assert!((velocity[step][0] - exact).abs() < 1e-7 * pull / N);
+        }
+        assert!(velocity[step][0] > -1e-6);
+    }
+}
+
+#[test]
+fn a_ramp_of_torque_moves_a_standing_motor_at_the_right_instant() {
+    // Voltage steps of 1 mV per step: friction of 0.06 N m lets go at 0.6 V.
+    let parameters = [0.0, 0.0, 1.5e-4, 0.0, 0.06, 0.0, 0.0];
+    let voltage: Vec<[f64; 1]> = (0..2000).map(|k| [1e-3 * f64::from(k)]).collect();
+    let run = Run {
+        config: config::<OneLink<false>, 1>([GearKind::Rigid]),
+        parameters: &parameters,
+        voltage: &voltage,
+        steps_per_tick: 1,
+        initial: at_rest([0.0]),
+        step: 1.25e-4,
+        steps: 700,
+    };
+    let velocity = &run.record(&[Quantity::MotorVelocity])[0];
+    for step in 0..=600 {
+        assert_eq!(velocity[step][0], 0.0);
+    }
+    assert!(velocity[602][0] > 0.0);
+}

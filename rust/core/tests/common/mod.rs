@@ -1,0 +1,110 @@
+//! Arms and runs that the tests share.
+#![allow(dead_code)] // each test file uses its own part
+
+use std::marker::PhantomData;
+
+use strainwave_core::arm::Arm;
+use strainwave_core::config::{Config, GearKind, JointConfig};
+use strainwave_core::dispatch::{Width, simulate};
+use strainwave_core::gear::CORNER;
+use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Record, Task};
+
+/// A joint with ideal electronics and sensors.
+pub fn joint(gear: GearKind) -> JointConfig {
+    JointConfig {
+        gear,
+        ratio: 0.01,
+        torque_per_volt: 0.1,
+        current_loop_hz: None,
+        encoder_counts: None,
+        accelerometer_distance: 0.3,
+        accelerometer_hz: None,
+        gyro_hz: None,
+    }
+}
+
+pub fn config<A: Arm<N>, const N: usize>(gears: [GearKind; N]) -> Config<A, N> {
+    Config {
+        arm: PhantomData,
+        link_length: 0.35,
+        gravity: 9.81,
+        corner: CORNER,
+        joints: gears.map(joint),
+    }
+}
+
+pub fn at_rest<const N: usize>(motor_angle: [f64; N]) -> Initial<N> {
+    Initial {
+        motor_angle,
+        motor_velocity: [0.0; N],
+        link_angle: None,
+        link_velocity: [0.0; N],
+        voltage: [0.0; N],
+    }
+}
+
+/// One run: samples every step, voltage held for `steps_per_tick` steps.
+pub struct Run<'a, A, const N: usize> {
+    pub config: Config<A, N>,
+    pub parameters: &'a [f64],
+    pub voltage: &'a [[f64; N]],
+    pub steps_per_tick: usize,
+    pub initial: Initial<N>,
+    pub step: f64,
+    pub steps: usize,
+}
+
+impl<A: Arm<N>, const N: usize> Run<'_, A, N> {
+    /// The recorded quantities, one row a step.
+    pub fn record(&self, quantities: &[Quantity]) -> Record<N> {
+        self.record_on(quantities, Width::detect())
+    }
+
+    pub fn record_on(&self, quantities: &[Quantity], width: Width) -> Record<N> {
+        let ticks = self.steps / self.steps_per_tick + 1;
+        let mut voltage = self.voltage.to_vec();
+        voltage.resize(ticks.max(voltage.len()), *self.voltage.last().unwrap());
+        let task = Task {
+            config: self.config,
+            clock: Clock {
+                step: self.step,
+                steps_per_tick: self.steps_per_tick,
+                steps_per_servo: self.steps_per_tick,
+                steps_per_sample: 1,
+                samples: self.steps + 1,
+            },
+            servo: None,
+            record: quantities.to_vec(),
+        };
+        task.config.check(self.parameters).expect("a possible arm");
+        let reference = vec![[0.0; N]; ticks];
+        let member = Member {
+            parameters: self.parameters,
+            feed_forward: &voltage,
+            reference: &reference,
+            initial: self.initial,
+        };
+        simulate(&task, &[member], width).remove(0).expect("finite")
+    }
+}
+
+/// Reproducible numbers in [-1, 1).
+pub struct Draw(pub u64);
+
+impl Draw {
+    pub fn next(&mut self) -> f64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+}
+
+/// The built-in SCARA-type arm with linear gears, with or without Coulomb friction and gravity.
+pub fn scara(coulomb: f64, gravity: f64) -> Vec<f64> {
+    let mut values = vec![1.6097, 0.64425, 0.7875, 31.0 * gravity, 7.4 * gravity];
+    values.extend([1.5e-4, 2e-4, 0.06 * coulomb, 0.0, 0.5, 25e3, 20.0]);
+    values.extend([0.5e-4, 0.8e-4, 0.03 * coulomb, 0.0, 0.15, 6.1e3, 4.0]);
+    values
+}

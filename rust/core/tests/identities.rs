@@ -1,0 +1,348 @@
+//! Laws that hold for every arm: energy, order of accuracy, one result at every width.
+
+mod common;
+
+use common::{Draw, Run, at_rest, config, scara};
+use proptest::prelude::*;
+use strainwave_core::arm::{Arm, OneLink, TwoLink};
+use strainwave_core::config::{Config, GearKind};
+use strainwave_core::dispatch::{Width, simulate};
+use strainwave_core::plant::{Modes, Plant, State};
+use strainwave_core::rigid::{base_regressor, inverse_dynamics};
+use strainwave_core::simulate::{Clock, Member, Quantity, Task};
+
+const STATE: [Quantity; 4] = [
+    Quantity::MotorAngle,
+    Quantity::MotorVelocity,
+    Quantity::LinkAngle,
+    Quantity::LinkVelocity,
+];
+
+fn telegraph<const N: usize>(seed: u64, ticks: usize, volts: f64) -> Vec<[f64; N]> {
+    let mut draw = Draw(seed);
+    (0..ticks)
+        .map(|_| std::array::from_fn(|_| if draw.next() < 0.0 { -volts } else { volts }))
+        .collect()
+}
+
+/// Largest relative distance of the last states at two step sizes.
+fn distance<A: Arm<2>>(
+    config: Config<A, 2>,
+    parameters: &[f64],
+    coarse: usize,
+    fine: usize,
+) -> f64 {
+    let voltage = telegraph::<2>(7, 40, 8.0);
+    let last = |steps_per_tick: usize| {
+        let run = Run {
+            config,
+            parameters,
+            voltage: &voltage,
+            steps_per_tick,
+            initial: at_rest([0.0; 2]),
+            step: 2e-3 / steps_per_tick as f64,
+            steps: 40 * steps_per_tick,
+        };
+        run.record(&STATE).map_last()
+    };
+    let (a, b) = (last(coarse), last(fine));
+    a.iter()
+        .zip(&b)
+        .map(|(a, b)| (a - b).abs() / (1e-3 + b.abs()))
+        .fold(0.0, f64::max)
+}
+
+trait Last {
+    fn map_last(&self) -> Vec<f64>;
+}
+
+impl<const N: usize> Last for Vec<Vec<[f64; N]>> {
+    fn map_last(&self) -> Vec<f64> {
+        self.iter()
+            .flat_map(|column| *column.last().unwrap())
+            .collect()
+    }
+}
+
+/// Slope of error against step size, from 0.5 ms to 0.125 ms.
+fn order<A: Arm<2>>(config: Config<A, 2>, parameters: &[f64]) -> f64 {
+    let fine = 256;
+    let coarse = distance(config, parameters, 4, fine);
+    let finer = distance(config, parameters, 16, fine);
+    println!("errors {coarse:e} {finer:e}");
+    (coarse / finer).log2() / 2.0
+}
+
+#[test]
+fn the_order_is_four_where_nothing_sticks() {
+    let level = order(
+        config::<TwoLink<false>, 2>([GearKind::Linear; 2]),
+        &scara(0.0, 0.0),
+    );
+    let upright = order(
+        config::<TwoLink<true>, 2>([GearKind::Linear; 2]),
+        &scara(0.0, 1.0),
+    );
+    assert!(level > 3.8 && upright > 3.8, "{level} {upright}");
+}
+
+#[test]
+fn the_order_is_four_through_sticking_and_slipping() {
+    let config = config::<TwoLink<false>, 2>([GearKind::Linear; 2]);
+    let parameters = scara(1.0, 0.0);
+    let found = order(config, &parameters);
+    assert!(found > 3.7, "{found}");
+    // The case does stick and slip.
+    let voltage = telegraph::<2>(7, 40, 8.0);
+    let run = Run {
+        config,
+        parameters: &parameters,
+        voltage: &voltage,
+        steps_per_tick: 16,
+        initial: at_rest([0.0; 2]),
+        step: 1.25e-4,
+        steps: 640,
+    };
+    let sliding = &run.record(&[Quantity::Sliding])[0];
+    let turns = (0..2)
+        .map(|i| {
+            sliding
+                .windows(2)
+                .filter(|pair| pair[0][i] != pair[1][i])
+                .count()
+        })
+        .sum::<usize>();
+    assert!(turns >= 4, "{turns}");
+}
+
+/// Energy now = energy at the start + work of the motors - losses, over a run sampled every step.
+fn energy_error<A: Arm<N>, const N: usize>(run: &Run<'_, A, N>) -> f64 {
+    let mut quantities = STATE.to_vec();
+    quantities.extend([Quantity::MotorTorque, Quantity::Sliding]);
+    let record = run.record(&quantities);
+    let plant: Plant<A, f64, N, false> = run.config.plant(&[run.parameters]);
+    let state = |k: usize| State {
+        motor_angle: record[0][k],
+        motor_velocity: record[1][k],
+        link_angle: record[2][k],
+        link_velocity: record[3][k],
+    };
+    let power = |k: usize| {
+        let x = state(k);
+        let modes = Modes {
+            direction: record[5][k],
+            free: [1.0; N],
+        };
+        let work: f64 = (0..N).map(|i| record[4][k][i] * x.motor_velocity[i]).sum();
+        work - plant.dissipation(&x, &modes)
+    };
+    let mut balance = 0.0;
+    let mut turnover = 0.0;
+    for k in (0..run.steps).step_by(2) {
+        let part = run.step / 3.0 * (power(k) + 4.0 * power(k + 1) + power(k + 2));
+        balance += part;
+        turnover += part.abs();
+    }
+    let gained = plant.energy(&state(run.steps)) - plant.energy(&state(0));
+    (gained - balance).abs() / turnover
+}
+
+fn drawn_two_link() -> impl Strategy<Value = (Vec<f64>, u64)> {
+    let factor = || 0.5..2.0f64;
+    (prop::collection::vec(factor(), 19), any::<u64>()).prop_map(|(factors, seed)| {
+        let mut values: Vec<f64> = scara(1.0, 1.0)
+            .iter()
+            .zip(&factors)
+            .map(|(v, f)| v * f)
+            .collect();
+        // gamma within what alpha and beta allow
+        values[2] = values[2].min(0.8 * (values[0] * values[1]).sqrt());
+        (values, seed)
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 48,
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    #[test]
+    fn energy_is_kept_by_smooth_arms((mut values, seed) in drawn_two_link()) {
+        for joint in [5, 12] {
+            values[joint + 2] = 0.0; // no Coulomb friction: the power has no kinks
+        }
+        let voltage = telegraph::<2>(seed, 1, 6.0);
+        let run = Run {
+            config: config::<TwoLink<true>, 2>([GearKind::Linear; 2]),
+            parameters: &values, voltage: &voltage, steps_per_tick: 1,
+            initial: at_rest([10.0, 20.0]), step: 1.25e-4, steps: 1600,
+        };
+        let error = energy_error(&run);
+        prop_assert!(error < 1e-6, "{}", error);
+    }
+
+    #[test]
+    fn energy_is_kept_through_sticking_and_slipping((values, seed) in drawn_two_link()) {
+        let voltage = telegraph::<2>(seed, 100, 6.0);
+        for gears in [[GearKind::Linear; 2], [GearKind::Rigid, GearKind::Linear]] {
+            let values = match gears[0] {
+                GearKind::Rigid => [&values[..10], &values[12..]].concat(),
+                _ => values.clone(),
+            };
+            let run = Run {
+                config: config::<TwoLink<true>, 2>(gears),
+                parameters: &values, voltage: &voltage, steps_per_tick: 16,
+                initial: at_rest([10.0, 20.0]), step: 1.25e-4, steps: 1600,
+            };
+            // Simpson's rule sees the kinks of friction's power and the jumps of an ideal current
+            // loop at the sampled instants only.
+            let error = energy_error(&run);
+            prop_assert!(error < 0.02, "{:?} {}", gears, error);
+        }
+    }
+
+    #[test]
+    fn the_inertia_matrix_is_positive_definite((values, _) in drawn_two_link(), q in -4.0..4.0f64) {
+        let base = TwoLink::<false>::base(&values[..5]);
+        let m = TwoLink::<false>::inertia(&base, &TwoLink::<false>::posture(&[0.0, q]));
+        prop_assert!(m[0][0] > 0.0 && m[0][0] * m[1][1] > m[0][1] * m[1][0]);
+        prop_assert_eq!(m[0][1], m[1][0]);
+    }
+
+    #[test]
+    fn the_regressor_times_the_parameters_is_the_inverse_dynamics(
+        (values, _) in drawn_two_link(),
+        q in prop::array::uniform2(-3.0..3.0f64),
+        dq in prop::array::uniform2(-3.0..3.0f64),
+        ddq in prop::array::uniform2(-9.0..9.0f64),
+    ) {
+        let config = config::<TwoLink<true>, 2>([GearKind::Linear; 2]);
+        let torque = inverse_dynamics(&config.plant(&[&values]), &q, &dq, &ddq);
+        let columns = base_regressor::<TwoLink<true>, 2>(&q, &dq, &ddq);
+        for i in 0..2 {
+            let own = &values[5 + 7 * i..];
+            let body: f64 = columns.iter().zip(&values).map(|(column, v)| column[i] * v).sum();
+            let speed = dq[i] / 0.01;
+            let friction = own[1] * speed + own[2] * dq[i].signum() + own[3];
+            let expected = 0.01 * (body + own[4] * dq[i]) + own[0] * ddq[i] / 0.01 + friction;
+            prop_assert!((torque[i] - expected).abs() < 1e-12 * (1.0 + expected.abs()));
+        }
+    }
+
+    #[test]
+    fn every_width_gives_one_result(seed in any::<u64>(), count in 2usize..13) {
+        let mut draw = Draw(seed);
+        let all: Vec<Vec<f64>> = (0..count)
+            .map(|_| scara(1.0, 0.0).iter().map(|v| v * (1.0 + 0.1 * draw.next())).collect())
+            .collect();
+        let voltage = telegraph::<2>(seed, 101, 8.0);
+        let reference = vec![[0.0; 2]; 101];
+        let task = Task {
+            config: config::<TwoLink<false>, 2>([GearKind::Linear; 2]),
+            clock: Clock { step: 1.25e-4, steps_per_tick: 8, steps_per_servo: 8, steps_per_sample: 8, samples: 101 },
+            servo: None,
+            record: STATE.to_vec(),
+        };
+        let members: Vec<Member<'_, 2>> = all.iter().map(|values| Member {
+            parameters: values, feed_forward: &voltage, reference: &reference, initial: at_rest([0.0; 2]),
+        }).collect();
+        let portable = simulate(&task, &members, Width::Portable);
+        for width in [Width::Avx2, Width::Avx512] {
+            if width > Width::detect() {
+                continue;
+            }
+            let batch = simulate(&task, &members, width);
+            for (k, member) in members.iter().enumerate() {
+                let single = simulate(&task, std::slice::from_ref(member), width).remove(0).unwrap();
+                for (a, (b, c)) in single.map_last().iter().zip(batch[k].as_ref().unwrap().map_last().iter().zip(portable[k].as_ref().unwrap().map_last())) {
+                    // Rounding differs (fused or not), and grows little over 0.1 s.
+                    prop_assert!((a - b).abs() < 1e-9 * (1.0 + a.abs()));
+                    prop_assert!((a - c).abs() < 1e-9 * (1.0 + a.abs()));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_ever_leaves_the_finite_numbers(
+        factors in prop::collection::vec(-1.0..1.0f64, 19), seed in any::<u64>(),
+        kinds in prop::array::uniform2(0usize..2), volts in 0.0..20.0f64,
+    ) {
+        // Every parameter within a factor of ten of a real one; friction up to a hundred times.
+        let mut values: Vec<f64> = scara(1.0, 1.0).iter().zip(&factors).map(|(v, f)| v * 10f64.powf(*f)).collect();
+        values[2] = values[2].min(0.9 * (values[0] * values[1]).sqrt());
+        for joint in [5, 12] {
+            values[joint + 2] *= 10f64.powf(1.0 - factors[joint].abs());
+            values[joint + 3] = 0.02 * factors[joint + 3];
+        }
+        let gears = kinds.map(|kind| [GearKind::Linear, GearKind::Rigid][kind]);
+        let mut chosen = values[..5].to_vec();
+        for (i, gear) in gears.iter().enumerate() {
+            let own = &values[5 + 7 * i..12 + 7 * i];
+            chosen.extend(if *gear == GearKind::Rigid { &own[..5] } else { own });
+        }
+        let voltage = telegraph::<2>(seed, 60, volts);
+        let run = Run {
+            config: config::<TwoLink<true>, 2>(gears), parameters: &chosen, voltage: &voltage,
+            steps_per_tick: 8, initial: at_rest([5.0, -30.0]), step: 1.25e-4, steps: 480,
+        };
+        let record = run.record(&STATE);
+        prop_assert!(record.iter().flatten().flatten().all(|x| x.is_finite()));
+    }
+}
+
+#[test]
+fn a_rigid_arm_moves_as_its_inverse_dynamics_says() {
+    let linear = scara(1.0, 1.0);
+    let parameters = [&linear[..10], &linear[12..17]].concat();
+    let voltage = telegraph::<2>(3, 50, 9.0);
+    let config = config::<TwoLink<true>, 2>([GearKind::Rigid; 2]);
+    let run = Run {
+        config,
+        parameters: &parameters,
+        voltage: &voltage,
+        steps_per_tick: 16,
+        initial: at_rest([0.0, 30.0]),
+        step: 1.25e-4,
+        steps: 800,
+    };
+    let record = run.record(&[
+        Quantity::LinkAngle,
+        Quantity::LinkVelocity,
+        Quantity::LinkAcceleration,
+        Quantity::MotorTorque,
+    ]);
+    let plant = config.plant(&[&parameters]);
+    for k in 0..=run.steps {
+        let torque = inverse_dynamics(&plant, &record[0][k], &record[1][k], &record[2][k]);
+        for i in 0..2 {
+            if record[1][k][i] != 0.0 {
+                assert!((torque[i] - record[3][k][i]).abs() < 1e-11);
+            }
+        }
+    }
+}
+
+#[test]
+fn friction_holds_an_arm_up_for_good() {
+    // A single vertical link whose gravity torque, 0.3 N m at the motor's side, is below friction.
+    let parameters = [1.0, 30.0, 1.5e-4, 1e-4, 0.5, 0.0, 0.1, 20e3, 5.0];
+    let run = Run {
+        config: config::<OneLink<true>, 1>([GearKind::Linear]),
+        parameters: &parameters,
+        voltage: &[[0.0]],
+        steps_per_tick: 1,
+        initial: at_rest([0.0]),
+        step: 1.25e-4,
+        steps: 8000,
+    };
+    let record = run.record(&STATE);
+    for k in 0..=run.steps {
+        assert_eq!((record[0][k][0], record[1][k][0]), (0.0, 0.0));
+        assert!(record[3][k][0].abs() < 1e-12); // the link hangs on its spring, at rest
+    }
+    let sag = -record[2][0][0];
+    assert!((sag * 20e3 - 30.0 * sag.cos()).abs() < 1e-10);
+}
