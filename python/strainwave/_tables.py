@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -23,6 +22,8 @@ from strainwave.records import FloatArray
 from strainwave.study import decode, read_bytes
 
 DELIMITERS = (",", ";", "\t")
+LARGEST = 1e60
+"""In any unit. Squares and sums of squares of smaller numbers do not overflow."""
 _PROBE = 1 << 16  # bytes in which a header and the first row must end
 
 
@@ -159,7 +160,7 @@ def _header_line(data: bytes, path: Path) -> tuple[int, str]:
 
 def _split(line: str, delimiter: str) -> list[str]:
     try:
-        fields = next(csv.reader([line], delimiter=delimiter, strict=False), [])
+        fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
         fields = line.split(delimiter)
     return [field.strip() for field in fields]
@@ -223,8 +224,8 @@ def _read_csv(
 
 
 def _has_decimal_comma(data: bytes, delimiter: str, skipped: int) -> bool:
-    lines = data[:_PROBE].splitlines()[skipped + 1 : skipped + 2]
-    return bool(lines) and b"," in lines[0] and b"." not in lines[0]
+    numbers = b"".join(data[:_PROBE].splitlines()[skipped + 1 :])
+    return b"," in numbers and b"." not in numbers
 
 
 def _find_fault(
@@ -404,8 +405,8 @@ def _array_table(variables: Mapping[str, Any], path: Path) -> Table:
     return Table(list(variables), read, lambda row: f"element {row + 1}")
 
 
-def first_not_finite(values: FloatArray) -> int | None:
-    """Index of the first NaN or infinity.
+def first_impossible(values: FloatArray) -> int | None:
+    """Index of the first NaN, infinity or number beyond all measurement.
 
     Parameters
     ----------
@@ -415,10 +416,8 @@ def first_not_finite(values: FloatArray) -> int | None:
     -------
     int or None
     """
-    if math.isfinite(float(np.sum(values))):  # one pass; a finite sum has only finite terms
-        return None
-    bad = np.flatnonzero(~np.isfinite(values))
-    return int(bad[0]) if bad.size else None
+    possible = np.abs(values) < LARGEST
+    return None if possible.all() else int(np.argmin(possible))
 
 
 _OPENERS: dict[str, Callable[[Path], Table]] = {

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave._tables import Table, first_not_finite, open_table, write_table
+from strainwave._tables import Table, first_impossible, open_table, write_table
 from strainwave.errors import InvalidInput
 from strainwave.records import Channel, Experiment, FloatArray, Log, Study, Warning
 from strainwave.study import channel_names
@@ -141,7 +141,7 @@ def _with_added(
 
 def _check_values(columns: dict[str, FloatArray], table: Table, path: Path) -> None:
     for name, values in columns.items():
-        row = first_not_finite(values)
+        row = first_impossible(values)
         if row is not None:
             raise InvalidInput(
                 f"the value is {values[row]}",

@@ -200,11 +200,11 @@ def _plan(
     study: Study, experiment: Experiment, values: Values, rng: np.random.Generator
 ) -> _Plan:
     if study.log_path(experiment).exists():
-        return _replay(study, experiment, values, logs.read_log(study, experiment))
+        return _replay(study, experiment, logs.read_log(study, experiment))
     return _invent(study, experiment, values, rng)
 
 
-def _replay(study: Study, experiment: Experiment, values: Values, log: Log) -> _Plan:
+def _replay(study: Study, experiment: Experiment, log: Log) -> _Plan:
     """The log's own references and open-loop voltages; a PRBS on top of a servo from its numbers."""
     voltage = np.zeros((len(log), study.n_joints))
     reference = np.zeros_like(voltage)
@@ -215,8 +215,16 @@ def _replay(study: Study, experiment: Experiment, values: Values, log: Log) -> _
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1:
                 voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
-    angle = tuple(float(log.channels[f"theta_m{i + 1}"][0]) for i in range(study.n_joints))
-    drive = _drive(study, experiment, values, log.sample_time, voltage, reference, angle)
+    numbers = range(1, study.n_joints + 1)
+    before = [log.channels[_input_channel(log, i)][0] - voltage[0, i - 1] for i in numbers]
+    drive = Drive(
+        tick=log.sample_time,
+        voltage=voltage,
+        reference=reference,
+        servo=tuple(control == "servo" for control in experiment.control),
+        motor_angle=tuple(float(log.channels[f"theta_m{i}"][0]) for i in numbers),
+        initial_voltage=tuple(float(v) for v in before),
+    )
     return _Plan(drive, log.sample_time, len(log))
 
 
@@ -252,7 +260,15 @@ def _invent(
                 where=str(study.path),
                 remedy='set its control to "servo", or give a log to replay',
             )
-    drive = _drive(study, experiment, values, tick, voltage, reference, (0.0,) * study.n_joints)
+    still = (0.0,) * study.n_joints
+    drive = Drive(
+        tick=tick,
+        voltage=voltage,
+        reference=reference,
+        servo=tuple(control == "servo" for control in experiment.control),
+        motor_angle=still,
+        initial_voltage=_holding_voltage(study, values, still),
+    )
     return _Plan(drive, sample_time, round(len(excited) * tick / sample_time))
 
 
@@ -288,33 +304,20 @@ def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
     return sequence[at % len(sequence)]
 
 
-def _drive(
-    study: Study,
-    experiment: Experiment,
-    values: Values,
-    tick: float,
-    voltage: FloatArray,
-    reference: FloatArray,
-    motor_angle: tuple[float, ...],
-) -> Drive:
-    """With the voltage that holds the arm up at the start already there."""
+def _holding_voltage(
+    study: Study, values: Values, motor_angle: tuple[float, ...]
+) -> tuple[float, ...]:
+    """What keeps the arm up where it begins."""
     arm = build_arm(study)
+    vector = parameter_vector(arm, values, study)
     ratio = np.array([joint.gear_ratio for joint in study.joints])
     still = np.zeros((1, study.n_joints))
-    vector = parameter_vector(arm, values, study)
     try:
         holding = arm.inverse_dynamics(vector, np.array([motor_angle]) * ratio, still, still)[0]
     except ValueError as error:
         raise InvalidInput(str(error), where="--parameters", remedy="mend that value") from error
     per_volt = [joint.torque_per_volt or 1.0 for joint in study.joints]
-    return Drive(
-        tick=tick,
-        voltage=voltage,
-        reference=reference,
-        servo=tuple(control == "servo" for control in experiment.control),
-        motor_angle=motor_angle,
-        initial_voltage=tuple(float(t / e) for t, e in zip(holding, per_volt, strict=True)),
-    )
+    return tuple(float(t / e) for t, e in zip(holding, per_volt, strict=True))
 
 
 def _columns(

@@ -15,6 +15,8 @@ use strainwave_core::{arm, gear, rigid};
 
 type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
+/// kp, ki, limit and which joints.
+type ServoGiven = (Vec<f64>, Vec<f64>, f64, Vec<bool>);
 
 /// Each arm the core knows, with its constants.
 #[derive(Clone, Copy)]
@@ -45,7 +47,7 @@ pub struct Arm(Any);
 struct Experiment<'py> {
     voltage: Matrix<'py>,
     reference: Option<Matrix<'py>>,
-    servo: Option<(Vec<f64>, Vec<f64>, f64, Vec<bool>)>,
+    servo: Option<ServoGiven>,
     clock: Clock,
     motor_angle: Vec<f64>,
     motor_velocity: Option<Vec<f64>>,
@@ -135,7 +137,7 @@ impl Arm {
         samples: usize,
         record: Vec<String>,
         reference: Option<Matrix<'py>>,
-        servo: Option<(Vec<f64>, Vec<f64>, f64, Vec<bool>)>,
+        servo: Option<ServoGiven>,
         steps_per_servo: usize,
         motor_velocity: Option<Vec<f64>>,
         link_angle: Option<Vec<f64>>,
