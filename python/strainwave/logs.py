@@ -226,9 +226,9 @@ def _uniform(
     }
     steps = np.diff(time) / period
     message = (
-        f"the time stamps are not uniform (steps of {steps.min():.2f} to {steps.max():.2f} periods): "
-        f"resampled to {len(grid)} samples every {period:.6g} s; what happens faster than the widest "
-        "step is lost. Log with a fixed clock if you can"
+        f"time stamps are not uniform (steps of {steps.min():.2f} to {steps.max():.2f} "
+        f"periods): resampled to {len(grid)} samples every {period:.6g} s; what happens faster than "
+        "the widest step is lost. Log with a fixed clock if you can"
     )
     return grid, resampled, [Warning("resampled", path.name, message)]
 
@@ -247,7 +247,9 @@ def _constants(
             where=str(path),
             remedy="check the encoder's wiring, the channel map and the amplitude",
         )
-    inputs = [channels[name] for i in joints for name in (f"u{i}", f"torque{i}") if name in channels]
+    inputs = [
+        channels[name] for i in joints for name in (f"u{i}", f"torque{i}") if name in channels
+    ]
     if all(np.ptp(values) == 0.0 for values in inputs):
         raise InvalidInput(
             "the drive's input never changes in this log",
