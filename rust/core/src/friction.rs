@@ -266,20 +266,31 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
 /// the function there is 1e-12 of its ends, and the caller sets it to zero.
 fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     let tiny = 1e-12 * (begin.abs() + end.abs());
-    if begin <= tiny {
-        return 0.0;
-    }
     let bend = end - begin - slope;
+    let (mut kept, mut f_kept) = (0.0, begin);
+    if begin <= tiny {
+        // It begins at zero. If it rises from there, the event is where it comes back: beyond half
+        // the parabola's way.
+        let half = -0.5 * slope / bend;
+        let top = if slope > 0.0 { f(half) } else { 0.0 };
+        if top <= tiny {
+            return 0.0;
+        }
+        (kept, f_kept) = (half, top);
+    }
     let discriminant = slope * slope - 4.0 * bend * begin;
     // The form of the quadratic's root that does not cancel.
-    let guess = 2.0 * begin / (discriminant.max(0.0).sqrt() - slope);
-    let chord = begin / (begin - end);
-    let mut next = if guess > 0.0 && guess < 1.0 {
+    let guess = if begin <= tiny {
+        -slope / bend
+    } else {
+        2.0 * begin / (discriminant.max(0.0).sqrt() - slope)
+    };
+    let chord = kept + (1.0 - kept) * f_kept / (f_kept - end);
+    let mut next = if guess > kept && guess < 1.0 {
         guess
     } else {
         chord
     };
-    let (mut kept, mut f_kept) = (0.0, begin);
     let (mut last, mut f_last) = (1.0, end);
     for _ in 0..60 {
         let value = f(next);

@@ -76,10 +76,47 @@ impl<R: Real> Spring<R> {
         energy
     }
 
-    /// The slope before the first knee.
+    /// Slope of the torque at a twist `delta` [rad], in N m/rad.
     #[inline(always)]
-    pub fn initial_stiffness(&self) -> R {
-        self.k1
+    pub fn stiffness(&self, delta: R) -> R {
+        let twist = delta.abs();
+        let mut slope = self.k1;
+        for knee in &self.knees {
+            slope = slope + knee.slope(twist);
+        }
+        slope
+    }
+
+    /// The twist [rad] at which the spring gives a torque [N m]: the inverse of [`Spring::torque`].
+    ///
+    /// Newton's iteration kept inside a bracket, so that it also ends where slopes rise and fall.
+    pub fn twist(&self, torque: R) -> R {
+        const { assert!(R::LANES == 1) };
+        let second = self.k1 + self.knees[0].slope_change;
+        let least = self.k1.min(second).min(second + self.knees[1].slope_change);
+        let wanted = torque.abs();
+        let (mut low, mut high) = (R::splat(0.0), wanted / least);
+        let mut twist = high;
+        for _ in 0..100 {
+            let excess = self.torque(twist) - wanted;
+            if excess.any_negative() {
+                low = twist;
+            } else {
+                high = twist;
+            }
+            let next = twist - excess / self.stiffness(twist);
+            let outside = (next - low).any_negative() || (high - next).any_negative();
+            let next = if outside {
+                R::splat(0.5) * (low + high)
+            } else {
+                next
+            };
+            if (next - twist).lane(0).abs() <= 1e-15 * next.lane(0) {
+                break;
+            }
+            twist = next;
+        }
+        twist.copysign(torque)
     }
 }
 
@@ -91,6 +128,13 @@ impl<R: Real> Knee<R> {
         let inside = into.min(self.width);
         let torque = (self.half_rise * inside).mul_add(inside, torque);
         self.slope_change.mul_add(into - inside, torque)
+    }
+
+    /// Slope of what `add_to` adds.
+    #[inline(always)]
+    fn slope(&self, twist: R) -> R {
+        let inside = (twist + self.shift).max(R::splat(0.0)).min(self.width);
+        R::splat(2.0) * self.half_rise * inside
     }
 
     /// Integral of what `add_to` adds, from no twist.
@@ -146,6 +190,17 @@ mod tests {
             let slope = (spring.energy(delta + h) - spring.energy(delta - h)) / (2.0 * h);
             // A central difference of a parabola of curvature (K2 - K1) / (2 w) is off by h^2 / 6 of it.
             prop_assert!((slope - spring.torque(delta)).abs() < 3e-6);
+        }
+
+        #[test]
+        fn the_twist_is_where_the_torque_is(
+            k1 in 1e3..3e4, ratio2 in 0.1..10.0, ratio3 in 0.1..10.0,
+            t1 in 1.0..20.0, more in 1.0..30.0, torque in -80.0..80.0,
+        ) {
+            let k = [k1, k1 * ratio2, k1 * ratio2 * ratio3];
+            let spring = Spring::three_slope(k, [t1, t1 + more], CORNER);
+            let twist: f64 = spring.twist(torque);
+            prop_assert!((spring.torque(twist) - torque).abs() < 1e-12 * (1.0 + torque.abs()));
         }
     }
 }

@@ -576,8 +576,8 @@ fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
 
 /// Link angles at which gravity's torques and the gears' balance, for motors held where they are.
 ///
-/// Newton's iteration with the gears' first slopes alone: gravity's own stiffness is some thousandth
-/// of theirs, so each round gains three digits, and a softer spring than assumed only slows it.
+/// Each round takes gravity at the last angles and twists the gears by what holds it. Gravity's own
+/// stiffness is some thousandth of theirs, so a round gains three digits.
 fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
     plant: &Plant<A, S, N, ELASTIC>,
     motor_angle: &[S; N],
@@ -589,12 +589,10 @@ fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
         let gravity = A::bias(&plant.base, &at, &[S::splat(0.0); N]);
         let mut change = 0.0f64;
         for i in 0..N {
-            let spring = &plant.joints[i].spring;
             if !plant.is_rigid(i) {
-                let rest = spring.torque(rigid[i] - angle[i]) - gravity[i];
-                let step = rest / spring.initial_stiffness();
-                angle[i] = angle[i] + step;
-                change = change.max(step.lane(0).abs());
+                let next = rigid[i] - plant.joints[i].spring.twist(gravity[i]);
+                change = change.max((next - angle[i]).lane(0).abs());
+                angle[i] = next;
             }
         }
         if change < 1e-15 {
