@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.io
-import studies
 
+import studies
 from strainwave.errors import InvalidInput
 from strainwave.logs import read_log, read_logs, write_log
 from strainwave.records import FloatArray, Log, Study
@@ -163,19 +163,43 @@ def edited(line: int, text: str) -> str:
 FAULTS: dict[str, tuple[str | bytes, str]] = {
     "empty": ("", "is empty"),
     "header only": ("t,u1,u2,theta_m1,theta_m2\n", r"has 0 row|cannot be read|is empty"),
-    "two rows": ("\n".join(studies.csv_text(studies.columns()).splitlines()[:3]), r"has 2 row\(s\)"),
-    "no header": ("\n".join(studies.csv_text(studies.columns()).splitlines()[1:]), "holds numbers, not"),
+    "two rows": (
+        "\n".join(studies.csv_text(studies.columns()).splitlines()[:3]),
+        r"has 2 row\(s\)",
+    ),
+    "no header": (
+        "\n".join(studies.csv_text(studies.columns()).splitlines()[1:]),
+        "holds numbers, not",
+    ),
     "same name twice": (edited(1, "t,u1,u1,theta_m1,theta_m2,a1"), "two columns named 'u1'"),
-    "missing column": (edited(1, "t,u1,u2,theta_m1,thetam2,a1"), r"no column 'theta_m2'.*mean 'thetam2'"),
-    "no input": (edited(1, "t,x,u2,theta_m1,theta_m2,a1"), "no column 'u1' or 'torque1', the drive's input"),
+    "missing column": (
+        edited(1, "t,u1,u2,theta_m1,thetam2,a1"),
+        r"no column 'theta_m2'.*mean 'thetam2'",
+    ),
+    "no input": (
+        edited(1, "t,x,u2,theta_m1,theta_m2,a1"),
+        "no column 'u1' or 'torque1', the drive's input",
+    ),
     "NaN": (edited(9, "0.007,nan,0,0.07,-0.03,1"), r"line 9, column 'u1': the value is nan"),
-    "infinite": (edited(9, "0.007,0,0,-inf,-0.03,1"), r"line 9, column 'theta_m1': the value is -inf"),
-    "text": (edited(9, "0.007,0,0,high,-0.03,1"), r"line 9, column 'theta_m1': 'high' is no number"),
+    "infinite": (
+        edited(9, "0.007,0,0,-inf,-0.03,1"),
+        r"line 9, column 'theta_m1': the value is -inf",
+    ),
+    "text": (
+        edited(9, "0.007,0,0,high,-0.03,1"),
+        r"line 9, column 'theta_m1': 'high' is no number",
+    ),
     "nothing": (edited(9, "0.007,0,,0.07,-0.03,1"), r"line 9, column 'u2': there is no value"),
     "too few values": (edited(9, "0.007,0,0"), r"line 9: 3 values where the header names 6"),
     "cut off": (edited(41, "0.039,0.1,0.9,0.3"), r"line 41: the log is cut off: 4 values"),
-    "time stands": (edited(9, "0.006,0,0,0.07,-0.03,1"), r"line 9: time does not increase: 0.006 s after"),
-    "not UTF-8": (edited(9, "x").encode().replace(b"x", b"\xe9"), "line 9: is not UTF-8: byte 0xe9"),
+    "time stands": (
+        edited(9, "0.006,0,0,0.07,-0.03,1"),
+        r"line 9: time does not increase: 0.006 s after",
+    ),
+    "not UTF-8": (
+        edited(9, "x").encode().replace(b"x", b"\xe9"),
+        "line 9: is not UTF-8: byte 0xe9",
+    ),
     "null bytes": (edited(9, "0.007,0,0,\0,-0.03,1"), r"line 9, column 'theta_m1': .*is no number"),
     "still": (
         studies.csv_text(studies.columns() | {"theta_m1": np.ones(40), "theta_m2": np.ones(40)}),
@@ -202,10 +226,18 @@ def test_tells_every_fault(fault: str, tmp_path: Path) -> None:
     [
         ("log.parquet", b"t,u1\n1,2\n", "is no Parquet file"),
         ("log.parquet", parquet(studies.columns())[:-40], "is no Parquet file"),
-        ("log.parquet", parquet(studies.columns() | {"u1": np.array(["x"] * 40)}), "holds .*string"),
+        (
+            "log.parquet",
+            parquet(studies.columns() | {"u1": np.array(["x"] * 40)}),
+            "holds .*string",
+        ),
         ("log.parquet", b"", "is no Parquet file"),
         ("log.csv.gz", b"t,u1\n", "cannot be unpacked"),
-        ("log.csv.gz", gzip.compress(studies.csv_text(studies.columns()).encode())[:-20], "unpacked"),
+        (
+            "log.csv.gz",
+            gzip.compress(studies.csv_text(studies.columns()).encode())[:-20],
+            "unpacked",
+        ),
         ("log.mat", b"MATLAB 5.0 MAT-file", "is no MAT file"),
         ("log.h5", b"\x89HDF but not really", "is no HDF5 file"),
         ("log.xlsx", b"PK", "is of no known kind"),
@@ -242,7 +274,7 @@ def test_an_empty_window_names_what_the_log_holds(tmp_path: Path) -> None:
 
 def test_a_channel_map_must_name_a_column(tmp_path: Path) -> None:
     text = studies.STUDY + '[channels]\na2 = "accel_2"\n'
-    with pytest.raises(InvalidInput, match="no column 'accel_2', which .channels. names for 'a2'"):
+    with pytest.raises(InvalidInput, match=r"no column 'accel_2', which .channels. names for 'a2'"):
         read(tmp_path, None, text)
     text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nadd = { u1 = "push" }')
     with pytest.raises(InvalidInput, match="no column 'push', which is to be added to 'u1'"):

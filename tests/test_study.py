@@ -5,10 +5,10 @@ import os
 from pathlib import Path
 
 import pytest
-import studies
 from hypothesis import given
 from hypothesis import strategies as st
 
+import studies
 from strainwave.errors import InvalidInput
 from strainwave.records import (
     Arm,
@@ -33,7 +33,9 @@ def test_reads_what_is_written(tmp_path: Path) -> None:
 
 
 def test_channels_take_a_name_or_a_table(tmp_path: Path) -> None:
-    text = studies.STUDY + '\n[channels]\nt = "time"\nu1 = { column = "v", scale = 2, offset = -1 }\n'
+    text = (
+        studies.STUDY + '\n[channels]\nt = "time"\nu1 = { column = "v", scale = 2, offset = -1 }\n'
+    )
     study = read_study(studies.write(tmp_path, text))
     assert study.channels == {"t": Channel("time"), "u1": Channel("v", 2.0, -1.0)}
 
@@ -44,32 +46,117 @@ def test_control_is_open_where_it_is_not_said(tmp_path: Path) -> None:
 
 
 FAULTS = {
-    "missing key": ('spring = "linear"\n', "", 1, r"line 5, \[\[joint\]\] 1: the key 'spring' is missing"),
-    "unknown key": ("gear_ratio", "gear_ration", 1, r"line 7.*'gear_ration' is not known.*mean 'gear_ratio'"),
+    "missing key": (
+        'spring = "linear"\n',
+        "",
+        1,
+        r"line 5, \[\[joint\]\] 1: the key 'spring' is missing",
+    ),
+    "unknown key": (
+        "gear_ratio",
+        "gear_ration",
+        1,
+        r"line 7.*'gear_ration' is not known.*mean 'gear_ratio'",
+    ),
     "unknown table": ("[servo]", "[server]", 1, r"'server' is not known.*mean 'servo'"),
-    "wrong type": ("link_length = 0.35", 'link_length = "0.35"', 1, r"line 3, \[arm\]: 'link_length'"),
-    "no such choice": ('"planar-two-link"', '"scara"', 1, r"'scara', but it should be 'planar-two-link'"),
-    "ratio upside down": ("gear_ratio = 0.01", "gear_ratio = 100", 1, r"100 .*0.01 was probably meant"),
-    "millimetres": ("link_length = 0.35", "link_length = 350", 1, r"0.35 was probably meant, if 350 is in mm"),
-    "milliseconds": ("period = 0.001", "period = 1.0", 1, r"0.001 was probably meant, if 1 is in ms"),
+    "wrong type": (
+        "link_length = 0.35",
+        'link_length = "0.35"',
+        1,
+        r"line 3, \[arm\]: 'link_length'",
+    ),
+    "no such choice": (
+        '"planar-two-link"',
+        '"scara"',
+        1,
+        r"'scara', but it should be 'planar-two-link'",
+    ),
+    "ratio upside down": (
+        "gear_ratio = 0.01",
+        "gear_ratio = 100",
+        1,
+        r"100 .*0.01 was probably meant",
+    ),
+    "millimetres": (
+        "link_length = 0.35",
+        "link_length = 350",
+        1,
+        r"0.35 was probably meant, if 350 is in mm",
+    ),
+    "milliseconds": (
+        "period = 0.001",
+        "period = 1.0",
+        1,
+        r"0.001 was probably meant, if 1 is in ms",
+    ),
     "clock in ms": ("clock = 0.001", "clock = 10.0", 1, r"0.01 was probably meant, if 10 is in ms"),
-    "kilohertz": ("encoder_counts = 8192", "current_loop_hz = 1.0", 1, r"1000 was probably meant, if 1 is in kHz"),
-    "negative": ("limit = 10.0", "limit = -10.0", 1, r"'limit' is -10.0, but it should be greater than 0"),
+    "kilohertz": (
+        "encoder_counts = 8192",
+        "current_loop_hz = 1.0",
+        1,
+        r"1000 was probably meant, if 1 is in kHz",
+    ),
+    "negative": (
+        "limit = 10.0",
+        "limit = -10.0",
+        1,
+        r"'limit' is -10.0, but it should be greater than 0",
+    ),
     "not finite": ("limit = 10.0", "limit = nan", 1, r"'limit' is nan"),
     "too few gains": ("kp = [0.12, 0.1]", "kp = [0.12]", 1, r"'kp' has 1 value.*2 joint"),
     "joint out of range": ("joint = 1", "joint = 3", 1, r"there is no joint 3: the arm has 2"),
-    "joint zero": ("joint = 1", "joint = 0", 1, r"'joint' is 0, but it should be greater than or equal to 1"),
-    "empty window": ('use = "motion"', 'use = "motion"\nstart = 3.0\nstop = 2.0', 1, r"the window is empty"),
+    "joint zero": (
+        "joint = 1",
+        "joint = 0",
+        1,
+        r"'joint' is 0, but it should be greater than or equal to 1",
+    ),
+    "empty window": (
+        'use = "motion"',
+        'use = "motion"\nstart = 3.0\nstop = 2.0',
+        1,
+        r"the window is empty",
+    ),
     "same name": ('name = "prbs"', 'name = "motion"', 1, r"two experiments named 'motion'"),
-    "no such log": ("motion.csv", "motoin.csv", 1, r"'motoin.csv' does not exist.*mean 'motion.csv'"),
-    "no such channel": ("[servo]", '[channels]\ntheta1 = "x"\n[servo]', 1, r"'theta1' is no channel.*mean 'theta_m1'"),
-    "no scale": ("[servo]", '[channels]\nu1 = { column = "x", scale = 0 }\n[servo]', 1, r"the scale of 'u1' is zero"),
-    "channel of no kind": ("[servo]", "[channels]\nu1 = 3\n[servo]", 1, r"'u1' is 3.*give a column's name"),
+    "no such log": (
+        "motion.csv",
+        "motoin.csv",
+        1,
+        r"'motoin.csv' does not exist.*mean 'motion.csv'",
+    ),
+    "no such channel": (
+        "[servo]",
+        '[channels]\ntheta1 = "x"\n[servo]',
+        1,
+        r"'theta1' is no channel.*mean 'theta_m1'",
+    ),
+    "no scale": (
+        "[servo]",
+        '[channels]\nu1 = { column = "x", scale = 0 }\n[servo]',
+        1,
+        r"the scale of 'u1' is zero",
+    ),
+    "channel of no kind": (
+        "[servo]",
+        "[channels]\nu1 = 3\n[servo]",
+        1,
+        r"'u1' is 3.*give a name",
+    ),
     "no link length": ("link_length = 0.35\n", "", 1, r"'link_length' is missing"),
     "bad TOML": ("[servo]", "[servo", 1, r"is not valid TOML .*line 17"),
-    "slider": ('spring = "linear"', 'spring = "linear"\nmotion = "prismatic"', 1, r"revolute joints only"),
+    "slider": (
+        'spring = "linear"',
+        'spring = "linear"\nmotion = "prismatic"',
+        1,
+        r"revolute joints only",
+    ),
     "one for many": ("[[joint]]", "[joint]", 2, r"not valid TOML|must be a list"),
-    "prbs of a wrong type": ("periods = 4", "periods = 4.5", 1, r"'periods' is 4.5, but it should be a valid integer"),
+    "prbs of a wrong type": (
+        "periods = 4",
+        "periods = 4.5",
+        1,
+        r"'periods' is 4.5, but it should be a valid integer",
+    ),
     "prbs unknown": ("periods = 4", "period = 4", 1, r"'period' is not known.*mean 'periods'"),
 }
 
@@ -103,7 +190,7 @@ def test_a_study_needs_its_tables(table: str, tmp_path: Path) -> None:
 
 def test_a_third_joint_is_refused(tmp_path: Path) -> None:
     text = studies.STUDY + '\n[[joint]]\nspring = "rigid"\ngear_ratio = 0.01\n'
-    with pytest.raises(InvalidInput, match="has 2 joint.*there are 3"):
+    with pytest.raises(InvalidInput, match=r"has 2 joint.*there are 3"):
         read_study(studies.write(tmp_path, text))
 
 
@@ -126,7 +213,9 @@ def test_a_file_without_permission(tmp_path: Path) -> None:
         read_study(path)
 
 
-names = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "Zs")), min_size=1, max_size=12)
+names = st.text(
+    st.characters(codec="utf-8", categories=("L", "N", "P", "Zs")), min_size=1, max_size=12
+)
 sizes = st.floats(0.01, 1.0)
 joint = st.builds(
     Joint,
@@ -167,7 +256,9 @@ whole = st.builds(
         sizes,
     ),
     channels=st.dictionaries(
-        st.sampled_from(["t", "u1", "theta_m2"]), st.builds(Channel, names, sizes, sizes), max_size=3
+        st.sampled_from(["t", "u1", "theta_m2"]),
+        st.builds(Channel, names, sizes, sizes),
+        max_size=3,
     ),
 )
 

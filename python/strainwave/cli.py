@@ -71,7 +71,8 @@ def identify(
 def simulate(
     study: StudyFile,
     parameters: Annotated[
-        Path, typer.Option("--parameters", help="A result.json, or a file like it.", metavar="P.json")
+        Path,
+        typer.Option("--parameters", help="A result.json, or a file like it.", metavar="P.json"),
     ],
     out: Out,
     seed: Seed = 0,

@@ -23,7 +23,9 @@ class InvalidInput(StrainwaveError):  # noqa: N818 - the name says what is wrong
         What to do about it, in one clause without a full stop.
     """
 
-    def __init__(self, problem: str, *, where: str | None = None, remedy: str | None = None) -> None:
+    def __init__(
+        self, problem: str, *, where: str | None = None, remedy: str | None = None
+    ) -> None:
         self.problem = problem
         self.where = where
         self.remedy = remedy

@@ -106,7 +106,9 @@ def steps(levels: FloatArray, *, hold: float, clock: float) -> FloatArray:
     return np.repeat(np.asarray(levels, dtype=float), max(1, round(hold / clock)))
 
 
-def chirp(*, start_hz: float, stop_hz: float, duration: float, clock: float, peak: float) -> FloatArray:
+def chirp(
+    *, start_hz: float, stop_hz: float, duration: float, clock: float, peak: float
+) -> FloatArray:
     """Sine whose frequency rises logarithmically from `start_hz` to `stop_hz`.
 
     Parameters

@@ -73,7 +73,9 @@ def _from_list(entries: list[Any], path: Path) -> Values:
     for number, entry in enumerate(entries, start=1):
         place = f"{path}: parameters, entry {number}"
         if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
-            raise InvalidInput("has no name", where=place, remedy='write {"name": ..., "value": ...}')
+            raise InvalidInput(
+                "has no name", where=place, remedy='write {"name": ..., "value": ...}'
+            )
         joint = entry.get("joint")
         if joint is not None and (not isinstance(joint, int) or isinstance(joint, bool)):
             raise InvalidInput(
@@ -92,7 +94,9 @@ def _from_table(document: Mapping[str, Any], path: Path) -> Values:
     for joint, table in enumerate(document["joints"], start=1):
         place = f"{path}: joints, entry {joint}"
         if not isinstance(table, dict):
-            raise InvalidInput("is no table", where=place, remedy="write {...} with this joint's values")
+            raise InvalidInput(
+                "is no table", where=place, remedy="write {...} with this joint's values"
+            )
         for key, value in table.items():
             names = _names(key, value, place)
             for name, entry in names.items():

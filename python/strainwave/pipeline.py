@@ -166,5 +166,7 @@ def _used_for(all_logs: Sequence[Log], use: str) -> list[Log]:
     return [log for log in all_logs if log.experiment.use == use]
 
 
-def _predictions(model: RigidModel, chosen: Sequence[Log], the_study: Study) -> tuple[Prediction, ...]:
+def _predictions(
+    model: RigidModel, chosen: Sequence[Log], the_study: Study
+) -> tuple[Prediction, ...]:
     return tuple(validation.predict_rigid(model, log, the_study) for log in chosen)

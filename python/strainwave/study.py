@@ -27,7 +27,13 @@ JOINTS = {"planar-two-link": 2, "single-joint": 1}
 CHANNELS = ("u", "torque", "theta_m", "omega_m", "a", "theta_l", "deflection", "gyro", "ref")
 """Channels there is one of per joint; `t` stands alone."""
 
-_TABLES = {"arm": Arm, "joint": Joint, "servo": Servo, "channels": Channel, "experiment": Experiment}
+_TABLES = {
+    "arm": Arm,
+    "joint": Joint,
+    "servo": Servo,
+    "channels": Channel,
+    "experiment": Experiment,
+}
 
 
 def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
@@ -174,7 +180,9 @@ class _Reader:
             empty = "arm" if arm is None else "joint" if not joints else "experiment"
             name = "[arm]" if empty == "arm" else f"[[{empty}]]"
             raise InvalidInput(
-                f"has no {name} table", where=str(self.path), remedy=f"add {name}; see docs/study.md"
+                f"has no {name} table",
+                where=str(self.path),
+                remedy=f"add {name}; see docs/study.md",
             )
         servo = self._one(document, "servo")
         count = len(joints)
@@ -191,7 +199,9 @@ class _Reader:
             ),
         )
 
-    def record(self, kind: type[T], table: Mapping[str, Any], name: str, index: int | None = None) -> T:
+    def record(
+        self, kind: type[T], table: Mapping[str, Any], name: str, index: int | None = None
+    ) -> T:
         """One table as a record, each value checked against its field's annotation."""
         fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
         self._known_keys(table, fields, name, index)
@@ -200,7 +210,10 @@ class _Reader:
         for key, field in fields.items():
             if key in table:
                 values[key] = self._value(table[key], hints[key], name, index, key)
-            elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            elif (
+                field.default is dataclasses.MISSING
+                and field.default_factory is dataclasses.MISSING
+            ):
                 raise InvalidInput(
                     f"the key '{key}' is missing",
                     where=self.place(name, index),
@@ -240,7 +253,7 @@ class _Reader:
                 raise InvalidInput(
                     f"'{name}' is {_shown(entry)}",
                     where=self.place("channels", None, name),
-                    remedy='give a column\'s name, or { column = "...", scale = ..., offset = ... }',
+                    remedy='give a name, or { column = "...", scale = ..., offset = ... }',
                 )
             channels[name] = self.record(Channel, as_table, "channels", None)
         return channels
@@ -259,12 +272,18 @@ class _Reader:
         tables = document.get(name, [])
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise InvalidInput(
-                f"{name} must be a list of tables", where=self.place(name), remedy=f"write [[{name}]]"
+                f"{name} must be a list of tables",
+                where=self.place(name),
+                remedy=f"write [[{name}]]",
             )
         return tables
 
     def _known_keys(
-        self, table: Mapping[str, Any], known: Mapping[str, Any], name: str, index: int | None = None
+        self,
+        table: Mapping[str, Any],
+        known: Mapping[str, Any],
+        name: str,
+        index: int | None = None,
     ) -> None:
         for key in table:
             if key not in known:
@@ -331,7 +350,7 @@ def _table(record: Any) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for field in dataclasses.fields(record):
         value = getattr(record, field.name)
-        if value is None or value == {} or value == field.default:
+        if value in (None, {}, field.default):
             continue
         if dataclasses.is_dataclass(value):
             value = _table(value)
@@ -348,8 +367,8 @@ def _check_fit(study: Study, reader: _Reader) -> None:
     count = JOINTS[study.arm.kind]
     if study.n_joints != count:
         raise InvalidInput(
-            f"a {study.arm.kind} arm has {count} joint(s), but there are {study.n_joints} [[joint]] "
-            "tables",
+            f"a {study.arm.kind} arm has {count} joint(s), but there are {study.n_joints} "
+            "[[joint]] tables",
             where=reader.place("joint"),
             remedy="write one [[joint]] for each joint, from the base",
         )
@@ -464,7 +483,8 @@ def _check_files(study: Study, reader: _Reader) -> None:
             raise InvalidInput(
                 f"the log file {experiment.file!r} does not exist",
                 where=reader.place("experiment", index, "file"),
-                remedy=f"put it beside the study file, or mend the name{_nearest(experiment.file, siblings)}",
+                remedy="put it beside the study file, or mend the name"
+                + _nearest(experiment.file, siblings),
             )
 
 
@@ -506,9 +526,9 @@ def _sizes(record: Any, sizes: Any, place: Any) -> None:
             continue
         if key == "gear_ratio" and value > most:
             meant = f"{1.0 / value:g} was probably meant: {unit}"
-        elif slip and least <= value * slip <= most:
-            meant = f"{value * slip:g} was probably meant, if {value:g} is in {slip_unit}"
-        elif slip and slip_unit.startswith("k") and value * slip <= most:
+        elif (slip and least <= value * slip <= most) or (
+            slip and slip_unit.startswith("k") and value * slip <= most
+        ):
             meant = f"{value * slip:g} was probably meant, if {value:g} is in {slip_unit}"
         else:
             meant = f"expected {least:g} to {most:g}"

@@ -1,4 +1,4 @@
-"""Experiments on a virtual arm: a study and parameters in, logs and a study that identify reads out.
+"""Experiments on a virtual arm: study and parameters in; logs and a study to identify from out.
 
 An experiment whose log is there is run again with the log's references and open-loop voltages; one
 whose log is not gets an excitation that fits its use.
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,15 +19,13 @@ from strainwave.parameters import Values, read_parameters
 from strainwave.records import Experiment, FloatArray, Identification, Log, Prbs, Study
 from strainwave.simulation import (
     Drive,
+    Quantity,
     SensorNoise,
     build_arm,
     measure,
     parameter_vector,
     simulate,
 )
-
-if TYPE_CHECKING:
-    from strainwave._core import Quantity
 
 Progress = Callable[[str], None]
 
@@ -140,9 +137,7 @@ def simulate_study(
     return len(experiments)
 
 
-def demonstrate(
-    folder: Path, *, seed: int, progress: Progress
-) -> tuple[Identification, Values]:
+def demonstrate(folder: Path, *, seed: int, progress: Progress) -> tuple[Identification, Values]:
     """The main job on the built-in arm: simulate, identify from the files, report.
 
     Parameters
@@ -196,16 +191,14 @@ def derived(values: Values, study: Study) -> Values:
     return known
 
 
-def _plan(
-    study: Study, experiment: Experiment, values: Values, rng: np.random.Generator
-) -> _Plan:
+def _plan(study: Study, experiment: Experiment, values: Values, rng: np.random.Generator) -> _Plan:
     if study.log_path(experiment).exists():
         return _replay(study, experiment, logs.read_log(study, experiment))
     return _invent(study, experiment, values, rng)
 
 
 def _replay(study: Study, experiment: Experiment, log: Log) -> _Plan:
-    """The log's own references and open-loop voltages; a PRBS on top of a servo from its numbers."""
+    """The log's own references and open-loop voltages; a servoed joint's PRBS from its numbers."""
     voltage = np.zeros((len(log), study.n_joints))
     reference = np.zeros_like(voltage)
     for i in range(study.n_joints):

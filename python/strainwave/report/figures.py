@@ -6,6 +6,7 @@ the model always vermilion.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,13 @@ def torque_fit(prediction: Prediction, channel: int) -> Figure:
 
 
 def _line(
-    x: list[float | None], y: FloatArray, name: str, colour: str, *, dash: str = "solid", width: float = 1.5
+    x: list[float | None],
+    y: FloatArray,
+    name: str,
+    colour: str,
+    *,
+    dash: str = "solid",
+    width: float = 1.5,
 ) -> Figure:
     return {
         "type": "scattergl" if len(x) > MOST_POINTS else "scatter",
@@ -66,13 +73,13 @@ def _line(
 
 
 def _thinned(time: FloatArray, y: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
-    """Rows to draw: the lowest and highest of each bin, so that no peak is lost; NaN stays a gap."""
+    """Rows to draw: lowest and highest of each bin, so that no peak is lost; NaN stays a gap."""
     n = len(time)
     if n <= MOST_POINTS:
         return np.arange(n)
     edges = np.linspace(0, n, MOST_POINTS // 2 + 1).astype(np.intp)
     rows: list[int] = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         part = y[low:high]
         if np.isnan(part).all():
             rows.append(low)

@@ -29,7 +29,9 @@ def render(identification: Identification) -> str:
         _verdict(identification),
         _warnings(identification.warnings),
         _parameters(identification.parameters),
-        _predictions("How well the model explains what it was fitted to", identification.fitted, plots),
+        _predictions(
+            "How well the model explains what it was fitted to", identification.fitted, plots
+        ),
         _predictions("Records it never saw", identification.checks, plots),
         _making(identification),
     ]
@@ -66,7 +68,9 @@ def _verdict(identification: Identification) -> str:
     lines = []
     if identification.reason is not None:
         mark = "bad"
-        lines.append(f"<strong>Not everything could be told.</strong> {escape(identification.reason)}")
+        lines.append(
+            f"<strong>Not everything could be told.</strong> {escape(identification.reason)}"
+        )
     else:
         mark = "doubt" if identification.warnings else ""
         lines.append("<strong>Every parameter of the rigid model was found.</strong>")
@@ -77,9 +81,13 @@ def _verdict(identification: Identification) -> str:
             f"(fit of {escape(worst[2])} in “{escape(worst[1])}”)."
         )
     elif not identification.checks:
-        lines.append("No record was kept for checking: nothing here says how the model does on new data.")
+        lines.append(
+            "No record was kept for checking: nothing here says how the model does on new data."
+        )
     if identification.warnings:
-        lines.append(f"{len(identification.warnings)} warning(s) below: read them before the numbers.")
+        lines.append(
+            f"{len(identification.warnings)} warning(s) below: read them before the numbers."
+        )
     text = "".join(f"<p>{line}</p>" for line in lines)
     return f'<div class="verdict {mark}" role="status">{text}</div>'
 
@@ -112,7 +120,8 @@ def _parameters(parameters: tuple[Parameter, ...]) -> str:
         rows.append(
             f"<tr><td>{escape(p.name)}</td><td>{p.joint or 'arm'}</td>"
             f'<td class="number">{value}</td><td class="number">{spread}</td>'
-            f'<td class="number">{interval}</td><td>{escape(p.unit)}</td><td>{escape(p.stage)}</td></tr>'
+            f'<td class="number">{interval}</td><td>{escape(p.unit)}</td>'
+            f"<td>{escape(p.stage)}</td></tr>"
         )
     heads = ("parameter", "joint", "#value", "#± one sigma", "#95 % interval", "unit", "stage")
     return _table("Parameters", heads, "".join(rows))
@@ -131,13 +140,17 @@ def _predictions(
             fit = prediction.fit_percent.get(channel, float("nan"))
             label = f"{prediction.experiment}, {channel}: fit {fit:.2f} %"
             parts.append(f"<h3>{escape(label)}</h3>")
-            parts.append(f'<div class="figure" id="{name}" role="img" aria-label="{escape(label)}"></div>')
+            parts.append(
+                f'<div class="figure" id="{name}" role="img" aria-label="{escape(label)}"></div>'
+            )
     return "".join(parts)
 
 
 def _making(identification: Identification) -> str:
     study = identification.study
-    timing = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in identification.timing_s.items())
+    timing = ", ".join(
+        f"{name} {seconds:.2f} s" for name, seconds in identification.timing_s.items()
+    )
     facts = [
         ("study", str(study.path)),
         ("sha256", study.sha256),
