@@ -33,7 +33,12 @@ def rows() -> list[Row]:
         Row("a step of one arm", single, "C, gcc -O3 -march=native -ffast-math", c_single),
         Row("a step of one arm", single, "SciPy solve_ivp RK45, rtol 1e-6", _scipy()),
         Row("a step of one arm", single, "MuJoCo, RK4", _mujoco()),
-        Row(f"a step of an arm in a batch, {_cores()} cores", batch, "C, 16 side by side, 1 core", c_batch),
+        Row(
+            f"a step of an arm in a batch, {_cores()} cores",
+            batch,
+            "C, 16 side by side, 1 core",
+            c_batch,
+        ),
     ]
 
 
@@ -134,8 +139,10 @@ _MJCF = """
         <inertial pos="0.25 0 0" mass="9" diaginertia="0.08 0.08 0.08"/></body></body>
   </worldbody>
   <tendon>
-    <fixed stiffness="25000" damping="20"><joint joint="m1" coef="0.01"/><joint joint="l1" coef="-1"/></fixed>
-    <fixed stiffness="6100" damping="4"><joint joint="m2" coef="0.01"/><joint joint="l2" coef="-1"/></fixed>
+    <fixed stiffness="25000" damping="20">
+      <joint joint="m1" coef="0.01"/><joint joint="l1" coef="-1"/></fixed>
+    <fixed stiffness="6100" damping="4">
+      <joint joint="m2" coef="0.01"/><joint joint="l2" coef="-1"/></fixed>
   </tendon>
   <actuator><motor joint="m1" gear="0.08"/><motor joint="m2" gear="0.03"/></actuator>
 </mujoco>

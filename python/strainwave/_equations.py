@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave._filters import differentiate, low_pass
 from strainwave._friction import free_friction
-from strainwave._least_squares import Equations, Factor
+from strainwave._least_squares import Equations, Factor, IntArray
 from strainwave._regressor import (
     FRICTION_COLUMNS,
     body_regressor,
@@ -47,6 +47,7 @@ class Estimate:
     solution: FloatArray  # (n_parameters,)
     compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, not negative
     standing: tuple[FloatArray, ...]  # per record (n_samples, n_joints) free friction [N m]
+    motor_share: float = MOTOR_SHARE
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class Stretch:
 
     signals: Signals
     bandwidth_hz: float
-    rows: FloatArray  # (n_rows,) samples kept
+    rows: IntArray  # (n_rows,) samples kept
     keep: BoolArray  # (n_rows, n_joints)
     torque: FloatArray  # (n_rows, n_joints)
     friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
@@ -64,7 +65,7 @@ class Stretch:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Of the record [s]."""
         return len(self.signals.time) * self.signals.sample_time
 
 
@@ -93,10 +94,10 @@ def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
     keep, shapes, free = [], [], []
     for i in range(n_joints):
         keep.append(_clear_of(~signals.valid[:, i], int(reach / 2))[rows])
-        uncertain = np.count_nonzero(signals.direction[:, i] == 0.0)
+        uncertain = int(np.count_nonzero(signals.direction[:, i] == 0.0))
         spacing = max(2, round(reach / _KNOTS_PER_PERIOD), uncertain // _MOST_KNOTS)
         shapes.append(free_friction(signals.direction[:, i], spacing))
-        free.append(_filtered_shapes(shapes[i], rows, n_samples, bandwidth_hz, T))
+        free.append(_filtered_shapes(shapes[i], rows, bandwidth_hz, T))
     return Stretch(
         signals=signals,
         bandwidth_hz=bandwidth_hz,
@@ -109,9 +110,7 @@ def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
     )
 
 
-def assemble(
-    study: Study, stretches: Sequence[Stretch], around: Estimate | None
-) -> Equations:
+def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None) -> Equations:
     """The equations of all records and joints in one.
 
     Nuisance unknowns are the compliances of elastic joints, first, and the free friction. Blocks
@@ -176,7 +175,11 @@ def n_compliances(study: Study) -> int:
 
 
 def estimate_of(
-    study: Study, stretches: Sequence[Stretch], equations: Equations, factor: Factor
+    study: Study,
+    stretches: Sequence[Stretch],
+    equations: Equations,
+    factor: Factor,
+    motor_share: float = MOTOR_SHARE,
 ) -> Estimate:
     """What a solve says, as the point around which to build the next equations.
 
@@ -189,6 +192,7 @@ def estimate_of(
     stretches : sequence of Stretch
     equations : Equations
     factor : Factor
+    motor_share : float
 
     Returns
     -------
@@ -208,7 +212,7 @@ def estimate_of(
                 friction[first : first + len(shape), i] += factor.local[at] * shape
                 at += 1
         standing.append(friction)
-    return Estimate(factor.value, compliance, tuple(standing))
+    return Estimate(factor.value, compliance, tuple(standing), motor_share)
 
 
 def anti_resonances(study: Study, estimate: Estimate) -> FloatArray:
@@ -224,7 +228,7 @@ def anti_resonances(study: Study, estimate: Estimate) -> FloatArray:
     (n_joints,) [Hz]
         Infinite where the gear is rigid.
     """
-    inertia = np.maximum(_link_inertias(study, estimate.solution), 1e-300)
+    inertia = np.maximum(_link_inertias(study, estimate), 1e-300)
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / (2.0 * np.pi * np.sqrt(estimate.compliance * inertia)))
 
@@ -241,24 +245,24 @@ def _body_equations(
     if around is None or not elastic.any():
         phi = low_pass(body_regressor(study, q, dq, ddq), stretch.bandwidth_hz, T)[stretch.rows]
         return phi, np.zeros((len(phi), study.n_joints, 0)), stretch.torque
-    gear = _gear_torque(study, stretch, around.solution, around.standing[record])
+    gear = _gear_torque(study, stretch, around, around.standing[record])
     dgear = differentiate(gear, T)
     ddgear = differentiate(dgear, T)
     c = around.compliance
     phi = body_regressor(study, q - c * gear, dq - c * dgear, ddq - c * ddgear)
     # motors turn with the motors' acceleration, not the links'
     per_acceleration = n[0] if study.n_joints == 2 else 1.0 / n[0]
-    phi[:, 0, 0] += MOTOR_SHARE * per_acceleration * c[0] * ddgear[:, 0]
+    phi[:, 0, 0] += around.motor_share * per_acceleration * c[0] * ddgear[:, 0]
     if study.n_joints == 2:
         phi[:, 1, 1] = signals.motor_acceleration[:, 1]
-    lags = _mass_times(study, around.solution, q, ddgear) * elastic
+    lags = _mass_times(study, around, q, ddgear) * elastic
     both = low_pass(np.concatenate([phi, lags], axis=2), stretch.bandwidth_hz, T)[stretch.rows]
     phi, lags = both[:, :, : phi.shape[2]], both[:, :, phi.shape[2] :]
     return phi, lags, stretch.torque + lags @ c
 
 
 def _gear_torque(
-    study: Study, stretch: Stretch, solution: FloatArray, standing: FloatArray
+    study: Study, stretch: Stretch, around: Estimate, standing: FloatArray
 ) -> FloatArray:
     """Torque through each gear, link side: the motor's less friction and its own inertia's.
 
@@ -266,38 +270,42 @@ def _gear_torque(
     """
     signals = stretch.signals
     n = gear_ratios(study)
+    solution = around.solution
     viscous, coulomb, offset = solution[n_body(study) :].reshape(-1, FRICTION_COLUMNS).T
     friction = viscous * signals.motor_velocity + coulomb * signals.direction + offset + standing
     if study.n_joints == 2:
-        inertia = np.array([MOTOR_SHARE * solution[0] * n[0] ** 2, solution[1]])
+        inertia = np.array([around.motor_share * solution[0] * n[0] ** 2, solution[1]])
     else:
-        inertia = np.array([MOTOR_SHARE * solution[0]])
+        inertia = np.array([around.motor_share * solution[0]])
     net = signals.motor_torque - friction - inertia * signals.motor_acceleration
     return low_pass(net / n, 2.0 * stretch.bandwidth_hz, signals.sample_time)
 
 
 def _mass_times(
-    study: Study, solution: FloatArray, angle: FloatArray, ddgear: FloatArray
+    study: Study, around: Estimate, angle: FloatArray, ddgear: FloatArray
 ) -> FloatArray:
     """Motor torque per compliance, -n_i M_ij(q) ddT_j: (n_samples, n_joints, n_joints)."""
     n = gear_ratios(study)
     if study.n_joints == 1:
-        link = _link_inertias(study, solution)[0]
-        return -n[0] * link * ddgear[:, :, None]
-    alpha, beta, gamma = (1.0 - MOTOR_SHARE) * solution[0], solution[2], solution[3]
+        link = _link_inertias(study, around)[0]
+        return np.asarray(-n[0] * link * ddgear[:, :, None])
+    solution = around.solution
+    alpha, beta, gamma = (1.0 - around.motor_share) * solution[0], solution[2], solution[3]
     cos = np.cos(angle[:, 1])
     M = np.empty((len(angle), 2, 2))
     M[:, 0, 0] = alpha + beta + 2.0 * gamma * cos
     M[:, 0, 1] = M[:, 1, 0] = beta + gamma * cos
     M[:, 1, 1] = beta
-    return -n[:, None] * M * ddgear[:, None, :]
+    return np.asarray(-n[:, None] * M * ddgear[:, None, :])
 
 
-def _link_inertias(study: Study, solution: FloatArray) -> FloatArray:
+def _link_inertias(study: Study, around: Estimate) -> FloatArray:
     """Each link's own inertia with the arm stretched, link side: (n_joints,)."""
+    solution = around.solution
+    first = (1.0 - around.motor_share) * solution[0]
     if study.n_joints == 1:
-        return np.array([(1.0 - MOTOR_SHARE) * solution[0] / study.joints[0].gear_ratio ** 2])
-    first = (1.0 - MOTOR_SHARE) * solution[0] + solution[2] + 2.0 * solution[3]
+        return np.array([first / study.joints[0].gear_ratio ** 2])
+    first += solution[2] + 2.0 * solution[3]
     return np.array([first, solution[2]])
 
 
@@ -307,7 +315,7 @@ def _compliance_deviation(
     """Prior deviation of the compliances: the anti-resonance lies well above the bandwidth."""
     assert around is not None
     w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
-    inertia = np.abs(_link_inertias(study, around.solution))
+    inertia = np.abs(_link_inertias(study, around))
     return np.asarray(_STIFF / (np.maximum(inertia, 1e-300) * w**2))
 
 
@@ -347,18 +355,19 @@ def _clear_of(bad: BoolArray, reach: int) -> BoolArray:
 
 def _filtered_shapes(
     shapes: list[tuple[int, FloatArray]],
-    rows: FloatArray,
-    n_samples: int,
+    rows: IntArray,
     bandwidth_hz: float,
     T: float,
 ) -> FloatArray:
-    """Each shape through the low-pass, at the kept rows; filtered within its reach only."""
-    reach = int(3.0 / (bandwidth_hz * T))
+    """Each shape through the low-pass, at the kept rows: (n_rows, n_shapes)."""
+    reach = int(2.5 / (bandwidth_hz * T))  # the impulse response has then fallen below 1e-6
+    impulse = np.zeros(2 * reach + 1)
+    impulse[reach] = 1.0
+    kernel = low_pass(impulse, bandwidth_hz, T)
     result = np.zeros((len(rows), len(shapes)))
     for k, (first, shape) in enumerate(shapes):
-        begin, end = max(0, first - reach), min(n_samples, first + len(shape) + reach)
-        window = np.zeros(end - begin)
-        window[first - begin : first - begin + len(shape)] = shape
-        inside = (rows >= begin) & (rows < end)
-        result[inside, k] = low_pass(window, bandwidth_hz, T)[rows[inside] - begin]
+        response = np.convolve(shape, kernel)
+        at = rows - (first - reach)
+        inside = (at >= 0) & (at < len(response))
+        result[inside, k] = response[at[inside]]
     return result

@@ -6,6 +6,8 @@ leaves it true at the same instants. Everything here acts along the first axis.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from strainwave.records import FloatArray
@@ -36,12 +38,20 @@ def low_pass(signal: FloatArray, cutoff_hz: float, sample_time: float) -> FloatA
     """
     if cutoff_hz * sample_time >= 0.45:
         return signal
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfiltfilt
 
-    sections = butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * sample_time, output="sos")
+    sections = _sections(2.0 * cutoff_hz * sample_time)
     pad = min(len(signal) - 1, int(3.0 / (cutoff_hz * sample_time)))
     filtered: FloatArray = sosfiltfilt(sections, signal, axis=0, padlen=pad)
     return filtered
+
+
+@lru_cache(maxsize=64)
+def _sections(relative_cutoff: float) -> FloatArray:
+    from scipy.signal import butter
+
+    sections: FloatArray = butter(BUTTERWORTH_ORDER, relative_cutoff, output="sos")
+    return sections
 
 
 def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.records import BoolArray, FloatArray
 
 
 def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> FloatArray:
@@ -64,8 +64,8 @@ def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int,
     return runs
 
 
-def _stands(angle: FloatArray, resolution: float, standing: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Samples inside a window of `standing` samples over which the angle keeps within resolution."""
+def _stands(angle: FloatArray, resolution: float, standing: int) -> BoolArray:
+    """Samples inside a window of `standing` ones over which the angle keeps within resolution."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     width = max(2, standing)

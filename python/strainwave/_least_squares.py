@@ -61,11 +61,12 @@ class Factor:
 
 
 def factorise(equations: Equations, root: FloatArray) -> Factor:
-    """Weighted least squares by QR and SVD.
+    """Weighted least squares, the nuisance unknowns projected out, by QR and SVD.
 
-    QR of [local, shared, target] with the prior's rows below leaves, in the last rows of R, the
-    shared unknowns' equations free of the nuisance; their SVD tells which directions the data see:
-    those whose singular value exceeds what the regressor's own noise would make of it.
+    With the prior's rows below, [Z; I] z + [X; 0] x = [y; 0]. Projecting [X; 0] and [y; 0] off the
+    columns of [Z; I] leaves equations in x alone, solved by QR; nothing in x is squared. The SVD
+    of R tells which directions the data see: those whose singular value exceeds what the
+    regressor's own noise would make of it.
 
     Parameters
     ----------
@@ -77,31 +78,29 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     -------
     Factor
     """
-    from scipy.linalg import qr, solve_triangular
+    from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-    p, n_local = equations.shared.shape[1], equations.local.shape[1]
-    shared = equations.shared * root[:, None]
-    scale = np.linalg.norm(shared, axis=0)
+    p = equations.shared.shape[1]
+    X = equations.shared * root[:, None]
+    scale = np.linalg.norm(X, axis=0)
     scale[scale == 0.0] = 1.0
-    stacked = np.zeros((len(root) + n_local, n_local + p + 1))
-    stacked[: len(root), :n_local] = equations.local * (
-        root[:, None] * equations.local_deviation
-    )
-    stacked[: len(root), n_local:-1] = shared / scale
-    stacked[: len(root), -1] = equations.target * root
-    stacked[len(root) :, :n_local] = np.eye(n_local)
-    Q, R = qr(stacked, mode="economic", overwrite_a=True, check_finite=False)
-    leverage = np.sum(Q[: len(root), :-1] ** 2, axis=1)
-    rows = slice(n_local, n_local + p)
-    U, s, Vt = np.linalg.svd(R[rows, rows])
+    Xy = np.column_stack([X / scale, equations.target * root])
+    Z = equations.local * (root[:, None] * equations.local_deviation)
+    gram = Z.T @ Z
+    gram[np.diag_indices_from(gram)] += 1.0
+    lower, _ = chol = cho_factor(gram, lower=True)
+    taken = cho_solve(chol, Z.T @ Xy)
+    Q, R = np.linalg.qr(np.vstack([Xy - Z @ taken, -taken]))
+    U, s, Vt = np.linalg.svd(R[:p, :p])
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
-    x = Vt[seen].T @ ((U[:, seen].T @ R[rows, -1]) / s[seen])
-    z = solve_triangular(R[:n_local, :n_local], R[:n_local, -1] - R[:n_local, rows] @ x)
+    x = Vt[seen].T @ ((U[:, seen].T @ R[:p, -1]) / s[seen])
+    leverage = np.sum(Q[: len(root), :p] ** 2, axis=1)
+    leverage += np.sum(solve_triangular(lower, Z.T, lower=True, check_finite=False) ** 2, axis=0)
     return Factor(
         root=root,
         value=x / scale,
-        local=z * equations.local_deviation,
+        local=(taken[:, -1] - taken[:, :p] @ x) * equations.local_deviation,
         scale=scale,
         singular=s,
         directions=Vt,
@@ -140,7 +139,7 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
         size = np.abs(residual[telling]) / np.sqrt(np.clip(free[telling], _TELLING, None))
         # where the model is exact the bulk is rounding: keep the weights finite
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
-        deviation = max(1.4826 * float(np.median(size)), 1e-9 * rms, 1e-300)
+        deviation = max(1.4826 * float(np.median(size)), 1e-6 * rms, 1e-300)
         standard = np.abs(residual[rows]) / deviation
         root[rows] = np.sqrt(HUBER / np.maximum(standard, HUBER)) / deviation
     return root

@@ -104,35 +104,3 @@ def body_regressor(
     base = [names.index(name) for name in ("alpha", "beta", "gamma")]
     base += [names.index(f"gravity_torque_{i}") for i in (1, 2) if study.arm.gravity is not None]
     return np.concatenate([phi[:, :, base[:1]], motor, phi[:, :, base[1:]]], axis=2)
-
-
-def predict_torque(
-    study: Study,
-    solution: FloatArray,
-    angle: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    direction: FloatArray,
-) -> FloatArray:
-    """Motor torques of the rigid model.
-
-    Parameters
-    ----------
-    study : Study
-    solution : (n_parameters,)
-        As in `columns_of`.
-    angle, velocity, acceleration : (n_samples, n_joints)
-        Of the motors.
-    direction : (n_samples, n_joints)
-        sgn(dq), or what stands for it where the motor may stand.
-
-    Returns
-    -------
-    (n_samples, n_joints) [N m]
-    """
-    n = gear_ratios(study)
-    first = n_body(study)
-    phi = body_regressor(study, angle * n, velocity * n, acceleration * n)
-    viscous, coulomb, offset = solution[first:].reshape(study.n_joints, FRICTION_COLUMNS).T
-    torque: FloatArray = phi @ solution[:first] + viscous * velocity + coulomb * direction + offset
-    return torque

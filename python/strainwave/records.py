@@ -203,6 +203,7 @@ class RigidModel:
     """The rigid-joint arm (5)-(7) as estimated."""
 
     parameters: tuple[Parameter, ...]
+    solution: FloatArray  # (n_parameters,) their values, of least norm where not determined
     covariance: FloatArray  # (n_parameters, n_parameters), order of `parameters`; NaN where unknown
     condition_number: float  # of the column-scaled, weighted regressor
     fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
@@ -236,6 +237,7 @@ class Prediction:
     measured: FloatArray  # (n_samples, n_channels)
     predicted: FloatArray  # (n_samples, n_channels)
     fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
+    unfiltered_fit_percent: Mapping[str, float] = field(default_factory=dict)  # with y as logged
 
 
 # --- state-space models -------------------------------------------------------------------------

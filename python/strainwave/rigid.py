@@ -10,29 +10,36 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from strainwave import _least_squares as ls
 from strainwave._equations import (
+    MOTOR_SHARE,
     Estimate,
     Stretch,
     anti_resonances,
     assemble,
+    decimation,
     estimate_of,
     n_compliances,
-    decimation,
     prepare,
 )
+from strainwave._prediction import band_prediction
 from strainwave._regressor import columns_of
-from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.errors import NotIdentifiable
 from strainwave.records import BoolArray, FloatArray, Parameter, RigidModel, Signals, Study, Warning
 
 _ROUNDS = 20
 _CONVERGED = 0.02  # change in white-error deviations, which are the smallest there are
-_STEP = 2.0**0.5  # between bandwidths tried
+_STEP = 2.0**0.5  # between bandwidths tried; twice as wide where nothing is elastic
 _GAIN = np.log(1.1)  # a deviation's change that counts; the jackknife knows it no better
 _FRUITLESS = 3  # bandwidths without gain that end the search
+OTHER_SHARE = 0.3  # of the motor in the first inertia
+_MUCH_STANDING = 0.3  # share of a record
+_POOR = 300.0  # condition number; good motion gives 10 to 50
+_REMEDY = "record both joints moving together, in both directions, at varied speeds and postures"
 _BELOW_RESONANCE = 3.0  # anti-resonance over bandwidth from which first order suffices
 
 
@@ -83,14 +90,13 @@ def fit(
     Raises
     ------
     NotIdentifiable
-        There is no record, or none in which a joint moves.
+        There is no record, or no sample of any that may be used.
     """
     chosen = options or RigidOptions()
     if not signals:
         raise NotIdentifiable(
-            "the rigid step needs a record with use = \"motion\": slow, smooth motion of all joints"
+            'the rigid step needs a record with use = "motion": slow, smooth motion of all joints'
         )
-    _check_motion(signals)
     if chosen.bandwidth_hz is not None:
         trials = [_trial(signals, study, chosen.bandwidth_hz, None)]
     else:
@@ -98,7 +104,7 @@ def fit(
     best = _choose(trials, study)
     remainder = _scatter(trials, best) + _elastic_remainder(signals, study, best)
     covariance = best.covariance + np.diag(remainder)
-    return _model(study, signals, best, covariance)
+    return _model(study, best, covariance)
 
 
 def _search(signals: Sequence[Signals], study: Study) -> list[_Trial]:
@@ -106,9 +112,10 @@ def _search(signals: Sequence[Signals], study: Study) -> list[_Trial]:
     trials: list[_Trial] = []
     least, since = np.full(len(columns_of(study)), np.inf), 0
     around: Estimate | None = None
-    for bandwidth in _bandwidths(signals):
+    stiff = n_compliances(study) == 0
+    for bandwidth in _bandwidths(signals, _STEP ** (2 if stiff else 1)):
         trial = _trial(signals, study, bandwidth, around)
-        if trials and bandwidth > _surely_elastic(study, trial):
+        if len(trials) >= _FRUITLESS and bandwidth > _surely_elastic(study, trial):
             break
         trials.append(trial)
         around = trial.estimate
@@ -129,15 +136,15 @@ def _surely_elastic(study: Study, trial: _Trial) -> float:
     return float(np.min(anti_resonances(study, sure))) / _BELOW_RESONANCE
 
 
-def _bandwidths(signals: Sequence[Signals]) -> Iterator[float]:
+def _bandwidths(signals: Sequence[Signals], step: float) -> Iterator[float]:
     """From where nine tenths of the motion's power lie below, up to half the signals' own."""
     top = min(s.bandwidth_hz or 0.5 / s.sample_time for s in signals) / 2.0
     shortest = min(len(s.time) * s.sample_time for s in signals)
-    bandwidth = max(max(_motion_band(s) for s in signals), 8.0 / shortest)
+    bandwidth = max([8.0 / shortest, *(_motion_band(s) for s in signals)])
     bandwidth = min(bandwidth, top)
     while bandwidth <= top:
         yield bandwidth
-        bandwidth *= _STEP
+        bandwidth *= step
 
 
 def _motion_band(signals: Signals) -> float:
@@ -154,7 +161,11 @@ def _motion_band(signals: Signals) -> float:
 
 
 def _trial(
-    signals: Sequence[Signals], study: Study, bandwidth_hz: float, around: Estimate | None
+    signals: Sequence[Signals],
+    study: Study,
+    bandwidth_hz: float,
+    around: Estimate | None,
+    motor_share: float = MOTOR_SHARE,
 ) -> _Trial:
     """Fit at one bandwidth: parameters, compliances and weights in turn until nothing moves."""
     stretches = tuple(prepare(s, bandwidth_hz) for s in signals)
@@ -167,11 +178,9 @@ def _trial(
         settled = (
             rounds > 1
             and around is not None
-            and np.all(
-                np.abs(factor.value - around.solution) <= _CONVERGED * factor.deviation
-            )
+            and np.all(np.abs(factor.value - around.solution) <= _CONVERGED * factor.deviation)
         )
-        around = estimate_of(study, stretches, equations, factor)
+        around = estimate_of(study, stretches, equations, factor, motor_share)
         if settled:
             break
         root = ls.root_weights(equations, factor)
@@ -191,13 +200,12 @@ def _trial(
     )
 
 
-def _elastic_remainder(
-    signals: Sequence[Signals], study: Study, best: _Trial
-) -> FloatArray:
-    """Variance from elasticity beyond first order.
+def _elastic_remainder(signals: Sequence[Signals], study: Study, best: _Trial) -> FloatArray:
+    """Variance from what the first order of elasticity leaves out.
 
-    The compliances moved the parameters by some amount, in first order of (w / w_a)^2; what the
-    next order would move them by is taken as that amount times (bandwidth / anti-resonance)^2.
+    Two things: the motor's share of the first inertia, taken as one half, is changed to what is
+    about a standard deviation away; and the next order in (w / w_a)^2 is taken to move the
+    parameters by what the first order did, times (bandwidth / anti-resonance)^2.
 
     Returns
     -------
@@ -206,10 +214,12 @@ def _elastic_remainder(
     ratio = best.bandwidth_hz / float(np.min(anti_resonances(study, best.estimate)))
     if ratio == 0.0:
         return np.zeros(len(best.covariance))
+    here = best.estimate.solution
     stiff = replace(study, joints=tuple(replace(j, spring="rigid") for j in study.joints))
     rigid = _trial(signals, stiff, best.bandwidth_hz, best.estimate)
-    moved = best.estimate.solution - rigid.estimate.solution
-    return np.asarray((moved * ratio**2) ** 2)
+    other = _trial(signals, study, best.bandwidth_hz, best.estimate, OTHER_SHARE)
+    next_order = (here - rigid.estimate.solution) * ratio**2
+    return np.asarray(next_order**2 + (here - other.estimate.solution) ** 2)
 
 
 def _choose(trials: Sequence[_Trial], study: Study) -> _Trial:
@@ -232,7 +242,8 @@ def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
     """Variance from model error that shows as dependence on the bandwidth.
 
     Were the model exact, every bandwidth would give the same values within their deviations; what
-    the neighbours, within a factor of about two, differ by beyond those is what it lacks.
+    the neighbours, within a factor of about two, differ by beyond those is what it lacks. The
+    median, because a trial at a low bandwidth may see too little to be any guide.
 
     Returns
     -------
@@ -245,4 +256,119 @@ def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
         for t in trials
         if t is not best and 0.45 <= t.bandwidth_hz / best.bandwidth_hz <= 2.1
     ]
-    return np.mean(excess, axis=0) if excess else np.zeros(len(best.covariance))
+    return np.median(excess, axis=0) if excess else np.zeros(len(best.covariance))
+
+
+def _model(study: Study, best: _Trial, covariance: FloatArray) -> RigidModel:
+    """The record of a fit: what was not told becomes None."""
+    columns = columns_of(study)
+    told = best.determined
+    deviation = np.sqrt(np.diag(covariance))
+    n_blocks = len(np.unique(best.equations.block))
+    reach = _student(n_blocks - 1)
+    parameters = []
+    for k, column in enumerate(columns):
+        value, std = float(best.estimate.solution[k]), float(deviation[k])
+        parameters.append(
+            Parameter(
+                name=column.name,
+                joint=column.joint,
+                value=value if told[k] else None,
+                std=std if told[k] else None,
+                unit=column.unit,
+                stage="rigid",
+                ci95=(value - reach * std, value + reach * std) if told[k] else None,
+            )
+        )
+    status: Literal["determined", "partly-determined", "not-identifiable"] = "not-identifiable"
+    if told.any():
+        status = "determined" if told.all() else "partly-determined"
+    unknown = np.where(told, 1.0, np.nan)
+    return RigidModel(
+        parameters=tuple(parameters),
+        solution=best.estimate.solution,
+        covariance=covariance * np.outer(unknown, unknown),
+        condition_number=best.factor.condition_number,
+        fit_percent={s.signals.experiment.name: _fits(study, best, s) for s in best.stretches},
+        bandwidth_hz=best.bandwidth_hz,
+        decimation=max(
+            decimation(s.signals.sample_time, best.bandwidth_hz) for s in best.stretches
+        ),
+        n_rows=len(best.equations.target),
+        status=status,
+        warnings=tuple(_warnings(study, best)),
+    )
+
+
+def _student(degrees: int) -> float:
+    """Half width of a 95 % interval in deviations, for a deviation from so many differences."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(1, degrees), 0.975))
+
+
+def _fits(study: Study, best: _Trial, stretch: Stretch) -> dict[str, float]:
+    """Fit of each torque of a fitted record, within the model's band."""
+    fitted = band_prediction(study, best.estimate.solution, stretch.signals, best.bandwidth_hz)
+    return dict(zip(stretch.signals.torque_channel, fitted.fit_percent.tolist(), strict=True))
+
+
+def _warnings(study: Study, best: _Trial) -> Iterator[Warning]:
+    """What the reader must know: unknowns not told, motors that stand, motion too fast."""
+    columns = columns_of(study)
+    names = ", ".join(s.signals.experiment.name for s in best.stretches)
+    for k, column in enumerate(columns):
+        if not best.determined[k]:
+            yield Warning("not-identifiable", str(column), _why(study, best, k))
+    for stretch in best.stretches:
+        stands = (stretch.signals.direction == 0.0).mean(axis=0)
+        for i, share in enumerate(stands):
+            if share > _MUCH_STANDING:
+                text = f"motor {i + 1} may stand for {100.0 * share:.0f} % of the record, which"
+                text += " then tells nothing of its friction; move faster, reverse less often"
+                yield Warning("standing", stretch.signals.experiment.name, text)
+    if best.factor.condition_number > _POOR and best.determined.all():
+        weak = np.abs(best.factor.directions[-1])
+        involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weak > 0.3))
+        text = f"condition number {best.factor.condition_number:.0f}: the records hardly tell apart"
+        yield Warning("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
+    for k, column in enumerate(columns):
+        positive = not column.name.startswith(("gravity", "friction_offset"))
+        value, std = best.estimate.solution[k], np.sqrt(best.covariance[k, k])
+        if best.determined[k] and positive and value + 2.0 * std < 0.0:
+            text = f"{value:.3g} {column.unit} is negative beyond its uncertainty: the records show"
+            text += " something that a rigid arm with Coulomb and viscous friction is not"
+            yield Warning("implausible", str(column), text)
+    limit = _surely_elastic(study, best)
+    if best.bandwidth_hz > limit:
+        text = f"the gears' compliance shows at {_BELOW_RESONANCE * limit:.1f} Hz, too near to the"
+        text += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
+        yield Warning("not-rigid", names, text)
+
+
+def _why(study: Study, best: _Trial, unknown: int) -> str:
+    """Why one parameter could not be told, and what to record."""
+    columns = columns_of(study)
+    column = columns[unknown]
+    joint = column.joint
+    moving = [s.signals.direction for s in best.stretches]
+    if joint is not None:
+        directions = np.concatenate([d[:, joint - 1] for d in moving])
+        if not np.any(directions):
+            return f"joint {joint} does not move; record a motion in which it does"
+        one_way = not (np.any(directions > 0.0) and np.any(directions < 0.0))
+        if one_way and column.name in ("motor_coulomb_friction", "friction_offset"):
+            text = f"joint {joint} moves in one direction only, so that Coulomb friction and offset"
+            return f"{text} cannot be told apart; record motion in both directions"
+    still = [str(i + 1) for i in range(study.n_joints) if not any(np.any(d[:, i]) for d in moving)]
+    if still:
+        return f"joint {', '.join(still)} does not move; {_REMEDY}"
+    others = [str(columns[k]) for k in _companions(best, unknown)]
+    if others:
+        return f"these records cannot tell it from {', '.join(others)}; {_REMEDY}"
+    return f"these records hardly depend on it; {_REMEDY}"
+
+
+def _companions(best: _Trial, unknown: int) -> list[int]:
+    """Unknowns that may trade against one without the data noticing."""
+    return [k for k in ls.companions(best.factor, unknown) if not best.determined[k]]

@@ -1,4 +1,4 @@
-"""Log -> motor-side Signals: torque, angle, velocity, acceleration through one zero-phase filter."""
+"""Log -> motor-side Signals: torque, angle and its derivatives through one zero-phase filter."""
 
 from __future__ import annotations
 
@@ -190,11 +190,13 @@ def _saturation(
 def _flat_tops(signal: FloatArray) -> BoolArray:
     """Runs of at least `_FLAT` equal samples at the largest or the smallest value.
 
-    A drive's limits lie far from zero: a joint left without torque is not at one.
+    A drive's limits lie far from zero: a joint left without torque is not at one, nor is a constant.
     """
     flat = np.zeros(len(signal), dtype=bool)
+    if signal.max() == signal.min():
+        return flat
     for extreme in (signal.max(), signal.min()):
-        if abs(extreme) < 0.8 * np.abs(signal).max():
+        if abs(extreme) <= 0.8 * np.abs(signal).max():
             continue
         at = np.r_[False, signal == extreme, False]
         for start, stop in np.flatnonzero(np.diff(at.astype(np.int8))).reshape(-1, 2).tolist():

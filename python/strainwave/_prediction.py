@@ -1,0 +1,146 @@
+"""What the rigid model says the motor torques are, and how well that fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave._filters import low_pass
+from strainwave._regressor import FRICTION_COLUMNS, body_regressor, gear_ratios, n_body
+from strainwave.records import BoolArray, FloatArray, Signals, Study
+
+_MOSTLY = 0.5  # share of standing from which a fit says nothing of the model
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Measured and predicted motor torques through one filter, edges cut."""
+
+    time: FloatArray  # (n_rows,)
+    measured: FloatArray  # (n_rows, n_joints) [N m]
+    predicted: FloatArray  # (n_rows, n_joints) [N m]
+    fit_percent: FloatArray  # (n_joints,) NaN for a motor that mostly stands: nothing was predicted
+
+
+def fit_percent(measured: FloatArray, predicted: FloatArray) -> FloatArray:
+    """100 (1 - |y - yhat| / |y - mean(y)|), per column.
+
+    Parameters
+    ----------
+    measured, predicted : (n_samples, n_channels)
+
+    Returns
+    -------
+    (n_channels,)
+        NaN for a channel that does not vary.
+    """
+    spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
+    error = np.linalg.norm(measured - predicted, axis=0)
+    return np.asarray(
+        100.0 * (1.0 - np.divide(error, spread, out=np.full_like(error, np.nan), where=spread > 0))
+    )
+
+
+def band_prediction(
+    study: Study, solution: FloatArray, signals: Signals, model_hz: float, *, filtered: bool = True
+) -> Band:
+    """Predict a record's torques from its motion.
+
+    Parameters
+    ----------
+    study : Study
+    solution : (n_parameters,)
+        As in `columns_of`.
+    signals : Signals
+    model_hz : float [Hz]
+        Bandwidth in which the model was estimated.
+    filtered : bool
+        Both torques pass that band's filter; or else the measured one is as logged and the
+        predicted one as wide as the signals are.
+
+    Returns
+    -------
+    Band
+    """
+    T = signals.sample_time
+    bridge = int(0.5 / (model_hz * T))
+    torque = predict_torque(study, solution, signals, bridge)
+    if filtered:
+        torque = low_pass(torque, model_hz, T)
+        measured = low_pass(signals.motor_torque, model_hz, T)
+    else:
+        measured = signals.unfiltered_torque
+    edge = int(1.0 / (model_hz * T))
+    inside = slice(edge, len(signals.time) - edge)
+    stands = standing(signals.direction[inside], bridge).mean(axis=0)
+    fit = np.where(stands > _MOSTLY, np.nan, fit_percent(measured[inside], torque[inside]))
+    return Band(signals.time[inside], measured[inside], torque[inside], fit)
+
+
+def predict_torque(
+    study: Study, solution: FloatArray, signals: Signals, longest_bridge: int
+) -> FloatArray:
+    """Motor torques of the rigid model for a motion.
+
+    In a brief reversal Coulomb friction runs straight from one direction to the other. A motor that
+    stands for longer takes any torque within +-f of the rest: the model then predicts that set, and
+    its member next to the measured torque is returned, so that the difference is the distance from
+    the set.
+
+    Parameters
+    ----------
+    study : Study
+    solution : (n_parameters,)
+    signals : Signals
+    longest_bridge : int
+        Samples up to which a stretch of uncertain direction is a reversal.
+
+    Returns
+    -------
+    (n_samples, n_joints) [N m]
+    """
+    n = gear_ratios(study)
+    first = n_body(study)
+    phi = body_regressor(
+        study,
+        signals.motor_angle * n,
+        signals.motor_velocity * n,
+        signals.motor_acceleration * n,
+    )
+    viscous, coulomb, offset = solution[first:].reshape(study.n_joints, FRICTION_COLUMNS).T
+    rest = phi @ solution[:first] + viscous * signals.motor_velocity + offset
+    direction = np.column_stack([_bridged(d) for d in signals.direction.T])
+    torque: FloatArray = rest + coulomb * direction
+    held = rest + np.clip(signals.motor_torque - rest, -abs(coulomb), abs(coulomb))
+    stands = standing(signals.direction, longest_bridge)
+    return np.where(stands, held, torque)
+
+
+def standing(direction: FloatArray, longest_bridge: int) -> BoolArray:
+    """Samples in stretches of uncertain direction longer than a reversal.
+
+    Parameters
+    ----------
+    direction : (n_samples, n_joints)
+    longest_bridge : int
+        Samples.
+
+    Returns
+    -------
+    (n_samples, n_joints)
+    """
+    result = np.zeros(direction.shape, dtype=bool)
+    for i, column in enumerate(direction.T):
+        edges = np.flatnonzero(np.diff(np.r_[False, column == 0.0, False].astype(np.int8)))
+        for start, stop in edges.reshape(-1, 2).tolist():
+            result[start:stop, i] = stop - start > longest_bridge
+    return result
+
+
+def _bridged(direction: FloatArray) -> FloatArray:
+    """Directions with the uncertain stretches bridged by straight lines, zero if none is known."""
+    known = np.flatnonzero(direction)
+    if not known.size:
+        return direction
+    return np.interp(np.arange(len(direction)), known, direction[known])

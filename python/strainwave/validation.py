@@ -1,0 +1,57 @@
+"""Rigid model and a record -> Prediction: what its torques should have been."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave._prediction import band_prediction
+from strainwave.errors import NotIdentifiable
+from strainwave.records import Prediction, RigidModel, Signals, Study
+
+
+def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Prediction:
+    """Predict a record's drive signals from its motion with the rigid model.
+
+    The motion is the record's own, measured; only the torques are predicted. `fit_percent` is that
+    within the model's bandwidth, which is as far as a rigid model claims to hold;
+    `unfiltered_fit_percent` compares with the torques as logged, noise and vibration included.
+    Both are NaN for a motor that stands for most of the record. Where a motor stands for a while,
+    the model predicts a set of torques, and the member next to the measured one is returned.
+
+    Parameters
+    ----------
+    model : RigidModel
+    signals : Signals
+        From `signals.motor_side`.
+    study : Study
+
+    Returns
+    -------
+    Prediction
+        Channels as logged: torques, or voltages where those were logged.
+
+    Raises
+    ------
+    NotIdentifiable
+        The model has no determined parameter at all.
+    """
+    if model.status == "not-identifiable":
+        raise NotIdentifiable("a rigid model without a single known parameter predicts nothing")
+    band = band_prediction(study, model.solution, signals, model.bandwidth_hz)
+    full = band_prediction(study, model.solution, signals, model.bandwidth_hz, filtered=False)
+    names = signals.torque_channel
+    per_channel = np.array(
+        [
+            (joint.torque_per_volt or 1.0) if name.startswith("u") else 1.0
+            for name, joint in zip(names, study.joints, strict=True)
+        ]
+    )
+    return Prediction(
+        experiment=signals.experiment.name,
+        time=band.time,
+        channels=names,
+        measured=band.measured / per_channel,
+        predicted=band.predicted / per_channel,
+        fit_percent=dict(zip(names, band.fit_percent.tolist(), strict=True)),
+        unfiltered_fit_percent=dict(zip(names, full.fit_percent.tolist(), strict=True)),
+    )

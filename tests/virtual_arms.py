@@ -1,0 +1,156 @@
+"""Arms with known parameters, and the logs and signals their motions give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from strainwave import excitation, scara, simulation
+from strainwave.parameters import Values
+from strainwave.records import (
+    Arm,
+    Experiment,
+    FloatArray,
+    Joint,
+    Log,
+    Signals,
+    Study,
+)
+
+MOTION = Experiment("motion", "motion.csv", "motion", ("servo", "servo"))
+DRIVE = Experiment("drive", "drive.csv", "motion", ("servo",))
+CLOCK = 1e-3
+
+
+def rigid_two_link(gravity: float | None = None) -> Study:
+    """The built-in rig with rigid gears."""
+    study = scara.study(Path("nowhere"), "rigid")
+    return replace(study, arm=replace(study.arm, gravity=gravity))
+
+
+def rigid_drive(gravity: float | None = None) -> Study:
+    """One rigid revolute joint whose torque is logged."""
+    joint = Joint(spring="rigid", gear_ratio=0.5)
+    return Study(Path("nowhere"), "", Arm("single-joint", gravity=gravity), (joint,), (DRIVE,))
+
+
+def values_of(study: Study, seed: int) -> Values:
+    """The built-in rig's parameters, each changed by up to a factor of about two."""
+    rng = np.random.default_rng(seed)
+    spring = study.joints[0].spring
+    values = scara.parameters(int(rng.integers(0, 6)), spring)
+    for (name, joint), value in values.items():
+        if joint is not None and name != "friction_offset" and "knee" not in name:
+            values[name, joint] = value * float(np.exp(rng.uniform(-0.5, 0.5)))
+    for joint in (1, 2):
+        offset = 0.05 * values["motor_coulomb_friction", joint] * rng.normal()
+        values["friction_offset", joint] = float(offset)
+    if study.arm.gravity is not None:
+        values["gravity_torque_1", None] = 31.0 * float(rng.uniform(0.7, 1.2))
+        values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
+    return values
+
+
+def rigid_truth(study: Study, values: Values) -> Values:
+    """What the rigid model should find."""
+    truth = dict(values)
+    n = study.joints[0].gear_ratio
+    truth["rigid_inertia", 1] = values["alpha", None] + values["motor_inertia", 1] / n**2
+    for number, joint in enumerate(study.joints, start=1):
+        link = joint.gear_ratio**2 * values["link_viscous_friction", number]
+        total = values["motor_viscous_friction", number] + link
+        truth["total_viscous_friction", number] = total
+    return truth
+
+
+def motion_log(study: Study, values: Values, seed: int, duration: float = 10.0) -> Log:
+    """A servoed, smooth motion of both joints, as the drive and the encoders log it."""
+    rng = np.random.default_rng(1000 + seed)
+    reference = np.column_stack(
+        [
+            excitation.smooth_motion(
+                duration=duration,
+                clock=CLOCK,
+                top_hz=1.4,
+                excursion=100.0,
+                speed=150.0,
+                rng=rng,
+            )
+            for _ in range(2)
+        ]
+    )
+    start, held = (0.0, 0.0), (0.0, 0.0)
+    if study.arm.gravity is not None:
+        start = (-80.0, 50.0)
+        q1, q2 = (n.gear_ratio * q for n, q in zip(study.joints, start, strict=True))
+        g2 = values["gravity_torque_2", None] * np.cos(q1 + q2)
+        g1 = values["gravity_torque_1", None] * np.cos(q1) + g2
+        held = tuple(
+            joint.gear_ratio * g / (joint.torque_per_volt or 1.0)
+            for joint, g in zip(study.joints, (g1, g2), strict=True)
+        )
+    drive = simulation.Drive(
+        tick=CLOCK,
+        voltage=np.tile(held, (len(reference), 1)),
+        reference=reference,
+        servo=(True, True),
+        motor_angle=start,
+        initial_voltage=held,
+    )
+    run = simulation.simulate(
+        study,
+        values,
+        drive,
+        sample_time=CLOCK,
+        samples=len(reference),
+        record=["voltage", "encoder"],
+    )
+    channels = {}
+    for i in range(2):
+        channels[f"u{i + 1}"] = np.ascontiguousarray(run["voltage"][:, i])
+        channels[f"theta_m{i + 1}"] = np.ascontiguousarray(run["encoder"][:, i])
+    return Log(MOTION, run.time, CLOCK, channels)
+
+
+def exact_motion(
+    n_joints: int, seed: int, duration: float = 12.0, amplitude: float = 30.0
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Time, and motor angle, velocity and acceleration of a multisine: exact, no filter."""
+    rng = np.random.default_rng(seed)
+    time: FloatArray = CLOCK * np.arange(round(duration / CLOCK), dtype=np.float64)
+    frequency = 2.0 * np.pi * np.array([0.17, 0.43, 0.71, 1.1])[:, None]
+    angle, velocity, acceleration = (np.zeros((len(time), n_joints)) for _ in range(3))
+    for i in range(n_joints):
+        size = amplitude * rng.uniform(0.5, 1.0, (4, 1)) / np.array([1, 2, 3, 5])[:, None]
+        phase = frequency * time + rng.uniform(0.0, 2.0 * np.pi, (4, 1))
+        angle[:, i] = np.sum(size * np.sin(phase), axis=0)
+        velocity[:, i] = np.sum(size * frequency * np.cos(phase), axis=0)
+        acceleration[:, i] = -np.sum(size * frequency**2 * np.sin(phase), axis=0)
+    return time, angle, velocity, acceleration
+
+
+def exact_signals(
+    motion: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    torque: FloatArray,
+    direction: FloatArray | None = None,
+) -> Signals:
+    """Signals with nothing lost: the angles have no noise and the direction is certain."""
+    time, angle, velocity, acceleration = motion
+    n_joints = angle.shape[1]
+    return Signals(
+        experiment=MOTION if n_joints == 2 else DRIVE,
+        time=time,
+        sample_time=CLOCK,
+        motor_torque=torque,
+        motor_angle=angle,
+        motor_velocity=velocity,
+        motor_acceleration=acceleration,
+        direction=np.sign(velocity) if direction is None else direction,
+        bandwidth_hz=100.0,
+        angle_noise=np.zeros(n_joints),
+        valid=np.ones(angle.shape, dtype=bool),
+        unfiltered_torque=torque,
+        torque_channel=tuple(f"torque{i + 1}" for i in range(n_joints)),
+    )
