@@ -45,7 +45,7 @@ def test_multisine_excites_its_lines_alike_and_no_others() -> None:
 
 
 def test_schroeder_phases_keep_the_crest_low() -> None:
-    u = excitation.multisine(np.arange(1, 101), period=1.0, clock=1e-3, periods=1, peak=1.0)
+    u = excitation.multisine(np.arange(1.0, 101.0), period=1.0, clock=1e-3, periods=1, peak=1.0)
     crest = np.abs(u).max() / np.sqrt(np.mean(u**2))
     assert crest < 2.0  # Schroeder's flat multisines sit near 1.7; equal phases give 14
 

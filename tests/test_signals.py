@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave import scara, signals
-from strainwave._filters import differentiate, low_pass, noise_deviation, signal_band
-from strainwave._friction import free_friction, sliding_direction
 from strainwave.errors import InvalidInput
+from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
 from strainwave.records import FloatArray, Log
+from strainwave.stiction import free_friction, sliding_direction
 from virtual_arms import CLOCK, DRIVE, motion_log, rigid_drive
 
 TIME: FloatArray = CLOCK * np.arange(8000, dtype=np.float64)

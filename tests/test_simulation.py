@@ -9,9 +9,10 @@ import pytest
 
 from strainwave import logs, scara, virtual
 from strainwave.errors import InvalidInput
-from strainwave.parameters import read_parameters
+from strainwave.parameters import Values, read_parameters
 from strainwave.records import Experiment, FloatArray, Prbs, Study
 from strainwave.simulation import (
+    Quantity,
     Drive,
     SensorNoise,
     build_arm,
@@ -36,7 +37,9 @@ def fit(measured: FloatArray, simulated: FloatArray) -> float:
 
 def test_a_constant_voltage_accelerates_the_whole_arm() -> None:
     study, values = scara.study(Path()), scara.parameters()
-    run = simulate(study, values, drive(2001), sample_time=1e-3, samples=2001, record=["link_angle"])
+    run = simulate(
+        study, values, drive(2001), sample_time=1e-3, samples=2001, record=["link_angle"]
+    )
     # Motor 1 pulls with 0.24 N m less 0.06 N m friction, a hundredfold at the link: it has swung.
     assert run["link_angle"][-1, 0] > 1.0
     assert run.time[-1] == pytest.approx(2.0)
@@ -57,11 +60,12 @@ def test_the_parameters_of_an_arm_go_by_name() -> None:
 
 def test_an_impossible_arm_is_refused_by_name() -> None:
     study = scara.study(Path())
-    for change, said in [
+    cases: list[tuple[Values, str]] = [
         ({("motor_inertia", 1): -1.0}, "motor_inertia of joint 1 is -1, but must be positive"),
         ({("gamma", None): 5.0}, "gamma is 5, but must be smaller"),
         ({("gear_knee_t2", 1): 1.0}, "gear_knee_t2 of joint 1 is 1, but must be above"),
-    ]:
+    ]
+    for change, said in cases:
         values = scara.parameters() | change
         with pytest.raises(InvalidInput, match=said):
             simulate(study, values, drive(20), sample_time=1e-3, samples=20, record=["encoder"])
@@ -77,7 +81,7 @@ def test_a_rigid_arm_runs_on_what_its_rigid_model_knows() -> None:
         if name[0] not in ("alpha", "motor_viscous_friction", "link_viscous_friction")
         and name != ("motor_inertia", 1)
     }
-    record = ["link_angle"]
+    record: list[Quantity] = ["link_angle"]
     runs = [
         simulate(study, values, drive(400), sample_time=1e-3, samples=400, record=record)
         for values in (whole, sums)
@@ -101,7 +105,12 @@ def test_the_payload_makes_the_inertia() -> None:
 
 @pytest.mark.parametrize(
     ("clocks", "step"),
-    [([1e-3, 1e-3], 1.25e-4), ([1e-3, 2.5e-4], 1.25e-4), ([1e-3, 1.5e-3], 1.25e-4), ([0.02], 1.25e-4)],
+    [
+        ([1e-3, 1e-3], 1.25e-4),
+        ([1e-3, 2.5e-4], 1.25e-4),
+        ([1e-3, 1.5e-3], 1.25e-4),
+        ([0.02], 1.25e-4),
+    ],
 )
 def test_the_step_divides_every_clock(clocks: list[float], step: float) -> None:
     assert common_step(clocks) == pytest.approx(step)
@@ -121,14 +130,18 @@ def test_a_servo_must_be_described() -> None:
 
 def test_sensors_add_bias_noise_and_rounding() -> None:
     study = scara.study(Path())
-    record = ["accelerometer", "gyro", "encoder"]
-    run = simulate(study, scara.parameters(), drive(4000, 0.0), sample_time=1e-3, samples=4000, record=record)
+    record: list[Quantity] = ["accelerometer", "gyro", "encoder"]
+    run = simulate(
+        study, scara.parameters(), drive(4000, 0.0), sample_time=1e-3, samples=4000, record=record
+    )
     noise = SensorNoise(accelerometer_bits=12)
     read = measure(run, noise, np.random.default_rng(0))
     clean = measure(run, None, np.random.default_rng(0))
     np.testing.assert_array_equal(clean["accelerometer"], run["accelerometer"])
     count = 2.0 * noise.accelerometer_range / 2**12
-    np.testing.assert_allclose(read["accelerometer"] / count, np.round(read["accelerometer"] / count))
+    np.testing.assert_allclose(
+        read["accelerometer"] / count, np.round(read["accelerometer"] / count)
+    )
     # white noise of that density in the band up to half the sampling rate, and rounding's share
     expected = np.hypot(noise.accelerometer_density * np.sqrt(500.0), count / np.sqrt(12.0))
     assert read["accelerometer"].std(axis=0) == pytest.approx(expected, rel=0.05)
@@ -139,7 +152,9 @@ def test_sensors_add_bias_noise_and_rounding() -> None:
 
 def test_every_use_gets_its_excitation_without_a_log(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
-    assert virtual.simulate_study(study, scara.parameters(), tmp_path, seed=3) == len(study.experiments)
+    assert virtual.simulate_study(study, scara.parameters(), tmp_path, seed=3) == len(
+        study.experiments
+    )
     back = read_study(tmp_path / "study.toml")
     assert back.joints == study.joints
     for log in logs.read_logs(back):
@@ -166,7 +181,10 @@ def test_the_seed_draws_the_motion_and_the_noise(tmp_path: Path) -> None:
 def test_an_upright_arm_begins_held(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     upright = replace(study, arm=replace(study.arm, gravity=9.81))
-    values = scara.parameters(0) | {("gravity_torque_1", None): 31.0, ("gravity_torque_2", None): 7.4}
+    values = scara.parameters(0) | {
+        ("gravity_torque_1", None): 31.0,
+        ("gravity_torque_2", None): 7.4,
+    }
     step = tuple(e for e in upright.experiments if e.name == "step-j1")
     virtual.simulate_study(replace(upright, experiments=step), values, tmp_path)
     log = logs.read_logs(read_study(tmp_path / "study.toml"))[0]
@@ -207,7 +225,10 @@ def test_an_independent_engine_moves_alike(
     for ours, theirs in zip(logs.read_logs(again), logs.read_logs(study, chosen), strict=True):
         joint = ours.experiment.joint or 1
         assert fit(theirs.channels[f"theta_m{joint}"], ours.channels[f"theta_m{joint}"]) > 95.0
-        speed = np.gradient(theirs.channels[f"gyro{joint}"]), np.gradient(ours.channels[f"gyro{joint}"])
+        speed = (
+            np.gradient(theirs.channels[f"gyro{joint}"]),
+            np.gradient(ours.channels[f"gyro{joint}"]),
+        )
         assert np.corrcoef(*speed)[0, 1] > 0.0
         if ours.experiment.control[joint - 1] == "servo":
             assert fit(theirs.channels[f"u{joint}"], ours.channels[f"u{joint}"]) > 95.0

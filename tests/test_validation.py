@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from strainwave import rigid, validation
-from strainwave._prediction import fit_percent, standing
 from strainwave.errors import NotIdentifiable
+from strainwave.prediction import fit_percent, standing
 from strainwave.records import FloatArray, RigidModel, Signals, Study
 from virtual_arms import exact_motion, exact_signals, rigid_drive
 

@@ -1,28 +1,15 @@
 """The compiled core: the arm's equations, their integration, its servo and sensors."""
 
 from collections.abc import Sequence
-from typing import Literal, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ["GEAR_CORNER", "Arm"]
+
 GEAR_CORNER: float
 """Half width [rad] over which the knees of a three-slope gear are rounded."""
-
-Quantity = Literal[
-    "voltage",
-    "motor_torque",
-    "motor_angle",
-    "motor_velocity",
-    "link_angle",
-    "link_velocity",
-    "link_acceleration",
-    "gear_torque",
-    "encoder",
-    "accelerometer",
-    "gyro",
-    "sliding",
-]
 
 @final
 class Arm:
@@ -58,7 +45,7 @@ class Arm:
         steps_per_tick: int,
         steps_per_sample: int,
         samples: int,
-        record: Sequence[Quantity],
+        record: Sequence[str],
         reference: NDArray[np.float64] | None = None,
         servo: tuple[Sequence[float], Sequence[float], float, Sequence[bool]] | None = None,
         steps_per_servo: int = 1,
@@ -66,7 +53,7 @@ class Arm:
         link_angle: Sequence[float] | None = None,
         link_velocity: Sequence[float] | None = None,
         initial_voltage: Sequence[float] | None = None,
-    ) -> dict[Quantity, NDArray[np.float64]]:
+    ) -> dict[str, NDArray[np.float64]]:
         """Arms in one experiment, a row of `parameters` each: (n_arms, samples, n_joints) arrays.
 
         `servo` is (kp, ki, limit, active joints). Raises ValueError for sizes that do not fit and

@@ -1,10 +1,11 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and files that cannot be read, told clearly."""
 
 from __future__ import annotations
 
+import difflib
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from strainwave.errors import InvalidInput
@@ -53,3 +54,84 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def read_bytes(path: Path, what: str) -> bytes:
+    """A file's bytes.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What the file is, for the message.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    InvalidInput
+        There is no such file, or it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        near = nearest(path.name, [p.name for p in path.parent.glob("*")])
+        raise InvalidInput(
+            f"{what} does not exist", where=str(path), remedy=f"check the name{near}"
+        ) from error
+    except IsADirectoryError as error:
+        raise InvalidInput(
+            f"{what} is a directory", where=str(path), remedy="name a file in it"
+        ) from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InvalidInput(
+            f"{what} cannot be read ({reason})", where=str(path), remedy="check its permissions"
+        ) from error
+
+
+def decode(data: bytes, path: Path) -> str:
+    """Text of a UTF-8 file, with or without byte order mark.
+
+    Parameters
+    ----------
+    data : bytes
+    path : Path
+        For the message.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InvalidInput
+        The bytes are not UTF-8.
+    """
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InvalidInput(
+            f"is not UTF-8: byte 0x{data[error.start]:02x}",
+            where=f"{path}, line {line}",
+            remedy="save the file as UTF-8",
+        ) from error
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint at the known name most like a mistyped one: `; did you mean '...'?`, or nothing.
+
+    Parameters
+    ----------
+    name : str
+    known : iterable of str
+
+    Returns
+    -------
+    str
+    """
+    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f"; did you mean '{near[0]}'?" if near else ""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.errors import InvalidInput
+from strainwave.files import decode, read_bytes
 
 Values = dict[tuple[str, int | None], float]
 """Parameter values by (name, joint), joint from 1 or None for the arm's own."""
@@ -41,13 +42,10 @@ def read_parameters(path: Path) -> Values:
     InvalidInput
         The file is missing, is not such a file, or a value is no finite number.
     """
+    text = decode(read_bytes(path, "the file of parameters"), path)
     try:
-        document = json.loads(path.read_bytes().decode("utf-8"))
-    except OSError as error:
-        raise InvalidInput(
-            f"cannot be read ({error.strerror})", where=str(path), remedy="check --parameters"
-        ) from error
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        document = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
         raise InvalidInput(
             f"is not JSON ({error})", where=str(path), remedy="give a result.json or a file like it"
         ) from error

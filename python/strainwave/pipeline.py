@@ -9,14 +9,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from strainwave import __version__, logs, result, rigid, signals, study, validation
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.files import write_whole
-from strainwave.records import Identification, Log, Prediction, RigidModel, Study, Warning
+from strainwave.records import Caution, Identification, Log, Prediction, RigidModel, Signals, Study
 
 STAGES = ("rigid",)
 """All stages, in order; a run takes a prefix of them."""
@@ -83,20 +83,25 @@ def identify(
         run.warnings.extend(log.warnings)
 
     model: RigidModel | None = None
-    fitted: tuple[Prediction, ...] = ()
-    checks: tuple[Prediction, ...] = ()
+    predictions: dict[str, tuple[Prediction, ...]] = {}
     with run.timed("rigid", "rigid joints: least squares"):
+        seen = {
+            use: _signals(all_logs, use, the_study, run.warnings) for use in ("motion", "check")
+        }
         try:
-            motion = [signals.motor_side(log, the_study) for log in _used_for(all_logs, "motion")]
-            model = rigid.fit(motion, the_study)
-            run.warnings.extend(model.warnings)
+            model = rigid.fit(seen["motion"], the_study)
         except NotIdentifiable as failure:
-            run.reasons.append(failure.reason)
-    if model is not None:
+            run.reasons.append(str(failure))
+        else:
+            run.warnings.extend(model.warnings)
+            run.reasons.extend(_not_told(model))
+    if model is not None and model.status != "not-identifiable":
         with run.timed("checks", "predicting the records it never saw"):
-            fitted = _predictions(model, _used_for(all_logs, "motion"), the_study)
-            checks = _predictions(model, _used_for(all_logs, "check"), the_study)
-    return run.finish(the_study, model, fitted, checks)
+            for use, records in seen.items():
+                predictions[use] = tuple(
+                    validation.predict_rigid(model, record, the_study) for record in records
+                )
+    return run.finish(the_study, model, predictions.get("motion", ()), predictions.get("check", ()))
 
 
 def write(identification: Identification, folder: Path) -> None:
@@ -115,13 +120,11 @@ def write(identification: Identification, folder: Path) -> None:
     """
     from strainwave.report import render
 
-    write_whole(
-        folder,
-        {
-            "report.html": render(identification).encode(),
-            "result.json": result.to_json(identification),
-        },
-    )
+    begin = time.perf_counter()
+    page = render(identification).encode()
+    timing = {**identification.timing_s, "report": time.perf_counter() - begin}
+    document = result.to_json(replace(identification, timing_s=timing))
+    write_whole(folder, {"report.html": page, "result.json": document})
 
 
 @dataclass
@@ -130,7 +133,7 @@ class _Run:
 
     stages: tuple[str, ...]
     progress: Progress
-    warnings: list[Warning] = field(default_factory=list)
+    warnings: list[Caution] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
     timing_s: dict[str, float] = field(default_factory=dict)
 
@@ -162,11 +165,23 @@ class _Run:
         )
 
 
-def _used_for(all_logs: Sequence[Log], use: str) -> list[Log]:
-    return [log for log in all_logs if log.experiment.use == use]
+def _signals(
+    all_logs: Sequence[Log], use: str, the_study: Study, warnings: list[Caution]
+) -> list[Signals]:
+    """Motor-side signals of the records of one use, which have them."""
+    found = []
+    for log in all_logs:
+        if log.experiment.use == use:
+            found.append(signals.motor_side(log, the_study))
+            warnings.extend(found[-1].warnings)
+    return found
 
 
-def _predictions(
-    model: RigidModel, chosen: Sequence[Log], the_study: Study
-) -> tuple[Prediction, ...]:
-    return tuple(validation.predict_rigid(model, log, the_study) for log in chosen)
+def _not_told(model: RigidModel) -> list[str]:
+    """Why the question is not wholly answered, if it is not."""
+    missing = [
+        p.name if p.joint is None else f"{p.name} of joint {p.joint}"
+        for p in model.parameters
+        if p.value is None
+    ]
+    return [f"the motion records do not tell {', '.join(missing)}"] if missing else []

@@ -6,7 +6,7 @@ import json
 import math
 from typing import Any
 
-from strainwave.records import Identification, Parameter, RigidModel, Warning
+from strainwave.records import Caution, Identification, Parameter, RigidModel
 
 SCHEMA = "strainwave/result/1"
 
@@ -76,7 +76,7 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
     }
 
 
-def _warning(warning: Warning) -> dict[str, str]:
+def _warning(warning: Caution) -> dict[str, str]:
     return {"code": warning.code, "where": warning.where, "message": warning.message}
 
 

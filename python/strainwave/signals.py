@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave._filters import differentiate, low_pass, noise_deviation, signal_band
-from strainwave._friction import sliding_direction
 from strainwave.errors import InvalidInput
-from strainwave.records import BoolArray, FloatArray, Joint, Log, Signals, Study, Warning
+from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
+from strainwave.records import BoolArray, Caution, FloatArray, Joint, Log, Signals, Study
+from strainwave.stiction import sliding_direction
 
 _STANDING = 0.02  # [s] of an unmoved encoder that count as standing still
 _STANDING_SAMPLES = 6  # and at least so many
@@ -166,13 +166,13 @@ def _direction(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> 
 
 def _saturation(
     log: Log, study: Study, channels: tuple[str, ...]
-) -> tuple[BoolArray, tuple[Warning, ...]]:
+) -> tuple[BoolArray, tuple[Caution, ...]]:
     """Where the drive is at its limit: what is logged may then not be what the motor got.
 
     Only a servoed joint counts: an open-loop test may sit at its extremes on purpose.
     """
     saturated = np.zeros((len(log), study.n_joints), dtype=bool)
-    warnings: list[Warning] = []
+    warnings: list[Caution] = []
     for i, channel in enumerate(channels):
         if log.experiment.control[i] != "servo":
             continue
@@ -183,14 +183,14 @@ def _saturation(
         if share > _MUCH_SATURATION:
             text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; left out"
             text += ". Record a slower motion"
-            warnings.append(Warning("saturated", log.name, text))
+            warnings.append(Caution("saturated", log.name, text))
     return saturated, tuple(warnings)
 
 
 def _flat_tops(signal: FloatArray) -> BoolArray:
     """Runs of at least `_FLAT` equal samples at the largest or the smallest value.
 
-    A drive's limits lie far from zero: a joint left without torque is not at one, nor is a constant.
+    A drive's limits lie far from zero: a joint without torque is not at one, nor is a constant.
     """
     flat = np.zeros(len(signal), dtype=bool)
     if signal.max() == signal.min():

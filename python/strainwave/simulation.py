@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 
@@ -13,10 +13,21 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.parameters import Values
 from strainwave.records import FloatArray, Study
 
-if TYPE_CHECKING:
-    from strainwave._core import Quantity
-else:
-    Quantity = str  # the compiled module has no types to import
+Quantity = Literal[
+    "voltage",
+    "motor_torque",
+    "motor_angle",
+    "motor_velocity",
+    "link_angle",
+    "link_velocity",
+    "link_acceleration",
+    "gear_torque",
+    "encoder",
+    "accelerometer",
+    "gyro",
+    "sliding",
+]
+"""What a run can record."""
 
 LONGEST_STEP = 1.25e-4
 """[s] Some 300 steps a period of the fastest gear resonance, 26 Hz, where the order is four."""
@@ -212,8 +223,8 @@ def simulate(
         raise InvalidInput(str(error), remedy="check the parameters and the study") from error
     except FloatingPointError as error:
         raise NumericalFailure(str(error)) from error
-    time: FloatArray = sample_time * np.arange(samples)
-    return Trajectory(time, {name: values[0] for name, values in recorded.items()})
+    time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
+    return Trajectory(time, {name: recorded[name][0] for name in record})
 
 
 def common_step(clocks: Sequence[float]) -> float:

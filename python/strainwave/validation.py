@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave._prediction import band_prediction
 from strainwave.errors import NotIdentifiable
+from strainwave.prediction import band_prediction
 from strainwave.records import Prediction, RigidModel, Signals, Study
 
 

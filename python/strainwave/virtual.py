@@ -294,7 +294,8 @@ def _steps(study: Study, experiment: Experiment) -> FloatArray:
 def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
     sequence = excitation.prbs(prbs)
     at = np.floor(np.arange(samples) * sample_time / prbs.clock + 1e-9).astype(int)
-    return sequence[at % len(sequence)]
+    held: FloatArray = sequence[at % len(sequence)]
+    return held
 
 
 def _holding_voltage(

@@ -8,7 +8,7 @@ from html import escape
 from importlib.resources import files
 
 from strainwave.formatting import plus_minus
-from strainwave.records import Identification, Parameter, Prediction, Warning
+from strainwave.records import Caution, Identification, Parameter, Prediction
 from strainwave.report import figures
 
 
@@ -101,7 +101,7 @@ def _worst(predictions: Iterable[Prediction]) -> tuple[float, str, str] | None:
     return min(fits, default=None)
 
 
-def _warnings(warnings: tuple[Warning, ...]) -> str:
+def _warnings(warnings: tuple[Caution, ...]) -> str:
     if not warnings:
         return ""
     rows = "".join(

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave._tables import Table, first_impossible, open_table, write_table
 from strainwave.errors import InvalidInput
-from strainwave.records import Channel, Experiment, FloatArray, Log, Study, Warning
-from strainwave.study import channel_names
+from strainwave.logs.tables import Table, first_impossible, open_table, write_table
+from strainwave.records import Caution, Channel, Experiment, FloatArray, Log, Study, channel_names
 
 __all__ = ["read_log", "read_logs", "write_log"]
 
@@ -204,7 +203,7 @@ def _check_gaps(time: FloatArray, path: Path) -> None:
 
 def _uniform(
     time: FloatArray, channels: dict[str, FloatArray], path: Path
-) -> tuple[FloatArray, dict[str, FloatArray], list[Warning]]:
+) -> tuple[FloatArray, dict[str, FloatArray], list[Caution]]:
     """A uniform grid; interpolates where the stamps are not one already.
 
     Measured signals are interpolated by monotone cubics, which neither ring nor flatten; commanded
@@ -227,15 +226,15 @@ def _uniform(
     steps = np.diff(time) / period
     message = (
         f"time stamps are not uniform (steps of {steps.min():.2f} to {steps.max():.2f} "
-        f"periods): resampled to {len(grid)} samples every {period:.6g} s; what happens faster than "
-        "the widest step is lost. Log with a fixed clock if you can"
+        f"periods): resampled to {len(grid)} samples every {period:.6g} s; what happens faster "
+        "than the widest step is lost. Log with a fixed clock if you can"
     )
-    return grid, resampled, [Warning("resampled", path.name, message)]
+    return grid, resampled, [Caution("resampled", path.name, message)]
 
 
 def _constants(
     channels: dict[str, FloatArray], study: Study, experiment: Experiment, path: Path
-) -> list[Warning]:
+) -> list[Caution]:
     """A log in which nothing moves is an error; a sensor that never changes is doubtful."""
     joints = range(1, study.n_joints + 1)
     moved = [i for i in joints if np.ptp(channels[f"theta_m{i}"]) > 0.0]
@@ -257,7 +256,7 @@ def _constants(
             remedy="check the channel map: the column may be another signal",
         )
     return [
-        Warning(
+        Caution(
             "constant-channel",
             path.name,
             f"the channel '{name}' never changes: it tells nothing. Check the sensor and the map",

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave._filters import low_pass
-from strainwave._regressor import FRICTION_COLUMNS, body_regressor, gear_ratios, n_body
+from strainwave.filters import low_pass
 from strainwave.records import BoolArray, FloatArray, Signals, Study
+from strainwave.regressor import FRICTION_COLUMNS, body_regressor, gear_ratios, n_body
 
 _MOSTLY = 0.5  # share of standing from which a fit says nothing of the model
 

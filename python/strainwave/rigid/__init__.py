@@ -2,7 +2,7 @@
 
 The equations of motion are linear in the model's parameters. They are filtered to a bandwidth
 chosen from the data, weighted per joint, and solved together with nuisance unknowns for the
-friction of motors that may stand and for the gears' compliance; see `_equations`. Deviations come
+friction of motors that may stand and for the gears' compliance; see `equations`. Deviations come
 from leaving out stretches of the data and from changing the bandwidth.
 """
 
@@ -14,8 +14,12 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave import _least_squares as ls
-from strainwave._equations import (
+from strainwave.errors import NotIdentifiable
+from strainwave.prediction import band_prediction
+from strainwave.records import BoolArray, Caution, FloatArray, Parameter, RigidModel, Signals, Study
+from strainwave.regressor import columns_of
+from strainwave.rigid import least_squares as ls
+from strainwave.rigid.equations import (
     MOTOR_SHARE,
     Estimate,
     Stretch,
@@ -26,15 +30,12 @@ from strainwave._equations import (
     n_compliances,
     prepare,
 )
-from strainwave._prediction import band_prediction
-from strainwave._regressor import columns_of
-from strainwave.errors import NotIdentifiable
-from strainwave.records import BoolArray, FloatArray, Parameter, RigidModel, Signals, Study, Warning
 
 _ROUNDS = 20
 _CONVERGED = 0.02  # change in white-error deviations, which are the smallest there are
 _STEP = 2.0**0.5  # between bandwidths tried; twice as wide where nothing is elastic
 _GAIN = np.log(1.1)  # a deviation's change that counts; the jackknife knows it no better
+_UNSETTLED = 0.5  # of a deviation, by which the last round may have moved a parameter
 _FRUITLESS = 3  # bandwidths without gain that end the search
 OTHER_SHARE = 0.3  # of the motor in the first inertia
 _MUCH_STANDING = 0.3  # share of a record
@@ -62,6 +63,7 @@ class _Trial:
     factor: ls.Factor
     covariance: FloatArray
     determined: BoolArray
+    last_move: float  # of any parameter in the last round, in its deviations
 
     @property
     def spread(self) -> FloatArray:
@@ -92,11 +94,18 @@ def fit(
     NotIdentifiable
         There is no record, or no sample of any that may be used.
     """
-    chosen = options or RigidOptions()
+    from threadpoolctl import threadpool_limits
+
     if not signals:
         raise NotIdentifiable(
             'the rigid step needs a record with use = "motion": slow, smooth motion of all joints'
         )
+    # hundreds of small factorisations: threads would cost more in meeting than they save
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _fit(signals, study, options or RigidOptions())
+
+
+def _fit(signals: Sequence[Signals], study: Study, chosen: RigidOptions) -> RigidModel:
     if chosen.bandwidth_hz is not None:
         trials = [_trial(signals, study, chosen.bandwidth_hz, None)]
     else:
@@ -175,11 +184,9 @@ def _trial(
     root = ls.first_weights(equations.target, equations.group)
     for rounds in range(_ROUNDS):
         factor = ls.factorise(equations, root)
-        settled = (
-            rounds > 1
-            and around is not None
-            and np.all(np.abs(factor.value - around.solution) <= _CONVERGED * factor.deviation)
-        )
+        before = factor.value if around is None else around.solution
+        moved = np.abs(factor.value - before)
+        settled = rounds > 1 and np.all(moved <= _CONVERGED * factor.deviation)
         around = estimate_of(study, stretches, equations, factor, motor_share)
         if settled:
             break
@@ -187,6 +194,7 @@ def _trial(
         equations = assemble(study, stretches, around)
     covariance, compliance_variance = ls.jackknife(equations, factor, n_compliances(study))
     told = ls.determined(equations, factor, covariance)
+    deviation = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None
     return _Trial(
         bandwidth_hz=bandwidth_hz,
@@ -197,6 +205,7 @@ def _trial(
         factor=factor,
         covariance=covariance,
         determined=told,
+        last_move=float(np.max((moved / deviation)[told], initial=0.0)),
     )
 
 
@@ -313,37 +322,41 @@ def _fits(study: Study, best: _Trial, stretch: Stretch) -> dict[str, float]:
     return dict(zip(stretch.signals.torque_channel, fitted.fit_percent.tolist(), strict=True))
 
 
-def _warnings(study: Study, best: _Trial) -> Iterator[Warning]:
+def _warnings(study: Study, best: _Trial) -> Iterator[Caution]:
     """What the reader must know: unknowns not told, motors that stand, motion too fast."""
     columns = columns_of(study)
     names = ", ".join(s.signals.experiment.name for s in best.stretches)
     for k, column in enumerate(columns):
         if not best.determined[k]:
-            yield Warning("not-identifiable", str(column), _why(study, best, k))
+            yield Caution("not-identifiable", str(column), _why(study, best, k))
     for stretch in best.stretches:
         stands = (stretch.signals.direction == 0.0).mean(axis=0)
         for i, share in enumerate(stands):
             if share > _MUCH_STANDING:
                 text = f"motor {i + 1} may stand for {100.0 * share:.0f} % of the record, which"
                 text += " then tells nothing of its friction; move faster, reverse less often"
-                yield Warning("standing", stretch.signals.experiment.name, text)
+                yield Caution("standing", stretch.signals.experiment.name, text)
     if best.factor.condition_number > _POOR and best.determined.all():
         weak = np.abs(best.factor.directions[-1])
         involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weak > 0.3))
         text = f"condition number {best.factor.condition_number:.0f}: the records hardly tell apart"
-        yield Warning("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
+        yield Caution("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
     for k, column in enumerate(columns):
         positive = not column.name.startswith(("gravity", "friction_offset"))
         value, std = best.estimate.solution[k], np.sqrt(best.covariance[k, k])
         if best.determined[k] and positive and value + 2.0 * std < 0.0:
             text = f"{value:.3g} {column.unit} is negative beyond its uncertainty: the records show"
             text += " something that a rigid arm with Coulomb and viscous friction is not"
-            yield Warning("implausible", str(column), text)
+            yield Caution("implausible", str(column), text)
+    if best.last_move > _UNSETTLED:
+        text = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
+        text += " deviations; record a longer or livelier motion"
+        yield Caution("not-settled", names, text)
     limit = _surely_elastic(study, best)
     if best.bandwidth_hz > limit:
         text = f"the gears' compliance shows at {_BELOW_RESONANCE * limit:.1f} Hz, too near to the"
         text += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
-        yield Warning("not-rigid", names, text)
+        yield Caution("not-rigid", names, text)
 
 
 def _why(study: Study, best: _Trial, unknown: int) -> str:

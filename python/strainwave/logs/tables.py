@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.files import write_whole
+from strainwave.files import decode, read_bytes, write_whole
 from strainwave.records import FloatArray
-from strainwave.study import decode, read_bytes
 
 DELIMITERS = (",", ";", "\t")
 LARGEST = 1e60

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave._filters import differentiate, low_pass
-from strainwave._friction import free_friction
-from strainwave._least_squares import Equations, Factor, IntArray
-from strainwave._regressor import (
+from strainwave.filters import differentiate, low_pass
+from strainwave.records import BoolArray, FloatArray, Signals, Study
+from strainwave.regressor import (
     FRICTION_COLUMNS,
     body_regressor,
     columns_of,
     gear_ratios,
     n_body,
 )
-from strainwave.records import BoolArray, FloatArray, Signals, Study
+from strainwave.rigid.least_squares import Equations, Factor, IntArray
+from strainwave.stiction import free_friction
 
 MOTOR_SHARE = 0.5
 """Share of joint 1's rigid inertia (a single joint's inertia) taken for its motor's.

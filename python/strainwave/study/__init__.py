@@ -1,0 +1,98 @@
+"""study.toml -> Study, with every fault found here and told by file, line and key.
+
+`reader` checks each value where it stands; `checks` asks what one value cannot tell.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from strainwave.errors import InvalidInput
+from strainwave.files import decode, read_bytes, write_whole
+from strainwave.records import Study
+from strainwave.study.checks import check_files, check_fit, check_sizes
+from strainwave.study.reader import Reader
+
+__all__ = ["read_study", "write_study"]
+
+
+def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
+    """Read and check a study file.
+
+    Parameters
+    ----------
+    path : Path
+    logs_exist : bool
+        Whether every experiment's file must be there already.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    InvalidInput
+        Anything in the file is at fault.
+    """
+    path = Path(path)
+    data = read_bytes(path, "the study file")
+    text = decode(data, path)
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InvalidInput(
+            f"is not valid TOML ({error})", where=str(path), remedy="mend that line"
+        ) from error
+    reader = Reader(path, text)
+    study = reader.study(document, hashlib.sha256(data).hexdigest())
+    check_fit(study, reader)
+    check_sizes(study, reader)
+    if logs_exist:
+        check_files(study, reader)
+    return study
+
+
+def write_study(study: Study, path: Path) -> None:
+    """Write a study file that reads back equal.
+
+    Parameters
+    ----------
+    study : Study
+    path : Path
+
+    Raises
+    ------
+    InvalidInput
+        The file cannot be written.
+    """
+    import tomli_w
+
+    document: dict[str, Any] = {
+        "arm": _table(study.arm),
+        "joint": [_table(joint) for joint in study.joints],
+    }
+    if study.servo is not None:
+        document["servo"] = _table(study.servo)
+    if study.channels:
+        document["channels"] = {name: _table(channel) for name, channel in study.channels.items()}
+    document["experiment"] = [_table(experiment) for experiment in study.experiments]
+    write_whole(path.parent, {path.name: tomli_w.dumps(document).encode()})
+
+
+def _table(record: Any) -> dict[str, Any]:
+    """A record's values that differ from their defaults, as TOML can hold them."""
+    table: dict[str, Any] = {}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if value in (None, {}, field.default):
+            continue
+        if dataclasses.is_dataclass(value):
+            value = _table(value)
+        elif isinstance(value, tuple):
+            value = list(value)
+        table[field.name] = value
+    return table
