@@ -12,8 +12,8 @@ from strainwave.errors import InvalidInput
 from strainwave.parameters import Values, read_parameters
 from strainwave.records import Experiment, FloatArray, Prbs, Study
 from strainwave.simulation import (
-    Quantity,
     Drive,
+    Quantity,
     SensorNoise,
     build_arm,
     common_step,

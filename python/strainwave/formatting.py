@@ -32,3 +32,17 @@ def plus_minus(value: float | None, std: float | None) -> tuple[str, str]:
     suffix = f"e{exponent:+03d}" if exponent else ""
     scale = 10.0**exponent
     return f"{value / scale:.{digits}f}{suffix}", f"{std / scale:.{digits}f}{suffix}"
+
+
+def percent(fit: float) -> str:
+    """A fit with one decimal; `UNKNOWN` where there was nothing to predict.
+
+    Parameters
+    ----------
+    fit : float [%]
+
+    Returns
+    -------
+    str
+    """
+    return f"{fit:.1f} %" if math.isfinite(fit) else UNKNOWN

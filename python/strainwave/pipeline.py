@@ -101,6 +101,7 @@ def identify(
                 predictions[use] = tuple(
                     validation.predict_rigid(model, record, the_study) for record in records
                 )
+                run.warnings.extend(c for made in predictions[use] for c in made.warnings)
     return run.finish(the_study, model, predictions.get("motion", ()), predictions.get("check", ()))
 
 

@@ -256,6 +256,7 @@ class Prediction:
     predicted: FloatArray  # (n_samples, n_channels)
     fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
     unfiltered_fit_percent: Mapping[str, float] = field(default_factory=dict)  # with y as logged
+    warnings: tuple[Caution, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from strainwave.formatting import plus_minus
+from strainwave.formatting import percent, plus_minus
 from strainwave.records import Identification, Parameter
 
 Truth = Mapping[tuple[str, int | None], float]
@@ -36,10 +36,13 @@ def print_summary(
         The terminal, if not standard output.
     """
     console = console or Console(highlight=False)
-    console.print(_parameters(identification.parameters, truth))
+    if identification.parameters:
+        console.print(_parameters(identification.parameters, truth))
     for title, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
         for prediction in predictions:
-            fits = ", ".join(f"{name} {fit:.2f} %" for name, fit in prediction.fit_percent.items())
+            fits = ", ".join(
+                f"{name} {percent(fit)}" for name, fit in prediction.fit_percent.items()
+            )
             console.print(f"fit ({title}) {prediction.experiment}: {fits}", markup=False)
     for warning in identification.warnings:
         text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
@@ -47,25 +50,24 @@ def print_summary(
     if identification.reason is not None:
         console.print(Text(f"not identifiable: {identification.reason}"), style="bold red")
     total = sum(identification.timing_s.values())
-    console.print(
-        Text(f"{folder / 'report.html'} and {folder / 'result.json'} written, {total:.2f} s")
-    )
+    for name in ("report.html", "result.json"):
+        console.print(Text(f"written: {folder / name}"), soft_wrap=True)
+    console.print(f"{total:.1f} s")
 
 
 def _parameters(parameters: tuple[Parameter, ...], truth: Truth | None) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("parameter")
+    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")  # 80 columns, with truth
+    table.add_column("parameter", no_wrap=True)
     table.add_column("joint")
-    for head in ("value", "±", "95 % interval"):
+    for head in ("value", "±"):
         table.add_column(head, justify="right")
     table.add_column("unit")
     if truth is not None:
         table.add_column("truth", justify="right")
-        table.add_column("error", justify="right")
+        table.add_column("error %", justify="right")
     for p in parameters:
         value, spread = plus_minus(p.value, p.std)
-        interval = f"{p.ci95[0]:.4g} … {p.ci95[1]:.4g}" if p.ci95 is not None else ""
-        row = [p.name, str(p.joint or "arm"), value, spread, interval, p.unit]
+        row = [p.name, str(p.joint or "arm"), value, spread, p.unit]
         if truth is not None:
             row += _against_truth(p, truth.get((p.name, p.joint)))
         table.add_row(*(Text(cell) for cell in row))
@@ -77,4 +79,4 @@ def _against_truth(parameter: Parameter, true: float | None) -> list[str]:
         return ["", ""]
     if parameter.value is None or true == 0.0:
         return [f"{true:.4g}", ""]
-    return [f"{true:.4g}", f"{100.0 * (parameter.value / true - 1.0):+.2f} %"]
+    return [f"{true:.4g}", f"{100.0 * (parameter.value / true - 1.0):+.2f}"]

@@ -6,7 +6,7 @@ import numpy as np
 
 from strainwave.errors import NotIdentifiable
 from strainwave.prediction import band_prediction
-from strainwave.records import Prediction, RigidModel, Signals, Study
+from strainwave.records import Caution, Prediction, RigidModel, Signals, Study
 
 
 def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Prediction:
@@ -54,4 +54,13 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
         predicted=band.predicted / per_channel,
         fit_percent=dict(zip(names, band.fit_percent.tolist(), strict=True)),
         unfiltered_fit_percent=dict(zip(names, full.fit_percent.tolist(), strict=True)),
+        warnings=tuple(
+            Caution(
+                "nothing-to-predict",
+                signals.experiment.name,
+                f"{name} has no fit: its motor stands, or its torque does not vary",
+            )
+            for name, fit in zip(names, band.fit_percent, strict=True)
+            if not np.isfinite(fit)
+        ),
     )

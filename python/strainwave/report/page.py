@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable
 from html import escape
 from importlib.resources import files
 
-from strainwave.formatting import plus_minus
+from strainwave.formatting import percent, plus_minus
 from strainwave.records import Caution, Identification, Parameter, Prediction
 from strainwave.report import figures
 
@@ -97,6 +98,7 @@ def _worst(predictions: Iterable[Prediction]) -> tuple[float, str, str] | None:
         (fit, prediction.experiment, channel)
         for prediction in predictions
         for channel, fit in prediction.fit_percent.items()
+        if math.isfinite(fit)
     ]
     return min(fits, default=None)
 
@@ -138,7 +140,7 @@ def _predictions(
             name = f"figure-{len(plots)}"
             plots[name] = figures.torque_fit(prediction, column)
             fit = prediction.fit_percent.get(channel, float("nan"))
-            label = f"{prediction.experiment}, {channel}: fit {fit:.2f} %"
+            label = f"{prediction.experiment}, {channel}: fit {percent(fit)}"
             parts.append(f"<h3>{escape(label)}</h3>")
             parts.append(
                 f'<div class="figure" id="{name}" role="img" aria-label="{escape(label)}"></div>'
