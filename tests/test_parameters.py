@@ -73,9 +73,9 @@ def test_refuses_what_is_no_parameter_file(tmp_path: Path, document: Any, said: 
 
 
 def test_refuses_a_missing_file_and_text_that_is_no_json(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="No such file"):
+    with pytest.raises(InvalidInput, match="does not exist"):
         read_parameters(tmp_path / "none.json")
-    (tmp_path / "p.json").write_bytes(b"\xff{")
+    (tmp_path / "p.json").write_bytes(b"{")
     with pytest.raises(InvalidInput, match="is not JSON"):
         read_parameters(tmp_path / "p.json")
 

@@ -138,12 +138,13 @@ def test_deviations_are_calibrated_under_coloured_noise() -> None:
     assert 0.8 <= np.mean(squares) <= 1.6
 
 
-@pytest.mark.parametrize("gravity", [None, 9.81])
-def test_elastic_arms_that_stick_come_back(gravity: float | None) -> None:
+@pytest.mark.parametrize(("gravity", "tolerance"), [(None, 0.015), (9.81, 0.05)])
+def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: float) -> None:
     """Servoed motion of arms with elastic gears, sticking friction and encoder counts.
 
-    Four arms of ten or twelve parameters: errors stay below 1 % (friction offsets: of the Coulomb
-    friction), and the intervals hold the truth in at least 85 of 100, three deviations below 95.
+    Four arms of ten or twelve parameters: errors (friction offsets: of the Coulomb friction) stay
+    below a tolerance, wider under gravity, whose torque leaves the inertias a small part of the
+    whole; the intervals hold the truth in at least 85 of 100, three deviations below 95.
     """
     inside = []
     for seed in range(4):
@@ -151,7 +152,7 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None) -> None:
         study = replace(base, arm=replace(base.arm, gravity=gravity))
         values = values_of(study, seed)
         truth = rigid_truth(study, values)
-        log = motion_log(study, values, seed)
+        log = motion_log(study, values, seed, duration=20.0)
         model = rigid.fit([signals.motor_side(log, study)], study)
         assert model.status == "determined"
         for p in model.parameters:
@@ -160,7 +161,7 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None) -> None:
             expected = truth[p.name, p.joint]
             offset = p.name == "friction_offset"
             scale = truth["motor_coulomb_friction", p.joint] if offset else expected
-            assert abs(p.value - expected) < 0.015 * scale, (seed, p.name, p.joint)
+            assert abs(p.value - expected) < tolerance * scale, (seed, p.name, p.joint)
             inside.append(p.ci95[0] <= expected <= p.ci95[1])
     assert np.mean(inside) >= 0.85
 

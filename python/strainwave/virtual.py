@@ -79,6 +79,12 @@ def simulate_study_file(
     InvalidInput
         A file, a parameter or the folder is at fault.
     """
+    if folder.resolve() == study_path.resolve().parent:
+        raise InvalidInput(
+            "would write simulated logs over the measured ones",
+            where=f"--out {folder}",
+            remedy="choose another directory than the study's",
+        )
     study = studies.read_study(study_path, logs_exist=False)
     values = read_parameters(parameters_path)
     noise = None if ideal else SensorNoise()
@@ -92,6 +98,7 @@ def simulate_study(
     *,
     seed: int = 0,
     noise: SensorNoise | None = None,
+    replay: bool = True,
     progress: Progress = lambda _: None,
 ) -> int:
     """Run every experiment of a study on a virtual arm; write its logs and study.toml to a folder.
@@ -106,6 +113,8 @@ def simulate_study(
     seed : int
     noise : SensorNoise, optional
         Ideal sensors without.
+    replay : bool
+        Where an experiment's log exists, apply what was applied then, not an excitation of its use.
     progress : callable
 
     Returns
@@ -124,7 +133,12 @@ def simulate_study(
     for number, experiment in enumerate(study.experiments):
         progress(f"simulating {experiment.name}")
         rng = np.random.default_rng([seed, number])
-        plan = _plan(study, experiment, values, rng)
+        replayed = replay and study.log_path(experiment).exists()
+        plan = (
+            _replay(study, experiment, logs.read_log(study, experiment))
+            if replayed
+            else _invent(study, experiment, values, rng)
+        )
         written.append(_columns(study, plan, values, noise, rng))
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE):
@@ -155,7 +169,9 @@ def demonstrate(folder: Path, *, seed: int, progress: Progress) -> tuple[Identif
     """
     values = scara.parameters()
     study = scara.study(folder)
-    simulate_study(study, values, folder, seed=seed, noise=SensorNoise(), progress=progress)
+    simulate_study(
+        study, values, folder, seed=seed, noise=SensorNoise(), replay=False, progress=progress
+    )
     identification = pipeline.identify(folder / "study.toml", progress=progress)
     progress("writing the report")
     pipeline.write(identification, folder)
@@ -189,12 +205,6 @@ def derived(values: Values, study: Study) -> Values:
         reflected = values["motor_inertia", 1] / study.joints[0].gear_ratio ** 2
         known["rigid_inertia", 1] = alpha + reflected
     return known
-
-
-def _plan(study: Study, experiment: Experiment, values: Values, rng: np.random.Generator) -> _Plan:
-    if study.log_path(experiment).exists():
-        return _replay(study, experiment, logs.read_log(study, experiment))
-    return _invent(study, experiment, values, rng)
 
 
 def _replay(study: Study, experiment: Experiment, log: Log) -> _Plan:

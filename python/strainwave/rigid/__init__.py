@@ -36,6 +36,7 @@ _CONVERGED = 0.02  # change in white-error deviations, which are the smallest th
 _STEP = 2.0**0.5  # between bandwidths tried; twice as wide where nothing is elastic
 _GAIN = np.log(1.1)  # a deviation's change that counts; the jackknife knows it no better
 _UNSETTLED = 0.5  # of a deviation, by which the last round may have moved a parameter
+_VAGUE = 0.003  # of all torque; from 1e-4 to 1e-3 where there is motion enough in the band
 _FRUITLESS = 3  # bandwidths without gain that end the search
 OTHER_SHARE = 0.3  # of the motor in the first inertia
 _MUCH_STANDING = 0.3  # share of a record
@@ -70,6 +71,13 @@ class _Trial:
         """Logarithms of the parameters' deviations; infinite where not determined."""
         deviation = np.sqrt(np.clip(np.diag(self.covariance), 1e-300, None))
         return np.where(self.determined, np.log(deviation), np.inf)
+
+    @property
+    def vagueness(self) -> float:
+        """Torque that one parameter's deviation makes at most, as a share of all torque."""
+        deviation = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+        torque = float(np.linalg.norm(self.factor.root * self.equations.target))
+        return float(np.max(deviation * self.factor.scale)) / torque
 
 
 def fit(
@@ -123,9 +131,9 @@ def _search(signals: Sequence[Signals], study: Study) -> list[_Trial]:
     around: Estimate | None = None
     stiff = n_compliances(study) == 0
     for bandwidth in _bandwidths(signals, _STEP ** (2 if stiff else 1)):
-        trial = _trial(signals, study, bandwidth, around)
-        if len(trials) >= _FRUITLESS and bandwidth > _surely_elastic(study, trial):
+        if trials and bandwidth > _surely_elastic(study, trials[-1]):
             break
+        trial = _trial(signals, study, bandwidth, around)
         trials.append(trial)
         around = trial.estimate
         gained = bool(np.any(trial.spread < least - _GAIN))
@@ -137,8 +145,11 @@ def _search(signals: Sequence[Signals], study: Study) -> list[_Trial]:
 
 
 def _surely_elastic(study: Study, trial: _Trial) -> float:
-    """Bandwidth above which the arm's elasticity is certainly more than first order."""
-    if not len(trial.compliance_deviation):
+    """Bandwidth above which the arm's elasticity is certainly more than first order.
+
+    A trial that leaves a parameter vague, as low bandwidths do, may take anything for compliance.
+    """
+    if not len(trial.compliance_deviation) or trial.vagueness > _VAGUE:
         return np.inf
     certain = np.clip(trial.estimate.compliance - 2.0 * trial.compliance_deviation, 0.0, None)
     sure = replace(trial.estimate, compliance=certain)
@@ -193,7 +204,7 @@ def _trial(
         root = ls.root_weights(equations, factor)
         equations = assemble(study, stretches, around)
     covariance, compliance_variance = ls.jackknife(equations, factor, n_compliances(study))
-    told = ls.determined(equations, factor, covariance)
+    told = ls.determined(equations, factor, covariance) & _tells_friction(study, stretches)
     deviation = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None
     return _Trial(
@@ -207,6 +218,26 @@ def _trial(
         determined=told,
         last_move=float(np.max((moved / deviation)[told], initial=0.0)),
     )
+
+
+def _tells_friction(study: Study, stretches: Sequence[Stretch]) -> BoolArray:
+    """False for Coulomb friction and offset of a joint that never slides both ways.
+
+    What little its edges seem to tell of them is the prior on friction at rest, not data.
+    """
+    told = np.ones(len(columns_of(study)), dtype=bool)
+    for k, column in enumerate(columns_of(study)):
+        if column.joint is not None and column.name in (
+            "motor_coulomb_friction",
+            "friction_offset",
+        ):
+            ways = {
+                sign
+                for s in stretches
+                for sign in np.unique(s.signals.direction[:, column.joint - 1])
+            }
+            told[k] = {-1.0, 1.0} <= ways
+    return told
 
 
 def _elastic_remainder(signals: Sequence[Signals], study: Study, best: _Trial) -> FloatArray:

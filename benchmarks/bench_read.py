@@ -1,0 +1,50 @@
+"""Reading a study of some 9 MB: logs of several experiments, against pyarrow and NumPy alone.
+
+The study is the built-in arm's, simulated for this once, written as CSV.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.timing import Row, best_of
+from strainwave import logs, scara, virtual
+from strainwave.study import read_study
+
+
+def rows() -> list[Row]:
+    with tempfile.TemporaryDirectory() as folder:
+        study = scara.study(Path(folder) / "x")
+        csv = tuple(replace(e, file=f"{e.name}.csv") for e in study.experiments)
+        target = Path(folder) / "study"
+        virtual.simulate_study(replace(study, experiments=csv), scara.parameters(), target)
+        files = sorted(target.glob("*.csv"))
+        size = sum(file.stat().st_size for file in files) / 1e6
+        what = f"reading a study of {size:.1f} MB of CSV"
+        ours = best_of(lambda: _ours(target), repeats=3)
+        return [
+            Row(what, ours, "pyarrow, no checks", best_of(lambda: _pyarrow(files), repeats=3)),
+            Row(what, ours, "numpy.loadtxt", best_of(lambda: _loadtxt(files), repeats=1)),
+        ]
+
+
+def _ours(folder: Path) -> None:
+    logs.read_logs(read_study(folder / "study.toml"))
+
+
+def _pyarrow(files: list[Path]) -> None:
+    from pyarrow import csv
+
+    for file in files:
+        table = csv.read_csv(file)
+        for column in table.columns:
+            column.to_numpy()
+
+
+def _loadtxt(files: list[Path]) -> None:
+    for file in files:
+        np.loadtxt(file, delimiter=",", skiprows=1)

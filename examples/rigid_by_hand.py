@@ -1,0 +1,49 @@
+"""The rigid step called by hand: every stage is a function from records to a record.
+
+    python examples/rigid_by_hand.py [STUDY.toml]
+
+Without a study it simulates the built-in arm first.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from strainwave import logs, rigid, scara, signals, validation, virtual
+from strainwave.study import read_study
+
+
+def main(study_path: Path) -> None:
+    study = read_study(study_path)
+    seen = {
+        experiment.name: signals.motor_side(logs.read_log(study, experiment), study)
+        for experiment in study.experiments
+        if experiment.use in ("motion", "check")
+    }
+    motion = [record for record in seen.values() if record.experiment.use == "motion"]
+
+    model = rigid.fit(motion, study)
+    print(f"{model.status}, bandwidth {model.bandwidth_hz:.1f} Hz, {model.n_rows} equations")
+    for p in model.parameters:
+        print(f"{p.name:24s} {p.joint or 'arm'!s:4s} {p.value} +- {p.std} {p.unit}")
+
+    # The same data in half the band: what moves by more than its deviation is not to be trusted.
+    narrow = rigid.fit(motion, study, rigid.RigidOptions(bandwidth_hz=model.bandwidth_hz / 2.0))
+    for wide, half in zip(model.parameters, narrow.parameters, strict=True):
+        if wide.value is not None and half.value is not None:
+            print(f"{wide.name:24s} in half the band: {100 * (half.value / wide.value - 1):+.2f} %")
+
+    for record in seen.values():
+        prediction = validation.predict_rigid(model, record, study)
+        print(prediction.experiment, dict(prediction.fit_percent))
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        main(Path(sys.argv[1]))
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            virtual.simulate_study(scara.study(Path(folder)), scara.parameters(), Path(folder))
+            main(Path(folder) / "study.toml")

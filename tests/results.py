@@ -1,0 +1,53 @@
+"""A made-up identification for the tests of what is done with one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave.records import (
+    Caution,
+    FloatArray,
+    Identification,
+    Parameter,
+    Prediction,
+    RigidModel,
+)
+from virtual_arms import rigid_two_link
+
+
+def prediction(name: str, *fits: float) -> Prediction:
+    time: FloatArray = 0.01 * np.arange(5000, dtype=np.float64)
+    measured = np.column_stack([np.sin(3.0 * time + k) for k in range(len(fits))])
+    channels = tuple(f"torque{k + 1}" for k in range(len(fits)))
+    return Prediction(
+        name, time, channels, measured, 0.9 * measured, dict(zip(channels, fits, strict=True))
+    )
+
+
+def identification(name: str = "inertia") -> Identification:
+    parameters = (
+        Parameter(name, 1, 0.0201, 0.0002, "kg m^2", "rigid", (0.0197, 0.0205)),
+        Parameter("friction_offset", 1, None, None, "N m", "rigid"),
+    )
+    model = RigidModel(
+        parameters=parameters,
+        solution=np.array([0.0201, 0.0]),
+        covariance=np.diag([4e-8, np.nan]),
+        condition_number=12.5,
+        fit_percent={"motion": {"torque1": 97.5}},
+        bandwidth_hz=5.0,
+        decimation=40,
+        n_rows=300,
+        status="partly-determined",
+    )
+    return Identification(
+        study=rigid_two_link(),
+        created="2026-01-01T00:00:00+00:00",
+        version="0.1.0",
+        stages=("rigid",),
+        rigid=model,
+        fitted=(prediction("motion", 97.5),),
+        checks=(prediction("check", 91.25, float("nan")),),
+        warnings=(Caution("saturated", "motion.csv", "u1 is at its limit"),),
+        timing_s={"read": 0.01, "rigid": 0.5},
+    )

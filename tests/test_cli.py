@@ -1,0 +1,176 @@
+"""The commands as a user runs them: what they print, write and exit with."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import studies
+from strainwave import scara, virtual
+from strainwave.study import write_study
+
+FINISHED = ["result.json", "report.html"]
+
+
+def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "strainwave", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        env={**os.environ, "COLUMNS": "100", "PYTHONWARNINGS": "error"},
+    )
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The demonstration's folder and what it printed."""
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    done = run("demo", "--out", str(folder))
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return folder, done.stdout
+
+
+def test_the_demonstration_finds_its_arm(demo: tuple[Path, str]) -> None:
+    folder, printed = demo
+    document = json.loads((folder / "result.json").read_text())
+    truth = virtual.derived(scara.parameters(), scara.study(folder))
+    for p in document["parameters"]:
+        true = truth[p["name"], p["joint"]]
+        scale = truth["motor_coulomb_friction", p["joint"]] if true == 0.0 else true
+        assert abs(p["value"] - true) < 0.03 * scale, p
+        assert p["ci95"][0] < p["value"] < p["ci95"][1]
+    assert "rigid_inertia" in printed
+    assert str(folder / "report.html") in printed
+
+
+def test_identify_reads_what_the_demonstration_wrote(
+    demo: tuple[Path, str], tmp_path: Path
+) -> None:
+    folder, _ = demo
+    out = tmp_path / "a" / "b"
+    done = run("identify", str(folder / "study.toml"), "--out", str(out), "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert sorted(p.name for p in out.iterdir()) == sorted(FINISHED)
+    again, first = (json.loads((f / "result.json").read_text()) for f in (out, folder))
+    assert again["parameters"] == first["parameters"]
+    assert again["study"] == first["study"]
+
+
+def test_the_stages_option_names_a_beginning(demo: tuple[Path, str], tmp_path: Path) -> None:
+    study = str(demo[0] / "study.toml")
+    assert run("identify", study, "--out", str(tmp_path), "--stages", "rigid").returncode == 0
+    done = run("identify", study, "--out", str(tmp_path / "x"), "--stages", "frobnicate")
+    assert done.returncode == 2
+    assert "frobnicate" in done.stderr
+    assert "rigid" in done.stderr
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("study", "log", "said"),
+    [
+        (studies.STUDY.replace("gear_ratio = 0.01", "gear_ratio = 100", 1), None, "0.01"),
+        (studies.STUDY.replace("spring", "sprung", 1), None, "'spring'"),
+        (studies.STUDY, "t,u1\n0.0,1.0\n0.001", "motion.csv"),
+        (studies.STUDY, "", "motion.csv"),
+    ],
+)
+def test_faults_exit_with_two_and_one_message(
+    study: str, log: str | None, said: str, tmp_path: Path
+) -> None:
+    path = studies.write(tmp_path, study, log)
+    done = run("identify", str(path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Remedy:" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert done.stdout == ""
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_fault_leaves_an_earlier_result_alone(tmp_path: Path) -> None:
+    path = studies.write(tmp_path, studies.STUDY, "")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").write_text("earlier")
+    assert run("identify", str(path), "--out", str(tmp_path / "out")).returncode == 2
+    assert [p.read_text() for p in (tmp_path / "out").iterdir()] == ["earlier"]
+
+
+def test_no_motion_exits_with_three_and_a_result(tmp_path: Path) -> None:
+    path = studies.write(tmp_path, studies.STUDY.replace('use = "motion"', 'use = "sweep"'))
+    done = run("identify", str(path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 3
+    assert "motion" in done.stdout
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert document["parameters"] == []
+    assert "motion" in document["reason"]
+
+
+def test_one_way_motion_exits_with_three_and_what_it_tells(tmp_path: Path) -> None:
+    """A drive that never turns back: Coulomb friction and offset are one number."""
+    t = 1e-3 * np.arange(12000)
+    rate = 40.0 + 20.0 * np.sin(2.0 * t) + 9.0 * np.sin(5.3 * t)
+    angle = 40.0 * t - 10.0 * np.cos(2.0 * t) - 9.0 / 5.3 * np.cos(5.3 * t)
+    acceleration = 40.0 * np.cos(2.0 * t) + 9.0 * 5.3 * np.cos(5.3 * t)
+    columns = {"t": t, "theta_m1": angle, "torque1": 0.02 * acceleration + 0.01 * rate + 0.3}
+    study = '[arm]\nkind = "single-joint"\n[[joint]]\nspring = "rigid"\ngear_ratio = 1.0\n'
+    study += (
+        '[[experiment]]\nname = "m"\nfile = "motion.csv"\nuse = "motion"\ncontrol = ["servo"]\n'
+    )
+    path = studies.write(tmp_path, study, studies.csv_text(columns))
+    done = run("identify", str(path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 3, done.stderr
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    values = {p["name"]: p["value"] for p in document["parameters"]}
+    assert values["inertia"] == pytest.approx(0.02, rel=1e-3)
+    assert values["motor_coulomb_friction"] is None
+    assert values["friction_offset"] is None
+    assert {w["where"] for w in document["warnings"] if w["code"] == "not-identifiable"} == {
+        "motor_coulomb_friction of joint 1",
+        "friction_offset of joint 1",
+    }
+
+
+def test_simulate_replays_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: Path) -> None:
+    values = scara.parameters(disks=3)
+    document = {"parameters": [{"name": n, "joint": j, "value": v} for (n, j), v in values.items()]}
+    (tmp_path / "p.json").write_text(json.dumps(document))
+    study = str(demo[0] / "study.toml")
+    parameters = ["--parameters", str(tmp_path / "p.json")]
+    done = run("simulate", study, *parameters, "--out", str(tmp_path / "arm"), "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    done = run("identify", str(tmp_path / "arm" / "study.toml"), "--out", str(tmp_path / "r"))
+    assert done.returncode == 0
+    result = json.loads((tmp_path / "r" / "result.json").read_text())
+    beta = next(p["value"] for p in result["parameters"] if p["name"] == "beta")
+    assert beta == pytest.approx(values["beta", None], rel=0.03)
+
+
+def test_simulate_keeps_off_the_study_it_reads(tmp_path: Path) -> None:
+    study = scara.study(tmp_path)
+    write_study(study, study.path)
+    (tmp_path / "p.json").write_text('{"parameters": []}')
+    arguments = ["simulate", str(study.path), "--parameters", str(tmp_path / "p.json")]
+    done = run(*arguments, "--out", str(tmp_path))
+    assert done.returncode == 2
+    assert "another directory" in done.stderr
+
+
+def test_version_help_and_wrong_usage() -> None:
+    import strainwave
+
+    assert run("--version").stdout == f"strainwave {strainwave.__version__}\n"
+    assert "identify" in run("--help").stdout
+    wrong = run("identify")
+    assert wrong.returncode == 2
+    assert "Traceback" not in wrong.stderr
