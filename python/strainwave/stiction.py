@@ -6,9 +6,11 @@ stands, the friction torque is anywhere in [-f, f]: there it is an unknown of it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from strainwave.records import BoolArray, FloatArray
+from strainwave.records import BoolArray, FloatArray, IntArray
 
 
 def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> FloatArray:
@@ -106,3 +108,30 @@ def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatA
             inside = np.flatnonzero(shape)
             shapes.append((first + int(inside[0]), shape[inside[0] : inside[-1] + 1]))
     return shapes
+
+
+def responses(
+    shapes: Sequence[tuple[int, FloatArray]], rows: IntArray, kernel: FloatArray
+) -> FloatArray:
+    """Each shape through a filter, at some samples.
+
+    Parameters
+    ----------
+    shapes : sequence of (first sample, shape)
+    rows : (n_rows,)
+        Samples wanted.
+    kernel : (2 reach + 1,)
+        The filter's answer to an impulse at its middle; it must have died away at both ends.
+
+    Returns
+    -------
+    (n_rows, n_shapes)
+    """
+    reach = len(kernel) // 2
+    result = np.zeros((len(rows), len(shapes)))
+    for k, (first, shape) in enumerate(shapes):
+        response = np.convolve(shape, kernel)
+        at = rows - (first - reach)
+        inside = (at >= 0) & (at < len(response))
+        result[inside, k] = response[at[inside]]
+    return result

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.filters import differentiate, low_pass
-from strainwave.records import BoolArray, FloatArray, Signals, Study
+from strainwave.records import BoolArray, FloatArray, IntArray, Signals, Study
 from strainwave.regressor import (
     FRICTION_COLUMNS,
     body_regressor,
@@ -22,8 +22,8 @@ from strainwave.regressor import (
     gear_ratios,
     n_body,
 )
-from strainwave.rigid.least_squares import Equations, Factor, IntArray
-from strainwave.stiction import free_friction
+from strainwave.least_squares import Equations, Factor
+from strainwave.stiction import free_friction, responses
 
 MOTOR_SHARE = 0.5
 """Share of joint 1's rigid inertia (a single joint's inertia) taken for its motor's.
@@ -91,13 +91,17 @@ def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
     reach = 1.0 / (bandwidth_hz * T)  # samples after which the filter has forgotten
     rows = np.arange(int(reach), n_samples - int(reach), decimation(T, bandwidth_hz))
     sides = [signals.motor_velocity, signals.direction, np.ones((n_samples, n_joints))]
+    around = int(2.5 * reach)  # the impulse response has then fallen below 1e-6
+    impulse = np.zeros(2 * around + 1)
+    impulse[around] = 1.0
+    kernel = low_pass(impulse, bandwidth_hz, T)
     keep, shapes, free = [], [], []
     for i in range(n_joints):
         keep.append(_clear_of(~signals.valid[:, i], int(reach / 2))[rows])
         uncertain = int(np.count_nonzero(signals.direction[:, i] == 0.0))
         spacing = max(2, round(reach / _KNOTS_PER_PERIOD), uncertain // _MOST_KNOTS)
         shapes.append(free_friction(signals.direction[:, i], spacing))
-        free.append(_filtered_shapes(shapes[i], rows, bandwidth_hz, T))
+        free.append(responses(shapes[i], rows, kernel))
     return Stretch(
         signals=signals,
         bandwidth_hz=bandwidth_hz,
@@ -351,23 +355,3 @@ def _clear_of(bad: BoolArray, reach: int) -> BoolArray:
 
     near = maximum_filter1d(bad.astype(np.int8), 2 * max(1, reach) + 1)
     return np.asarray(near == 0)
-
-
-def _filtered_shapes(
-    shapes: list[tuple[int, FloatArray]],
-    rows: IntArray,
-    bandwidth_hz: float,
-    T: float,
-) -> FloatArray:
-    """Each shape through the low-pass, at the kept rows: (n_rows, n_shapes)."""
-    reach = int(2.5 / (bandwidth_hz * T))  # the impulse response has then fallen below 1e-6
-    impulse = np.zeros(2 * reach + 1)
-    impulse[reach] = 1.0
-    kernel = low_pass(impulse, bandwidth_hz, T)
-    result = np.zeros((len(rows), len(shapes)))
-    for k, (first, shape) in enumerate(shapes):
-        response = np.convolve(shape, kernel)
-        at = rows - (first - reach)
-        inside = (at >= 0) & (at < len(response))
-        result[inside, k] = response[at[inside]]
-    return result

@@ -5,20 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from strainwave.records import BoolArray, FloatArray
+from strainwave.records import BoolArray, FloatArray, IntArray
 
 HUBER = 4.0
 """Deviations beyond which a residual counts linearly: gross errors only, for the friction of real
 drives has honest tails that a tighter limit would cut off on one side of each reversal."""
+
+KNOWN = -1
+"""Group of rows that state what is known beforehand, each divided by its own deviation."""
 
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
 _TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
 
-IntArray = NDArray[np.int_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,7 @@ class Equations:
     local: FloatArray  # (n_rows, n_local)
     local_deviation: FloatArray  # (n_local,)
     target: FloatArray  # (n_rows,)
-    group: IntArray  # (n_rows,) rows of one group have errors of one size
+    group: IntArray  # (n_rows,) rows of one group have errors of one size; or KNOWN
     block: IntArray  # (n_rows,) rows of one block may have errors in common
 
 
@@ -131,8 +132,8 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
     """
     residual = residual_of(equations, factor)
     free = 1.0 - factor.leverage
-    root = np.empty_like(residual)
-    for g in np.unique(equations.group):
+    root = np.ones_like(residual)
+    for g in np.unique(equations.group[equations.group != KNOWN]):
         rows = equations.group == g
         telling = rows & (free > _TELLING)
         telling = telling if telling.any() else rows
@@ -147,8 +148,8 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
 
 def first_weights(target: FloatArray, group: IntArray) -> FloatArray:
     """Square roots of the weights before any residual is known: one over each group's rms."""
-    root = np.empty_like(target)
-    for g in np.unique(group):
+    root = np.ones_like(target)
+    for g in np.unique(group[group != KNOWN]):
         rms = float(np.sqrt(np.mean(target[group == g] ** 2)))
         root[group == g] = 1.0 / rms if rms > 0.0 else 1.0
     return root
@@ -192,8 +193,9 @@ def jackknife(
     right = A.T @ y
     whole = np.linalg.solve(gram, right)[: k + n_local]
     shifts = []
-    for label in np.unique(equations.block):
-        part = equations.block == label
+    known = equations.group == KNOWN
+    for label in np.unique(equations.block[~known]):
+        part = (equations.block == label) & ~known
         without = gram - A[part].T @ A[part]
         # what only this block tells is lost without it: the ridge keeps that at its whole-data
         # size instead of dividing by nothing
@@ -201,7 +203,8 @@ def jackknife(
         reduced = np.linalg.solve(without, right - A[part].T @ y[part])
         shifts.append(reduced[: k + n_local] - whole)
     # the priors' share: an estimate leans towards them, in proportion to how little the data say
-    lean = np.linalg.inv(gram)[: k + n_local, k:]
+    inverse = np.linalg.inv(gram)[: k + n_local]
+    lean = np.hstack([inverse[:, k:], inverse @ A[known].T])
     m = len(shifts)
     inner = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + lean @ lean.T
     back = basis / factor.singular[factor.seen]

@@ -1,0 +1,328 @@
+"""LinkSignals, Decoupled -> JointModel: physical parameters straight from the equations of motion.
+
+With both sides of the gear measured, (1) and (2) of one joint are two equations per sample,
+
+    u + n tau = m_M dw_M + d_M w_M + f s + n (m_L dw_L + d_L w_L)                          (S6)
+    delta = c (m_L dw_L + d_L w_L - tau) - t ddelta,     c = 1/k, t = d_G/k                (S7)
+
+(S6) is linear in its parameters; (S7) is linearised around the last ones, and says of the twist
+what the torque through the gear makes of it. Both pass one zero-phase band-pass around the
+anti-resonance and the resonance, which keeps out bias and drift of the sensors below and their
+noise above. Every signal has the sensors' own filters behind it (`LinkSignals.shared`), so those
+drop out of the equations. Friction where the motor may stand is an unknown of its own.
+
+What the rigid model knows, c_1 = m_M + n^2 m_L, c_0 = d_M + n^2 d_L and the Coulomb friction, joins
+as one more equation each, weighted by its deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave import least_squares as ls
+from strainwave.filters import band_pass, differentiate, lagged
+from strainwave.physical.two_inertia import (
+    NAMES,
+    TwoInertia,
+    anti_resonance,
+    jacobian,
+    resonance,
+)
+from strainwave.records import Decoupled, FloatArray, LinkSignals, Study
+from strainwave.stiction import free_friction, responses
+
+COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "relaxation_time")
+"""Unknowns: m_M, d_M, f, m_L, d_L, c = 1/k, t = d_G/k."""
+
+_MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION = range(7)
+
+_BELOW = 2.5  # anti-resonance over the band's lower edge
+_ABOVE = 1.8  # the band's upper edge over the resonance: half-way to what next bends
+_FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring; then adapted
+_SLOWEST = 6.0  # periods of the lower edge in the shortest record, at least
+_BANDS = 6  # rounds in which the band may move
+_SAME_BAND = 0.05
+_ROUNDS = 8  # of weights and linearisation at one band
+_ROWS_PER_HZ = 4.0
+_BLOCKS = 20
+_KNOTS = 8.0  # of free friction, in periods of the upper edge
+_STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
+
+
+@dataclass(frozen=True, slots=True)
+class RigidKnowledge:
+    """What the rigid step knows of one joint, with deviations; None: nothing."""
+
+    total_inertia: tuple[float, float] | None  # c_1 [kg m^2]
+    total_viscous_friction: tuple[float, float] | None  # c_0 [N m s/rad]
+    coulomb_friction: tuple[float, float] | None  # f [N m]
+
+
+@dataclass(frozen=True, slots=True)
+class GreyBoxFit:
+    """One joint's parameters with their covariance."""
+
+    joint: TwoInertia
+    coulomb_friction: float
+    covariance: FloatArray  # (7, 7) of the six of `NAMES`, then the Coulomb friction
+    determined: tuple[bool, ...]  # (7,)
+    band_hz: tuple[float, float]
+    torque_fit_percent: float  # of (S6)
+    twist_fit_percent: float  # of (S7)
+    condition_number: float
+    n_rows: int
+
+
+def fit_grey_box(
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    study: Study,
+    known: RigidKnowledge,
+    band_hz: tuple[float, float] | None = None,
+) -> GreyBoxFit:
+    """Fit one joint's physical parameters to one or several records.
+
+    Parameters
+    ----------
+    records : sequence of (LinkSignals, Decoupled)
+        Of one joint.
+    study : Study
+    known : RigidKnowledge
+    band_hz : (float, float), optional
+        Of the equations' filter; None: from the resonances found.
+
+    Returns
+    -------
+    GreyBoxFit
+    """
+    band = band_hz or _first_band(records)
+    start: FloatArray | None = None
+    for _ in range(_BANDS):
+        pieces = [_piece(signals, joint, study, band) for signals, joint in records]
+        equations, factor, start = _solve(pieces, known, start)
+        if band_hz is not None:
+            break
+        before, band = band, _band_around(_joint(start, pieces[0].ratio), records, band)
+        if all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(before, band, strict=True)):
+            break
+    covariance, _ = ls.jackknife(equations, factor)
+    told = ls.determined(equations, factor, covariance)
+    return _result(pieces, equations, factor, start, covariance, told, band)
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """One record's filtered columns, at the rows kept."""
+
+    ratio: float
+    torque: FloatArray  # (n_rows,) u + n tau
+    tau: FloatArray  # (n_rows,)
+    motor: FloatArray  # (n_rows, 3) dw_M, w_M, s
+    link: FloatArray  # (n_rows, 2) dw_L, w_L
+    twist: FloatArray  # (n_rows, 2) delta, ddelta
+    free: FloatArray  # (n_rows, n_free) shapes of free friction
+
+
+def _first_band(records: Sequence[tuple[LinkSignals, Decoupled]]) -> tuple[float, float]:
+    low, high = _FIRST_BAND_HZ
+    return _possible(low, high, records)
+
+
+def _possible(
+    low: float, high: float, records: Sequence[tuple[LinkSignals, Decoupled]]
+) -> tuple[float, float]:
+    """The band cut to what the records hold."""
+    for signals, _ in records:
+        low = max(low, _SLOWEST / (len(signals.time) * signals.sample_time))
+        high = min(high, 0.4 / signals.sample_time, 0.8 * (signals.bandwidth_hz or np.inf))
+    return min(low, high / 2.0), high
+
+
+def _band_around(
+    p: TwoInertia,
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    otherwise: tuple[float, float],
+) -> tuple[float, float]:
+    if not np.all(p.vector[[0, 2, 4]] > 0.0):
+        return otherwise
+    low, high = anti_resonance(p).frequency_hz, resonance(p).frequency_hz
+    return _possible(low / _BELOW, high * _ABOVE, records)
+
+
+def _piece(
+    signals: LinkSignals, decoupled: Decoupled, study: Study, band: tuple[float, float]
+) -> _Piece:
+    i, T = decoupled.joint - 1, signals.sample_time
+    n = study.joints[i].gear_ratio
+    low, high = band
+    reach = int(1.5 / (low * T))
+    reach = min(reach, len(signals.time) // 4)
+    rows = np.arange(reach, len(signals.time) - reach, max(1, int(1.0 / (_ROWS_PER_HZ * high * T))))
+
+    def passed(x: FloatArray, integrals: int = 0) -> FloatArray:
+        return band_pass(x, low, high, T, integrals=integrals)
+
+    acceleration = signals.link_acceleration[:, i]
+    link_acceleration = passed(acceleration)
+    if signals.sources[i] in ("encoder", "deflection"):
+        link_velocity = passed(signals.link_velocity[:, i])
+        link_angle = passed(signals.link_angle[:, i])
+    else:
+        link_velocity, link_angle = passed(acceleration, 1), passed(acceleration, 2)
+    motor_velocity = passed(signals.motor_velocity[:, i])
+    tau = decoupled.inputs[:, 1] if decoupled.inputs.shape[1] > 1 else np.zeros(len(signals.time))
+    direction = signals.direction[:, i]
+    slid = passed(lagged(direction, signals.shared, T))
+    around = int(2.0 / (low * T))  # the band-pass's answer has then fallen below 1e-5
+    impulse = np.zeros(2 * around + 1)
+    impulse[around] = 1.0
+    kernel = passed(lagged(impulse, signals.shared, T))
+    shapes = free_friction(direction, max(2, int(1.0 / (_KNOTS * high * T))))
+    return _Piece(
+        ratio=n,
+        torque=(passed(signals.motor_torque[:, i]) + n * passed(tau))[rows],
+        tau=passed(tau)[rows],
+        motor=np.column_stack([differentiate(motor_velocity, T), motor_velocity, slid])[
+            rows
+        ],
+        link=np.column_stack([link_acceleration, link_velocity])[rows],
+        twist=np.column_stack(
+            [n * passed(signals.motor_angle[:, i]) - link_angle, n * motor_velocity - link_velocity]
+        )[rows],
+        free=responses(shapes, rows, kernel),
+    )
+
+
+def _solve(
+    pieces: Sequence[_Piece], known: RigidKnowledge, start: FloatArray | None
+) -> tuple[ls.Equations, ls.Factor, FloatArray]:
+    """Weights and linearisation in turn."""
+    x = _start(pieces) if start is None else start
+    equations = _assemble(pieces, known, x)
+    root = ls.first_weights(equations.target, equations.group)
+    for _ in range(_ROUNDS):
+        factor = ls.factorise(equations, root)
+        x = factor.value
+        equations = _assemble(pieces, known, x)
+        root = ls.root_weights(equations, factor)
+    return equations, ls.factorise(equations, root), x
+
+
+def _start(pieces: Sequence[_Piece]) -> FloatArray:
+    """(S6) alone gives the inertias; the twist per torque, the compliance."""
+    x = np.zeros(len(COLUMNS))
+    motor = np.concatenate([np.hstack([p.motor, p.ratio * p.link[:, :1]]) for p in pieces])
+    torque = np.concatenate([p.torque for p in pieces])
+    x[[_MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK]] = np.linalg.lstsq(motor, torque)[0]
+    through = np.concatenate([x[_LINK] * p.link[:, 0] - p.tau for p in pieces])
+    twist = np.concatenate([p.twist for p in pieces])
+    columns = np.column_stack([through, -twist[:, 1]])
+    x[[_COMPLIANCE, _RELAXATION]] = np.linalg.lstsq(columns, twist[:, 0])[0]
+    return x
+
+
+def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) -> ls.Equations:
+    """(S6) and (S7) of all records around x, then what the rigid model knows."""
+    shared, local, target, group, block, deviation = [], [], [], [], [], []
+    n_local = sum(p.free.shape[1] for p in pieces)
+    total = sum(len(p.torque) for p in pieces)
+    first_block = at = 0
+    for number, p in enumerate(pieces):
+        n_rows, n_free = len(p.torque), p.free.shape[1]
+        motor = np.zeros((n_rows, len(COLUMNS)))
+        motor[:, [_MOTOR, _MOTOR_VISCOUS, _COULOMB]] = p.motor
+        motor[:, [_LINK, _LINK_VISCOUS]] = p.ratio * p.link
+        gear = np.zeros((n_rows, len(COLUMNS)))
+        own = p.link @ x[[_LINK, _LINK_VISCOUS]]
+        gear[:, [_LINK, _LINK_VISCOUS]] = x[_COMPLIANCE] * p.link
+        gear[:, _COMPLIANCE] = own - p.tau
+        gear[:, _RELAXATION] = -p.twist[:, 1]
+        Z = np.zeros((2 * n_rows, n_local))
+        Z[:n_rows, at : at + n_free] = p.free
+        at += n_free
+        n_blocks = max(2, round(_BLOCKS * n_rows / total))
+        label = first_block + np.arange(n_rows) * n_blocks // n_rows
+        first_block += n_blocks
+        shared += [motor, gear]
+        local.append(Z)
+        target += [p.torque, p.twist[:, 0] + x[_COMPLIANCE] * own]
+        group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
+        block += [label, label]
+        deviation += [max(_STANDING * abs(float(x[_COULOMB])), 1e-300)] * n_free
+    beforehand, values = _knowledge(known, pieces[0].ratio)
+    return ls.Equations(
+        shared=np.concatenate([*shared, beforehand]),
+        noise=np.zeros(len(COLUMNS)),
+        local=np.concatenate([*local, np.zeros((len(values), n_local))]),
+        local_deviation=np.array(deviation),
+        target=np.concatenate([*target, values]),
+        group=np.concatenate([*group, np.full(len(values), ls.KNOWN)]),
+        block=np.concatenate([*block, np.full(len(values), ls.KNOWN)]),
+    )
+
+
+def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]:
+    """Rows and right sides, each divided by its deviation."""
+    rows, values = [], []
+    for value, columns in (
+        (known.total_inertia, {_MOTOR: 1.0, _LINK: n * n}),
+        (known.total_viscous_friction, {_MOTOR_VISCOUS: 1.0, _LINK_VISCOUS: n * n}),
+        (known.coulomb_friction, {_COULOMB: 1.0}),
+    ):
+        if value is None:
+            continue
+        row = np.zeros(len(COLUMNS))
+        for column, factor in columns.items():
+            row[column] = factor / value[1]
+        rows.append(row)
+        values.append(value[0] / value[1])
+    return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
+
+
+def _joint(x: FloatArray, ratio: float) -> TwoInertia:
+    vector = _physical(x)
+    return TwoInertia(*(float(v) for v in vector[:6]), gear_ratio=ratio)
+
+
+def _physical(x: FloatArray) -> FloatArray:
+    """The six of `NAMES`, then the Coulomb friction."""
+    k = 1.0 / x[_COMPLIANCE]
+    gear = [k, k * x[_RELAXATION]]
+    first = x[[_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS]]
+    return np.concatenate([first, gear, x[[_COULOMB]]])
+
+
+def _result(
+    pieces: Sequence[_Piece],
+    equations: ls.Equations,
+    factor: ls.Factor,
+    x: FloatArray,
+    covariance: FloatArray,
+    told: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    band: tuple[float, float],
+) -> GreyBoxFit:
+    J = jacobian(_physical, x)
+    residual = ls.residual_of(equations, factor)
+    fits = []
+    for parity in (0, 1):
+        rows = (equations.group != ls.KNOWN) & (equations.group % 2 == parity)
+        fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / _size(pieces, parity)))
+    order = [_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION, _COULOMB]
+    return GreyBoxFit(
+        joint=_joint(x, pieces[0].ratio),
+        coulomb_friction=float(x[_COULOMB]),
+        covariance=J @ covariance @ J.T,
+        determined=tuple(bool(told[k]) for k in order),
+        band_hz=band,
+        torque_fit_percent=float(fits[0]),
+        twist_fit_percent=float(fits[1]),
+        condition_number=factor.condition_number,
+        n_rows=int(np.count_nonzero(equations.group != ls.KNOWN)),
+    )
+
+
+def _size(pieces: Sequence[_Piece], parity: int) -> float:
+    signals = [p.twist[:, 0] if parity else p.torque for p in pieces]
+    return float(np.linalg.norm(np.concatenate(signals)))
