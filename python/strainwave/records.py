@@ -316,6 +316,7 @@ class StateSpace:
 
     @property
     def order(self) -> int:
+        """Number of states."""
         return len(self.A)
 
     @property
@@ -345,6 +346,7 @@ class ContinuousStateSpace:
 
     @property
     def order(self) -> int:
+        """Number of states."""
         return len(self.A)
 
 
@@ -360,6 +362,7 @@ class Mode:
 
     @property
     def oscillates(self) -> bool:
+        """Whether it is a complex pair."""
         return self.value.imag > 0.0
 
 
@@ -402,7 +405,7 @@ class FrequencyResponse:
             return None
         direction = np.stack([along.real, along.imag], axis=-1)
         variance = np.einsum("...i,...ij,...j->...", direction, self.covariance, direction)
-        return np.sqrt(np.maximum(variance, 0.0))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,6 +433,7 @@ class ModelCheck:
 
     @property
     def passed(self) -> bool:
+        """Whether no test failed."""
         return all(test.passed for test in self.tests)
 
 

@@ -64,9 +64,9 @@ def split(vector: FloatArray, sizes: Sequence[tuple[int, int]]) -> list[FloatArr
 
 def unpack(values: FloatArray, order: int, n_inputs: int, n_outputs: int) -> Matrices:
     """The inverse of `Matrices.pack`."""
-    parts = split(values, shapes(order, n_inputs, n_outputs))
+    A, B, C, D, K = split(values, shapes(order, n_inputs, n_outputs))
     start = n_entries(order, n_inputs, n_outputs)
-    return Matrices(*parts, initial_states=values[start:].reshape(-1, order))
+    return Matrices(A, B, C, D, K, initial_states=values[start:].reshape(-1, order))
 
 
 def unscale(matrices: Matrices, data: Stack) -> Matrices:
@@ -121,7 +121,7 @@ def _gramian(A: FloatArray, B: FloatArray) -> FloatArray:
     for _ in range(60):
         step = A @ X @ A.T
         X = X + step
-        if not np.linalg.norm(step) > 1e-15 * np.linalg.norm(X):
+        if not np.abs(step).max() > 1e-15 * np.abs(X).max():
             break
         A = A @ A
     return 0.5 * (X + X.T)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from strainwave import _core
 from strainwave.records import Caution, FloatArray, StateSpace
@@ -46,16 +47,22 @@ class Evaluator:
 
     def whitener(self, matrices: Matrices) -> FloatArray:
         """Lower factor of the innovations' covariance."""
-        return np.linalg.cholesky(floored_covariance(self.residuals(matrices)))
+        return np.asarray(np.linalg.cholesky(floored_covariance(self.residuals(matrices))))
 
     def linear(
-        self, matrices: Matrices, feedthrough: tuple[bool, ...] | None, *, gain: bool
+        self,
+        matrices: Matrices,
+        feedthrough: tuple[bool, ...] | None,
+        *,
+        gain: bool,
+        solutions: int = 2,
     ) -> Matrices:
         """B, D and the initial states by least squares over the whole record, A, C, K given.
 
         The innovations are linear in them. The first solution weighs the outputs alike, the second
-        by the covariance that the first left. Without `gain`, K is set to zero and the outputs are
-        simulated; without `feedthrough`, only the initial states are estimated.
+        by the covariance that the first left; for a start one will do. Without `gain`, K is set to
+        zero and the outputs are simulated; without `feedthrough`, only the initial states are
+        estimated.
         """
         if not gain:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
@@ -63,17 +70,18 @@ class Evaluator:
         values = matrices.pack()
         values[chosen] = 0.0
         whitener = np.eye(self.data.n_outputs)
-        for _ in range(2):
+        for solution in range(solutions):
             hessian, gradient = self.core.normal_equations(values, whitener)
             # Fresh from the same point, so that a second solution replaces the first.
             block = hessian[np.ix_(chosen, chosen)]
             scale = np.sqrt(np.maximum(np.diagonal(block), np.finfo(float).tiny))
             step = np.linalg.lstsq(block / np.outer(scale, scale), -gradient[chosen] / scale, 1e-14)
             values[chosen] += step[0] / scale
-            whitener = self.whitener(self.unpack(values))
+            if solution + 1 < solutions:
+                whitener = self.whitener(self.unpack(values))
         return self.unpack(values)
 
-    def _linear_entries(self, feedthrough: tuple[bool, ...] | None) -> FloatArray:
+    def _linear_entries(self, feedthrough: tuple[bool, ...] | None) -> NDArray[np.intp]:
         n, m, p = self.order, self.data.n_inputs, self.data.n_outputs
         start_b, start_d = n * n, n * (n + m + p)
         states = start_d + p * m + n * p + np.arange(n * len(self.data.lengths))
@@ -87,7 +95,7 @@ class Evaluator:
         with np.errstate(all="ignore"):
             free = replace(matrices, K=np.zeros_like(matrices.K))
             if is_stable(free.A):
-                free = self.linear(free, None, gain=False)
+                free = self.linear(free, None, gain=False, solutions=1)
             return self.data.outputs - self.core.residuals(free.pack())
 
 

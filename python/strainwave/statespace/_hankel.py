@@ -41,11 +41,21 @@ def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[Float
     try:
         R = np.linalg.cholesky(gram[np.ix_(order, order)]).T
     except np.linalg.LinAlgError:
-        return np.linalg.qr(_blocked_qr(data, z, depth)[:, order], mode="r"), rows
+        return _upper(_blocked_qr(data, z, depth)[:, order]), rows
     pivots = np.diagonal(R)
     if pivots.min() < SMALLEST_PIVOT * pivots.max():
-        return np.linalg.qr(_blocked_qr(data, z, depth)[:, order], mode="r"), rows
-    return R, rows
+        return _upper(_blocked_qr(data, z, depth)[:, order]), rows
+    return np.asarray(R), rows
+
+
+def solve_upper(R: FloatArray, right: FloatArray) -> FloatArray:
+    """R^-1 right for triangular R; of least norm where columns of R depend on one another."""
+    pivots = np.abs(np.diagonal(R))
+    if pivots.min() > SMALLEST_PIVOT * pivots.max():
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(R, right, check_finite=False))
+    return np.asarray(np.linalg.lstsq(R, right, rcond=1e-12)[0], dtype=np.float64)
 
 
 def _blocked_qr(data: Stack, z: FloatArray, depth: int) -> FloatArray:
@@ -55,5 +65,10 @@ def _blocked_qr(data: Stack, z: FloatArray, depth: int) -> FloatArray:
         windows = np.lib.stride_tricks.sliding_window_view(z[record].ravel(), depth * width)
         windows = windows[::width]
         for start in range(0, len(windows), BLOCK):
-            R = np.linalg.qr(np.vstack([R, windows[start : start + BLOCK]]), mode="r")
+            R = _upper(np.vstack([R, windows[start : start + BLOCK]]))
     return R
+
+
+def _upper(matrix: FloatArray) -> FloatArray:
+    """R of matrix = Q R."""
+    return np.asarray(np.linalg.qr(matrix, mode="r"))

@@ -42,11 +42,11 @@ def innovations_gain(
         G = G + F @ inner[:, n:] @ F.T
         F = F @ inner[:, :n]
         P = P + 0.5 * (step + step.T)
-        if not np.linalg.norm(step) > 1e-14 * np.linalg.norm(P):
+        if not np.abs(step).max() > 1e-14 * np.abs(P).max():
             break
     covariance = C @ P @ C.T + R
     K = np.linalg.solve(covariance, (A @ P @ C.T + S).T).T
-    return K, covariance
+    return np.asarray(K, dtype=np.float64), covariance
 
 
 def is_stable(A: FloatArray) -> bool:

@@ -33,11 +33,11 @@ class Stack:
 
     @property
     def n_inputs(self) -> int:
-        return self.inputs.shape[1]
+        return int(self.inputs.shape[1])
 
     @property
     def n_outputs(self) -> int:
-        return self.outputs.shape[1]
+        return int(self.outputs.shape[1])
 
     @property
     def measured(self) -> FloatArray:

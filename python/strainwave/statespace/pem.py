@@ -112,11 +112,11 @@ def _starts(
         found = [_from_model(start, data)]
     evaluator = Evaluator(data, found[0].order)
     stable = [replace(each, A=reflected(each.A), K=np.zeros_like(each.K)) for each in found]
-    starts = [evaluator.linear(each, feedthrough, gain=False) for each in stable]
+    starts = [evaluator.linear(each, feedthrough, gain=False, solutions=1) for each in stable]
     if options.disturbance == "innovations":
         # Sensor noise alone means K = 0, and the predictor is then as slow as the arm: a gain from
         # a subspace step lies far from it on a curved path. Both starts are weighed.
-        starts += [evaluator.linear(each, feedthrough, gain=True) for each in found]
+        starts += [evaluator.linear(each, feedthrough, gain=True, solutions=1) for each in found]
     return [balanced(each) for each in starts]
 
 
@@ -165,6 +165,7 @@ def _model(
     evaluator: Evaluator, fit: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
 ) -> StateSpace:
     data = evaluator.data
+    method: Literal["pem", "output-error"]
     method = "pem" if options.disturbance == "innovations" else "output-error"
     status = fit.status if fit.covariance is not None else "not-determined"
     warnings = _advice(fit, options)
@@ -225,7 +226,8 @@ def _covariance(
     kind = options.covariance
     residuals = evaluator.residuals(fit.matrices)
     if kind == "auto":
-        white = whiteness(residuals, data, fit.matrices.K.any() * 2 * n * p)
+        fitted = 2 * n * p if fit.matrices.K.any() else 0
+        white = whiteness(residuals, data, fitted)
         kind = "white" if white.passed else "sandwich"
     full = fit.covariance
     if kind == "sandwich":

@@ -1,4 +1,4 @@
-"""What a model left unexplained: are its residuals white, do they still depend on the inputs?"""
+"""What a model left unexplained: whether residuals are white and independent of the inputs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave.errors import InvalidInput
 from strainwave.records import (
     FloatArray,
     HypothesisTest,
@@ -66,15 +67,13 @@ def check_model(model: StateSpace, data: Data, *, lags: int = LAGS) -> ModelChec
 
 def on_data(model: StateSpace, data: Stack) -> tuple[Evaluator, Matrices]:
     """The model in scaled channels, initial states fitted to the data."""
-    from strainwave.errors import InvalidInput
-
     expected, got = (model.B.shape[1], len(model.C)), (data.n_inputs, data.n_outputs)
     if expected != got:
         raise InvalidInput(f"expected (inputs, outputs) {expected} as the model has, got {got}")
     if abs(model.sample_time / data.sample_time - 1.0) > 1e-6:
         raise InvalidInput(
             f"expected the model's sample time {model.sample_time}, got {data.sample_time}",
-            remedy="resample the data, or convert the model with to_continuous and to_sampled",
+            remedy="resample the data, or fit a model to them",
         )
     states = np.zeros((len(data.lengths), model.order))
     own = Matrices(model.A, model.B, model.C, model.D, model.K, states)
@@ -190,8 +189,8 @@ def _normalised(correlations: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def _verdict(name: Name, statistic: float, degrees: int, good: str, bad: str) -> HypothesisTest:
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
-    p_value = float(chi2.sf(statistic, degrees))
+    p_value = float(chdtrc(degrees, statistic))
     passed = p_value >= LEVEL
     return HypothesisTest(name, float(statistic), degrees, p_value, passed, good if passed else bad)

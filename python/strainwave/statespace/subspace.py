@@ -21,7 +21,7 @@ from strainwave.errors import InvalidInput
 from strainwave.records import FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, balanced
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
-from strainwave.statespace._hankel import triangular_factor
+from strainwave.statespace._hankel import solve_upper, triangular_factor
 from strainwave.statespace._riccati import innovations_gain, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 
@@ -166,7 +166,7 @@ def _predictor(data: Stack, order: int | None, past: int) -> Realisation:
     # One sample more than the past, so that the state one sample on has its whole past as well.
     R, _ = triangular_factor(data, past + 1, _regression_order(data, past))
     lead = m + past * width
-    coefficients = np.linalg.lstsq(R[:lead, :lead], R[:lead, lead:], rcond=1e-12)[0][m:].T
+    coefficients = solve_upper(R[:lead, :lead], R[:lead, lead:])[m:].T
     padded = np.hstack([coefficients, np.zeros((p, past * width))])
     sight = np.vstack([padded[:, j * width : (j + past) * width] for j in range(past)])
     Z = R[:, m:lead]
@@ -192,12 +192,10 @@ def _moesp(data: Stack, order: int | None, past: int) -> Realisation:
     n = order or _largest_gap(s)
     sight = Vt[:n].T * np.sqrt(s[:n])
     C = sight[:p]
-    A = np.linalg.lstsq(sight[:-p], sight[p:], rcond=None)[0]
+    A = np.asarray(np.linalg.lstsq(sight[:-p], sight[p:], rcond=None)[0])
     # x = sight^+ (oblique projection) = sight^+ L_wy' L_ww'^-1 w, newest sample of w first.
-    oblique = np.linalg.lstsq(
-        R[known:lead, known:lead], L_wy @ np.linalg.pinv(sight).T, rcond=1e-12
-    )
-    to_state = oblique[0].T.reshape(n, past, width)[:, ::-1].reshape(n, -1)
+    oblique = solve_upper(R[known:lead, known:lead], L_wy @ np.linalg.pinv(sight).T)
+    to_state = oblique.T.reshape(n, past, width)[:, ::-1].reshape(n, -1)
     R, _ = triangular_factor(data, past + 1, _regression_order(data, past))
     return _from_states(R, to_state, data, past, s, given=(A, C))
 
@@ -227,7 +225,7 @@ def _from_states(
     targets = np.hstack([following, y])
     if given is None:
         theta = np.linalg.lstsq(regressors, targets, rcond=1e-12)[0].T
-        A, C = theta[:n, :n], theta[n:, :n]
+        A, C = np.asarray(theta[:n, :n]), np.asarray(theta[n:, :n])
     else:
         A, C = given
         rest = targets - x @ np.vstack([A, C]).T
@@ -239,9 +237,9 @@ def _from_states(
     K = stabilising_gain(A, C, K, innovation)
     matrices = Matrices(
         A=A,
-        B=theta[:n, n:],
+        B=np.asarray(theta[:n, n:]),
         C=C,
-        D=theta[n:, n:],
+        D=np.asarray(theta[n:, n:]),
         K=K,
         initial_states=np.zeros((len(data.lengths), n)),
     )
