@@ -66,6 +66,8 @@ class Evaluator:
         """
         if not gain:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
+        if feedthrough is not None:
+            matrices = replace(matrices, D=matrices.D * np.array(feedthrough))
         chosen = self._linear_entries(feedthrough)
         values = matrices.pack()
         values[chosen] = 0.0

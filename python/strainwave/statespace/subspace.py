@@ -102,7 +102,7 @@ def realise(
     length = horizon or choose_horizon(data, order or 1)
     best: tuple[float, Realisation] | None = None
     for way in ways:
-        found = (_moesp if way == "moesp" else _predictor)(data, order, length)
+        found = (_moesp if way == "moesp" else _predictor)(data, order, length, feedthrough)
         if len(ways) == 1:
             return found
         evaluator = Evaluator(data, found.matrices.order)
@@ -155,7 +155,9 @@ def _regression_order(data: Stack, past: int) -> FloatArray:
     return np.concatenate([now + np.arange(m), lags, now + np.arange(m, width)])
 
 
-def _predictor(data: Stack, order: int | None, past: int) -> Realisation:
+def _predictor(
+    data: Stack, order: int | None, past: int, feedthrough: tuple[bool, ...]
+) -> Realisation:
     """States from the autoregression y[k] = D u[k] + sum M_i z[k-i] + e[k].
 
     M_i = C (A - K C)^(i-1) [B - K D, K]. The products of C (A - K C)^j with the states are sums of
@@ -173,10 +175,10 @@ def _predictor(data: Stack, order: int | None, past: int) -> Realisation:
     U, s, _ = np.linalg.svd(sight @ Z.T, full_matrices=False)
     n = order or _largest_gap(s)
     to_state = (U[:, :n].T @ sight) / np.sqrt(s[:n])[:, None]
-    return _from_states(R, to_state, data, past, s, given=None)
+    return _from_states(R, to_state, data, past, s, feedthrough, given=None)
 
 
-def _moesp(data: Stack, order: int | None, past: int) -> Realisation:
+def _moesp(data: Stack, order: int | None, past: int, feedthrough: tuple[bool, ...]) -> Realisation:
     """A and C from the extended observability matrix, states from the oblique projection."""
     m, p = data.n_inputs, data.n_outputs
     width = m + p
@@ -197,7 +199,7 @@ def _moesp(data: Stack, order: int | None, past: int) -> Realisation:
     oblique = solve_upper(R[known:lead, known:lead], L_wy @ np.linalg.pinv(sight).T)
     to_state = oblique.T.reshape(n, past, width)[:, ::-1].reshape(n, -1)
     R, _ = triangular_factor(data, past + 1, _regression_order(data, past))
-    return _from_states(R, to_state, data, past, s, given=(A, C))
+    return _from_states(R, to_state, data, past, s, feedthrough, given=(A, C))
 
 
 def _from_states(
@@ -206,6 +208,7 @@ def _from_states(
     data: Stack,
     past: int,
     singular_values: FloatArray,
+    feedthrough: tuple[bool, ...],
     given: tuple[FloatArray, FloatArray] | None,
 ) -> Realisation:
     """Regress outputs and next states on states and inputs; the residuals give K.
@@ -221,29 +224,30 @@ def _from_states(
     # One sample on, the newest sample is [u[k], y[k]] and the oldest is forgotten.
     shifted = np.hstack([u, y, R[:, m : lead - width]])
     following = shifted @ to_state.T
-    regressors = np.hstack([x, u])
-    targets = np.hstack([following, y])
+    through = np.array(feedthrough)
+    D = np.zeros((p, m))
     if given is None:
-        theta = np.linalg.lstsq(regressors, targets, rcond=1e-12)[0].T
-        A, C = np.asarray(theta[:n, :n]), np.asarray(theta[n:, :n])
+        state = _regression(np.hstack([x, u]), following)
+        output = _regression(np.hstack([x, u[:, through]]), y)
+        A, B, C = state[:, :n], state[:, n:], output[:, :n]
+        D[:, through] = output[:, n:]
     else:
         A, C = given
-        rest = targets - x @ np.vstack([A, C]).T
-        theta = np.hstack([np.vstack([A, C]), np.linalg.lstsq(u, rest, rcond=1e-12)[0].T])
-    residuals = targets - regressors @ theta.T
+        B = _regression(u, following - x @ A.T)
+        D[:, through] = _regression(u[:, through], y - x @ C.T)
+    residuals = np.hstack([following - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T])
     noise = residuals.T @ residuals / max(data.n_samples, 1)
     noise[n:, n:] += FLOOR * np.eye(p)
     K, innovation = innovations_gain(A, C, noise[:n, :n], noise[:n, n:], noise[n:, n:])
     K = stabilising_gain(A, C, K, innovation)
-    matrices = Matrices(
-        A=A,
-        B=np.asarray(theta[:n, n:]),
-        C=C,
-        D=np.asarray(theta[n:, n:]),
-        K=K,
-        initial_states=np.zeros((len(data.lengths), n)),
-    )
+    states = np.zeros((len(data.lengths), n))
+    matrices = Matrices(A, B, C, D, K, initial_states=states)
     return Realisation(balanced(matrices), singular_values, past)
+
+
+def _regression(regressors: FloatArray, targets: FloatArray) -> FloatArray:
+    """M of least norm with targets = regressors M' but for least squares."""
+    return np.asarray(np.linalg.lstsq(regressors, targets, rcond=1e-12)[0].T, dtype=np.float64)
 
 
 def _largest_gap(singular_values: FloatArray) -> int:
