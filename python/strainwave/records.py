@@ -442,7 +442,8 @@ class OrderSelection:
     """Models of several orders, and the one to take."""
 
     models: tuple[StateSpace, ...]
-    held_out_fit_percent: tuple[tuple[float, ...], ...]  # one tuple a model, one number an output
+    # One tuple a model, one number an output: one step ahead, or simulated if K was not estimated.
+    held_out_fit_percent: tuple[tuple[float, ...], ...]
     chosen: int  # the order
     rule: str  # why
 

@@ -29,6 +29,7 @@ def transformed(model: StateSpace, T: FloatArray) -> StateSpace:
     own = Matrices(model.A, model.B, model.C, model.D, model.K, model.initial_states)
     moved = own.transformed(T)
     inverse = np.linalg.inv(T)
+    assert model.covariance is not None
     p, m = model.D.shape
     blocks = [
         np.kron(T, inverse.T),

@@ -18,6 +18,9 @@ from strainwave.statespace._stack import Stack
 # resolution: the determinant of exact data stays finite.
 FLOOR = 1e-20
 
+# Innovations this many times their channel's root mean square are those of no model.
+DIVERGED = 1e3
+
 
 class Evaluator:
     """The compiled predictor over one stack of data, for models of one order."""
@@ -40,7 +43,7 @@ class Evaluator:
     def cost(self, values: FloatArray) -> float:
         """(N/2) log det of the innovations' covariance; infinite where they diverge."""
         residuals = self.core.residuals(values)
-        if not np.isfinite(residuals).all():
+        if not np.abs(residuals).max() < DIVERGED:
             return np.inf
         covariance = floored_covariance(residuals)
         return 0.5 * len(residuals) * float(np.linalg.slogdet(covariance)[1])
@@ -80,7 +83,11 @@ class Evaluator:
             step = np.linalg.lstsq(block / np.outer(scale, scale), -gradient[chosen] / scale, 1e-14)
             values[chosen] += step[0] / scale
             if solution + 1 < solutions:
-                whitener = self.whitener(self.unpack(values))
+                residuals = self.residuals(self.unpack(values))
+                # Where the predictor diverges, the first solution stands.
+                if not np.abs(residuals).max() < DIVERGED:
+                    break
+                whitener = np.asarray(np.linalg.cholesky(floored_covariance(residuals)))
         return self.unpack(values)
 
     def _linear_entries(self, feedthrough: tuple[bool, ...] | None) -> NDArray[np.intp]:

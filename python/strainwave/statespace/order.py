@@ -19,8 +19,10 @@ HELD_OUT = 0.25
 # Held-out samples a record needs to say anything about an order: initial state apart.
 LEAST_HELD_OUT = 10
 
-# Percentage points of held-out fit that do not matter.
-MARGIN = 1.0
+# What a model leaves of the held-out outputs, against the least any leaves, that does not matter:
+# a share, and percentage points for data that are all but exact.
+SHARE = 0.05
+POINTS = 0.1
 
 
 def select_order(
@@ -28,10 +30,10 @@ def select_order(
 ) -> OrderSelection:
     """Fit several orders and take one.
 
-    Each order is fitted to the first three quarters of every record and simulated on the last;
-    then it is fitted to all of the data. Orders count whose held-out fit, averaged over the
-    outputs, is within one percentage point of the best. The one of least BIC is taken if its
-    residuals are white, which BIC presumes; otherwise the lowest.
+    Each order is fitted to the first three quarters of every record and predicts the last (or
+    simulates it, if K is not estimated); then it is fitted to all of the data. Orders count that
+    leave at most a twentieth more of the held-out outputs unexplained than the best does. The one
+    of least BIC is taken if its residuals are white, which BIC presumes; otherwise the lowest.
 
     Parameters
     ----------
@@ -84,30 +86,32 @@ def _parts(data: Data, highest: int) -> tuple[list[InputOutput], list[InputOutpu
 def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float, ...]:
     stacked = stack(held_out)
     evaluator, matrices = on_data(model, stacked)
-    return fit_percent(stacked.outputs, evaluator.simulated(matrices))
+    if not model.K.any():
+        return fit_percent(stacked.outputs, evaluator.simulated(matrices))
+    return fit_percent(stacked.outputs, stacked.outputs - evaluator.residuals(matrices))
 
 
 def _choose(
     models: tuple[StateSpace, ...], fits: tuple[tuple[float, ...], ...], data: Data
 ) -> tuple[int, str]:
     """The order and the reason."""
-    means = np.array([np.mean(fit) for fit in fits])
+    left = np.array([100.0 - np.mean(fit) for fit in fits])
     sound = np.array([model.status == "converged" for model in models])
     if not sound.any():
         sound[:] = True
-    if np.isfinite(means[sound]).any():
-        close = sound & (means >= np.max(means[sound]) - MARGIN)
-        among = f"held-out fit within {MARGIN:g} point of the best"
+    if np.isfinite(left[sound]).any():
+        close = sound & (left <= (1.0 + SHARE) * np.min(left[sound]) + POINTS)
+        among = "as good as any on held-out data"
     else:
         close, among = sound, "no data long enough to hold out"
     candidates = [model for model, is_close in zip(models, close, strict=True) if is_close]
     names = ", ".join(str(model.order) for model in candidates)
     if len(candidates) == 1:
-        return candidates[0].order, f"order {names}: the only one with {among}"
+        return candidates[0].order, f"order {names}: no other is {among}"
     best = min(candidates, key=lambda model: model.bic)
     stacked = stack(data)
     evaluator, matrices = on_data(best, stacked)
-    fitted = 2 * best.order * len(best.C) if best.K.any() else 0
+    fitted = best.order * len(best.C) if best.K.any() else 0
     if whiteness(evaluator.residuals(matrices), stacked, fitted).passed:
         return best.order, f"order {best.order}: least BIC of {names} ({among})"
     lowest = candidates[0].order

@@ -226,7 +226,7 @@ def _covariance(
     kind = options.covariance
     residuals = evaluator.residuals(fit.matrices)
     if kind == "auto":
-        fitted = 2 * n * p if fit.matrices.K.any() else 0
+        fitted = n * p if fit.matrices.K.any() else 0
         white = whiteness(residuals, data, fitted)
         kind = "white" if white.passed else "sandwich"
     full = fit.covariance

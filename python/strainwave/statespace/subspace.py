@@ -17,8 +17,8 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.errors import InvalidInput
-from strainwave.records import FloatArray, StateSpace
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.records import Caution, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, balanced
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
 from strainwave.statespace._hankel import solve_upper, triangular_factor
@@ -33,6 +33,13 @@ LONGEST_HORIZON = 40
 
 # Orders among which the singular values choose.
 HIGHEST_ORDER = 10
+
+
+_DIVERGES = Caution(
+    "subspace-not-determined",
+    "state-space model",
+    "the predictor diverges on its own data. Take off means and drifts, or change the order",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +79,16 @@ def subspace(
     Returns
     -------
     StateSpace
-        `status` is "estimated", or "not-determined" where the data are too short or too poor; then
-        a warning says why.
+        `status` is "estimated", or "not-determined" where the model does not predict the data at
+        all; then a warning says so.
 
     Raises
     ------
     InvalidInput
-        Shapes, entries that are not finite, an order or horizon below one.
+        Shapes, entries that are not finite, an order or horizon below one, a horizon too short for
+        the order.
+    NotIdentifiable
+        Too few samples for the order or the horizon.
     """
     _check(order, horizon, method)
     stacked = stack(data)
@@ -86,7 +96,10 @@ def subspace(
     found = realise(stacked, order, method, horizon, through)
     evaluator = Evaluator(stacked, found.matrices.order)
     values = evaluator.linear(found.matrices, through, gain=True)
-    model = assemble(stacked, values, "subspace", "estimated", through)
+    if np.isfinite(evaluator.cost(values.pack())):
+        model = assemble(stacked, values, "subspace", "estimated", through)
+    else:
+        model = assemble(stacked, values, "subspace", "not-determined", through, (_DIVERGES,))
     return replace(model, singular_values=found.singular_values, horizon=found.horizon)
 
 
@@ -99,7 +112,8 @@ def realise(
 ) -> Realisation:
     """The better realisation, by the determinant of its innovations, in balanced coordinates."""
     ways = ("moesp", "predictor") if method == "auto" else (method,)
-    length = horizon or choose_horizon(data, order or 1)
+    length = horizon or choose_horizon(data, order or HIGHEST_ORDER)
+    _check_length(data, order or 1, length)
     best: tuple[float, Realisation] | None = None
     for way in ways:
         found = (_moesp if way == "moesp" else _predictor)(data, order, length, feedthrough)
@@ -255,6 +269,21 @@ def _largest_gap(singular_values: FloatArray) -> int:
     s = singular_values[: HIGHEST_ORDER + 1]
     s = np.maximum(s, 1e-14 * s[0])
     return 1 + int(np.argmax(s[:-1] / s[1:])) if len(s) > 1 else 1
+
+
+def _check_length(data: Stack, order: int, horizon: int) -> None:
+    """Whether `horizon` samples show `order` states, and the records have as many and more."""
+    p, width = data.n_outputs, data.n_inputs + data.n_outputs
+    needed = 1 - (-order // p)
+    # Rows of the longest Hankel matrix, 2 * horizon samples wide.
+    rows = sum(max(length - 2 * horizon + 1, 0) for length in data.lengths)
+    if horizon < needed or rows < horizon * width:
+        if data.n_samples > 4 * (needed + 1) * width and horizon < needed:
+            raise InvalidInput(f"expected a horizon of at least {needed}, got {horizon}")
+        raise NotIdentifiable(
+            f"{data.n_samples} samples in {len(data.lengths)} records are too few for a model of "
+            f"order {order} with a horizon of {horizon} samples"
+        )
 
 
 def _check(order: int | None, horizon: int | None, method: str) -> None:
