@@ -228,7 +228,7 @@ def test_consistent_in_closed_loop() -> None:
     for seed in range(4):
         data = closed_loop(seed, 5000)
         for disturbance, each in scores.items():
-            fit = pem(data, 3, options=PemOptions(disturbance=disturbance))
+            fit = pem(data, 3, options=PemOptions(disturbance=disturbance))  # type: ignore[arg-type]
             values, covariance = propagate(to_continuous(fit), physical)
             assert covariance is not None
             each.append((values - PHYSICAL) / np.sqrt(np.diag(covariance)))
@@ -268,7 +268,7 @@ def test_options_change_the_answer() -> None:
     exact = pem(data, 3, options=PemOptions(tolerance=1e-9))
     assert exact.iterations > default.iterations
     kinds = {
-        kind: pem(data, 3, options=PemOptions(covariance=kind)).covariance_kind  # type: ignore[arg-type]
+        kind: pem(data, 3, options=PemOptions(covariance=kind)).covariance_kind
         for kind in ("white", "sandwich")
     }
     assert kinds == {"white": "white", "sandwich": "sandwich"}

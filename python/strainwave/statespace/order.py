@@ -101,13 +101,13 @@ def _choose(
         sound[:] = True
     if np.isfinite(left[sound]).any():
         close = sound & (left <= (1.0 + SHARE) * np.min(left[sound]) + POINTS)
-        among = "as good as any on held-out data"
+        among, rest = "as good as any on held-out data", "all others are worse on held-out data"
     else:
-        close, among = sound, "no data long enough to hold out"
+        close, among, rest = sound, "no data long enough to hold out", "no other converged"
     candidates = [model for model, is_close in zip(models, close, strict=True) if is_close]
     names = ", ".join(str(model.order) for model in candidates)
     if len(candidates) == 1:
-        return candidates[0].order, f"order {names}: no other is {among}"
+        return candidates[0].order, f"order {names}: {rest}"
     best = min(candidates, key=lambda model: model.bic)
     stacked = stack(data)
     evaluator, matrices = on_data(best, stacked)

@@ -20,7 +20,7 @@ from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
 from strainwave.statespace._riccati import reflected, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
-from strainwave.statespace.subspace import check_feedthrough, realise
+from strainwave.statespace.subspace import HIGHEST_ORDER, check_feedthrough, choose_horizon, realise
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +104,11 @@ def _starts(
     feedthrough: tuple[bool, ...],
     options: PemOptions,
 ) -> list[Matrices]:
-    """Starts whose predictors are stable, in well-conditioned coordinates."""
+    """Starts whose predictors are stable."""
     if start is None:
         ways: tuple[Literal["predictor", "moesp"], ...] = ("predictor", "moesp")
-        found = [realise(data, order, way, None, feedthrough).matrices for way in ways]
+        horizon = choose_horizon(data, order or HIGHEST_ORDER)
+        found = [realise(data, order, way, horizon, feedthrough).matrices for way in ways]
     else:
         found = [_from_model(start, data)]
     evaluator = Evaluator(data, found[0].order)
@@ -117,7 +118,7 @@ def _starts(
         # Sensor noise alone means K = 0, and the predictor is then as slow as the arm: a gain from
         # a subspace step lies far from it on a curved path. Both starts are weighed.
         starts += [evaluator.linear(each, feedthrough, gain=True, solutions=1) for each in found]
-    return [balanced(each) for each in starts]
+    return starts
 
 
 def _from_model(start: StateSpace, data: Stack) -> Matrices:
@@ -133,7 +134,7 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
     noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
     noise = noise + FLOOR * np.eye(len(noise))
     K = stabilising_gain(scaled.A, scaled.C, scaled.K, noise)
-    return balanced(replace(scaled, K=K))
+    return replace(scaled, K=K)
 
 
 def _fit(
@@ -141,6 +142,8 @@ def _fit(
 ) -> _Fit:
     if options.initial_state == "zero":
         start = replace(start, initial_states=np.zeros_like(start.initial_states))
+    # Coordinates are the fit's own affair: the better conditioned, the fewer its steps.
+    start = balanced(start)
     fit = evaluator.core.fit(
         start.pack(),
         gain=options.disturbance == "innovations",
