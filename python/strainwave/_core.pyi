@@ -1,12 +1,12 @@
-"""The compiled core: the arm's equations, their integration, its servo and sensors."""
+"""The compiled core: the arm's equations, servo and sensors; fits of state-space models."""
 
 from collections.abc import Sequence
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GEAR_CORNER", "Arm"]
+__all__ = ["GEAR_CORNER", "Arm", "Innovations", "InnovationsFit", "hankel_gram"]
 
 GEAR_CORNER: float
 """Half width [rad] over which the knees of a three-slope gear are rounded."""
@@ -74,3 +74,73 @@ class Arm:
         acceleration: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Motor torques of a links' motion behind rigid gears, (5): (n_samples, n_joints)."""
+
+def hankel_gram(
+    data: NDArray[np.float64], lengths: Sequence[int], depth: int
+) -> tuple[NDArray[np.float64], int]:
+    """Z'Z of the block-Hankel matrix Z of stacked records, and the number of its rows."""
+
+@final
+class Innovations:
+    """Stacked records and the sizes of a model for them.
+
+    `values` are A, B, C, D, K row by row and one initial state a record. A `whitener` L is the
+    lower factor of the innovations' covariance. Sizes that do not fit raise ValueError.
+    """
+
+    def __new__(
+        cls,
+        order: int,
+        inputs: NDArray[np.float64],
+        outputs: NDArray[np.float64],
+        lengths: Sequence[int],
+    ) -> Innovations: ...
+    def residuals(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """e[k] = y[k] - C x[k] - D u[k]: (n_samples, n_outputs)."""
+    def jacobian(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivatives of the innovations: (n_samples, n_outputs, n_entries + order).
+
+        The last columns are those of the initial state of the sample's own record.
+        """
+    def scores(
+        self, values: NDArray[np.float64], whitener: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """E' W (d e / d values) of every sample, W^-1 = L L': (n_samples, n_entries + order)."""
+    def normal_equations(
+        self, values: NDArray[np.float64], whitener: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """J'WJ and J'We with respect to all of `values`, W^-1 = L L'."""
+    def fit(
+        self,
+        values: NDArray[np.float64],
+        gain: bool,
+        feedthrough: Sequence[bool],
+        initial_states: bool,
+        floor: Sequence[float],
+        max_iterations: int,
+        tolerance: float,
+    ) -> InnovationsFit:
+        """Prediction-error fit from a start whose predictor is stable."""
+
+@final
+class InnovationsFit:
+    """The end of a prediction-error fit."""
+
+    @property
+    def values(self) -> NDArray[np.float64]: ...
+    @property
+    def innovation_covariance(self) -> NDArray[np.float64]: ...
+    @property
+    def covariance(self) -> NDArray[np.float64] | None: ...
+    @property
+    def cost(self) -> float: ...
+    @property
+    def promised(self) -> float: ...
+    @property
+    def n_parameters(self) -> int: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def evaluations(self) -> int: ...
+    @property
+    def status(self) -> Literal["converged", "iteration-limit", "stalled"]: ...

@@ -1,6 +1,7 @@
 //! Python's door to the core: convert, compute without the GIL, map the error. No arithmetic.
 
 mod arm;
+mod statespace;
 
 use pyo3::prelude::*;
 
@@ -8,6 +9,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<arm::Arm>()?;
+    statespace::register(module)?;
     module.add("GEAR_CORNER", strainwave_core::gear::CORNER)?;
     Ok(())
 }

@@ -1,0 +1,27 @@
+"""State-space estimation: arrays of inputs and outputs in, models with uncertainty out.
+
+`subspace` needs no start and `pem` refines it; `check_model` and `select_order` judge. What follows
+from a model, with its uncertainty: `to_continuous`, `frequency_response`, `modes`, and anything
+else through `propagate`.
+"""
+
+from strainwave.statespace.continuous import to_continuous
+from strainwave.statespace.modes import modes
+from strainwave.statespace.order import select_order
+from strainwave.statespace.pem import PemOptions, pem
+from strainwave.statespace.propagation import propagate
+from strainwave.statespace.residuals import check_model
+from strainwave.statespace.response import frequency_response
+from strainwave.statespace.subspace import subspace
+
+__all__ = [
+    "PemOptions",
+    "check_model",
+    "frequency_response",
+    "modes",
+    "pem",
+    "propagate",
+    "select_order",
+    "subspace",
+    "to_continuous",
+]

@@ -1,0 +1,119 @@
+"""From a sampled model to the continuous-time one whose samples it gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from strainwave.errors import NotIdentifiable
+from strainwave.records import Caution, ContinuousStateSpace, FloatArray, StateSpace
+from strainwave.statespace.propagation import propagate
+
+# Share of the Nyquist frequency beyond which a pole may be the alias of a faster one.
+NEAR_NYQUIST = 0.8
+
+# Condition of the eigenvectors up to which the logarithm is taken on the eigenvalues; beyond, poles
+# all but coincide and the slower inverse scaling and squaring is used.
+WELL_CONDITIONED = 1e6
+
+
+def to_continuous(model: StateSpace) -> ContinuousStateSpace:
+    """The continuous-time model, given how each input goes on between samples.
+
+    A = log(A_d) / T. With P1 the integral of exp(A s) over one sample and P2 that of
+    exp(A (T - s)) s / T: an input that is held enters as B = P1^-1 B_d; one that is joined by
+    straight lines, as B = (A_d P2 + P1 - P2)^-1 B_d and D = D_d - C P2 B.
+
+    Parameters
+    ----------
+    model : StateSpace
+
+    Returns
+    -------
+    ContinuousStateSpace
+        With a covariance if the model has one. A warning tells of poles so near the Nyquist
+        frequency that they may be aliases.
+
+    Raises
+    ------
+    NotIdentifiable
+        A pole at zero or on the negative real axis, which no continuous-time model of this order
+        has.
+    """
+    found = _convert(model)
+    if model.covariance is None:
+        return found
+    _, covariance = propagate(model, lambda near: _entries(_convert(near)))
+    return replace(found, covariance=covariance)
+
+
+def _entries(model: ContinuousStateSpace) -> FloatArray:
+    return np.concatenate([np.ravel(part) for part in (model.A, model.B, model.C, model.D)])
+
+
+def _convert(model: StateSpace) -> ContinuousStateSpace:
+    T = model.sample_time
+    A = _logarithm(model.A) / T
+    P1, P2 = _hold_integrals(A, T)
+    first = np.array([hold == "first" for hold in model.hold])
+    B = np.asarray(np.linalg.solve(P1, model.B), dtype=np.float64)
+    D = model.D.copy()
+    if first.any():
+        joined = model.A @ P2 + P1 - P2
+        B[:, first] = np.linalg.solve(joined, model.B[:, first])
+        D[:, first] -= model.C @ P2 @ B[:, first]
+    return ContinuousStateSpace(
+        A=A,
+        B=B,
+        C=model.C,
+        D=D,
+        input_names=model.input_names,
+        output_names=model.output_names,
+        warnings=_aliases(A, T),
+    )
+
+
+def _logarithm(A: FloatArray) -> FloatArray:
+    """The real logarithm whose eigenvalues have the least imaginary parts."""
+    values, vectors = np.linalg.eig(A)
+    bad = values[(values.imag == 0.0) & (values.real <= 0.0)]
+    if len(bad):
+        raise NotIdentifiable(
+            f"the sampled model has a pole at {bad[0].real:.3g}, which no continuous-time model of "
+            "the same order has: lower the order"
+        )
+    if np.linalg.cond(vectors) < WELL_CONDITIONED:
+        logarithm = (vectors * np.log(values.astype(complex))) @ np.linalg.inv(vectors)
+    else:
+        from scipy.linalg import logm
+
+        logarithm = logm(A)
+    return np.ascontiguousarray(np.real(logarithm), dtype=np.float64)
+
+
+def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
+    """P1 and P2 as blocks of one matrix exponential (Van Loan, IEEE Trans. AC 23, 1978)."""
+    from scipy.linalg import expm
+
+    n = len(A)
+    whole = np.zeros((3 * n, 3 * n))
+    whole[:n, :n] = A * T
+    whole[:n, n : 2 * n] = np.eye(n) * T
+    whole[n : 2 * n, 2 * n :] = np.eye(n)
+    top = expm(whole)[:n]
+    return top[:, n : 2 * n], top[:, 2 * n :]
+
+
+def _aliases(A: FloatArray, T: float) -> tuple[Caution, ...]:
+    fastest = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0))
+    if fastest < NEAR_NYQUIST * np.pi / T:
+        return ()
+    return (
+        Caution(
+            "pole-near-nyquist",
+            "state-space model",
+            f"a pole at {fastest / (2.0 * np.pi):.3g} Hz, with samples at {1.0 / T:.3g} Hz, may be "
+            "the alias of a faster one. Lower the order, or sample faster",
+        ),
+    )

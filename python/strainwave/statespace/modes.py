@@ -1,0 +1,134 @@
+"""Poles and zeros: where a joint rings, and where its link rings while the motor stands."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from strainwave.errors import InvalidInput
+from strainwave.records import ContinuousStateSpace, FloatArray, Mode, Modes, StateSpace
+from strainwave.statespace.continuous import to_continuous
+from strainwave.statespace.propagation import propagate
+
+ComplexArray = NDArray[np.complex128]
+
+# Zeros beyond this multiple of the fastest pole are those at infinity, moved there by rounding and
+# by noise in a feedthrough.
+FAR = 100.0
+
+
+def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> Modes:
+    """Poles of a model and zeros from one input to one output, in continuous time.
+
+    Zeros are the s for which [[A - s I, b], [c, d]] is singular.
+
+    Parameters
+    ----------
+    model : StateSpace or ContinuousStateSpace
+        A sampled one is converted by `to_continuous`.
+    input, output : int
+        Columns, from 0.
+
+    Returns
+    -------
+    Modes
+        Standard deviations by the delta method, if the model has a covariance. Zeros that are far
+        above the poles, and for a sampled model those beyond the Nyquist frequency, are left out:
+        the data say nothing about them.
+
+    Raises
+    ------
+    InvalidInput
+        No such input or output.
+    NotIdentifiable
+        As `to_continuous`.
+    """
+    for name, index, count in (
+        ("input", input, model.B.shape[1]),
+        ("output", output, len(model.C)),
+    ):
+        if not 0 <= index < count:
+            raise InvalidInput(f"expected {name} from 0 to {count - 1}, got {index}")
+    found = to_continuous(model) if isinstance(model, StateSpace) else model
+    poles = _poles(found)
+    zeros = _zeros(found, input, output)
+    highest = FAR * float(np.abs(poles).max())
+    if isinstance(model, StateSpace):
+        highest = min(highest, np.pi / model.sample_time)
+    poles, zeros = _upper_half(poles), _upper_half(zeros[np.abs(zeros) < highest])
+    known = np.concatenate([poles, zeros])
+
+    def shapes(near: ContinuousStateSpace) -> FloatArray:
+        values = np.concatenate(
+            [
+                _nearest(poles, _poles(near)),
+                _nearest(zeros, _zeros(near, input, output)) if len(zeros) else zeros,
+            ]
+        )
+        return np.concatenate([_frequency_hz(values), _damping(values)])
+
+    values, covariance = propagate(found, shapes)
+    std = None if covariance is None else np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    count = len(known)
+    each = tuple(
+        Mode(
+            value=complex(value),
+            frequency_hz=float(values[i]),
+            damping=float(values[count + i]),
+            frequency_std_hz=None if std is None else float(std[i]),
+            damping_std=None if std is None else float(std[count + i]),
+        )
+        for i, value in enumerate(known)
+    )
+    of_poles, of_zeros = each[: len(poles)], each[len(poles) :]
+    return Modes(of_poles, of_zeros, _least_damped(of_poles), _least_damped(of_zeros))
+
+
+def _poles(model: ContinuousStateSpace) -> ComplexArray:
+    return np.linalg.eigvals(model.A).astype(np.complex128)
+
+
+def _zeros(model: ContinuousStateSpace, input: int, output: int) -> ComplexArray:
+    """Finite zeros of one channel."""
+    from scipy.linalg import eigvals
+
+    n = model.order
+    b, c = model.B[:, [input]], model.C[[output]]
+    # Rows and columns of like size: units of the channels must not decide what is infinite.
+    size = max(float(np.abs(np.linalg.eigvals(model.A)).max()), np.finfo(float).tiny)
+    b_size, c_size = float(np.linalg.norm(b)) or 1.0, float(np.linalg.norm(c)) or 1.0
+    d = model.D[[output]][:, [input]] * size / (b_size * c_size)
+    M = np.block([[model.A / size, b / b_size], [c / c_size, d]])
+    N = np.zeros((n + 1, n + 1))
+    N[:n, :n] = np.eye(n)
+    pairs = eigvals(M, N, homogeneous_eigvals=True)
+    finite = np.abs(pairs[1]) > 1e-12 * np.abs(pairs[0])
+    return np.asarray(size * pairs[0][finite] / pairs[1][finite], dtype=np.complex128)
+
+
+def _upper_half(values: ComplexArray) -> ComplexArray:
+    """One of each conjugate pair, by frequency; an imaginary part of rounding size is none."""
+    real = np.abs(values.imag) <= 1e-12 * np.abs(values)
+    values = np.where(real, values.real, values)
+    values = values[values.imag >= 0.0]
+    return np.asarray(values[np.argsort(np.abs(values))], dtype=np.complex128)
+
+
+def _nearest(values: ComplexArray, others: ComplexArray) -> ComplexArray:
+    """For each value, the other that is nearest to it."""
+    distances = np.abs(values[:, None] - others[None, :])
+    return np.asarray(others[np.argmin(distances, axis=1)], dtype=np.complex128)
+
+
+def _frequency_hz(values: ComplexArray) -> FloatArray:
+    return np.abs(values) / (2.0 * np.pi)
+
+
+def _damping(values: ComplexArray) -> FloatArray:
+    moduli = np.abs(values)
+    return np.where(moduli > 0.0, -values.real / np.where(moduli > 0.0, moduli, 1.0), 1.0)
+
+
+def _least_damped(found: tuple[Mode, ...]) -> Mode | None:
+    pairs = [mode for mode in found if mode.oscillates]
+    return min(pairs, key=lambda mode: abs(mode.damping)) if pairs else None

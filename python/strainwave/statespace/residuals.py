@@ -1,0 +1,197 @@
+"""What a model left unexplained: whether residuals are white and independent of the inputs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from strainwave.errors import InvalidInput
+from strainwave.records import (
+    FloatArray,
+    HypothesisTest,
+    ModelCheck,
+    StateSpace,
+)
+from strainwave.statespace._entries import Matrices, rescale
+from strainwave.statespace._evaluate import Evaluator, fit_percent
+from strainwave.statespace._stack import Data, Stack, stack
+
+# A verdict is wrong this often where nothing is wrong.
+LEVEL = 0.01
+
+# Lags tested: as many as MATLAB's `resid` shows.
+LAGS = 25
+
+Name = Literal["white", "independent-of-past-inputs", "no-feedback"]
+
+
+def check_model(model: StateSpace, data: Data, *, lags: int = LAGS) -> ModelCheck:
+    """A model on data, best on data it was not fitted to.
+
+    Initial states are fitted to the data, as they say nothing about the model. The tests take the
+    model as given: on data it was fitted to they are a little too kind.
+
+    Parameters
+    ----------
+    model : StateSpace
+    data : InputOutput or sequence of InputOutput
+    lags : int
+        Correlations tested.
+
+    Returns
+    -------
+    ModelCheck
+        Fits, simulated and one step ahead, and three tests, each with its verdict. An output-error
+        model may fail "white" without fault: it has no model of the noise.
+
+    Raises
+    ------
+    InvalidInput
+        As `pem`.
+    """
+    stacked = stack(data)
+    evaluator, matrices = on_data(model, stacked)
+    residuals = evaluator.residuals(matrices)
+    lags = max(1, min(lags, max(stacked.lengths) // 4))
+    past, future, cross = _cross_tests(residuals, stacked, lags)
+    return ModelCheck(
+        fit_percent=fit_percent(stacked.outputs, evaluator.simulated(matrices)),
+        prediction_fit_percent=fit_percent(stacked.outputs, stacked.outputs - residuals),
+        tests=(whiteness(residuals, stacked, lags=lags), past, future),
+        autocorrelation=_normalised(_correlations(residuals, residuals, stacked, lags), residuals),
+        cross_correlation=cross,
+        confidence_99=2.5758 / float(np.sqrt(stacked.n_samples)),
+    )
+
+
+def on_data(model: StateSpace, data: Stack) -> tuple[Evaluator, Matrices]:
+    """The model in scaled channels, initial states fitted to the data."""
+    expected, got = (model.B.shape[1], len(model.C)), (data.n_inputs, data.n_outputs)
+    if expected != got:
+        raise InvalidInput(f"expected (inputs, outputs) {expected} as the model has, got {got}")
+    if abs(model.sample_time / data.sample_time - 1.0) > 1e-6:
+        raise InvalidInput(
+            f"expected the model's sample time {model.sample_time}, got {data.sample_time}",
+            remedy="resample the data, or fit a model to them",
+        )
+    states = np.zeros((len(data.lengths), model.order))
+    own = Matrices(model.A, model.B, model.C, model.D, model.K, states)
+    evaluator = Evaluator(data, model.order)
+    return evaluator, evaluator.linear(rescale(own, data), None, gain=True)
+
+
+def whiteness(
+    residuals: FloatArray, data: Stack, fitted: int = 0, lags: int = LAGS
+) -> HypothesisTest:
+    """Multivariate portmanteau test (Hosking, JASA 75, 1980).
+
+    N^2 sum over lags of tr(R_l' R_0^-1 R_l R_0^-1) / (N - l) is chi-square of p^2 lags - `fitted`,
+    the parameters chosen to whiten these residuals: K alone, for A is known from the inputs.
+    """
+    lags = max(1, min(lags, max(data.lengths) // 4))
+    samples, p = residuals.shape
+    correlations = _correlations(residuals, residuals, data, lags) / samples
+    inverse = np.linalg.pinv(correlations[0])
+    statistic = 0.0
+    for lag in range(1, lags + 1):
+        R = correlations[lag]
+        statistic += samples**2 / (samples - lag) * np.trace(R.T @ inverse @ R @ inverse)
+    degrees = max(p * p * lags - fitted, 1)
+    return _verdict(
+        "white",
+        statistic,
+        degrees,
+        "nothing in the residuals predicts the next ones",
+        "residuals predict one another: raise the order, or do not trust covariances that assume "
+        "white innovations",
+    )
+
+
+def _cross_tests(
+    residuals: FloatArray, data: Stack, lags: int
+) -> tuple[HypothesisTest, HypothesisTest, FloatArray]:
+    """Tests of e[k] against u[k - l], l = 0..lags, and against u[k + l], l = 1..lags.
+
+    r_l = sum e[k] u[k - l] / N has covariance sum_j R_e(j) (x) R_u(j + l - l') / N (Ljung, System
+    Identification, 2nd ed., 16.6): the statistic is exact for inputs and residuals of any colour.
+    """
+    samples, p = residuals.shape
+    m = data.n_inputs
+    r_e = _two_sided(_correlations(residuals, residuals, data, 2 * lags)) / samples
+    r_u = _two_sided(_correlations(data.inputs, data.inputs, data, 3 * lags)) / samples
+    forward = _correlations(residuals, data.inputs, data, lags) / samples  # e[k] u[k - l]
+    backward = _correlations(data.inputs, residuals, data, lags) / samples  # u[k] e[k - l]
+    backward = np.swapaxes(backward, 1, 2)
+    spread = _spread(r_e, r_u, lags, p, m) / samples
+    statistic, degrees = _quadratic(forward.reshape(-1), spread)
+    past = _verdict(
+        "independent-of-past-inputs",
+        statistic,
+        degrees,
+        "the model explains what the inputs do",
+        "past inputs still move the residuals: raise the order, check delays and holds",
+    )
+    block = p * m
+    # Mirrored in time, lags descend; the covariance of lags is Toeplitz, hence transposed.
+    statistic, degrees = _quadratic(backward[:0:-1].reshape(-1), spread[:-block, :-block])
+    future = _verdict(
+        "no-feedback",
+        statistic,
+        degrees,
+        "inputs do not depend on past residuals: no sign of feedback",
+        "inputs depend on past residuals: data from closed loop. Trust a model with K estimated, "
+        "not one with K = 0",
+    )
+    both = np.concatenate([backward[:0:-1], forward])
+    scale = np.sqrt(np.mean(residuals**2, axis=0)[:, None] * np.mean(data.inputs**2, axis=0))
+    return past, future, both / np.maximum(scale, np.finfo(float).tiny)
+
+
+def _spread(r_e: FloatArray, r_u: FloatArray, lags: int, p: int, m: int) -> FloatArray:
+    """Covariance of the correlations times N: blocks sum_j R_e(j) (x) R_u(j + l' - l)."""
+    zero_e, zero_u = len(r_e) // 2, len(r_u) // 2
+    reach = np.arange(-2 * lags, 2 * lags + 1)
+    blocks = {}
+    for shift in range(-lags, lags + 1):
+        shifted = r_u[zero_u + np.clip(reach + shift, -3 * lags, 3 * lags)]
+        blocks[shift] = np.einsum("jab,jcd->acbd", r_e[zero_e + reach], shifted).reshape(p * m, -1)
+    rows = [[blocks[j - i] for j in range(lags + 1)] for i in range(lags + 1)]
+    return np.block(rows)
+
+
+def _quadratic(vector: FloatArray, covariance: FloatArray) -> tuple[float, int]:
+    """V' P^+ v over the directions that the inputs excite, and their number."""
+    covariance = 0.5 * (covariance + covariance.T)
+    values, vectors = np.linalg.eigh(covariance)
+    excited = values > 1e-6 * values[-1]
+    amplitudes = vectors[:, excited].T @ vector
+    return float(np.sum(amplitudes**2 / values[excited])), max(int(excited.sum()), 1)
+
+
+def _correlations(left: FloatArray, right: FloatArray, data: Stack, lags: int) -> FloatArray:
+    """(lags + 1, ., .): sum over each record of left[k] right[k - l]'."""
+    total = np.zeros((lags + 1, left.shape[1], right.shape[1]))
+    for rows in data.rows():
+        a, b = left[rows], right[rows]
+        for lag in range(min(lags + 1, len(a))):
+            total[lag] += a[lag:].T @ b[: len(b) - lag]
+    return total
+
+
+def _two_sided(correlations: FloatArray) -> FloatArray:
+    """Lags -L..L from 0..L: R(-l) = R(l)'."""
+    return np.concatenate([np.swapaxes(correlations[:0:-1], 1, 2), correlations])
+
+
+def _normalised(correlations: FloatArray, residuals: FloatArray) -> FloatArray:
+    scale = np.sqrt(np.sum(residuals**2, axis=0))
+    return correlations / np.maximum(np.outer(scale, scale), np.finfo(float).tiny)
+
+
+def _verdict(name: Name, statistic: float, degrees: int, good: str, bad: str) -> HypothesisTest:
+    from scipy.special import chdtrc
+
+    p_value = float(chdtrc(degrees, statistic))
+    passed = p_value >= LEVEL
+    return HypothesisTest(name, float(statistic), degrees, p_value, passed, good if passed else bad)

@@ -1,0 +1,322 @@
+//! Prediction-error fit: the model whose innovations have the smallest determinant.
+//!
+//! Minimises (N/2) log det(E'E/N + F) + [`Barrier`], the negative log-likelihood of Gaussian innovations with
+//! their covariance concentrated out, by Levenberg-Marquardt in local coordinates. Its gradient is
+//! that of the least-squares sum weighted by the inverse of the present covariance (Ljung, System
+//! Identification, 2nd ed., (7.94) and 10.2), so one pass over the data gives both. The barrier
+//! keeps the predictor stable.
+
+use crate::linalg::{cholesky, log_determinant, solve_lower, solve_lower_transposed};
+use crate::model::{Model, Record};
+use crate::predictor;
+use crate::sensitivity::{NormalEquations, normal_equations};
+use crate::stability::{Barrier, predictor_change};
+use crate::tangent::Coordinates;
+
+/// What is estimated, and when to stop.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Whether K is estimated; otherwise it stays as it is.
+    pub gain: bool,
+    /// For each input, whether its column of D is estimated.
+    pub feedthrough: Vec<bool>,
+    /// Whether the initial states are estimated.
+    pub initial_states: bool,
+    /// F, (p,): variances below which an innovation counts as rounding, keeps exact data finite.
+    pub floor: Vec<f64>,
+    /// Steps accepted at most.
+    pub max_iterations: usize,
+    /// Largest fall of the negative log-likelihood still worth a step.
+    pub tolerance: f64,
+}
+
+/// How a fit ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// No direction promises more than the tolerance.
+    Converged,
+    /// Steps ran out.
+    IterationLimit,
+    /// A better model is promised, but no step reaches it: mostly at the edge of stability.
+    Stalled,
+}
+
+/// The end of a fit.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// The best model found; its predictor is stable.
+    pub model: Model,
+    /// E'E/N, (p, p).
+    pub innovation_covariance: Vec<f64>,
+    /// (N/2) log det.
+    pub cost: f64,
+    /// Covariance of all entries, (size, size), singular along similarity transformations. `None`
+    /// where the data leave a direction undetermined.
+    pub covariance: Option<Vec<f64>>,
+    /// Number of free directions.
+    pub n_parameters: usize,
+    /// Fall of the cost that the last model's quadratic expansion promised.
+    pub promised: f64,
+    /// Steps accepted.
+    pub iterations: usize,
+    /// Passes over the data without derivatives.
+    pub evaluations: usize,
+    /// How it ended.
+    pub status: Status,
+}
+
+/// Why a fit could not begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BadStart {
+    /// The start's predictor, A - K C, is not stable.
+    Unstable,
+    /// The start's innovations are not finite.
+    NotFinite,
+}
+
+/// Damping, relative to the curvature, at the first step: close to Gauss-Newton, for the start
+/// comes from a subspace method.
+const FIRST_DAMPING: f64 = 1e-4;
+
+/// Damping beyond which a step no longer changes the innovations.
+const LAST_DAMPING: f64 = 1e12;
+
+/// A model on the data: its innovations' covariance and the cost.
+struct Point {
+    model: Model,
+    covariance: Vec<f64>,
+    whitener: Vec<f64>,
+    cost: f64,
+    wall: Barrier,
+}
+
+impl Point {
+    fn at(model: Model, records: &[Record<'_>], floor: &[f64]) -> Option<Self> {
+        let wall = Barrier::at(&model)?;
+        let p = model.shape.outputs;
+        let innovations = predictor::innovations(&model, records);
+        let covariance = predictor::covariance(&innovations, p);
+        let mut floored = covariance.clone();
+        for (o, floor) in floor.iter().enumerate() {
+            floored[o * p + o] += floor;
+        }
+        let whitener = cholesky(&floored, p)?;
+        let samples = (innovations.len() / p) as f64;
+        let cost = 0.5 * samples * log_determinant(&whitener, p);
+        let point = Self {
+            model,
+            covariance,
+            whitener,
+            cost,
+            wall,
+        };
+        cost.is_finite().then_some(point)
+    }
+}
+
+/// Fits a model to records, from a start.
+pub fn fit(start: Model, records: &[Record<'_>], options: &Options) -> Result<Fit, BadStart> {
+    if Barrier::at(&start).is_none() {
+        return Err(BadStart::Unstable);
+    }
+    let free = free_entries(&start, options);
+    let mut point = Point::at(start, records, &options.floor).ok_or(BadStart::NotFinite)?;
+    let mut damping = FIRST_DAMPING;
+    let (mut iterations, mut evaluations) = (0, 1);
+    loop {
+        let step = Step::new(&point, records, &free);
+        let promised = step.promised();
+        let status = if promised <= options.tolerance {
+            Some(Status::Converged)
+        } else if iterations == options.max_iterations {
+            Some(Status::IterationLimit)
+        } else {
+            match step.take(&point, records, options, &mut damping, &mut evaluations) {
+                Some(better) => {
+                    point = better;
+                    iterations += 1;
+                    None
+                }
+                None => Some(Status::Stalled),
+            }
+        };
+        if let Some(status) = status {
+            return Ok(Fit {
+                covariance: step.covariance(),
+                n_parameters: step.coordinates.width,
+                model: point.model,
+                innovation_covariance: point.covariance,
+                cost: point.cost,
+                promised,
+                iterations,
+                evaluations,
+                status,
+            });
+        }
+    }
+}
+
+fn free_entries(model: &Model, options: &Options) -> Vec<usize> {
+    let shape = model.shape;
+    let mut free: Vec<usize> = (0..shape.d().start).collect();
+    free.extend(
+        shape
+            .d()
+            .filter(|entry| options.feedthrough[(entry - shape.d().start) % shape.inputs]),
+    );
+    if options.gain {
+        free.extend(shape.k());
+    }
+    if options.initial_states {
+        free.extend(shape.entries()..model.values.len());
+    }
+    free
+}
+
+/// The quadratic expansion of the cost at a point, in local coordinates.
+struct Step {
+    coordinates: Coordinates,
+    gradient: Vec<f64>,
+    hessian: Vec<f64>,
+    /// Its part that comes from the data: the information about the parameters.
+    information: Vec<f64>,
+    /// Root of the diagonal of the Hessian: parameters are measured in it.
+    scale: Vec<f64>,
+}
+
+impl Step {
+    fn new(point: &Point, records: &[Record<'_>], free: &[usize]) -> Self {
+        let coordinates = Coordinates::at(&point.model, free);
+        let NormalEquations {
+            hessian, gradient, ..
+        } = normal_equations(&point.model, records, &point.whitener);
+        let information = coordinates.reduce_hessian(&hessian);
+        let gradient = coordinates.reduce_gradient(&gradient);
+        let directions: Vec<Vec<f64>> = (0..coordinates.width)
+            .map(|index| predictor_change(&point.model, &coordinates.direction(index)))
+            .collect();
+        let step = |definite| {
+            let (slope, curvature) = point.wall.along(&directions, definite);
+            Self::scaled(&coordinates, &gradient, &information, &slope, &curvature)
+        };
+        let exact = step(false);
+        if cholesky(&exact.hessian, coordinates.width).is_some() {
+            exact
+        } else {
+            step(true)
+        }
+    }
+
+    fn scaled(
+        coordinates: &Coordinates,
+        gradient: &[f64],
+        information: &[f64],
+        wall_slope: &[f64],
+        wall_curvature: &[f64],
+    ) -> Self {
+        let width = coordinates.width;
+        let mut hessian: Vec<f64> = information
+            .iter()
+            .zip(wall_curvature)
+            .map(|(h, w)| h + w)
+            .collect();
+        let mut information = information.to_vec();
+        let scale: Vec<f64> = (0..width)
+            .map(|i| match hessian[i * width + i] {
+                curvature if curvature > 0.0 => curvature.sqrt(),
+                _ => 1.0,
+            })
+            .collect();
+        for i in 0..width {
+            for j in 0..width {
+                hessian[i * width + j] /= scale[i] * scale[j];
+                information[i * width + j] /= scale[i] * scale[j];
+            }
+        }
+        let gradient = (0..width)
+            .map(|i| (gradient[i] + wall_slope[i]) / scale[i])
+            .collect();
+        Self {
+            coordinates: coordinates.clone(),
+            gradient,
+            hessian,
+            information,
+            scale,
+        }
+    }
+
+    /// -(H + damping I)^-1 g in scaled coordinates, if the sum is positive definite.
+    fn direction(&self, damping: f64) -> Option<Vec<f64>> {
+        let width = self.coordinates.width;
+        let mut damped = self.hessian.clone();
+        for i in 0..width {
+            damped[i * width + i] += damping;
+        }
+        let factor = cholesky(&damped, width)?;
+        let mut step: Vec<f64> = self.gradient.iter().map(|g| -g).collect();
+        solve_lower(&factor, width, &mut step);
+        solve_lower_transposed(&factor, width, &mut step);
+        Some(step)
+    }
+
+    /// Half the squared Newton decrement: what a full step would gain.
+    fn promised(&self) -> f64 {
+        // Undetermined directions promise nothing; a trace of damping leaves them out.
+        let step = self.direction(0.0).or_else(|| self.direction(1e-12));
+        step.map_or(f64::INFINITY, |step| -0.5 * dot(&self.gradient, &step))
+    }
+
+    /// Damps until the cost falls; Nielsen's rule for the damping (Report IMM-REP-1999-05).
+    fn take(
+        &self,
+        point: &Point,
+        records: &[Record<'_>],
+        options: &Options,
+        damping: &mut f64,
+        evaluations: &mut usize,
+    ) -> Option<Point> {
+        let mut growth = 2.0;
+        while *damping < LAST_DAMPING {
+            if let Some(step) = self.direction(*damping) {
+                let expected = 0.5 * (*damping * dot(&step, &step) - dot(&self.gradient, &step));
+                let mut model = point.model.clone();
+                let unscaled: Vec<f64> = step.iter().zip(&self.scale).map(|(s, d)| s / d).collect();
+                self.coordinates.advance(&mut model.values, &unscaled);
+                *evaluations += 1;
+                if let Some(trial) = Point::at(model, records, &options.floor) {
+                    let fall = (point.cost - trial.cost) + (point.wall.value - trial.wall.value);
+                    let gain = fall / expected;
+                    if gain > 0.0 {
+                        *damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(1.0 / 3.0);
+                        return Some(trial);
+                    }
+                }
+            }
+            *damping *= growth;
+            growth *= 2.0;
+        }
+        None
+    }
+
+    /// Inverse of the information over all entries of the model.
+    fn covariance(&self) -> Option<Vec<f64>> {
+        let width = self.coordinates.width;
+        let factor = cholesky(&self.information, width)?;
+        let mut inverse = vec![0.0; width * width];
+        let mut column = vec![0.0; width];
+        for j in 0..width {
+            column.fill(0.0);
+            column[j] = 1.0;
+            solve_lower(&factor, width, &mut column);
+            solve_lower_transposed(&factor, width, &mut column);
+            for i in 0..width {
+                inverse[i * width + j] = column[i] / (self.scale[i] * self.scale[j]);
+            }
+        }
+        Some(self.coordinates.expand(&inverse))
+    }
+}
+
+fn dot(left: &[f64], right: &[f64]) -> f64 {
+    left.iter().zip(right).map(|(l, r)| l * r).sum()
+}

@@ -1,0 +1,191 @@
+//! Small dense linear algebra: Cholesky, triangular solves, an orthogonal complement.
+//!
+//! Sizes are numbers of parameters, tens; nothing here is worth a dependency.
+
+/// Lower Cholesky factor of a symmetric row-major matrix; `None` where it is not positive definite.
+///
+/// A pivot below rounding of its own diagonal entry counts as not positive.
+pub fn cholesky(matrix: &[f64], size: usize) -> Option<Vec<f64>> {
+    let mut factor = vec![0.0; size * size];
+    for i in 0..size {
+        for j in 0..=i {
+            let known: f64 = (0..j)
+                .map(|k| factor[i * size + k] * factor[j * size + k])
+                .sum();
+            let rest = matrix[i * size + j] - known;
+            if i == j {
+                let negligible = size as f64 * f64::EPSILON * matrix[i * size + i];
+                if !rest.is_finite() || rest <= negligible {
+                    return None;
+                }
+                factor[i * size + i] = rest.sqrt();
+            } else {
+                factor[i * size + j] = rest / factor[j * size + j];
+            }
+        }
+    }
+    Some(factor)
+}
+
+/// Solves L z = b in place.
+pub fn solve_lower(factor: &[f64], size: usize, rhs: &mut [f64]) {
+    for i in 0..size {
+        let known: f64 = (0..i).map(|k| factor[i * size + k] * rhs[k]).sum();
+        rhs[i] = (rhs[i] - known) / factor[i * size + i];
+    }
+}
+
+/// Solves L' z = b in place.
+pub fn solve_lower_transposed(factor: &[f64], size: usize, rhs: &mut [f64]) {
+    for i in (0..size).rev() {
+        let known: f64 = (i + 1..size).map(|k| factor[k * size + i] * rhs[k]).sum();
+        rhs[i] = (rhs[i] - known) / factor[i * size + i];
+    }
+}
+
+/// log det of the matrix whose lower Cholesky factor this is.
+pub fn log_determinant(factor: &[f64], size: usize) -> f64 {
+    2.0 * (0..size).map(|i| factor[i * size + i].ln()).sum::<f64>()
+}
+
+/// Inverse of a square matrix and log of its determinant, by Gauss-Jordan with row exchanges.
+///
+/// `None` where it is singular or its determinant is not positive.
+pub fn inverse(mut matrix: Vec<f64>, size: usize) -> Option<(Vec<f64>, f64)> {
+    let mut result = vec![0.0; size * size];
+    for i in 0..size {
+        result[i * size + i] = 1.0;
+    }
+    let (mut log_determinant, mut positive) = (0.0, true);
+    for j in 0..size {
+        let largest = |a: &usize, b: &usize| {
+            matrix[a * size + j]
+                .abs()
+                .total_cmp(&matrix[b * size + j].abs())
+        };
+        let from = (j..size).max_by(largest)?;
+        let pivot = matrix[from * size + j];
+        if !pivot.is_normal() {
+            return None;
+        }
+        log_determinant += pivot.abs().ln();
+        positive ^= (from != j) ^ (pivot < 0.0);
+        for side in [&mut matrix, &mut result] {
+            for column in 0..size {
+                side.swap(from * size + column, j * size + column);
+                side[j * size + column] /= pivot;
+            }
+        }
+        for i in (0..size).filter(|&i| i != j) {
+            let weight = matrix[i * size + j];
+            for side in [&mut matrix, &mut result] {
+                for column in 0..size {
+                    side[i * size + column] -= weight * side[j * size + column];
+                }
+            }
+        }
+    }
+    positive.then_some((result, log_determinant))
+}
+
+/// Orthonormal basis of what is orthogonal to every column of a (rows, columns) matrix.
+///
+/// Householder reflections. Returns (rows, rows - columns), row-major.
+pub fn orthogonal_complement(mut matrix: Vec<f64>, rows: usize, columns: usize) -> Vec<f64> {
+    let mut reflections = Vec::with_capacity(columns);
+    for j in 0..columns {
+        let mut v: Vec<f64> = (j..rows).map(|i| matrix[i * columns + j]).collect();
+        let norm = v.iter().map(|entry| entry * entry).sum::<f64>().sqrt();
+        v[0] += if v[0] < 0.0 { -norm } else { norm };
+        let square: f64 = v.iter().map(|entry| entry * entry).sum();
+        if square > 0.0 {
+            let scale = square.sqrt().recip();
+            v.iter_mut().for_each(|entry| *entry *= scale);
+        }
+        reflect(&v, &mut matrix, j, columns);
+        reflections.push(v);
+    }
+    let width = rows - columns;
+    let mut basis = vec![0.0; rows * width];
+    for j in 0..width {
+        basis[(columns + j) * width + j] = 1.0;
+    }
+    for (j, v) in reflections.iter().enumerate().rev() {
+        reflect(v, &mut basis, j, width);
+    }
+    basis
+}
+
+/// Applies I - 2 v v' to the rows from `start` on.
+fn reflect(v: &[f64], matrix: &mut [f64], start: usize, columns: usize) {
+    let mut sums = vec![0.0; columns];
+    for (i, weight) in v.iter().enumerate() {
+        let row = &matrix[(start + i) * columns..][..columns];
+        sums.iter_mut()
+            .zip(row)
+            .for_each(|(sum, entry)| *sum += weight * entry);
+    }
+    for (i, weight) in v.iter().enumerate() {
+        let row = &mut matrix[(start + i) * columns..][..columns];
+        row.iter_mut()
+            .zip(&sums)
+            .for_each(|(entry, sum)| *entry -= 2.0 * weight * sum);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cholesky_solves() {
+        let matrix = [4.0, 2.0, 0.6, 2.0, 5.0, 1.0, 0.6, 1.0, 3.0];
+        let factor = cholesky(&matrix, 3).unwrap();
+        let mut x = vec![1.0, -2.0, 0.5];
+        solve_lower(&factor, 3, &mut x);
+        solve_lower_transposed(&factor, 3, &mut x);
+        for (row, rhs) in matrix.chunks(3).zip([1.0, -2.0, 0.5]) {
+            let product: f64 = row.iter().zip(&x).map(|(m, v)| m * v).sum();
+            assert!((product - rhs).abs() < 1e-14);
+        }
+        assert!(cholesky(&[1.0, 1.0, 1.0, 1.0], 2).is_none());
+    }
+
+    #[test]
+    fn inverse_undoes_with_exchanged_rows() {
+        let matrix = vec![0.0, 2.0, 1.0, -1.0, 0.5, 0.0, 3.0, 1.0, 2.0];
+        let (inverse, log_determinant) = inverse(matrix.clone(), 3).unwrap();
+        for i in 0..3 {
+            for j in 0..3 {
+                let product: f64 = (0..3).map(|k| matrix[i * 3 + k] * inverse[k * 3 + j]).sum();
+                assert!((product - f64::from(u8::from(i == j))).abs() < 1e-14);
+            }
+        }
+        let determinant = -2.0 * (-2.0 - 0.0) + (-1.0 - 1.5);
+        assert!((log_determinant - f64::ln(determinant)).abs() < 1e-14);
+        assert!(super::inverse(vec![-1.0], 1).is_none());
+    }
+
+    #[test]
+    fn complement_is_orthonormal_and_orthogonal() {
+        let (rows, columns) = (5, 2);
+        let matrix = vec![1.0, 2.0, 0.0, 1.0, -1.0, 3.0, 2.0, 0.5, 0.1, 0.0];
+        let basis = orthogonal_complement(matrix.clone(), rows, columns);
+        let width = rows - columns;
+        for i in 0..width {
+            for j in 0..width {
+                let product: f64 = (0..rows)
+                    .map(|r| basis[r * width + i] * basis[r * width + j])
+                    .sum();
+                let expected = if i == j { 1.0 } else { 0.0 };
+                assert!((product - expected).abs() < 1e-14);
+            }
+            for j in 0..columns {
+                let product: f64 = (0..rows)
+                    .map(|r| basis[r * width + i] * matrix[r * columns + j])
+                    .sum();
+                assert!(product.abs() < 1e-14);
+            }
+        }
+    }
+}

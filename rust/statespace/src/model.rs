@@ -1,0 +1,158 @@
+//! The nouns: the sizes of a model, its matrices in one vector, and records of data.
+
+use std::ops::Range;
+
+/// The sizes of a model, and where its matrices lie in the vector of all their entries.
+///
+/// The order is A, B, C, D, K, each row-major. Entries of initial states come after them, one state
+/// a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Number of states, n.
+    pub order: usize,
+    /// Number of inputs, m.
+    pub inputs: usize,
+    /// Number of outputs, p.
+    pub outputs: usize,
+}
+
+impl Shape {
+    /// Where A lies.
+    pub fn a(&self) -> Range<usize> {
+        0..self.order * self.order
+    }
+
+    /// Where B lies.
+    pub fn b(&self) -> Range<usize> {
+        let start = self.a().end;
+        start..start + self.order * self.inputs
+    }
+
+    /// Where C lies.
+    pub fn c(&self) -> Range<usize> {
+        let start = self.b().end;
+        start..start + self.outputs * self.order
+    }
+
+    /// Where D lies.
+    pub fn d(&self) -> Range<usize> {
+        let start = self.c().end;
+        start..start + self.outputs * self.inputs
+    }
+
+    /// Where K lies.
+    pub fn k(&self) -> Range<usize> {
+        let start = self.d().end;
+        start..start + self.order * self.outputs
+    }
+
+    /// Number of entries of the five matrices.
+    pub fn entries(&self) -> usize {
+        self.k().end
+    }
+
+    /// Where the initial state of record `index` lies.
+    pub fn initial_state(&self, index: usize) -> Range<usize> {
+        let start = self.entries() + index * self.order;
+        start..start + self.order
+    }
+}
+
+/// A model and the initial state of every record, as one vector.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// The sizes.
+    pub shape: Shape,
+    /// A, B, C, D, K and initial states, laid out as [`Shape`] says.
+    pub values: Vec<f64>,
+}
+
+impl Model {
+    /// State matrix.
+    pub fn a(&self) -> &[f64] {
+        &self.values[self.shape.a()]
+    }
+
+    /// Input matrix.
+    pub fn b(&self) -> &[f64] {
+        &self.values[self.shape.b()]
+    }
+
+    /// Output matrix.
+    pub fn c(&self) -> &[f64] {
+        &self.values[self.shape.c()]
+    }
+
+    /// Feedthrough.
+    pub fn d(&self) -> &[f64] {
+        &self.values[self.shape.d()]
+    }
+
+    /// Innovations gain.
+    pub fn k(&self) -> &[f64] {
+        &self.values[self.shape.k()]
+    }
+
+    /// State at the first sample of record `index`.
+    pub fn initial_state(&self, index: usize) -> &[f64] {
+        &self.values[self.shape.initial_state(index)]
+    }
+
+    /// A - K C, which the predictor's own memory obeys.
+    pub fn predictor_matrix(&self) -> Vec<f64> {
+        let Shape {
+            order: n,
+            outputs: p,
+            ..
+        } = self.shape;
+        let (c, k) = (self.c(), self.k());
+        let mut closed = self.a().to_vec();
+        for i in 0..n {
+            for j in 0..n {
+                for o in 0..p {
+                    closed[i * n + j] -= k[i * p + o] * c[o * n + j];
+                }
+            }
+        }
+        closed
+    }
+}
+
+/// One uninterrupted stretch of data.
+#[derive(Clone, Copy, Debug)]
+pub struct Record<'a> {
+    /// (n_samples, m), row-major.
+    pub inputs: &'a [f64],
+    /// (n_samples, p), row-major.
+    pub outputs: &'a [f64],
+    /// Number of samples.
+    pub len: usize,
+}
+
+/// Splits stacked data into records.
+///
+/// # Panics
+/// The lengths do not add up to the number of rows.
+pub fn split<'a>(
+    shape: Shape,
+    inputs: &'a [f64],
+    outputs: &'a [f64],
+    lengths: &[usize],
+) -> Vec<Record<'a>> {
+    let total: usize = lengths.iter().sum();
+    assert_eq!(inputs.len(), total * shape.inputs, "rows of inputs");
+    assert_eq!(outputs.len(), total * shape.outputs, "rows of outputs");
+    let mut start = 0;
+    lengths
+        .iter()
+        .map(|&len| {
+            let rows = start..start + len;
+            start += len;
+            Record {
+                inputs: &inputs[rows.start * shape.inputs..rows.end * shape.inputs],
+                outputs: &outputs[rows.start * shape.outputs..rows.end * shape.outputs],
+                len,
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,167 @@
+//! Sums of outer products over many rows: the one place where the time goes.
+
+/// Rows and columns of the sum that stay in registers together.
+const TILE_ROWS: usize = 4;
+const TILE_COLUMNS: usize = 12;
+
+/// Rows summed before the next tile takes its turn, so that they stay in the first cache.
+const BLOCK: usize = 256;
+
+/// Rows of numbers, each `width` long and starting `stride` after the one before it.
+///
+/// A stride below the width makes a block-Hankel matrix out of plain data.
+#[derive(Clone, Copy)]
+pub struct Rows<'a> {
+    pub data: &'a [f64],
+    pub stride: usize,
+    pub width: usize,
+}
+
+/// Which tiles of a product are wanted.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// All of it.
+    Whole,
+    /// Those that hold an entry on or above the diagonal.
+    Upper,
+}
+
+/// Adds sum over `count` rows of left' right to a (left.width, right.width) row-major matrix.
+///
+/// The processor decides, at run time, whether vectors of four and fused multiply-add are used.
+pub fn add_products(target: &mut [f64], left: Rows<'_>, right: Rows<'_>, count: usize, part: Part) {
+    assert_eq!(target.len(), left.width * right.width);
+    if count == 0 {
+        return;
+    }
+    for rows in [left, right] {
+        assert!((count - 1) * rows.stride + rows.width <= rows.data.len());
+    }
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        // SAFETY: the processor has just said that it has both.
+        return unsafe { add_products_avx2(target, left, right, count, part) };
+    }
+    blocks::<false>(target, left, right, count, part);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn add_products_avx2(
+    target: &mut [f64],
+    left: Rows<'_>,
+    right: Rows<'_>,
+    count: usize,
+    part: Part,
+) {
+    blocks::<true>(target, left, right, count, part);
+}
+
+#[inline(always)]
+fn blocks<const FUSED: bool>(
+    target: &mut [f64],
+    left: Rows<'_>,
+    right: Rows<'_>,
+    count: usize,
+    part: Part,
+) {
+    for start in (0..count).step_by(BLOCK) {
+        let rows = BLOCK.min(count - start);
+        let from = |rows: Rows<'_>| -> usize { start * rows.stride };
+        let (l, r) = (&left.data[from(left)..], &right.data[from(right)..]);
+        for i in (0..left.width).step_by(TILE_ROWS) {
+            for j in (0..right.width).step_by(TILE_COLUMNS) {
+                if part == Part::Upper && j + TILE_COLUMNS <= i {
+                    continue;
+                }
+                let tile = &mut target[i * right.width + j..];
+                if i + TILE_ROWS <= left.width && j + TILE_COLUMNS <= right.width {
+                    let (l, r) = ((&l[i..], left.stride), (&r[j..], right.stride));
+                    whole_tile::<FUSED>(tile, right.width, l, r, rows);
+                } else {
+                    let height = TILE_ROWS.min(left.width - i);
+                    let width = TILE_COLUMNS.min(right.width - j);
+                    for row in 0..rows {
+                        for a in 0..height {
+                            let weight = l[row * left.stride + i + a];
+                            let source = &r[row * right.stride + j..][..width];
+                            let sum = &mut tile[a * right.width..][..width];
+                            for b in 0..width {
+                                sum[b] = multiply_add::<FUSED>(weight, source[b], sum[b]);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn whole_tile<const FUSED: bool>(
+    target: &mut [f64],
+    target_stride: usize,
+    (left, left_stride): (&[f64], usize),
+    (right, right_stride): (&[f64], usize),
+    rows: usize,
+) {
+    let mut sums = [[0.0; TILE_COLUMNS]; TILE_ROWS];
+    for row in 0..rows {
+        let l: &[f64; TILE_ROWS] = left[row * left_stride..][..TILE_ROWS].try_into().unwrap();
+        let r: &[f64; TILE_COLUMNS] = right[row * right_stride..][..TILE_COLUMNS]
+            .try_into()
+            .unwrap();
+        for a in 0..TILE_ROWS {
+            for b in 0..TILE_COLUMNS {
+                sums[a][b] = multiply_add::<FUSED>(l[a], r[b], sums[a][b]);
+            }
+        }
+    }
+    for (a, row) in sums.iter().enumerate() {
+        let target = &mut target[a * target_stride..][..TILE_COLUMNS];
+        target.iter_mut().zip(row).for_each(|(t, s)| *t += s);
+    }
+}
+
+/// a b + c, in one rounding where the processor does that in one instruction.
+#[inline(always)]
+pub fn multiply_add<const FUSED: bool>(a: f64, b: f64, c: f64) -> f64 {
+    if FUSED { a.mul_add(b, c) } else { a * b + c }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn agrees_with_the_plain_sum() {
+        let data: Vec<f64> = (0..4000).map(|i| f64::from(i * 37 % 101) - 50.0).collect();
+        for (h, w, stride, count) in [
+            (4, 8, 8, 300),
+            (5, 11, 3, 259),
+            (1, 1, 1, 1),
+            (9, 24, 24, 64),
+        ] {
+            let left = Rows {
+                data: &data,
+                stride,
+                width: h,
+            };
+            let right = Rows {
+                data: &data[7..],
+                stride,
+                width: w,
+            };
+            let mut sum = vec![1.0; h * w];
+            add_products(&mut sum, left, right, count, Part::Whole);
+            for i in 0..h {
+                for j in 0..w {
+                    let plain: f64 = (0..count)
+                        .map(|row| data[row * stride + i] * data[7 + row * stride + j])
+                        .sum();
+                    assert_eq!(sum[i * w + j], 1.0 + plain);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,394 @@
+//! Exact derivatives of the innovations with respect to every entry of the model.
+//!
+//! With psi = d e / d theta and s = d x / d theta,
+//!
+//! ```text
+//! psi[k] = -C s[k] - dC x[k] - dD u[k]
+//! s[k+1] = (A - K C) s[k] + dA x[k] + dB u[k] + dK e[k] - K (dC x[k] + dD u[k])
+//! ```
+//!
+//! Every entry of A, B, K injects one signal into one state and every entry of an initial state
+//! starts one of these filters: they run side by side in vector lanes. Entries of C and D inject
+//! through K what those of A and B inject directly, so their derivatives are sums of those.
+
+use crate::linalg::solve_lower;
+use crate::model::{Model, Record, Shape};
+use crate::products::{Part, Rows, add_products, multiply_add};
+
+/// Samples whose derivatives are held before they are summed: they fit the first cache.
+const BLOCK: usize = 32;
+
+/// Lanes come in fours.
+const LANES: usize = 4;
+
+/// J'WJ, J'We and e'We of a fit, over all entries of the model and all initial states.
+#[derive(Clone, Debug)]
+pub struct NormalEquations {
+    /// (size, size), row-major.
+    pub hessian: Vec<f64>,
+    /// (size,).
+    pub gradient: Vec<f64>,
+    /// e'We.
+    pub sum_of_squares: f64,
+}
+
+/// Normal equations of e -> L^-1 e, with L the lower Cholesky factor of the weighting covariance.
+pub fn normal_equations(
+    model: &Model,
+    records: &[Record<'_>],
+    whitener: &[f64],
+) -> NormalEquations {
+    let size = model.values.len();
+    let (entries, n) = (model.shape.entries(), model.shape.order);
+    let mut total = NormalEquations {
+        hessian: vec![0.0; size * size],
+        gradient: vec![0.0; size],
+        sum_of_squares: 0.0,
+    };
+    for (index, record) in records.iter().enumerate() {
+        let mut filters = Filters::new(model, index, whitener);
+        let (stride, error) = (filters.row.stride, filters.row.error);
+        let mut sums = vec![0.0; stride * stride];
+        filters.run(record, |rows, count| {
+            let rows = Rows {
+                data: rows,
+                stride,
+                width: stride,
+            };
+            add_products(&mut sums, rows, rows, count, Part::Upper);
+        });
+        let sum = |i: usize, j: usize| sums[i.min(j) * stride + i.max(j)];
+        let terms = filters.row.terms(model);
+        let place = |column: usize| {
+            if column < entries {
+                column
+            } else {
+                column + index * n
+            }
+        };
+        for (i, left) in terms.iter().enumerate() {
+            for (j, right) in terms.iter().enumerate().skip(i) {
+                let product: f64 = pairs(left, right).map(|(a, b, w)| w * sum(a, b)).sum();
+                total.hessian[place(i) * size + place(j)] += product;
+            }
+            total.gradient[place(i)] += left.iter().map(|&(a, w)| w * sum(a, error)).sum::<f64>();
+        }
+        total.sum_of_squares += sum(error, error);
+    }
+    for i in 0..size {
+        for j in 0..i {
+            total.hessian[i * size + j] = total.hessian[j * size + i];
+        }
+    }
+    total
+}
+
+/// The derivatives themselves for record `index`: (n_samples, p, entries + n), row-major.
+///
+/// The last n columns are those of the record's own initial state.
+pub fn jacobian(model: &Model, record: &Record<'_>, index: usize) -> Vec<f64> {
+    let p = model.shape.outputs;
+    let mut filters = Filters::new(model, index, &identity(p));
+    let (stride, terms) = (filters.row.stride, filters.row.terms(model));
+    let mut stacked = Vec::with_capacity(record.len * p * terms.len());
+    filters.run(record, |rows, count| {
+        for row in rows.chunks_exact(stride).take(count) {
+            stacked.extend(
+                terms
+                    .iter()
+                    .map(|t| t.iter().map(|&(a, w)| w * row[a]).sum::<f64>()),
+            );
+        }
+    });
+    stacked
+}
+
+/// e'W psi of every sample, the score: (n_samples, entries + n), row-major.
+///
+/// For covariances that hold where the innovations are not white.
+pub fn scores(model: &Model, record: &Record<'_>, index: usize, whitener: &[f64]) -> Vec<f64> {
+    let p = model.shape.outputs;
+    let mut filters = Filters::new(model, index, whitener);
+    let (stride, error) = (filters.row.stride, filters.row.error);
+    let terms = filters.row.terms(model);
+    let mut scores = Vec::with_capacity(record.len * terms.len());
+    let mut score = vec![0.0; stride];
+    filters.run(record, |rows, count| {
+        for sample in rows.chunks_exact(p * stride).take(count / p) {
+            score.fill(0.0);
+            for row in sample.chunks_exact(stride) {
+                score
+                    .iter_mut()
+                    .zip(row)
+                    .for_each(|(s, psi)| *s += row[error] * psi);
+            }
+            scores.extend(
+                terms
+                    .iter()
+                    .map(|t| t.iter().map(|&(a, w)| w * score[a]).sum::<f64>()),
+            );
+        }
+    });
+    scores
+}
+
+/// What a derivative is a sum of: columns of a row, with weights.
+type Terms = Vec<(usize, f64)>;
+
+fn pairs<'a>(left: &'a Terms, right: &'a Terms) -> impl Iterator<Item = (usize, usize, f64)> + 'a {
+    left.iter()
+        .flat_map(|&(a, v)| right.iter().map(move |&(b, w)| (a, b, v * w)))
+}
+
+/// Where things stand in a row: filters of A, B, K and the initial state, row-major each; what C
+/// and D add to the output at once, row-major each; the innovation.
+#[derive(Clone, Copy)]
+struct Row {
+    shape: Shape,
+    lanes: usize,
+    direct: usize,
+    error: usize,
+    stride: usize,
+}
+
+impl Row {
+    fn new(shape: Shape) -> Self {
+        let Shape {
+            order: n,
+            inputs: m,
+            outputs: p,
+        } = shape;
+        let lanes = (n * (n + m + p + 1)).next_multiple_of(LANES);
+        let error = lanes + p * (n + m);
+        Self {
+            shape,
+            lanes,
+            direct: lanes,
+            error,
+            stride: (error + 1).next_multiple_of(3 * LANES),
+        }
+    }
+
+    /// The derivative with respect to each entry, in the model's order, then the initial state.
+    fn terms(&self, model: &Model) -> Vec<Terms> {
+        let Shape {
+            order: n,
+            inputs: m,
+            outputs: p,
+        } = self.shape;
+        let k = model.k();
+        let filter = |column: usize| vec![(column, 1.0)];
+        // An entry of C or D takes its signal from output i, and through K from every state.
+        let output = |i: usize, direct: usize, first: usize, width: usize| {
+            let mut terms = filter(direct);
+            terms.extend((0..n).map(|l| (first + l * width, -k[l * p + i])));
+            terms
+        };
+        let mut terms: Vec<Terms> = (0..n * (n + m)).map(filter).collect();
+        for (i, j) in (0..p * n).map(|index| (index / n, index % n)) {
+            terms.push(output(i, self.direct + i * n + j, j, n));
+        }
+        for (i, j) in (0..p * m).map(|index| (index / m, index % m)) {
+            terms.push(output(i, self.direct + p * n + i * m + j, n * n + j, m));
+        }
+        terms.extend((n * (n + m)..n * (n + m + p + 1)).map(filter));
+        terms
+    }
+}
+
+/// The predictor and, in lanes, its derivatives; outputs are whitened.
+struct Filters<'a> {
+    model: &'a Model,
+    row: Row,
+    /// A - K C.
+    closed: Vec<f64>,
+    /// -L^-1 C and -L^-1.
+    output: Vec<f64>,
+    whitening: Vec<f64>,
+    x: Vec<f64>,
+    next_x: Vec<f64>,
+    e: Vec<f64>,
+    /// (n, lanes)
+    s: Vec<f64>,
+    next: Vec<f64>,
+}
+
+impl<'a> Filters<'a> {
+    fn new(model: &'a Model, index: usize, whitener: &[f64]) -> Self {
+        let row = Row::new(model.shape);
+        let Shape {
+            order: n,
+            inputs: m,
+            outputs: p,
+        } = model.shape;
+        let mut s = vec![0.0; n * row.lanes];
+        for i in 0..n {
+            s[i * row.lanes + n * (n + m + p) + i] = 1.0;
+        }
+        Self {
+            model,
+            row,
+            closed: model.predictor_matrix(),
+            output: whitened(whitener, model.c(), p, n),
+            whitening: whitened(whitener, &identity(p), p, p),
+            x: model.initial_state(index).to_vec(),
+            next_x: vec![0.0; n],
+            e: vec![0.0; p],
+            next: s.clone(),
+            s,
+        }
+    }
+
+    /// Hands out blocks of rows, p to a sample, and their number.
+    fn run(&mut self, record: &Record<'_>, mut take: impl FnMut(&[f64], usize)) {
+        let Shape {
+            inputs: m,
+            outputs: p,
+            ..
+        } = self.model.shape;
+        let mut rows = vec![0.0; BLOCK * p * self.row.stride];
+        let (inputs, outputs) = (
+            record.inputs.chunks(BLOCK * m),
+            record.outputs.chunks(BLOCK * p),
+        );
+        for (u, y) in inputs.zip(outputs) {
+            self.fill(u, y, &mut rows);
+            take(&rows[..y.len() * self.row.stride], y.len());
+        }
+    }
+
+    /// Rows of one block. The processor decides, at run time, about vectors.
+    fn fill(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            // SAFETY: the processor has just said that it has both.
+            return unsafe { self.fill_avx2(u, y, rows) };
+        }
+        self.fill_body::<false>(u, y, rows);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn fill_avx2(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
+        self.fill_body::<true>(u, y, rows);
+    }
+
+    #[inline(always)]
+    fn fill_body<const FUSED: bool>(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
+        let Shape {
+            inputs: m,
+            outputs: p,
+            ..
+        } = self.model.shape;
+        let samples = u.chunks_exact(m).zip(y.chunks_exact(p));
+        for ((u, y), rows) in samples.zip(rows.chunks_exact_mut(p * self.row.stride)) {
+            self.emit::<FUSED>(u, y, rows);
+            self.step::<FUSED>(u);
+        }
+    }
+
+    /// The innovation and its derivatives at the present sample.
+    #[inline(always)]
+    fn emit<const FUSED: bool>(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
+        let Shape {
+            order: n,
+            inputs: m,
+            outputs: p,
+        } = self.model.shape;
+        let Row {
+            lanes,
+            direct,
+            error,
+            stride,
+            ..
+        } = self.row;
+        let (c, d) = (self.model.c(), self.model.d());
+        for o in 0..p {
+            self.e[o] = y[o] - dot(&c[o * n..][..n], &self.x) - dot(&d[o * m..][..m], u);
+        }
+        for (o, row) in rows.chunks_exact_mut(stride).enumerate() {
+            combine::<FUSED>(
+                &self.output[o * n..][..n],
+                &self.s,
+                lanes,
+                &mut row[..lanes],
+            );
+            row[error] = 0.0;
+            for i in 0..p {
+                let weight = self.whitening[o * p + i];
+                for j in 0..n {
+                    row[direct + i * n + j] = weight * self.x[j];
+                }
+                for j in 0..m {
+                    row[direct + p * n + i * m + j] = weight * u[j];
+                }
+                row[error] -= weight * self.e[i];
+            }
+        }
+    }
+
+    /// On to the next sample.
+    #[inline(always)]
+    fn step<const FUSED: bool>(&mut self, u: &[f64]) {
+        let Shape {
+            order: n,
+            inputs: m,
+            outputs: p,
+        } = self.model.shape;
+        let lanes = self.row.lanes;
+        let (a, b, k) = (self.model.a(), self.model.b(), self.model.k());
+        for (l, row) in self.next.chunks_exact_mut(lanes).enumerate() {
+            combine::<FUSED>(&self.closed[l * n..][..n], &self.s, lanes, row);
+            let starts = [l * n, n * n + l * m, n * (n + m) + l * p];
+            for (start, signal) in starts.into_iter().zip([&self.x[..], u, &self.e[..]]) {
+                row[start..][..signal.len()]
+                    .iter_mut()
+                    .zip(signal)
+                    .for_each(|(r, v)| *r += v);
+            }
+            self.next_x[l] = dot(&a[l * n..][..n], &self.x)
+                + dot(&b[l * m..][..m], u)
+                + dot(&k[l * p..][..p], &self.e);
+        }
+        std::mem::swap(&mut self.s, &mut self.next);
+        std::mem::swap(&mut self.x, &mut self.next_x);
+    }
+}
+
+/// target = weights' s, for s of (n, lanes).
+#[inline(always)]
+fn combine<const FUSED: bool>(weights: &[f64], s: &[f64], lanes: usize, target: &mut [f64]) {
+    for (chunk, target) in target.chunks_exact_mut(LANES).enumerate() {
+        let mut sum = [0.0; LANES];
+        for (weight, row) in weights.iter().zip(s.chunks_exact(lanes)) {
+            let row: &[f64; LANES] = row[chunk * LANES..][..LANES].try_into().unwrap();
+            for lane in 0..LANES {
+                sum[lane] = multiply_add::<FUSED>(*weight, row[lane], sum[lane]);
+            }
+        }
+        target.copy_from_slice(&sum);
+    }
+}
+
+#[inline(always)]
+fn dot(left: &[f64], right: &[f64]) -> f64 {
+    left.iter().zip(right).map(|(l, r)| l * r).sum()
+}
+
+fn identity(size: usize) -> Vec<f64> {
+    (0..size * size)
+        .map(|entry| f64::from(u8::from(entry / size == entry % size)))
+        .collect()
+}
+
+/// -L^-1 M for a (p, columns) matrix.
+fn whitened(factor: &[f64], matrix: &[f64], p: usize, columns: usize) -> Vec<f64> {
+    let mut result = vec![0.0; p * columns];
+    let mut column = vec![0.0; p];
+    for j in 0..columns {
+        (0..p).for_each(|i| column[i] = -matrix[i * columns + j]);
+        solve_lower(factor, p, &mut column);
+        (0..p).for_each(|i| result[i * columns + j] = column[i]);
+    }
+    result
+}

@@ -1,0 +1,225 @@
+//! Whether a matrix's powers die out, and a wall in front of those that do not.
+
+use crate::linalg::inverse;
+use crate::model::{Model, Shape};
+
+/// Doublings after which the question is settled: 2^40 steps outlast any record.
+const MOST_DOUBLINGS: usize = 40;
+
+/// Whether every eigenvalue of a square row-major matrix lies inside the unit circle.
+///
+/// Powers A, A^2, A^4, ... by squaring: a Frobenius norm below one is proof that the spectral
+/// radius is. No eigenvalues are computed, so clustered ones, as of a finely sampled arm, cost no
+/// accuracy. Within 1e-12 of the circle counts as outside.
+pub fn is_stable(matrix: &[f64], order: usize) -> bool {
+    let mut power = matrix.to_vec();
+    let mut square = vec![0.0; power.len()];
+    for _ in 0..MOST_DOUBLINGS {
+        let norm = power.iter().map(|entry| entry * entry).sum::<f64>();
+        if norm < 1.0 {
+            return true;
+        }
+        if !norm.is_finite() {
+            return false;
+        }
+        for i in 0..order {
+            for j in 0..order {
+                square[i * order + j] = (0..order)
+                    .map(|k| power[i * order + k] * power[k * order + j])
+                    .sum();
+            }
+        }
+        std::mem::swap(&mut power, &mut square);
+    }
+    false
+}
+
+/// -(1/2) log det(I - F (x) F) of F = A - K C, with its first two derivatives over the entries of F.
+///
+/// In terms of eigenvalues, -(1/2) sum log(1 - l_i l_j): smooth, free of coordinates, infinite at
+/// the unit circle. The likelihood of a record whose initial state is fitted to it lacks what an
+/// exact one has, the loss of information as the predictor forgets more slowly; for one state that
+/// is this very term. Without it the best predictor of a short record is often an unstable one.
+/// Beside a likelihood that grows with the record it weighs nothing.
+pub struct Barrier {
+    /// The term.
+    pub value: f64,
+    slope: Vec<f64>,
+    curvature: Vec<f64>,
+}
+
+impl Barrier {
+    /// At a model; `None` where F is unstable.
+    pub fn at(model: &Model) -> Option<Self> {
+        let n = model.shape.order;
+        let f = model.predictor_matrix();
+        if !is_stable(&f, n) {
+            return None;
+        }
+        let size = n * n;
+        let mut difference = vec![0.0; size * size];
+        for (row, column) in pairs(size) {
+            let ((i, k), (j, l)) = ((row / n, row % n), (column / n, column % n));
+            let one = f64::from(u8::from(row == column));
+            difference[row * size + column] = one - f[i * n + j] * f[k * n + l];
+        }
+        let (inverse, log_determinant) = inverse(difference, size)?;
+        // M^-1 dM of every entry of F, dM = -(E (x) F + F (x) E).
+        let relative: Vec<Vec<f64>> = pairs(n)
+            .map(|e| relative_change(&inverse, &f, n, e))
+            .collect();
+        let trace = |p: &[f64]| (0..size).map(|i| p[i * size + i]).sum::<f64>();
+        let slope = relative.iter().map(|p| -0.5 * trace(p)).collect();
+        let mut curvature = vec![0.0; size * size];
+        for (a, b) in pairs(size) {
+            curvature[a * size + b] = pairs(size)
+                .map(|(i, j)| 0.5 * relative[a][i * size + j] * relative[b][j * size + i])
+                .sum();
+        }
+        Some(Self {
+            value: -0.5 * log_determinant,
+            slope,
+            curvature,
+        })
+    }
+
+    /// Gradient and curvature along `directions`, each how F moves: (n^2,) row-major.
+    ///
+    /// The curvature leaves out what is of lower order near the unit circle. It may be indefinite;
+    /// then the square of the slope takes its place, which is right for a single eigenvalue.
+    pub fn along(&self, directions: &[Vec<f64>], definite: bool) -> (Vec<f64>, Vec<f64>) {
+        let size = self.slope.len();
+        let dot = |l: &[f64], r: &[f64]| l.iter().zip(r).map(|(l, r)| l * r).sum::<f64>();
+        let gradient: Vec<f64> = directions.iter().map(|d| dot(&self.slope, d)).collect();
+        let width = directions.len();
+        let mut curvature = vec![0.0; width * width];
+        for (i, left) in directions.iter().enumerate() {
+            let product: Vec<f64> = self
+                .curvature
+                .chunks_exact(size)
+                .map(|row| dot(row, left))
+                .collect();
+            for (j, right) in directions.iter().enumerate() {
+                curvature[i * width + j] = if definite {
+                    2.0 * gradient[i] * gradient[j]
+                } else {
+                    dot(&product, right)
+                };
+            }
+        }
+        (gradient, curvature)
+    }
+}
+
+/// How F = A - K C moves with the model's vector moving along `change`.
+pub fn predictor_change(model: &Model, change: &[f64]) -> Vec<f64> {
+    let Shape {
+        order: n,
+        outputs: p,
+        ..
+    } = model.shape;
+    let (c, k) = (model.c(), model.k());
+    let (dc, dk) = (&change[model.shape.c()], &change[model.shape.k()]);
+    let mut moved = change[model.shape.a()].to_vec();
+    for (i, j) in pairs(n) {
+        for o in 0..p {
+            moved[i * n + j] -= dk[i * p + o] * c[o * n + j] + k[i * p + o] * dc[o * n + j];
+        }
+    }
+    moved
+}
+
+/// -inverse (E (x) F + F (x) E) with E one at entry (i, j).
+fn relative_change(inverse: &[f64], f: &[f64], n: usize, (i, j): (usize, usize)) -> Vec<f64> {
+    let size = n * n;
+    let mut product = vec![0.0; size * size];
+    for row in 0..size {
+        for (k, l) in pairs(n) {
+            let weight = f[k * n + l];
+            product[row * size + j * n + l] -= inverse[row * size + i * n + k] * weight;
+            product[row * size + l * n + j] -= inverse[row * size + k * n + i] * weight;
+        }
+    }
+    product
+}
+
+fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..n * n).map(move |index| (index / n, index % n))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn barrier_slope_and_curvature_of_one_pole() {
+        let shape = Shape {
+            order: 1,
+            inputs: 1,
+            outputs: 1,
+        };
+        let at = |a: f64, c: f64, k: f64| Model {
+            shape,
+            values: vec![a, 1.0, c, 0.0, k, 0.0],
+        };
+        let model = at(0.95, 0.5, 0.3);
+        let barrier = Barrier::at(&model).unwrap();
+        let pole = 0.95_f64 - 0.3 * 0.5;
+        assert!((barrier.value + 0.5 * (1.0 - pole * pole).ln()).abs() < 1e-14);
+        let slope = pole / (1.0 - pole * pole);
+        let mut change = vec![0.0; 6];
+        change[2] = 1.0; // of C
+        let moved = predictor_change(&model, &change);
+        for definite in [false, true] {
+            let (gradient, curvature) = barrier.along(std::slice::from_ref(&moved), definite);
+            assert!((gradient[0] + 0.3 * slope).abs() < 1e-13);
+            assert!((curvature[0] - 2.0 * (0.3 * slope).powi(2)).abs() < 1e-13);
+        }
+        assert!(Barrier::at(&at(1.2, 0.5, 0.3)).is_none());
+    }
+
+    #[test]
+    fn barrier_slope_against_differences() {
+        let shape = Shape {
+            order: 3,
+            inputs: 1,
+            outputs: 1,
+        };
+        let mut values = vec![0.6, 0.5, 0.1, -0.5, 0.7, 0.2, 0.3, -0.1, 0.8];
+        values.extend([1.0, 0.0, 0.0, 0.3, -0.2, 0.5, 0.0, 0.2, 0.1, 0.1]);
+        let model = Model { shape, values };
+        let barrier = Barrier::at(&model).unwrap();
+        for entry in 0..model.values.len() {
+            let mut change = vec![0.0; model.values.len()];
+            change[entry] = 1.0;
+            let (gradient, _) = barrier.along(&[predictor_change(&model, &change)], false);
+            let shifted = |step: f64| {
+                let mut other = model.clone();
+                other.values[entry] += step;
+                Barrier::at(&other).unwrap().value
+            };
+            let difference = (shifted(1e-5) - shifted(-1e-5)) / 2e-5;
+            assert!((gradient[0] - difference).abs() < 1e-7 * (1.0 + difference.abs()));
+        }
+    }
+
+    fn spiral(radius: f64, angle: f64) -> [f64; 4] {
+        let (sin, cos) = angle.sin_cos();
+        [radius * cos, -radius * sin, radius * sin, radius * cos]
+    }
+
+    #[test]
+    fn tells_the_sides_of_the_circle_apart() {
+        for gap in [0.5, 1e-3, 1e-6, 1e-9] {
+            assert!(is_stable(&spiral(1.0 - gap, 0.3), 2), "{gap}");
+            assert!(!is_stable(&spiral(1.0 + gap, 0.3), 2), "{gap}");
+        }
+        assert!(!is_stable(&[1.0], 1));
+    }
+
+    #[test]
+    fn growth_before_decay_is_no_instability() {
+        assert!(is_stable(&[0.9, 1e6, 0.0, 0.9], 2));
+        assert!(!is_stable(&[f64::NAN], 1));
+    }
+}

@@ -1,0 +1,339 @@
+"""Prediction-error minimisation: its derivatives, its optimum, its options, its refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from strainwave.errors import InvalidInput
+from strainwave.records import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
+from strainwave.statespace import PemOptions, modes, pem, propagate, subspace, to_continuous
+from strainwave.statespace._entries import Matrices, balanced, rescale
+from strainwave.statespace._evaluate import Evaluator
+from strainwave.statespace._stack import stack
+from two_inertia import TwoInertia, excitation, simulate
+
+ARM = TwoInertia()
+GAIN = np.array([[0.0, 1e-3], [0.3, 0.5], [0.001, 0.3]])
+NOISE = np.array([0.3, 0.005])
+TRUTH = ARM.sampled(GAIN, np.diag(NOISE**2))
+
+
+def noisy(seed: int, samples: int, truth: StateSpace = TRUTH) -> InputOutput:
+    rng = np.random.default_rng(seed)
+    noise = NOISE * rng.standard_normal((samples, 2))
+    return simulate(truth, excitation(rng, samples), noise)
+
+
+def physical(model: ContinuousStateSpace) -> FloatArray:
+    """m_M, m_L, k, d_G, from what no change of coordinates changes.
+
+    C B holds e / m_M and 1 / m_L; the zeros of the first channel are those of the link alone.
+    """
+    high = model.C @ model.B
+    m_M, m_L = ARM.torque_per_volt / high[0, 0], 1.0 / high[1, 1]
+    zero = modes(replace(model, covariance=None), 0, 0).anti_resonance
+    assert zero is not None
+    w = 2.0 * np.pi * zero.frequency_hz
+    return np.array(
+        [m_M, m_L, w * w * m_L, 2.0 * zero.damping * w * m_L - ARM.link_viscous_friction]
+    )
+
+
+PHYSICAL = np.array([ARM.motor_inertia, ARM.link_inertia, ARM.gear_stiffness, ARM.gear_damping])
+
+
+def information_bound(data: InputOutput) -> FloatArray:
+    """Cramer-Rao bound of the entries at the truth: least scatter any unbiased fit can have.
+
+    Inverse of sum psi' Lambda^-1 psi over directions that move the innovations. Nothing acts at
+    once but the interaction torque, which is known to the fit as well.
+    """
+    stacked = stack(data)
+    n, m, p = 3, 2, 2
+    own = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, TRUTH.initial_states)
+    scaled = rescale(own, stacked).pack()
+    J = Evaluator(stacked, n).core.jacobian(scaled)
+    J = (J * (stacked.output_scale / NOISE)[:, None]).reshape(-1, J.shape[2])
+    free = np.ones(J.shape[1], dtype=bool)
+    start = n * (n + m + p)
+    free[[start, start + m]] = False
+    size = np.linalg.norm(J[:, free], axis=0)
+    _, s, Vt = np.linalg.svd(J[:, free] / size, full_matrices=False)
+    moved = s > 1e-9 * s[0]
+    assert moved.sum() == free.sum() - n * n  # all but changes of coordinates
+    half = np.zeros((len(free), int(moved.sum())))
+    half[free] = Vt[moved].T / s[moved] / size[:, None]
+    u, y = stacked.input_scale, stacked.output_scale
+    parts = [np.ones((n, n)), np.ones((n, 1)) / u, y[:, None] * np.ones((1, n))]
+    parts += [y[:, None] / u, np.ones((n, 1)) / y]
+    half = half[: start + p * m + n * p] * np.concatenate([np.ravel(x) for x in parts])[:, None]
+    return np.asarray(half @ half.T)
+
+
+# --- derivatives ------------------------------------------------------------------------------
+
+
+def test_jacobian_is_the_derivative_to_second_order() -> None:
+    """The error of a central difference falls with the square of the step."""
+    first, second = noisy(1, 60), noisy(2, 35)
+    data = stack([first, second])
+    evaluator = Evaluator(data, 3)
+    rng = np.random.default_rng(0)
+    start = rescale(Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((2, 3))), data)
+    values = balanced(start).pack() + 0.01 * rng.standard_normal(start.pack().shape)
+    J = evaluator.core.jacobian(values)
+    entries = J.shape[2] - 3
+    exact = np.zeros((len(J), 2, len(values)))
+    exact[:, :, :entries] = J[:, :, :entries]
+    exact[:60, :, entries : entries + 3] = J[:60, :, entries:]
+    exact[60:, :, entries + 3 :] = J[60:, :, entries:]
+    direction = rng.standard_normal(len(values))
+    errors = []
+    for step in (1e-3, 1e-4):
+        ahead = evaluator.core.residuals(values + step * direction)
+        behind = evaluator.core.residuals(values - step * direction)
+        errors.append(np.abs((ahead - behind) / (2.0 * step) - exact @ direction).max())
+    assert errors[0] / errors[1] == pytest.approx(100.0, rel=0.02)
+
+
+def test_every_entry_has_its_own_derivative() -> None:
+    data = stack(noisy(1, 80))
+    evaluator = Evaluator(data, 3)
+    own = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
+    values = balanced(rescale(own, data)).pack()
+    whitener = evaluator.whitener(evaluator.unpack(values))
+    J = evaluator.core.jacobian(values)
+    hessian, gradient = evaluator.core.normal_equations(values, whitener)
+    white = np.linalg.solve(whitener, J.transpose(1, 0, 2).reshape(2, -1)).reshape(2, 80, -1)
+    e = np.linalg.solve(whitener, evaluator.core.residuals(values).T)
+    np.testing.assert_allclose(hessian, np.einsum("oki,okj->ij", white, white), rtol=1e-9)
+    np.testing.assert_allclose(gradient, np.einsum("oki,ok->i", white, e), rtol=1e-8)
+    scores = evaluator.core.scores(values, whitener)
+    np.testing.assert_allclose(scores.sum(axis=0), gradient, rtol=1e-8)
+    for entry in range(len(values)):
+        moved = values.copy()
+        moved[entry] += 1e-6
+        rise = evaluator.cost(moved)
+        moved[entry] -= 2e-6
+        # Half the second difference of a cost of 1e3 is rounded at 1e-13 * 1e3 / 1e-6.
+        slope = (rise - evaluator.cost(moved)) / 2e-6
+        assert slope == pytest.approx(gradient[entry], rel=1e-4, abs=1e-3)
+
+
+# --- the optimum ------------------------------------------------------------------------------
+
+
+def test_coordinates_of_the_start_do_not_matter() -> None:
+    data = noisy(0, 600)
+    rng = np.random.default_rng(5)
+    T = rng.standard_normal((3, 3))
+    own = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
+    moved = own.transformed(T)
+    other = replace(TRUTH, A=moved.A, B=moved.B, C=moved.C, K=moved.K)
+    fits = [pem(data, start=start) for start in (TRUTH, other)]
+    assert fits[0].log_likelihood == pytest.approx(fits[1].log_likelihood, abs=1e-3)
+    ours, theirs = (propagate(to_continuous(fit), physical) for fit in fits)
+    assert ours[1] is not None
+    assert theirs[1] is not None
+    # Both stop within a few hundredths of a standard deviation of the optimum.
+    std = np.sqrt(np.diag(ours[1]))
+    assert np.abs((ours[0] - theirs[0]) / std).max() < 0.05
+    np.testing.assert_allclose(np.diag(theirs[1]), np.diag(ours[1]), rtol=0.02)
+
+
+def test_start_from_data_reaches_the_optimum_near_the_truth() -> None:
+    for seed in range(6):
+        data = noisy(seed, 1000)
+        cold, warm = pem(data, 3), pem(data, start=TRUTH)
+        assert cold.status == "converged"
+        assert cold.log_likelihood > warm.log_likelihood - 0.01
+
+
+def test_exact_data_give_the_exact_arm() -> None:
+    rng = np.random.default_rng(0)
+    data = simulate(ARM.sampled(), excitation(rng, 800), initial_state=np.array([1e-4, 5.0, 0.05]))
+    model = pem(data, 3, options=PemOptions(disturbance="none"))
+    np.testing.assert_allclose(physical(to_continuous(model)), PHYSICAL, rtol=1e-7)
+
+
+def test_refines_a_subspace_estimate() -> None:
+    for seed in range(5):
+        data = noisy(seed, 1500)
+        assert pem(data, 3).log_likelihood > subspace(data, 3).log_likelihood + 0.1
+
+
+def test_errors_are_as_large_as_stated_and_as_small_as_possible() -> None:
+    """Normalised errors are chi-square; deviations are those of Cramer and Rao."""
+    from scipy.stats import chi2
+
+    seeds, samples = 60, 1500
+    total, errors, stated = 0.0, [], []
+    for seed in range(seeds):
+        data = noisy(seed, samples)
+        values, covariance = propagate(to_continuous(pem(data, 3)), physical)
+        assert covariance is not None
+        error = values - PHYSICAL
+        total += float(error @ np.linalg.solve(covariance, error))
+        errors.append(error)
+        stated.append(np.sqrt(np.diag(covariance)))
+    assert 1e-3 < chi2.sf(total, 4 * seeds) < 1.0 - 1e-3
+    bound = propagate(
+        to_continuous(replace(TRUTH, covariance=information_bound(noisy(0, samples)))), physical
+    )[1]
+    assert bound is not None
+    least = np.sqrt(np.diag(bound))
+    np.testing.assert_allclose(np.mean(stated, axis=0), least, rtol=0.1)
+    # A deviation from 60 seeds is itself known to 9 %: three of those.
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(errors), axis=0)), least, rtol=0.28)
+
+
+def test_two_records_know_what_one_twice_as_long_knows() -> None:
+    whole = pem(noisy(7, 2000), 3)
+    data = noisy(7, 2000)
+    halves = pem([data.window(0, 1000), data.window(1000, 2000)], 3)
+    assert halves.initial_states.shape == (2, 3)
+    ours, theirs = (propagate(to_continuous(fit), physical) for fit in (whole, halves))
+    assert ours[1] is not None
+    assert theirs[1] is not None
+    np.testing.assert_allclose(np.diag(theirs[1]), np.diag(ours[1]), rtol=0.05)
+
+
+# --- closed loop ------------------------------------------------------------------------------
+
+
+def closed_loop(seed: int, samples: int) -> InputOutput:
+    """A proportional velocity servo on the noisy motor velocity, one sample of delay."""
+    rng = np.random.default_rng(seed)
+    e = 5.0 * NOISE * rng.standard_normal((samples, 2))
+    torque = 2.0 * rng.standard_normal(samples)
+    reference = np.repeat(20.0 * np.sign(rng.standard_normal(samples // 20 + 1)), 20)
+    inputs, outputs = np.zeros((samples, 2)), np.zeros((samples, 2))
+    x, before = np.zeros(3), 0.0
+    for k in range(samples):
+        u = np.array([0.5 * (reference[k] - before), torque[k]])
+        inputs[k], outputs[k] = u, TRUTH.C @ x + TRUTH.D @ u + e[k]
+        x = TRUTH.A @ x + TRUTH.B @ u + TRUTH.K @ e[k]
+        before = outputs[k, 0]
+    return InputOutput(inputs, outputs, TRUTH.sample_time, TRUTH.hold)
+
+
+def test_consistent_in_closed_loop() -> None:
+    """With K estimated, errors stay within their deviations; an output-error model is biased."""
+    scores: dict[str, list[FloatArray]] = {"innovations": [], "none": []}
+    for seed in range(4):
+        data = closed_loop(seed, 5000)
+        for disturbance, each in scores.items():
+            fit = pem(data, 3, options=PemOptions(disturbance=disturbance))  # type: ignore[arg-type]
+            values, covariance = propagate(to_continuous(fit), physical)
+            assert covariance is not None
+            each.append((values - PHYSICAL) / np.sqrt(np.diag(covariance)))
+    # The mean of four standard normal numbers is beyond 1.65 once in a thousand.
+    assert np.abs(np.mean(scores["innovations"], axis=0)).max() < 1.65
+    assert np.abs(np.mean(scores["none"], axis=0)).max() > 4.0
+
+
+# --- options, and what a fit says of itself ---------------------------------------------------
+
+
+def test_work_is_pinned() -> None:
+    """A slower algorithm takes more steps than these."""
+    fits = [pem(noisy(seed, 800), 3) for seed in range(5)]
+    assert sum(fit.iterations for fit in fits) <= 75
+    assert sum(fit.evaluations for fit in fits) <= 90
+
+
+def test_options_change_the_answer() -> None:
+    data = noisy(3, 500)
+    default = pem(data, 3)
+    assert default.method == "pem"
+    assert default.K.any()
+    output_error = pem(data, 3, options=PemOptions(disturbance="none"))
+    assert output_error.method == "output-error"
+    assert not output_error.K.any()
+    through = pem(data, 3, options=PemOptions(feedthrough=(True, True)))
+    assert not default.D[:, 0].any()
+    assert through.D.all()
+    assert through.n_parameters == default.n_parameters + 2
+    at_rest = pem(data, 3, options=PemOptions(initial_state="zero"))
+    assert default.initial_states.any()
+    assert not at_rest.initial_states.any()
+    hurried = pem(data, 3, options=PemOptions(max_iterations=1))
+    assert hurried.status == "iteration-limit"
+    assert [warning.code for warning in hurried.warnings] == ["pem-iteration-limit"]
+    exact = pem(data, 3, options=PemOptions(tolerance=1e-9))
+    assert exact.iterations > default.iterations
+    kinds = {
+        kind: pem(data, 3, options=PemOptions(covariance=kind)).covariance_kind
+        for kind in ("white", "sandwich")
+    }
+    assert kinds == {"white": "white", "sandwich": "sandwich"}
+
+
+def test_auto_covariance_asks_the_residuals() -> None:
+    """An output-error fit of data with coloured noise leaves coloured residuals."""
+    data = noisy(3, 3000)
+    assert pem(data, 3).covariance_kind == "white"
+    output_error = pem(data, 3, options=PemOptions(disturbance="none"))
+    assert output_error.covariance_kind == "sandwich"
+
+
+def test_sandwich_is_honest_where_white_is_not() -> None:
+    seeds, scores = 15, {"white": 0.0, "sandwich": 0.0}
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        clean = simulate(ARM.sampled(), excitation(rng, 6000))
+        noise = lfilter([1.0], [1.0, -0.9], NOISE * rng.standard_normal((6000, 2)), axis=0)
+        data = replace(clean, outputs=clean.outputs + noise)
+        for kind in scores:
+            options = PemOptions(disturbance="none", covariance=kind)  # type: ignore[arg-type]
+            values, covariance = propagate(to_continuous(pem(data, 3, options=options)), physical)
+            assert covariance is not None
+            scores[kind] += float(np.sum((values - PHYSICAL) ** 2 / np.diag(covariance)))
+    mean = {kind: total / (4 * seeds) for kind, total in scores.items()}
+    # 60 squares, in part correlated: their mean is known to some 30 %.
+    assert 0.5 < mean["sandwich"] < 2.0, mean
+    assert mean["white"] > 5.0, mean
+
+
+def test_too_high_an_order_is_not_passed_off_as_known() -> None:
+    rng = np.random.default_rng(0)
+    data = simulate(ARM.sampled(), excitation(rng, 400))
+    model = pem(data, 5)
+    assert model.status == "not-determined"
+    assert model.covariance is None
+    assert "pem-not-determined" in [warning.code for warning in model.warnings]
+
+
+def test_more_states_fit_better() -> None:
+    data = noisy(0, 800)
+    fits = [pem(data, order).log_likelihood for order in (1, 2, 3)]
+    assert all(low < high for low, high in pairwise(fits))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"disturbance": "arma"}, "expected disturbance"),
+        ({"initial_state": "free"}, "expected initial_state"),
+        ({"covariance": "none"}, "expected covariance"),
+        ({"feedthrough": (True,)}, "feedthrough for each of 2 inputs"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        pem(noisy(0, 100), 3, options=PemOptions(**options))  # type: ignore[arg-type]
+
+
+def test_starts_that_do_not_fit_are_refused() -> None:
+    data = noisy(0, 100)
+    with pytest.raises(InvalidInput, match="order of at least 1"):
+        pem(data, 0)
+    with pytest.raises(InvalidInput, match="a start of order 2, got 3"):
+        pem(data, 2, start=TRUTH)
+    with pytest.raises(InvalidInput, match="a start of 1 inputs and 2 outputs"):
+        pem(InputOutput(data.inputs[:, :1], data.outputs, data.sample_time), start=TRUTH)
