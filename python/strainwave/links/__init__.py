@@ -116,7 +116,8 @@ class _View:
         self.channels = tuple(torque_channel(log, i) for i in numbers)
         self.sources = tuple(_source(log, study, i) for i in numbers)
         self.shared = _shared(study.joints, self.sources)
-        self.band = min(signal_band(angle, log.sample_time) for angle in self.raw_angle.T)
+        # a joint that hardly moves has no band of its own
+        self.band = max(signal_band(angle, log.sample_time) for angle in self.raw_angle.T)
         differenced = any(s != "accelerometer" for s in self.sources)
         self.bandwidth_hz = options.bandwidth_hz or (self.band if differenced else None)
         slowest = min(

@@ -16,9 +16,10 @@ from strainwave.simulation import build_arm
 _LOWEST = 2.0  # [Hz] below, friction and drift rule
 _SMOOTH_HZ = 100.0  # third differences above are noise
 _SHARE = 0.9  # of the link's power that lies in the band
-_REACH = 1.3  # band over the frequency below which that share lies
+_REACH = 1.1  # band over the frequency below which that share lies
 _DRIVE_REACH = 0.5  # band over the encoder's
 _FEW_LINES = 12
+_MOST_STANDING = 0.2  # of the record, above which stiction passes for a delay
 _KNEES = (0.25, 0.7, 2.0)  # widths, in deviations of the torque, of the bent springs
 _HANN_CORRELATION = 1.5  # a Hann window spreads one line over this many independent ones
 
@@ -67,7 +68,7 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
 def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> Delay | None:
     """How late a motor answers the torque in the log.
 
-    m_M ddtheta_M = (u - D u') - n T - d_M dtheta_M - f sgn(dtheta_M), as a regression of the motor's
+    m_M ddtheta_M = (u - D u') - n T - d_M dtheta_M - f sgn(dtheta_M), a regression of the motor's
     acceleration. Only where this joint was excited: a servo's voltage follows the encoder's noise.
 
     Parameters
@@ -82,10 +83,12 @@ def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> D
     Returns
     -------
     Delay or None
-        None where the joint was not excited, or the record has too few lines.
+        None where the joint was not excited, the motor often stands, or lines are too few.
     """
     experiment = signals.experiment
     if experiment.use not in ("frequency", "sweep") or experiment.joint not in (None, i + 1):
+        return None
+    if np.mean(np.abs(signals.direction[:, i]) < 0.5) > _MOST_STANDING:
         return None
     T = signals.sample_time
     u = signals.motor_torque[:, i]

@@ -30,7 +30,7 @@ def fuse(rate: FloatArray, slow: FloatArray, fusion: Fusion, sample_time: float)
     # from slow itself, only what the integral knows better is added: no transient at the start
     integral = np.r_[0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]))] * sample_time
     difference = integral - (slow - slow[0])
-    return slow + difference - complement(difference, fusion, sample_time)
+    return np.asarray(slow + difference - complement(difference, fusion, sample_time))
 
 
 def complement(signal: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
