@@ -18,6 +18,7 @@ from strainwave.records import (
 
 _FEWEST_PERIODS = 2
 _OVERLAP = 0.5
+_INDEPENDENT = 0.95  # segments that half overlap under a Hann window count for so many
 _ROUNDS = 20  # of reweighting; it settles in a few
 _BELOW, _ABOVE = 0.5, 1.6  # the fit's window around the dip and the peak
 _FEW_LINES = 12
@@ -103,15 +104,18 @@ def by_periods(
         raise NotIdentifiable(
             f"{n_in} inputs need as many periodic records, and there are {len(pairs)}"
         )
-    means, scatters, count = [], [], 0
-    for u, y in pairs:
-        kept = min(transient, max(0, len(u) // period - _FEWEST_PERIODS))
-        lines = _lines(np.column_stack([u, y])[kept * period :], period)
+    means: list[ComplexArray] = []
+    scatters: list[ComplexArray] = []
+    count = 0
+    for pair in pairs:
+        kept = min(transient, max(0, len(pair[0]) // period - _FEWEST_PERIODS))
+        lines = _lines(np.column_stack(pair)[kept * period :], period)
         means.append(lines.mean(axis=0))
         scatters.append(lines - means[-1])
         count += len(lines)
     mean = np.stack(means, axis=1)  # (n_frequencies, n_records, n_in + n_out)
-    u, y = np.swapaxes(mean[..., :n_in], 1, 2), np.swapaxes(mean[..., n_in:], 1, 2)
+    u: ComplexArray = np.swapaxes(mean[..., :n_in], 1, 2)
+    y: ComplexArray = np.swapaxes(mean[..., n_in:], 1, 2)
     inverse = np.linalg.pinv(u, rcond=1e-6)
     response = y @ inverse
     # a period's error is what its output has beyond the response to its own input
@@ -124,7 +128,7 @@ def by_periods(
         noise_power += of_mean * len(scatter)
     power = (np.abs(y) ** 2).sum(axis=2)
     coherence = power / np.maximum(power + noise_power, 1e-300)
-    frequency = np.fft.rfftfreq(period, sample_time)[1:]
+    frequency: FloatArray = np.asarray(np.fft.rfftfreq(period, sample_time)[1:], dtype=float)
     distortion = _distortion(y, u, response, variance) if len(pairs) > n_in else None
     return FrequencyResponse(frequency, response, coherence, variance, distortion, "periods", count)
 
@@ -166,10 +170,10 @@ def by_welch(
     power = np.einsum("foo->fo", S_yy).real
     explained = np.einsum("foi,foi->fo", response, S_yu.conj()).real
     coherence = np.clip(explained / np.maximum(power, 1e-300), 0.0, 1.0)
-    freedom = (count - n_in) * (1.0 if count == len(pairs) else 0.5 / 0.53)
+    freedom = (count - n_in) * (1.0 if count == len(pairs) else _INDEPENDENT)
     left = power * (1.0 - coherence) / freedom
     variance = left[:, :, None] * np.einsum("fii->fi", inverse).real[:, None, :]
-    frequency = np.fft.rfftfreq(segment, sample_time)[1:]
+    frequency: FloatArray = np.asarray(np.fft.rfftfreq(segment, sample_time)[1:], dtype=float)
     return FrequencyResponse(frequency, response, coherence, variance, None, "welch", count)
 
 
@@ -201,7 +205,7 @@ def resonance(
     Raises
     ------
     NotIdentifiable
-        There is no dip below a peak, or the fit has no oscillating pair.
+        There is no dip below a peak, or the fit has no damped oscillating pair.
     """
     low, high = band_hz or (frequencies_hz[0], frequencies_hz[-1])
     dip, peak = _dip_and_peak(frequencies_hz, response, low, high)
@@ -227,6 +231,8 @@ def resonance(
         denominator = powers @ np.r_[coefficients[3:], 1.0]
     zero = _pair(coefficients[:3], dip / peak)
     pole = _pair(np.r_[coefficients[3:], 1.0], 1.0)
+    if min(-zero.real, -pole.real) <= 0.0:
+        raise NotIdentifiable("the local fit grows in time: the response is too noisy there")
     return Resonance(
         anti_resonance_hz=float(abs(zero) * peak),
         anti_resonance_damping=float(-zero.real / abs(zero)),

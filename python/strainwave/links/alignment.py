@@ -28,9 +28,10 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     """How late a link's acceleration is against its motor's encoder.
 
     The spring gives n ddtheta_M - ddtheta_L = (1/k) T'' - (d_G/k^2) T''' + ..., with the link
-    torques T linear in the base parameters; a delay D of the link's sensor adds D ddtheta_L'. All
-    coefficients are found at once by least squares over the spectral lines in which the link
-    moves. A three-slope spring adds bent functions of T. D_L makes D too small by d_L / k.
+    torques T linear in the base parameters; a delay D of the link's sensor adds D times the slope of
+    its share of ddtheta_L. All coefficients are found at once by least squares over the spectral
+    lines in which the link moves. A three-slope spring adds bent functions of T. D_L makes D too
+    large by d_L / k.
 
     Parameters
     ----------
@@ -54,15 +55,16 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     torque = _torque_columns(signals, study, link)[:, i]
     target = low_pass(motor, cutoff, T) - link[:, i]
     band = (_LOWEST, _REACH * _top(link[:, i], T))
-    columns = [_slope(link[:, i : i + 1], T, 1), _slope(torque, T, 2), _slope(torque, T, 3)]
+    shares = _shares(signals, study, link, i)
+    columns = [_slope(shares, T, 1), _slope(torque, T, 2), _slope(torque, T, 3)]
     found = _regress(target, np.column_stack(columns), T, band, 1.0)
     if found is not None and study.joints[i].spring == "three-slope":
-        wound = torque @ found[0][1 : 1 + torque.shape[1]]
+        wound = torque @ found[0][shares.shape[1] :][: torque.shape[1]]
         wound = wound - wound.mean()
         bent = np.column_stack([np.tanh(wound / (k * (wound.std() + 1e-300))) for k in _KNEES])
         columns += [_slope(bent, T, 2), _slope(bent, T, 3)]
         found = _regress(target, np.column_stack(columns), T, band, 1.0)
-    return None if found is None else Delay(float(found[0][0]) * -1.0, float(found[1][0]))
+    return None if found is None else Delay(float(found[0][0]), float(found[1][0]))
 
 
 def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> Delay | None:
@@ -101,6 +103,25 @@ def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> D
         return None
     value, std = found
     return Delay(float(-value[0] / value[1]), abs(float(std[0] / value[1])))
+
+
+def _shares(signals: LinkSignals, study: Study, link: FloatArray, i: int) -> FloatArray:
+    """What each sensor gives to a relative acceleration: this link's own, then the base's.
+
+    A gyro and an accelerometer of link 2 read the motion of link 1 as well, which (9) takes off.
+    """
+    own = link[:, i]
+    if i == 0 or signals.sources[i] not in ("accelerometer", "gyro"):
+        return own[:, None]
+    reach: FloatArray = np.ones(len(link))
+    joint = study.joints[i]
+    if signals.sources[i] == "accelerometer" and joint.accelerometer_distance:
+        lever = (study.arm.link_length or 0.0) / joint.accelerometer_distance
+        reach = 1.0 + lever * np.cos(signals.link_angle[:, 1])
+    base = reach * link[:, 0]
+    if signals.sources[0] == "motor":
+        return (own + base)[:, None]
+    return np.column_stack([own + base, -base])
 
 
 def _torque_columns(signals: LinkSignals, study: Study, acceleration: FloatArray) -> FloatArray:
