@@ -6,11 +6,12 @@ leaves it true at the same instants. Everything here acts along the first axis.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.records import FloatArray, Lag
 
 BUTTERWORTH_ORDER = 4
 """Of one pass; forward and backward the roll-off is that of order 8."""
@@ -132,3 +133,95 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     ends = np.flatnonzero(np.diff(above) > gap)
     last = above[ends[0]] if ends.size else above[-1]
     return float(min(frequency[last], 0.2 * rate))
+
+
+def lagged(
+    signal: FloatArray, lags: Sequence[Lag], sample_time: float, *, held: bool = False
+) -> FloatArray:
+    """A signal after sensors' or drives' low-pass filters, one behind the other.
+
+    First order: 1 / (1 + s/w); second order, Butterworth: 1 / (1 + sqrt(2) s/w + (s/w)^2), with
+    w = 2 pi cutoff_hz. The whole cascade is solved exactly between the samples.
+
+    Parameters
+    ----------
+    signal : (n_samples, ...)
+    lags : sequence of Lag
+        Without any, the signal is returned as it is.
+    sample_time : float [s]
+    held : bool
+        The signal is constant until the next sample; otherwise it runs straight to it.
+
+    Returns
+    -------
+    (n_samples, ...)
+        At rest at the first sample: what comes before is taken as equal to it.
+    """
+    if not lags:
+        return signal
+    from scipy.signal import lfilter, lfilter_zi
+
+    numerator, denominator = _discrete(tuple(lags), sample_time, held)
+    at_rest = lfilter_zi(numerator, denominator)
+    at_rest = at_rest.reshape(-1, *(1,) * (signal.ndim - 1)) * signal[:1]
+    passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=at_rest)
+    return np.asarray(passed)
+
+
+@lru_cache(maxsize=64)
+def _discrete(
+    lags: tuple[Lag, ...], sample_time: float, held: bool
+) -> tuple[FloatArray, FloatArray]:
+    from scipy.signal import cont2discrete
+
+    denominator = np.ones(1)
+    for lag in lags:
+        w = 2.0 * np.pi * lag.cutoff_hz
+        section = [1.0 / w, 1.0] if lag.order == 1 else [1.0 / w**2, np.sqrt(2.0) / w, 1.0]
+        denominator = np.polymul(denominator, section)
+    # in samples, so that the coefficients are of like size
+    scale = sample_time ** np.arange(len(denominator) - 1, -1, -1)
+    system = (np.ones(1), denominator / scale)
+    numerator, denominator, _ = cont2discrete(system, 1.0, method="zoh" if held else "foh")
+    return np.ravel(numerator), np.asarray(denominator)
+
+
+def band_pass(
+    signal: FloatArray, low_hz: float, high_hz: float, sample_time: float, *, integrals: int = 0
+) -> FloatArray:
+    """Zero-phase band-pass, and with it integrals over time, which are drift without it.
+
+    H = 1 / ((1 + (low/f)^8) (1 + (f/high)^8)) times (2 pi j f)^-integrals, without phase, applied
+    to the spectrum of the signal continued at both ends by its own point reflection.
+
+    Parameters
+    ----------
+    signal : (n_samples, ...)
+    low_hz, high_hz : float [Hz]
+    sample_time : float [s]
+    integrals : int
+        How often the signal is integrated over time.
+
+    Returns
+    -------
+    (n_samples, ...)
+        Within about 1.5 / low_hz seconds of either end it holds transients.
+    """
+    from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+    n = len(signal)
+    pad = min(n - 1, int(3.0 / (low_hz * sample_time)))
+    before = 2.0 * signal[:1] - signal[pad:0:-1]
+    after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
+    longer = np.concatenate([before, signal, after])
+    size = next_fast_len(len(longer) + pad)
+    f = rfftfreq(size, sample_time)
+    gain = np.zeros(len(f), dtype=complex)
+    f = f[1:]
+    gain[1:] = (2j * np.pi * f) ** -integrals / (
+        (1.0 + (low_hz / f) ** 8) * (1.0 + (f / high_hz) ** 8)
+    )
+    spectrum = rfft(longer, size, axis=0)
+    spectrum *= gain.reshape(-1, *(1,) * (signal.ndim - 1))
+    passed: FloatArray = irfft(spectrum, size, axis=0)[pad : pad + n]
+    return passed

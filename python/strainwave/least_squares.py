@@ -21,7 +21,6 @@ _TELLING = 0.2  # share of its error that a row must show to tell of the errors'
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
 
 
-
 @dataclass(frozen=True, slots=True)
 class Equations:
     """shared @ x + local @ z = target + error, with z of zero mean and known deviation."""

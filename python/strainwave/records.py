@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int_]
+ComplexArray = NDArray[np.complex128]
 
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
@@ -388,7 +390,9 @@ class FrequencyResponse:
     coherence: FloatArray | None = None  # (n_frequencies, n_outputs), multiple
     # Variance of the response, (n_frequencies, n_outputs, n_inputs), by its source; None: unknown
     noise_variance: FloatArray | None = None
-    distortion_variance: FloatArray | None = None
+    distortion_variance: FloatArray | None = None  # of one record's response
+    method: Literal["model", "periods", "welch"] = "model"
+    n_averages: int = 0
     warnings: tuple[Caution, ...] = ()
 
     @property
@@ -455,6 +459,120 @@ class OrderSelection:
 
 
 # --- the whole run ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """A low-pass filter that a sensor or a drive has."""
+
+    order: Literal[1, 2]  # 2: Butterworth
+    cutoff_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fusion:
+    """How a link velocity was put together, (10), with the low-pass F of unit gain at rest.
+
+    dtheta_L = (1 - F) integral(ddtheta_L) + F n dtheta_M: above the corner from the acceleration,
+    below it from the motor. F = 1/(1 + s T_V), or 1/(1 + sqrt(2) s T_V + (s T_V)^2).
+    """
+
+    time_constant: float  # T_V [s]
+    order: Literal[1, 2]
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """How far one channel lags behind another."""
+
+    value: float  # [s]
+    std: float  # [s]
+
+
+LinkSource = Literal["accelerometer", "encoder", "deflection", "gyro", "motor"]
+"""Where a link's acceleration comes from; "motor": the gear was taken as rigid."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSignals:
+    """Both sides of every gear in one experiment, every signal through the same filters.
+
+    Angles, velocities and accelerations of links are relative, as in the equations of motion.
+    """
+
+    experiment: Experiment
+    time: FloatArray  # (n_samples,) [s]
+    sample_time: float  # [s]
+    motor_torque: FloatArray  # (n_samples, n_joints) [N m] at the motor, behind the current loop
+    motor_angle: FloatArray  # (n_samples, n_joints) [rad]
+    motor_velocity: FloatArray  # (n_samples, n_joints) [rad/s]
+    direction: (
+        FloatArray  # (n_samples, n_joints) sgn of the motor's velocity, in (-1, 1): may stand
+    )
+    sliding: (
+        FloatArray  # (n_samples, n_joints) +-1 where the motor surely slides, else 0; unfiltered
+    )
+    link_angle: FloatArray  # (n_samples, n_joints) [rad]
+    link_velocity: FloatArray  # (n_samples, n_joints) [rad/s]
+    link_acceleration: FloatArray  # (n_samples, n_joints) [rad/s^2]
+    valid: BoolArray  # (n_samples, n_joints): False at edges and where the drive saturates
+    sources: tuple[LinkSource, ...]  # one a joint
+    held: tuple[bool, ...]  # one a joint: the torque stays constant until the next sample
+    shared: tuple[Lag, ...]  # low-passes that every signal has behind it
+    bandwidth_hz: float | None  # of a zero-phase filter over everything; None: there is none
+    fusion: tuple[Fusion | None, ...]  # one a joint; None: the velocity is a sensor's own
+    fusion_error: FloatArray  # (n_joints,) [rad/s] rms that (10) is wrong by, estimated
+    bias: FloatArray  # (n_joints,) [rad/s^2] taken off the link acceleration
+    sensor_delay: tuple[Delay | None, ...]  # link sensor behind encoder; None: not to be told
+    drive_delay: tuple[Delay | None, ...]  # torque behind the log's; None: not to be told
+    warnings: tuple[Caution, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A question asked of the data, and the verdict."""
+
+    name: str
+    passed: bool
+    value: float
+    limit: float
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Decoupled:
+    """One joint on its own: the other links act on it as an input like any other.
+
+    m_M ddtheta_M + d_M dtheta_M = u - n [k delta + d_G ddelta]
+    m_L ddtheta_L + d_L dtheta_L = k delta + d_G ddelta + tau
+    """
+
+    experiment: Experiment
+    joint: int  # from 1
+    time: FloatArray  # (n_samples,) [s]
+    sample_time: float  # [s]
+    inputs: FloatArray  # (n_samples, 1 or 2) [N m] u, and tau where other links or gravity act
+    outputs: FloatArray  # (n_samples, 2) [rad/s] motor velocity, link velocity
+    valid: BoolArray  # (n_samples,)
+    held: bool  # u stays constant until the next sample; tau runs straight
+    total_inertia: float  # c_1 = m_M + n^2 m_L [kg m^2] at the motor
+    total_viscous_friction: float | None  # c_0 = d_M + n^2 d_L [N m s/rad] at the motor
+    shared: tuple[Lag, ...]  # low-passes that every signal has behind it
+    fusion: Fusion | None  # how the link velocity was made; belongs into the output equation
+    richness_hz: FloatArray  # (n_frequencies,) [Hz]
+    richness: FloatArray  # (n_frequencies,) least over largest eigenvalue of the inputs' spectrum
+    checks: tuple[Check, ...]
+    warnings: tuple[Caution, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Resonance:
+    """The zero and the pole pair of motor input to motor velocity."""
+
+    anti_resonance_hz: float  # modulus over 2 pi
+    anti_resonance_damping: float  # ratio
+    resonance_hz: float
+    resonance_damping: float
 
 
 @dataclass(frozen=True, slots=True)

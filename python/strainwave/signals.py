@@ -6,15 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from strainwave.channels import channel_of, directions, saturation, torque_channel
 from strainwave.errors import InvalidInput
 from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
-from strainwave.records import BoolArray, Caution, FloatArray, Joint, Log, Signals, Study
-from strainwave.stiction import sliding_direction
-
-_STANDING = 0.02  # [s] of an unmoved encoder that count as standing still
-_STANDING_SAMPLES = 6  # and at least so many
-_FLAT = 5  # equal samples at the extreme that make a flat top
-_MUCH_SATURATION = 0.01  # share of a record worth a warning
+from strainwave.records import FloatArray, Joint, Log, Signals, Study
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +43,8 @@ def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> 
     chosen = options or SignalOptions()
     T = log.sample_time
     numbers = range(1, study.n_joints + 1)
-    angle = np.column_stack([_channel(log, f"theta_m{i}") for i in numbers])
-    sources = tuple(_torque_channel(log, i) for i in numbers)
+    angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
+    sources = tuple(torque_channel(log, i) for i in numbers)
     torque = np.column_stack(
         [_torque(log, joint, c) for joint, c in zip(study.joints, sources, strict=True)]
     )
@@ -64,7 +59,7 @@ def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> 
     smooth = low_pass(angle, bandwidth, T)
     velocity = differentiate(smooth, T)
     noise = np.array([noise_deviation(angle[:, i - 1]) for i in numbers])
-    saturated, warnings = _saturation(log, study, sources)
+    saturated, warnings = saturation(log, study, sources)
     valid = ~saturated
     valid[:edge] = valid[-edge:] = False
     return Signals(
@@ -75,7 +70,7 @@ def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> 
         motor_angle=smooth,
         motor_velocity=velocity,
         motor_acceleration=differentiate(velocity, T),
-        direction=_direction(angle, noise, study, T),
+        direction=directions(angle, noise, study, T),
         bandwidth_hz=bandwidth,
         angle_noise=noise,
         valid=valid,
@@ -133,72 +128,3 @@ def _torque(log: Log, joint: Joint, channel: str) -> FloatArray:
     if channel.startswith("torque"):
         return log.channels[channel]
     return drive_torque(log.channels[channel], joint, log.sample_time)
-
-
-def _torque_channel(log: Log, joint: int) -> str:
-    for name in (f"torque{joint}", f"u{joint}"):
-        if name in log.channels:
-            return name
-    raise InvalidInput(
-        f"neither torque{joint} nor u{joint} is there",
-        where=log.name,
-        remedy="log the drive's torque or voltage",
-    )
-
-
-def _channel(log: Log, name: str) -> FloatArray:
-    if name not in log.channels:
-        raise InvalidInput(f"{name} is not there", where=log.name, remedy=f"log {name}")
-    return log.channels[name]
-
-
-def _direction(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> FloatArray:
-    """Sliding direction of each motor, from the angles as measured."""
-    columns = []
-    standing = max(_STANDING_SAMPLES, round(_STANDING / T))
-    for i, joint in enumerate(study.joints):
-        count = 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
-        # one count of toggling, or five deviations of noise, say nothing of the direction
-        resolution = max(1.5 * count, 0.0 if count else 5.0 * float(noise[i]))
-        columns.append(sliding_direction(angle[:, i], resolution, standing))
-    return np.column_stack(columns)
-
-
-def _saturation(
-    log: Log, study: Study, channels: tuple[str, ...]
-) -> tuple[BoolArray, tuple[Caution, ...]]:
-    """Where the drive is at its limit: what is logged may then not be what the motor got.
-
-    Only a servoed joint counts: an open-loop test may sit at its extremes on purpose.
-    """
-    saturated = np.zeros((len(log), study.n_joints), dtype=bool)
-    warnings: list[Caution] = []
-    for i, channel in enumerate(channels):
-        if log.experiment.control[i] != "servo":
-            continue
-        size = np.abs(log.channels[channel])
-        limit = study.servo.limit if study.servo and channel.startswith("u") else None
-        saturated[:, i] = size >= 0.999 * limit if limit else _flat_tops(log.channels[channel])
-        share = float(saturated[:, i].mean())
-        if share > _MUCH_SATURATION:
-            text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; left out"
-            text += ". Record a slower motion"
-            warnings.append(Caution("saturated", log.name, text))
-    return saturated, tuple(warnings)
-
-
-def _flat_tops(signal: FloatArray) -> BoolArray:
-    """Runs of at least `_FLAT` equal samples at the largest or the smallest value.
-
-    A drive's limits lie far from zero: a joint without torque is not at one, nor is a constant.
-    """
-    flat = np.zeros(len(signal), dtype=bool)
-    if signal.max() == signal.min():
-        return flat
-    for extreme in (signal.max(), signal.min()):
-        if abs(extreme) <= 0.8 * np.abs(signal).max():
-            continue
-        at = np.r_[False, signal == extreme, False]
-        for start, stop in np.flatnonzero(np.diff(at.astype(np.int8))).reshape(-1, 2).tolist():
-            flat[start:stop] |= stop - start >= _FLAT
-    return flat

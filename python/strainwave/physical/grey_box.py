@@ -173,7 +173,7 @@ def _piece(
         link_velocity, link_angle = passed(acceleration, 1), passed(acceleration, 2)
     motor_velocity = passed(signals.motor_velocity[:, i])
     tau = decoupled.inputs[:, 1] if decoupled.inputs.shape[1] > 1 else np.zeros(len(signals.time))
-    direction = signals.direction[:, i]
+    direction = signals.sliding[:, i]
     slid = passed(lagged(direction, signals.shared, T))
     around = int(2.0 / (low * T))  # the band-pass's answer has then fallen below 1e-5
     impulse = np.zeros(2 * around + 1)
@@ -184,9 +184,7 @@ def _piece(
         ratio=n,
         torque=(passed(signals.motor_torque[:, i]) + n * passed(tau))[rows],
         tau=passed(tau)[rows],
-        motor=np.column_stack([differentiate(motor_velocity, T), motor_velocity, slid])[
-            rows
-        ],
+        motor=np.column_stack([differentiate(motor_velocity, T), motor_velocity, slid])[rows],
         link=np.column_stack([link_acceleration, link_velocity])[rows],
         twist=np.column_stack(
             [n * passed(signals.motor_angle[:, i]) - link_angle, n * motor_velocity - link_velocity]

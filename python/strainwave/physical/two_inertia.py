@@ -101,9 +101,7 @@ def coefficients(p: TwoInertia) -> tuple[FloatArray, FloatArray]:
     return b, a
 
 
-def from_coefficients(
-    b: FloatArray, d: FloatArray, c: FloatArray, gear_ratio: float
-) -> TwoInertia:
+def from_coefficients(b: FloatArray, d: FloatArray, c: FloatArray, gear_ratio: float) -> TwoInertia:
     """The physical parameters from (18), in closed form.
 
     G11 = (1 + b1 s + b2 s^2) / ((c0 + c1 s)(1 + d1 s + d2 s^2)) against (17): m_M = c1 d2 / b2,

@@ -14,11 +14,11 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave import least_squares as ls
 from strainwave.errors import NotIdentifiable
 from strainwave.prediction import band_prediction
 from strainwave.records import BoolArray, Caution, FloatArray, Parameter, RigidModel, Signals, Study
 from strainwave.regressor import columns_of
-from strainwave import least_squares as ls
 from strainwave.rigid.equations import (
     MOTOR_SHARE,
     Estimate,

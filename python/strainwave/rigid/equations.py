@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.filters import differentiate, low_pass
+from strainwave.least_squares import Equations, Factor
 from strainwave.records import BoolArray, FloatArray, IntArray, Signals, Study
 from strainwave.regressor import (
     FRICTION_COLUMNS,
@@ -22,7 +23,6 @@ from strainwave.regressor import (
     gear_ratios,
     n_body,
 )
-from strainwave.least_squares import Equations, Factor
 from strainwave.stiction import free_friction, responses
 
 MOTOR_SHARE = 0.5

@@ -1,0 +1,100 @@
+"""Records of the virtual rig with elastic gears under PRBS, and what it really did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from strainwave import excitation, scara, simulation
+from strainwave.parameters import Values
+from strainwave.records import Experiment, FloatArray, Log, Parameter, Prbs, RigidModel, Study
+from strainwave.regressor import columns_of
+from strainwave.simulation import Drive, SensorNoise, Trajectory
+
+SAMPLE = 2.5e-4
+PRBS = Prbs(order=10, clock=1e-3, periods=3, amplitude=10.0)
+
+
+def rig(gravity: float | None = None, *, counts: float | None = 8192.0) -> Study:
+    study = scara.study(Path("nowhere"), "linear")
+    joints = tuple(replace(joint, encoder_counts=counts) for joint in study.joints)
+    return replace(study, arm=replace(study.arm, gravity=gravity), joints=joints)
+
+
+def rig_values(study: Study) -> Values:
+    values = scara.parameters(5, "linear")
+    if study.arm.gravity is not None:
+        values["gravity_torque_1", None] = 60.0
+        values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
+    return values
+
+
+def prbs_run(study: Study, joint: int = 1, *, both: bool = False) -> Trajectory:
+    """Open-loop PRBS on one joint, or on both with one shifted by a third of the sequence."""
+    values = rig_values(study)
+    sequence = excitation.prbs(PRBS)
+    voltage = np.zeros((len(sequence), 2))
+    voltage[:, joint - 1] = sequence
+    if both:
+        voltage[:, 2 - joint] = np.roll(sequence, 341)
+    drive = Drive(1e-3, voltage, np.zeros_like(voltage), (False, False), (0.0, 0.0), (0.0, 0.0))
+    return simulation.simulate(
+        study,
+        values,
+        drive,
+        sample_time=SAMPLE,
+        samples=round(len(sequence) * 1e-3 / SAMPLE),
+        record=[
+            "voltage",
+            "motor_torque",
+            "encoder",
+            "accelerometer",
+            "motor_velocity",
+            "link_angle",
+            "link_velocity",
+            "link_acceleration",
+            "gear_torque",
+        ],
+    )
+
+
+def log_of(run: Trajectory, joint: int = 1, seed: int | None = None) -> Log:
+    """The run as its sensors log it: ideal ones, or with the bias and the noise of a seed."""
+    noise = None if seed is None else SensorNoise()
+    measured = simulation.measure(run, noise, np.random.default_rng(seed))
+    channels: dict[str, FloatArray] = {}
+    for i in range(2):
+        channels[f"u{i + 1}"] = measured["voltage"][:, i]
+        channels[f"theta_m{i + 1}"] = measured["encoder"][:, i]
+        channels[f"a{i + 1}"] = measured["accelerometer"][:, i]
+    experiment = Experiment("prbs", "prbs.csv", "frequency", ("open", "open"), joint, PRBS)
+    return Log(experiment, run.time, SAMPLE, channels)
+
+
+def true_model(study: Study, values: Values) -> RigidModel:
+    """A rigid model that knows the truth."""
+    n = [joint.gear_ratio for joint in study.joints]
+    truth = dict(values)
+    truth["rigid_inertia", 1] = values["alpha", None] + values["motor_inertia", 1] / n[0] ** 2
+    for joint in (1, 2):
+        truth["total_viscous_friction", joint] = (
+            values["motor_viscous_friction", joint]
+            + n[joint - 1] ** 2 * values["link_viscous_friction", joint]
+        )
+    parameters = tuple(
+        Parameter(c.name, c.joint, truth[c.name, c.joint], 0.0, c.unit, "rigid")
+        for c in columns_of(study)
+    )
+    return RigidModel(
+        parameters=parameters,
+        solution=np.array([p.value for p in parameters], dtype=float),
+        covariance=np.zeros((len(parameters), len(parameters))),
+        condition_number=1.0,
+        fit_percent={},
+        bandwidth_hz=10.0,
+        decimation=1,
+        n_rows=1,
+        status="determined",
+    )
