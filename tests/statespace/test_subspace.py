@@ -112,7 +112,7 @@ def test_constant_and_repeated_channels_do_not_break() -> None:
 def test_means_are_taken_off_each_record() -> None:
     rng = np.random.default_rng(0)
     data = simulate(ARM.sampled(), excitation(rng, 200))
-    lifted = replace(data, outputs=data.outputs + [100.0, -3.0])
+    lifted = replace(data, outputs=data.outputs + np.array([100.0, -3.0]))
     for record in without_means([data, lifted]):
         np.testing.assert_allclose(record.outputs.mean(axis=0), 0.0, atol=1e-12)
         np.testing.assert_allclose(record.inputs.mean(axis=0), 0.0, atol=1e-12)

@@ -1,8 +1,8 @@
 """State-space estimation: arrays of inputs and outputs in, models with uncertainty out.
 
-`subspace` needs no start and `pem` refines it, on deviations from `without_means`; `check_model` and `select_order` judge. What follows
-from a model, with its uncertainty: `to_continuous`, `frequency_response`, `modes`, and anything
-else through `propagate`.
+`subspace` needs no start and `pem` refines it, both on deviations from a working point, as
+`without_means` gives them; `check_model` and `select_order` judge. What follows from a model, with
+its uncertainty: `to_continuous`, `frequency_response`, `modes`, and anything else by `propagate`.
 """
 
 from strainwave.statespace._stack import without_means
