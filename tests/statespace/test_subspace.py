@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.records import InputOutput, StateSpace
-from strainwave.statespace import frequency_response, subspace
+from strainwave.statespace import frequency_response, subspace, without_means
 from two_inertia import SAMPLE_TIME, TwoInertia, excitation, simulate, state_space
 
 ARM = TwoInertia()
@@ -106,6 +107,17 @@ def test_constant_and_repeated_channels_do_not_break() -> None:
     for inputs in (silent, repeated):
         model = subspace(InputOutput(inputs, data.outputs, SAMPLE_TIME), 3)
         assert np.isfinite(model.A).all()
+
+
+def test_means_are_taken_off_each_record() -> None:
+    rng = np.random.default_rng(0)
+    data = simulate(ARM.sampled(), excitation(rng, 200))
+    lifted = replace(data, outputs=data.outputs + np.array([100.0, -3.0]))
+    for record in without_means([data, lifted]):
+        np.testing.assert_allclose(record.outputs.mean(axis=0), 0.0, atol=1e-12)
+        np.testing.assert_allclose(record.inputs.mean(axis=0), 0.0, atol=1e-12)
+    one, other = without_means([data, lifted])
+    np.testing.assert_allclose(one.outputs, other.outputs, atol=1e-11)
 
 
 def test_short_records_are_not_identifiable() -> None:

@@ -1,10 +1,11 @@
 """State-space estimation: arrays of inputs and outputs in, models with uncertainty out.
 
-`subspace` needs no start and `pem` refines it; `check_model` and `select_order` judge. What follows
-from a model, with its uncertainty: `to_continuous`, `frequency_response`, `modes`, and anything
-else through `propagate`.
+`subspace` needs no start and `pem` refines it, both on deviations from a working point, as
+`without_means` gives them; `check_model` and `select_order` judge. What follows from a model, with
+its uncertainty: `to_continuous`, `frequency_response`, `modes`, and anything else by `propagate`.
 """
 
+from strainwave.statespace._stack import without_means
 from strainwave.statespace.continuous import to_continuous
 from strainwave.statespace.modes import modes
 from strainwave.statespace.order import select_order
@@ -24,4 +25,5 @@ __all__ = [
     "select_order",
     "subspace",
     "to_continuous",
+    "without_means",
 ]

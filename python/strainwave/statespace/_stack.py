@@ -39,11 +39,6 @@ class Stack:
     def n_outputs(self) -> int:
         return int(self.outputs.shape[1])
 
-    @property
-    def measured(self) -> FloatArray:
-        """(n_samples, n_outputs), in the user's units."""
-        return self.outputs * self.output_scale
-
     def rows(self) -> list[slice]:
         """Where each record lies."""
         stops = np.cumsum(self.lengths)

@@ -273,28 +273,54 @@ impl<'a> Filters<'a> {
         self.fill_body::<true>(u, y, rows);
     }
 
+    /// The usual sizes are known to the compiler, which unrolls their loops.
     #[inline(always)]
     fn fill_body<const FUSED: bool>(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
-        let Shape {
-            inputs: m,
-            outputs: p,
-            ..
-        } = self.model.shape;
-        let samples = u.chunks_exact(m).zip(y.chunks_exact(p));
-        for ((u, y), rows) in samples.zip(rows.chunks_exact_mut(p * self.row.stride)) {
-            self.emit::<FUSED>(u, y, rows);
-            self.step::<FUSED>(u);
+        let shape = self.model.shape;
+        match (shape.order, shape.inputs, shape.outputs) {
+            (2, 2, 2) => self.samples::<FUSED, 2, 2, 2>(u, y, rows),
+            (3, 2, 2) => self.samples::<FUSED, 3, 2, 2>(u, y, rows),
+            (4, 2, 2) => self.samples::<FUSED, 4, 2, 2>(u, y, rows),
+            (5, 2, 2) => self.samples::<FUSED, 5, 2, 2>(u, y, rows),
+            (6, 2, 2) => self.samples::<FUSED, 6, 2, 2>(u, y, rows),
+            _ => self.samples::<FUSED, 0, 0, 0>(u, y, rows),
+        }
+    }
+
+    /// Sizes at compile time; an order of zero stands for those of the model.
+    #[inline(always)]
+    fn samples<const FUSED: bool, const N: usize, const M: usize, const P: usize>(
+        &mut self,
+        u: &[f64],
+        y: &[f64],
+        rows: &mut [f64],
+    ) {
+        let shape = match N {
+            0 => self.model.shape,
+            _ => Shape {
+                order: N,
+                inputs: M,
+                outputs: P,
+            },
+        };
+        let samples = u
+            .chunks_exact(shape.inputs)
+            .zip(y.chunks_exact(shape.outputs));
+        let stride = self.row.stride;
+        for ((u, y), rows) in samples.zip(rows.chunks_exact_mut(shape.outputs * stride)) {
+            self.emit::<FUSED>(shape, u, y, rows);
+            self.step::<FUSED>(shape, u);
         }
     }
 
     /// The innovation and its derivatives at the present sample.
     #[inline(always)]
-    fn emit<const FUSED: bool>(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
+    fn emit<const FUSED: bool>(&mut self, shape: Shape, u: &[f64], y: &[f64], rows: &mut [f64]) {
         let Shape {
             order: n,
             inputs: m,
             outputs: p,
-        } = self.model.shape;
+        } = shape;
         let Row {
             lanes,
             direct,
@@ -304,7 +330,7 @@ impl<'a> Filters<'a> {
         } = self.row;
         let (c, d) = (self.model.c(), self.model.d());
         for o in 0..p {
-            self.e[o] = y[o] - dot(&c[o * n..][..n], &self.x) - dot(&d[o * m..][..m], u);
+            self.e[o] = y[o] - dot(&c[o * n..][..n], &self.x[..n]) - dot(&d[o * m..][..m], &u[..m]);
         }
         for (o, row) in rows.chunks_exact_mut(stride).enumerate() {
             combine::<FUSED>(
@@ -329,26 +355,29 @@ impl<'a> Filters<'a> {
 
     /// On to the next sample.
     #[inline(always)]
-    fn step<const FUSED: bool>(&mut self, u: &[f64]) {
+    fn step<const FUSED: bool>(&mut self, shape: Shape, u: &[f64]) {
         let Shape {
             order: n,
             inputs: m,
             outputs: p,
-        } = self.model.shape;
+        } = shape;
         let lanes = self.row.lanes;
         let (a, b, k) = (self.model.a(), self.model.b(), self.model.k());
         for (l, row) in self.next.chunks_exact_mut(lanes).enumerate() {
             combine::<FUSED>(&self.closed[l * n..][..n], &self.s, lanes, row);
             let starts = [l * n, n * n + l * m, n * (n + m) + l * p];
-            for (start, signal) in starts.into_iter().zip([&self.x[..], u, &self.e[..]]) {
+            for (start, signal) in starts
+                .into_iter()
+                .zip([&self.x[..n], &u[..m], &self.e[..p]])
+            {
                 row[start..][..signal.len()]
                     .iter_mut()
                     .zip(signal)
                     .for_each(|(r, v)| *r += v);
             }
-            self.next_x[l] = dot(&a[l * n..][..n], &self.x)
-                + dot(&b[l * m..][..m], u)
-                + dot(&k[l * p..][..p], &self.e);
+            self.next_x[l] = dot(&a[l * n..][..n], &self.x[..n])
+                + dot(&b[l * m..][..m], &u[..m])
+                + dot(&k[l * p..][..p], &self.e[..p]);
         }
         std::mem::swap(&mut self.s, &mut self.next);
         std::mem::swap(&mut self.x, &mut self.next_x);
@@ -360,10 +389,10 @@ impl<'a> Filters<'a> {
 fn combine<const FUSED: bool>(weights: &[f64], s: &[f64], lanes: usize, target: &mut [f64]) {
     for (chunk, target) in target.chunks_exact_mut(LANES).enumerate() {
         let mut sum = [0.0; LANES];
-        for (weight, row) in weights.iter().zip(s.chunks_exact(lanes)) {
-            let row: &[f64; LANES] = row[chunk * LANES..][..LANES].try_into().unwrap();
+        for j in 0..weights.len() {
+            let row: &[f64; LANES] = s[j * lanes + chunk * LANES..][..LANES].try_into().unwrap();
             for lane in 0..LANES {
-                sum[lane] = multiply_add::<FUSED>(*weight, row[lane], sum[lane]);
+                sum[lane] = multiply_add::<FUSED>(weights[j], row[lane], sum[lane]);
             }
         }
         target.copy_from_slice(&sum);
