@@ -28,8 +28,8 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     """How late a link's acceleration is against its motor's encoder.
 
     The spring gives n ddtheta_M - ddtheta_L = (1/k) T'' - (d_G/k^2) T''' + ..., with the link
-    torques T linear in the base parameters; a delay D of the link's sensor adds D times the slope of
-    its share of ddtheta_L. All coefficients are found at once by least squares over the spectral
+    torques T linear in the base parameters; a delay D of the link's sensor adds D times the slope
+    of its share of ddtheta_L. All coefficients are found at once by least squares over the spectral
     lines in which the link moves. A three-slope spring adds bent functions of T. D_L makes D too
     large by d_L / k.
 
