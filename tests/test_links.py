@@ -61,7 +61,7 @@ def test_a_straight_signal_comes_late_by_the_lag() -> None:
 
 
 def test_the_current_loop_is_the_drives() -> None:
-    study, run = run_of(None, None)
+    _, run = run_of(None, None)
     torque = lagged(0.08 * run["voltage"][:, 0], [Lag(1, 1000.0)], SAMPLE, held=True)
     # before the first sample there was no voltage
     assert torque[40:] == pytest.approx(run["motor_torque"][40:, 0], abs=1e-9)
