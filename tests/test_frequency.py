@@ -52,6 +52,7 @@ def test_the_noise_variance_is_that_of_the_errors() -> None:
     for seed in range(30):
         found = frequency.by_periods([noisy_periods(seed, 0.05)], 1.0, PERIOD, 1)
         error = np.abs(found.response[:, 0, 0] - true_response(found.frequencies_hz)) ** 2
+        assert found.noise_variance is not None
         squares.append(np.median(error / found.noise_variance[:, 0, 0]))
     # |error|^2 over an estimate with 2 x 4 degrees of freedom: F(2, 8), of median 0.757
     assert np.mean(squares) == pytest.approx(0.757, rel=0.1)
@@ -94,8 +95,10 @@ def test_welch_comes_near_with_the_coherence_the_noise_leaves() -> None:
     found = frequency.by_welch([(u, y[:, None])], 1.0, 512)
     truth = true_response(found.frequencies_hz)
     error = np.abs(found.response[:, 0, 0] - truth) ** 2
+    assert found.noise_variance is not None
     assert np.mean(error / found.noise_variance[:, 0, 0]) == pytest.approx(1.0, rel=0.25)
     share = (np.abs(truth) ** 2 + 0.25) / (np.abs(truth) ** 2 + 0.25 + 0.09)
+    assert found.coherence is not None
     assert found.coherence[:, 0] == pytest.approx(share, abs=0.1)
     assert found.method == "welch"
 
@@ -164,6 +167,7 @@ def joint_records(joint: int) -> tuple[Decoupled, ...]:
 def test_the_decoupled_joint_rings_like_a_two_inertia_system(joint: int) -> None:
     found = frequency.respond(joint_records(joint))
     assert found.method == "periods"
+    assert found.noise_variance is not None
     ringing = frequency.resonance(
         found.frequencies_hz, found.response[:, 0, 0], found.noise_variance[:, 0, 0], (5.0, 45.0)
     )
@@ -214,6 +218,7 @@ def test_lab_resonances_are_those_of_the_arm(shared_data: Path) -> None:
             seen = links.link_side(read_log(study, experiment), study)
             records.append(decoupling.decouple(seen, model, study))
     # sqrt(k / m_L) and sqrt(k (1 / m_L + n^2 / m_M)) of truth.json, over 2 pi
+    assert found.noise_variance is not None
     for i, (anti, res) in enumerate([(12.860, 24.242), (15.487, 23.428)]):
         found = frequency.respond([r[i] for r in records])
         ringing = frequency.resonance(

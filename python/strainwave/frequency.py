@@ -130,7 +130,15 @@ def by_periods(
     coherence = power / np.maximum(power + noise_power, 1e-300)
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(period, sample_time)[1:], dtype=float)
     distortion = _distortion(y, u, response, variance) if len(pairs) > n_in else None
-    return FrequencyResponse(frequency, response, coherence, variance, distortion, "periods", count)
+    return FrequencyResponse(
+        frequencies_hz=frequency,
+        response=response,
+        coherence=coherence,
+        noise_variance=variance,
+        distortion_variance=distortion,
+        method="periods",
+        n_averages=count,
+    )
 
 
 def by_welch(
@@ -174,7 +182,14 @@ def by_welch(
     left = power * (1.0 - coherence) / freedom
     variance = left[:, :, None] * np.einsum("fii->fi", inverse).real[:, None, :]
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(segment, sample_time)[1:], dtype=float)
-    return FrequencyResponse(frequency, response, coherence, variance, None, "welch", count)
+    return FrequencyResponse(
+        frequencies_hz=frequency,
+        response=response,
+        coherence=coherence,
+        noise_variance=variance,
+        method="welch",
+        n_averages=count,
+    )
 
 
 def resonance(

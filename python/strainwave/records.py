@@ -576,6 +576,52 @@ class Resonance:
 
 
 @dataclass(frozen=True, slots=True)
+class JointModel:
+    """One joint's physical parameters, as one or several records of it tell them."""
+
+    joint: int  # from 1
+    experiments: tuple[str, ...]
+    method: Literal["grey-box", "transfer-function"]
+    parameters: tuple[Parameter, ...]
+    values: Mapping[str, float]  # of all parameters, also of those that the data hardly tell
+    covariance: FloatArray  # (n_values, n_values), in the order of `values`
+    anti_resonance: Mode | None  # zeros of motor torque to motor velocity
+    resonance: Mode | None  # its poles
+    band_hz: tuple[float, float]
+    fit_percent: Mapping[str, float]  # of each equation, or of each output
+    status: Literal["determined", "partly-determined", "implausible"]
+    warnings: tuple[Caution, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RecordModel:
+    """Everything one record tells of the joint that was excited in it."""
+
+    signals: Decoupled
+    physical: JointModel  # from the equations of motion
+    state_space: StateSpace | None  # by prediction-error minimisation; None: it failed
+    modes: Modes | None  # of the state-space model
+    transfer: JointModel | None  # from the state-space model, by (17), (18)
+    warnings: tuple[Caution, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ArmModel:
+    """All parameters of the arm, fitted at once to closed-loop records."""
+
+    parameters: tuple[Parameter, ...]
+    values: Mapping[tuple[str, int | None], float]  # all that simulating the arm needs
+    covariance: FloatArray  # (n_parameters, n_parameters), of `parameters`
+    fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
+    initial_fit_percent: Mapping[str, Mapping[str, float]]  # before tuning
+    simulated: tuple[Prediction, ...]  # the tuned model on the records it was fitted to
+    initial: tuple[Prediction, ...]  # the same before tuning
+    iterations: int
+    status: Literal["converged", "iteration-limit", "at-bounds"]
+    warnings: tuple[Caution, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Identification:
     """Everything one run learnt: what result.json and the report are made of."""
 

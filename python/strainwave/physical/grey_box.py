@@ -18,7 +18,7 @@ as one more equation each, weighted by its deviation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from strainwave.physical.two_inertia import (
     TwoInertia,
     anti_resonance,
     jacobian,
+    joint_of,
     resonance,
 )
 from strainwave.records import Decoupled, FloatArray, LinkSignals, Study
@@ -45,6 +46,7 @@ _FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring
 _SLOWEST = 6.0  # periods of the lower edge in the shortest record, at least
 _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
+_OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
 _ROUNDS = 8  # of weights and linearisation at one band
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
@@ -97,19 +99,48 @@ def fit_grey_box(
     -------
     GreyBoxFit
     """
-    band = band_hz or _first_band(records)
-    start: FloatArray | None = None
+    band = band_hz or _possible(*_FIRST_BAND_HZ, records)
+    x: FloatArray | None = None
     for _ in range(_BANDS):
-        pieces = [_piece(signals, joint, study, band) for signals, joint in records]
-        equations, factor, start = _solve(pieces, known, start)
+        fit, x = _at(records, study, known, band, x)
         if band_hz is not None:
-            break
-        before, band = band, _band_around(_joint(start, pieces[0].ratio), records, band)
+            return fit
+        before, band = band, _band_around(fit.joint, records, band)
         if all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(before, band, strict=True)):
             break
+    others = [
+        _at(records, study, known, _possible(low, high, records), x)[0]
+        for low, high in (
+            (band[0] * _OTHER_BAND, band[1] / _OTHER_BAND),
+            (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
+        )
+    ]
+    return replace(fit, covariance=fit.covariance + _model_error(fit, others))
+
+
+def _at(
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    study: Study,
+    known: RigidKnowledge,
+    band: tuple[float, float],
+    start: FloatArray | None,
+) -> tuple[GreyBoxFit, FloatArray]:
+    """The fit in one band, and its unknowns."""
+    pieces = [_piece(signals, joint, study, band) for signals, joint in records]
+    equations, factor, x = _solve(pieces, known, start)
     covariance, _ = ls.jackknife(equations, factor)
     told = ls.determined(equations, factor, covariance)
-    return _result(pieces, equations, factor, start, covariance, told, band)
+    return _result(pieces, equations, factor, x, covariance, told, band), x
+
+
+def _model_error(fit: GreyBoxFit, others: Sequence[GreyBoxFit]) -> FloatArray:
+    """Covariance from what the equations leave out, as it shows in how the band changes the answer.
+
+    Were the model exact, each band would give the same within its deviations.
+    """
+    own = np.append(fit.joint.vector, fit.coulomb_friction)
+    moves = [np.append(o.joint.vector, o.coulomb_friction) - own for o in others]
+    return np.asarray(np.mean([np.outer(move, move) for move in moves], axis=0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +154,6 @@ class _Piece:
     link: FloatArray  # (n_rows, 2) dw_L, w_L
     twist: FloatArray  # (n_rows, 2) delta, ddelta
     free: FloatArray  # (n_rows, n_free) shapes of free friction
-
-
-def _first_band(records: Sequence[tuple[LinkSignals, Decoupled]]) -> tuple[float, float]:
-    low, high = _FIRST_BAND_HZ
-    return _possible(low, high, records)
 
 
 def _possible(
@@ -280,8 +306,7 @@ def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]
 
 
 def _joint(x: FloatArray, ratio: float) -> TwoInertia:
-    vector = _physical(x)
-    return TwoInertia(*(float(v) for v in vector[:6]), gear_ratio=ratio)
+    return joint_of(_physical(x)[:6], ratio)
 
 
 def _physical(x: FloatArray) -> FloatArray:

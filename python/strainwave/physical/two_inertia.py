@@ -37,7 +37,23 @@ class TwoInertia:
 
     def with_vector(self, vector: FloatArray) -> TwoInertia:
         """The same joint with other parameters."""
-        return TwoInertia(*(float(value) for value in vector), gear_ratio=self.gear_ratio)
+        return joint_of(vector, self.gear_ratio)
+
+
+def joint_of(vector: FloatArray, gear_ratio: float) -> TwoInertia:
+    """A joint from its six parameters in order.
+
+    Parameters
+    ----------
+    vector : (6,)
+    gear_ratio : float
+
+    Returns
+    -------
+    TwoInertia
+    """
+    motor, d_motor, link, d_link, k, d = (float(value) for value in vector)
+    return TwoInertia(motor, d_motor, link, d_link, k, d, gear_ratio)
 
 
 NAMES = tuple(field.name for field in fields(TwoInertia))[:6]
@@ -175,10 +191,10 @@ def _mode(
     p: TwoInertia, covariance: FloatArray | None, polynomial: Callable[[TwoInertia], FloatArray]
 ) -> Mode:
     def of(vector: FloatArray) -> FloatArray:
-        root = _least_damped(np.roots(polynomial(p.with_vector(vector))[::-1]))
+        root = _least_damped(polynomial(p.with_vector(vector)))
         return np.array([abs(root) / (2.0 * np.pi), -root.real / abs(root)])
 
-    root = _least_damped(np.roots(polynomial(p)[::-1]))
+    root = _least_damped(polynomial(p))
     frequency, damping = of(p.vector)
     deviation: list[float | None] = [None, None]
     if covariance is not None:
@@ -187,7 +203,9 @@ def _mode(
     return Mode(root, float(frequency), float(damping), deviation[0], deviation[1])
 
 
-def _least_damped(roots: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> complex:
+def _least_damped(ascending: FloatArray) -> complex:
+    """The root of a polynomial with the least damping ratio, from its upper half plane."""
+    roots = np.roots(ascending[::-1]).astype(np.complex128)
     upper = roots[roots.imag >= 0.0]
     return complex(upper[np.argmax(upper.real / np.abs(upper) + (upper.imag == 0.0) * -2.0)])
 
