@@ -220,8 +220,8 @@ def test_lab_resonances_are_those_of_the_arm(shared_data: Path) -> None:
     # sqrt(k / m_L) and sqrt(k (1 / m_L + n^2 / m_M)) of truth.json, over 2 pi
     for i, (anti, res) in enumerate([(12.860, 24.242), (15.487, 23.428)]):
         found = frequency.respond([r[i] for r in records])
-        ringing = frequency.resonance(
         assert found.noise_variance is not None
+        ringing = frequency.resonance(
             found.frequencies_hz,
             found.response[:, 0, 0],
             found.noise_variance[:, 0, 0],
