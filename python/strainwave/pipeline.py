@@ -1,4 +1,4 @@
-"""The only file that knows the order: logs -> signals -> rigid -> report.
+"""The only file that knows the order: logs -> signals -> rigid -> decoupled -> physical -> report.
 
 Each stage is one function from records to one record; this file calls them, keeps the time, and
 decides what happens when one cannot answer.
@@ -13,12 +13,36 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from strainwave import __version__, logs, result, rigid, signals, study, validation
+from strainwave import (
+    __version__,
+    decoupling,
+    links,
+    logs,
+    physical,
+    result,
+    rigid,
+    signals,
+    study,
+    sweep,
+    validation,
+)
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.files import write_whole
-from strainwave.records import Caution, Identification, Log, Prediction, RigidModel, Signals, Study
+from strainwave.records import (
+    Caution,
+    Decoupled,
+    Identification,
+    JointModel,
+    LinkSignals,
+    Log,
+    Prediction,
+    RecordModel,
+    RigidModel,
+    Signals,
+    Study,
+)
 
-STAGES = ("rigid",)
+STAGES = ("rigid", "decoupled")
 """All stages, in order; a run takes a prefix of them."""
 
 Progress = Callable[[str], None]
@@ -81,9 +105,32 @@ def identify(
         all_logs = logs.read_logs(the_study)
     for log in all_logs:
         run.warnings.extend(log.warnings)
+    model, fitted, checks = _rigid(run, the_study, all_logs)
+    records: tuple[RecordModel, ...] = ()
+    joints: tuple[JointModel, ...] = ()
+    if "decoupled" in run.stages and any(joint.spring != "rigid" for joint in the_study.joints):
+        records, joints = _decoupled(run, the_study, all_logs, model)
+    return Identification(
+        study=the_study,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        version=__version__,
+        stages=run.stages,
+        rigid=model,
+        fitted=fitted,
+        checks=checks,
+        warnings=tuple(dict.fromkeys(run.warnings)),
+        timing_s=run.timing_s,
+        records=records,
+        joints=joints,
+        sweeps=sweep.sweeps(records),
+        reason="; ".join(run.reasons) or None,
+    )
 
-    model: RigidModel | None = None
-    predictions: dict[str, tuple[Prediction, ...]] = {}
+
+def _rigid(
+    run: _Run, the_study: Study, all_logs: Sequence[Log]
+) -> tuple[RigidModel | None, tuple[Prediction, ...], tuple[Prediction, ...]]:
+    """The rigid model, and its predictions of the fitted and of the check records."""
     with run.timed("rigid", "rigid joints: least squares"):
         seen = {
             use: _signals(all_logs, use, the_study, run.warnings) for use in ("motion", "check")
@@ -91,18 +138,68 @@ def identify(
         try:
             model = rigid.fit(seen["motion"], the_study)
         except NotIdentifiable as failure:
+            if _single_and_excited(the_study, all_logs) and "decoupled" in run.stages:
+                run.warnings.append(Caution("no-rigid-model", str(the_study.path), str(failure)))
+            else:
+                run.reasons.append(str(failure))
+            return None, (), ()
+        run.warnings.extend(model.warnings)
+        run.reasons.extend(_not_told(model))
+    if model.status == "not-identifiable":
+        return model, (), ()
+    with run.timed("checks", "predicting the records it never saw"):
+        predictions = {
+            use: tuple(validation.predict_rigid(model, record, the_study) for record in chosen)
+            for use, chosen in seen.items()
+        }
+    run.warnings.extend(c for made in predictions.values() for p in made for c in p.warnings)
+    return model, predictions["motion"], predictions["check"]
+
+
+def _decoupled(
+    run: _Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
+) -> tuple[tuple[RecordModel, ...], tuple[JointModel, ...]]:
+    """Each excited record on its own, then all full-amplitude records of a joint at once."""
+    excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
+    if not excited:
+        text = 'elastic gears show in fast records only: add experiments with use = "frequency"'
+        run.warnings.append(Caution("no-frequency-record", str(the_study.path), text))
+        return (), ()
+    records = []
+    together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
+    with run.timed("decoupled", "decoupling the joints"):
+        try:
+            if model is None:
+                raise NotIdentifiable("decoupling needs a rigid model")
+            for log in excited:
+                run.progress(f"decoupling the joints: {log.name}")
+                seen = links.link_side(log, the_study)
+                run.warnings.extend(seen.warnings)
+                for part in _excited_joints(decoupling.decouple(seen, model, the_study), log):
+                    run.warnings.extend(part.warnings)
+                    records.append(physical.identify_record(seen, part, model, the_study))
+                    if log.experiment.use == "frequency":
+                        together.setdefault(part.joint, []).append((seen, part))
+        except NotIdentifiable as failure:
             run.reasons.append(str(failure))
-        else:
-            run.warnings.extend(model.warnings)
-            run.reasons.extend(_not_told(model))
-    if model is not None and model.status != "not-identifiable":
-        with run.timed("checks", "predicting the records it never saw"):
-            for use, records in seen.items():
-                predictions[use] = tuple(
-                    validation.predict_rigid(model, record, the_study) for record in records
-                )
-                run.warnings.extend(c for made in predictions[use] for c in made.warnings)
-    return run.finish(the_study, model, predictions.get("motion", ()), predictions.get("check", ()))
+            return (), ()
+        joints = tuple(
+            physical.identify_joint(together[joint], model, the_study) for joint in sorted(together)
+        )
+    for found in joints:
+        run.warnings.extend(found.warnings)
+    return tuple(records), joints
+
+
+def _excited_joints(parts: Sequence[Decoupled], log: Log) -> list[Decoupled]:
+    """The joint that an experiment names, or all."""
+    return [part for part in parts if log.experiment.joint in (None, part.joint)]
+
+
+def _single_and_excited(the_study: Study, all_logs: Sequence[Log]) -> bool:
+    """Whether a joint can be identified without a rigid model: nothing acts on it but its motor."""
+    alone = the_study.n_joints == 1 and the_study.arm.gravity is None
+    return alone and any(log.experiment.use == "frequency" for log in all_logs)
 
 
 def write(identification: Identification, folder: Path) -> None:
@@ -144,26 +241,6 @@ class _Run:
         begin = time.perf_counter()
         yield
         self.timing_s[part] = time.perf_counter() - begin
-
-    def finish(
-        self,
-        the_study: Study,
-        model: RigidModel | None,
-        fitted: tuple[Prediction, ...],
-        checks: tuple[Prediction, ...],
-    ) -> Identification:
-        return Identification(
-            study=the_study,
-            created=datetime.now(UTC).isoformat(timespec="seconds"),
-            version=__version__,
-            stages=self.stages,
-            rigid=model,
-            fitted=fitted,
-            checks=checks,
-            warnings=tuple(self.warnings),
-            timing_s=self.timing_s,
-            reason="; ".join(self.reasons) or None,
-        )
 
 
 def _signals(

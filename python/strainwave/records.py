@@ -606,6 +606,29 @@ class RecordModel:
 
 
 @dataclass(frozen=True, slots=True)
+class SweepPoint:
+    """One joint at one amplitude of excitation."""
+
+    experiment: str
+    amplitude: float  # [V], or [N m] where torque is logged
+    squared_anti_resonance: float  # (2 pi f_a)^2 [rad^2/s^2], proportional to the stiffness
+    squared_anti_resonance_std: float
+    gear_stiffness: float  # [N m/rad], equivalent
+    gear_stiffness_std: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """How one joint's equivalent stiffness goes with the amplitude."""
+
+    joint: int  # from 1
+    points: tuple[SweepPoint, ...]  # by amplitude
+    slope: float  # of the squared anti-resonance over the amplitude [rad^2/s^2 per V]
+    slope_std: float
+    verdict: Literal["hardening", "softening", "no-trend"]
+
+
+@dataclass(frozen=True, slots=True)
 class ArmModel:
     """All parameters of the arm, fitted at once to closed-loop records."""
 
@@ -634,6 +657,10 @@ class Identification:
     checks: tuple[Prediction, ...]  # and on the records it never saw
     warnings: tuple[Caution, ...]
     timing_s: Mapping[str, float]
+    records: tuple[RecordModel, ...] = ()  # of the joints excited, record by record
+    joints: tuple[JointModel, ...] = ()  # all records of a joint at once
+    sweeps: tuple[Sweep, ...] = ()
+    tuned: ArmModel | None = None
     reason: str | None = None  # why the question could not be answered, or not wholly
 
     @property
@@ -643,9 +670,20 @@ class Identification:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The best of each parameter, once: a later stage's value takes an earlier one's place."""
+        """The best of each parameter, once: of several stages' values the one most certain.
+
+        The arm's own first, then joint by joint; of equals, the later stage's.
+        """
         best: dict[tuple[str, int | None], Parameter] = {}
-        for model in (self.rigid,):
-            for parameter in model.parameters if model else ():
-                best[parameter.name, parameter.joint] = parameter
-        return tuple(best.values())
+        for model in (self.rigid, *self.joints, self.tuned):
+            for found in model.parameters if model else ():
+                earlier = best.get((found.name, found.joint))
+                if earlier is None or _deviation(found) <= _deviation(earlier):
+                    best[found.name, found.joint] = found
+        return tuple(sorted(best.values(), key=lambda p: p.joint or 0))
+
+
+def _deviation(parameter: Parameter) -> float:
+    if parameter.value is None or parameter.std is None:
+        return float("inf")
+    return parameter.std

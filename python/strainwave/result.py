@@ -4,9 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from typing import Any
 
-from strainwave.records import Caution, Identification, Parameter, RigidModel
+from strainwave.records import (
+    ArmModel,
+    Caution,
+    Identification,
+    JointModel,
+    Mode,
+    Modes,
+    Parameter,
+    RecordModel,
+    RigidModel,
+    StateSpace,
+)
 
 SCHEMA = "strainwave/result/1"
 
@@ -26,6 +38,12 @@ def to_document(identification: Identification) -> dict[str, Any]:
     stages: dict[str, Any] = {}
     if identification.rigid is not None:
         stages["rigid"] = _rigid(identification.rigid)
+    if "decoupled" in identification.stages:
+        stages["decoupled"] = [_record(record) for record in identification.records]
+        stages["joints"] = [_joint(joint) for joint in identification.joints]
+        stages["sweeps"] = [asdict(sweep) for sweep in identification.sweeps]
+    if identification.tuned is not None:
+        stages["tuned"] = _tuned(identification.tuned)
     document = {
         "schema": SCHEMA,
         "version": identification.version,
@@ -61,6 +79,77 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "bandwidth_hz": model.bandwidth_hz,
         "decimation": model.decimation,
         "n_rows": model.n_rows,
+    }
+
+
+def _record(record: RecordModel) -> dict[str, Any]:
+    """One excited record: the physical model, and the state-space model beside it."""
+    own = _joint(record.physical)
+    own["experiment"] = record.signals.experiment.name
+    own["equation_fit_percent"] = own.pop("fit_percent")
+    own["fit_percent"] = None if record.state_space is None else record.state_space.fit_percent
+    own["state_space"] = None
+    if record.state_space is not None:
+        own["state_space"] = _state_space(record.state_space, record.modes)
+    own["transfer_function"] = None if record.transfer is None else _joint(record.transfer)
+    own["checks"] = [asdict(check) for check in record.signals.checks]
+    return own
+
+
+def _joint(joint: JointModel) -> dict[str, Any]:
+    return {
+        "experiments": joint.experiments,
+        "joint": joint.joint,
+        "method": joint.method,
+        "order": 3,
+        "status": joint.status,
+        **_frequencies(joint.anti_resonance, joint.resonance),
+        "band_hz": joint.band_hz,
+        "fit_percent": dict(joint.fit_percent),
+        "parameters": [_parameter(p) for p in joint.parameters],
+        "warnings": [_warning(w) for w in joint.warnings],
+    }
+
+
+def _frequencies(anti_resonance: Mode | None, resonance: Mode | None) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, mode in (("anti_resonance", anti_resonance), ("resonance", resonance)):
+        found[f"{name}_hz"] = mode and mode.frequency_hz
+        found[f"{name}_std_hz"] = mode and mode.frequency_std_hz
+        found[f"{name}_damping"] = mode and mode.damping
+    return found
+
+
+def _state_space(model: StateSpace, modes: Modes | None) -> dict[str, Any]:
+    matrices = {name: getattr(model, name).tolist() for name in ("A", "B", "C", "D", "K")}
+    return {
+        **matrices,
+        "sample_time": model.sample_time,
+        "method": model.method,
+        "order": model.order,
+        "status": model.status,
+        "hold": model.hold,
+        "input_names": model.input_names,
+        "output_names": model.output_names,
+        "fit_percent": model.fit_percent,
+        "prediction_fit_percent": model.prediction_fit_percent,
+        **_frequencies(
+            None if modes is None else modes.anti_resonance,
+            None if modes is None else modes.resonance,
+        ),
+    }
+
+
+def _tuned(model: ArmModel) -> dict[str, Any]:
+    return {
+        "status": model.status,
+        "iterations": model.iterations,
+        "parameters": [_parameter(p) for p in model.parameters],
+        "fit_percent": {name: dict(fits) for name, fits in model.fit_percent.items()},
+        "initial_fit_percent": {
+            name: dict(fits) for name, fits in model.initial_fit_percent.items()
+        },
+        "warnings": [_warning(w) for w in model.warnings],
     }
 
 

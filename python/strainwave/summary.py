@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from strainwave.formatting import percent, plus_minus
-from strainwave.records import Identification, Parameter
+from strainwave.records import Identification, JointModel, Parameter, Sweep
 
 Truth = Mapping[tuple[str, int | None], float]
 """Known values of a virtual arm, by name and joint."""
@@ -38,6 +38,10 @@ def print_summary(
     console = console or Console(highlight=False)
     if identification.parameters:
         console.print(_parameters(identification.parameters, truth))
+    for joint in identification.joints:
+        console.print(Text(_frequencies(joint)))
+    for sweep in identification.sweeps:
+        console.print(Text(_trend(sweep)))
     for title, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
         for prediction in predictions:
             fits = ", ".join(
@@ -53,6 +57,25 @@ def print_summary(
     for name in ("report.html", "result.json"):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     console.print(f"{total:.1f} s")
+
+
+def _frequencies(joint: JointModel) -> str:
+    """One line on where a joint rings."""
+    parts = []
+    for name, mode in (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance)):
+        if mode is not None:
+            value, spread = plus_minus(mode.frequency_hz, mode.frequency_std_hz)
+            parts.append(f"{name} {value} ± {spread} Hz")
+    return f"joint {joint.joint}: {', '.join(parts)}"
+
+
+def _trend(sweep: Sweep) -> str:
+    """One line on what a sweep of amplitudes shows."""
+    first, last = sweep.points[0], sweep.points[-1]
+    return (
+        f"joint {sweep.joint}, {first.amplitude:g} to {last.amplitude:g} V: equivalent stiffness "
+        f"{first.gear_stiffness:.4g} to {last.gear_stiffness:.4g}, {sweep.verdict}"
+    )
 
 
 def _parameters(parameters: tuple[Parameter, ...], truth: Truth | None) -> Table:

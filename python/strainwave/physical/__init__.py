@@ -17,6 +17,7 @@ from strainwave.records import (
     JointModel,
     LinkSignals,
     Parameter,
+    RecordModel,
     RigidModel,
     Study,
 )
@@ -216,3 +217,12 @@ def _warnings(
         text = f"one slope for the whole curve, as twisted in {where}: between the softest and the"
         text += " stiffest of the three"
         yield Caution("equivalent-stiffness", f"gear_stiffness of joint {number}", text)
+
+
+def identify_record(
+    signals: LinkSignals, decoupled: Decoupled, model: RigidModel | None, study: Study
+) -> RecordModel:
+    """TEMPORARY."""
+    return RecordModel(
+        decoupled, identify_joint([(signals, decoupled)], model, study), None, None, None
+    )
