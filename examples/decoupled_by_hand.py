@@ -1,0 +1,49 @@
+"""The decoupled step called by hand, with arrays to look at on the way.
+
+    python examples/decoupled_by_hand.py [STUDY.toml]
+
+Without a study it simulates the built-in arm first.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from strainwave import decoupling, frequency, links, logs, physical, rigid, scara, signals, virtual
+from strainwave.study import read_study
+
+
+def main(study_path: Path) -> None:
+    study = read_study(study_path)
+    all_logs = {e.name: logs.read_log(study, e) for e in study.experiments}
+    motion = [log for log in all_logs.values() if log.experiment.use == "motion"]
+    model = rigid.fit([signals.motor_side(log, study) for log in motion], study)
+
+    for log in all_logs.values():
+        if log.experiment.use != "frequency":
+            continue
+        both_sides = links.link_side(log, study)  # link motion from accelerometers, (8)-(10)
+        for joint in decoupling.decouple(both_sides, model, study):  # (13), (14)
+            if joint.joint != log.experiment.joint:
+                continue
+            print(f"\n{log.name}, joint {joint.joint}: inputs {joint.inputs.shape}")
+            for check in joint.checks:
+                print(f"  {'ok  ' if check.passed else 'FAIL'} {check.message}")
+            found = physical.identify_joint([(both_sides, joint)], model, study)
+            for p in found.parameters:
+                print(f"  {p.name:24s} {p.value} +- {p.std} {p.unit}")
+            assert found.anti_resonance is not None
+            print(f"  anti-resonance {found.anti_resonance.frequency_hz:.3f} Hz")
+            response = frequency.respond([joint])
+            print(f"  nonparametric response at {len(response.frequencies_hz)} frequencies")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        main(Path(sys.argv[1]))
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            virtual.simulate_study(scara.study(Path(folder)), scara.parameters(), Path(folder))
+            main(Path(folder) / "study.toml")

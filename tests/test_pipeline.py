@@ -1,0 +1,66 @@
+"""The whole flow on logs of arms with known truth, made by another engine; and on real ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from strainwave import pipeline
+from strainwave.records import Identification, JointModel
+
+
+@pytest.fixture(scope="session")
+def lab(shared_data: Path) -> Callable[[str], tuple[Identification, dict[str, Any]]]:
+    """Identification and truth of a lab arm; each is made once."""
+    made: dict[str, tuple[Identification, dict[str, Any]]] = {}
+
+    def of(arm: str) -> tuple[Identification, dict[str, Any]]:
+        if arm not in made:
+            folder = shared_data / "lab" / arm
+            found = pipeline.identify(folder / "study.toml", stages=("rigid", "decoupled"))
+            made[arm] = found, json.loads((folder / "truth.json").read_text())
+        return made[arm]
+
+    return of
+
+
+def value(model: JointModel, name: str) -> float:
+    return model.values[name]
+
+
+@pytest.mark.parametrize(
+    ("arm", "tolerance"), [("scara-linear-5kg", 0.03), ("vertical-linear-0kg", 0.04)]
+)
+def test_every_frequency_record_of_a_linear_arm(
+    arm: str, tolerance: float, lab: Callable[[str], tuple[Identification, dict[str, Any]]]
+) -> None:
+    """Free and held: inertias and stiffness within 3 % (vertical 4 %), gear damping within 20 %."""
+    found, truth = lab(arm)
+    assert found.reason is None
+    assert found.records
+    for record in found.records:
+        true = truth["joints"][record.physical.joint - 1]
+        for name in ("motor_inertia", "link_inertia"):
+            assert value(record.physical, name) == pytest.approx(true[name], rel=tolerance)
+        stiffness = true["gear_stiffness"][0]
+        assert value(record.physical, "gear_stiffness") == pytest.approx(stiffness, rel=tolerance)
+        assert value(record.physical, "gear_damping") == pytest.approx(
+            true["gear_damping"], rel=0.2
+        )
+
+
+def test_a_three_slope_arm_hardens_and_stays_within_its_slopes(
+    lab: Callable[[str], tuple[Identification, dict[str, Any]]],
+) -> None:
+    found, truth = lab("scara-strainwave-3kg")
+    assert [sweep.verdict for sweep in found.sweeps] == ["hardening", "hardening"]
+    for sweep in found.sweeps:
+        k1, _, k3 = truth["joints"][sweep.joint - 1]["gear_stiffness"]
+        assert len(sweep.points) == 6
+        assert all(0.97 * k1 < p.gear_stiffness < 1.03 * k3 for p in sweep.points)
+        rising = [p.squared_anti_resonance for p in sweep.points]
+        assert rising == sorted(rising)
