@@ -293,7 +293,11 @@ def _checks(
 ) -> Iterator[Check]:
     moving = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
     text = f"the motor slides in {100.0 * moving:.0f} % of the record"
-    text += "" if moving >= _SLIDING else "; stiction makes it seem heavier: raise the amplitude"
+    text += (
+        ""
+        if moving >= _SLIDING
+        else "; a linear model takes stiction for inertia: raise the amplitude"
+    )
     yield Check("sliding", moving >= _SLIDING, moving, _SLIDING, text)
     if inputs.shape[1] == 1:
         return

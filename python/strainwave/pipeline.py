@@ -16,6 +16,7 @@ from pathlib import Path
 from strainwave import (
     __version__,
     decoupling,
+    frequency,
     links,
     logs,
     physical,
@@ -31,6 +32,7 @@ from strainwave.files import write_whole
 from strainwave.records import (
     Caution,
     Decoupled,
+    FrequencyResponse,
     Identification,
     JointModel,
     LinkSignals,
@@ -108,8 +110,9 @@ def identify(
     model, fitted, checks = _rigid(run, the_study, all_logs)
     records: tuple[RecordModel, ...] = ()
     joints: tuple[JointModel, ...] = ()
+    responses: dict[int, FrequencyResponse] = {}
     if "decoupled" in run.stages and any(joint.spring != "rigid" for joint in the_study.joints):
-        records, joints = _decoupled(run, the_study, all_logs, model)
+        records, joints, responses = _decoupled(run, the_study, all_logs, model)
     return Identification(
         study=the_study,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -122,6 +125,7 @@ def identify(
         timing_s=run.timing_s,
         records=records,
         joints=joints,
+        responses=responses,
         sweeps=sweep.sweeps(records),
         reason="; ".join(run.reasons) or None,
     )
@@ -158,15 +162,16 @@ def _rigid(
 
 def _decoupled(
     run: _Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
-) -> tuple[tuple[RecordModel, ...], tuple[JointModel, ...]]:
+) -> tuple[tuple[RecordModel, ...], tuple[JointModel, ...], dict[int, FrequencyResponse]]:
     """Each excited record on its own, then all full-amplitude records of a joint at once."""
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     if not excited:
         text = 'elastic gears show in fast records only: add experiments with use = "frequency"'
         run.warnings.append(Caution("no-frequency-record", str(the_study.path), text))
-        return (), ()
+        return (), (), {}
     records = []
     together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
+    at_full: list[tuple[Decoupled, ...]] = []
     with run.timed("decoupled", "decoupling the joints"):
         try:
             if model is None:
@@ -175,20 +180,32 @@ def _decoupled(
                 run.progress(f"decoupling the joints: {log.name}")
                 seen = links.link_side(log, the_study)
                 run.warnings.extend(seen.warnings)
-                for part in _excited_joints(decoupling.decouple(seen, model, the_study), log):
+                parts = decoupling.decouple(seen, model, the_study)
+                if log.experiment.use == "frequency":
+                    at_full.append(parts)
+                for part in _excited_joints(parts, log):
                     run.warnings.extend(part.warnings)
                     records.append(physical.identify_record(seen, part, model, the_study))
                     if log.experiment.use == "frequency":
                         together.setdefault(part.joint, []).append((seen, part))
         except NotIdentifiable as failure:
             run.reasons.append(str(failure))
-            return (), ()
+            return (), (), {}
         joints = tuple(
             physical.identify_joint(together[joint], model, the_study) for joint in sorted(together)
         )
     for found in joints:
         run.warnings.extend(found.warnings)
-    return tuple(records), joints
+    responses = {joint: _response([parts[joint - 1] for parts in at_full]) for joint in together}
+    return tuple(records), joints, {j: r for j, r in responses.items() if r is not None}
+
+
+def _response(records: Sequence[Decoupled]) -> FrequencyResponse | None:
+    """The nonparametric response beside the models; None where the inputs cannot be told apart."""
+    try:
+        return frequency.respond(records)
+    except (NotIdentifiable, InvalidInput):  # records of several sample times do not combine
+        return None
 
 
 def _excited_joints(parts: Sequence[Decoupled], log: Log) -> list[Decoupled]:

@@ -659,6 +659,7 @@ class Identification:
     timing_s: Mapping[str, float]
     records: tuple[RecordModel, ...] = ()  # of the joints excited, record by record
     joints: tuple[JointModel, ...] = ()  # all records of a joint at once
+    responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint
     sweeps: tuple[Sweep, ...] = ()
     tuned: ArmModel | None = None
     reason: str | None = None  # why the question could not be answered, or not wholly

@@ -38,7 +38,7 @@ def torque_fit(prediction: Prediction, channel: int) -> Figure:
     measured = prediction.measured[:, channel]
     predicted = prediction.predicted[:, channel]
     pick = _thinned(prediction.time, measured)
-    time = _rounded(prediction.time[pick])
+    time = rounded(prediction.time[pick])
     unit = "N m" if prediction.channels[channel].startswith("torque") else "V"
     return {
         "data": [
@@ -67,7 +67,7 @@ def _line(
         "mode": "lines",
         "name": name,
         "x": x,
-        "y": _rounded(y),
+        "y": rounded(y),
         "line": {"color": colour, "dash": dash, "width": width},
     }
 
@@ -88,8 +88,8 @@ def _thinned(time: FloatArray, y: FloatArray) -> np.ndarray[Any, np.dtype[np.int
     return np.array(rows)
 
 
-def _rounded(values: FloatArray) -> list[float | None]:
-    """Five significant digits of the largest value are more than a screen shows; NaN is a gap."""
+def rounded(values: FloatArray) -> list[float | None]:
+    """Numbers for a plot: to five digits of the largest, more than a screen shows; NaN is a gap."""
     finite = np.abs(values[np.isfinite(values)])
     scale = float(finite.max()) if finite.size else 0.0
     digits = 5 - int(np.floor(np.log10(scale))) if scale > 0 else 5

@@ -16,7 +16,8 @@
       margin: { l: 64, r: 12, t: 28, b: 48 },
       legend: { orientation: "h", y: 1.12, x: 0 },
       hovermode: "x unified",
-      xaxis: { ...axis, ...given.xaxis }, yaxis: { ...axis, ...given.yaxis },
+      ...Object.fromEntries(["xaxis", "yaxis", "xaxis2", "yaxis2"].filter(
+        (name) => name in given).map((name) => [name, { ...axis, ...given[name] }])),
     };
   };
   const figures = JSON.parse(document.getElementById("figures").textContent);

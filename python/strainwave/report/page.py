@@ -10,7 +10,7 @@ from importlib.resources import files
 
 from strainwave.formatting import percent, plus_minus
 from strainwave.records import Caution, Identification, Parameter, Prediction
-from strainwave.report import figures
+from strainwave.report import elastic, figures
 
 
 def render(identification: Identification) -> str:
@@ -30,6 +30,7 @@ def render(identification: Identification) -> str:
         _verdict(identification),
         _warnings(identification.warnings),
         _parameters(identification.parameters),
+        _elastic(identification, plots),
         _predictions(
             "How well the model explains what it was fitted to", identification.fitted, plots
         ),
@@ -74,7 +75,9 @@ def _verdict(identification: Identification) -> str:
         )
     else:
         mark = "doubt" if identification.warnings else ""
-        lines.append("<strong>Every parameter of the rigid model was found.</strong>")
+        lines.append(
+            "<strong>Every parameter asked for was found, but for what the warnings name.</strong>"
+        )
     worst = _worst(identification.checks)
     if worst is not None:
         lines.append(
@@ -129,6 +132,39 @@ def _parameters(parameters: tuple[Parameter, ...]) -> str:
     return _table("Parameters", heads, "".join(rows))
 
 
+def _elastic(identification: Identification, plots: dict[str, figures.Figure]) -> str:
+    """Elastic joints: where they ring, their responses, their stiffness over the amplitude."""
+    if not identification.joints:
+        return ""
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+        for row in elastic.resonance_rows(identification)
+    )
+    heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
+    parts = [_table("Resonances", (*heads, "equivalent stiffness [N m/rad]"), rows)]
+    for joint in identification.joints:
+        ratio = identification.study.joints[joint.joint - 1].gear_ratio
+        drawn = elastic.response(joint, ratio, identification.responses.get(joint.joint))
+        label = (
+            f"joint {joint.joint} alone, motor torque to motor velocity; dotted: band of the fit"
+        )
+        parts.append(_figure(label, drawn, plots))
+    for sweep in identification.sweeps:
+        label = f"joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
+        parts.append(_figure(label, elastic.stiffness(sweep), plots))
+    return "".join(parts)
+
+
+def _figure(label: str, drawn: figures.Figure, plots: dict[str, figures.Figure]) -> str:
+    name = f"figure-{len(plots)}"
+    plots[name] = drawn
+    shape = "figure tall" if "yaxis2" in drawn["layout"] else "figure"
+    return (
+        f"<h3>{escape(label)}</h3>"
+        f'<div class="{shape}" id="{name}" role="img" aria-label="{escape(label)}"></div>'
+    )
+
+
 def _predictions(
     title: str, predictions: tuple[Prediction, ...], plots: dict[str, figures.Figure]
 ) -> str:
@@ -137,14 +173,9 @@ def _predictions(
     parts = [f"<h2>{escape(title)}</h2>"]
     for prediction in predictions:
         for column, channel in enumerate(prediction.channels):
-            name = f"figure-{len(plots)}"
-            plots[name] = figures.torque_fit(prediction, column)
             fit = prediction.fit_percent.get(channel, float("nan"))
             label = f"{prediction.experiment}, {channel}: fit {percent(fit)}"
-            parts.append(f"<h3>{escape(label)}</h3>")
-            parts.append(
-                f'<div class="figure" id="{name}" role="img" aria-label="{escape(label)}"></div>'
-            )
+            parts.append(_figure(label, figures.torque_fit(prediction, column), plots))
     return "".join(parts)
 
 
