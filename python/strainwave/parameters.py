@@ -10,6 +10,7 @@ from typing import Any
 
 from strainwave.errors import InvalidInput
 from strainwave.files import decode, read_bytes
+from strainwave.records import Joint, Study
 
 Values = dict[tuple[str, int | None], float]
 """Parameter values by (name, joint), joint from 1 or None for the arm's own."""
@@ -123,3 +124,62 @@ def _number(value: Any, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise InvalidInput(f"{value!r} is no finite number", where=place, remedy="write a number")
     return float(value)
+
+
+def completed(values: Values, study: Study) -> Values:
+    """What an arm needs for being simulated, made of what an identification told.
+
+    A sum stands for its parts where they hardly matter apart: `total_viscous_friction` for the
+    motor's, where that is not known; one `gear_stiffness` for the three slopes of a gear; and
+    where motor and link only ever move together, `inertia` or `rigid_inertia` for both. `alpha`
+    follows from `link_inertia` of joint 1, or from `rigid_inertia` and the motor's inertia.
+
+    Parameters
+    ----------
+    values : dict
+        (name, joint) -> value.
+    study : Study
+
+    Returns
+    -------
+    dict
+        With what follows added; nothing that was there is changed.
+    """
+    known = dict(values)
+    for number, joint in enumerate(study.joints, start=1):
+        _complete_joint(known, number, joint)
+    first, n2 = study.joints[0], study.joints[0].gear_ratio ** 2
+    if study.n_joints == 1 or ("alpha", None) in known:
+        return known
+    beta, gamma = known.get(("beta", None)), known.get(("gamma", None))
+    if beta is None or gamma is None:
+        return known
+    rigid, motor = known.get(("rigid_inertia", 1)), known.get(("motor_inertia", 1))
+    if ("link_inertia", 1) in known:
+        known["alpha", None] = known["link_inertia", 1] - beta - 2.0 * gamma
+    elif rigid is not None and motor is not None:
+        known["alpha", None] = rigid - motor / n2
+    elif rigid is not None and first.spring == "rigid":
+        # all of it counted as the motor's but what alpha needs for a proper link: gamma^2/beta
+        known["alpha", None] = min(1.5 * gamma**2 / beta, rigid)
+    if motor is None and rigid is not None and ("alpha", None) in known:
+        known["motor_inertia", 1] = (rigid - known["alpha", None]) * n2
+    return known
+
+
+def _complete_joint(known: Values, number: int, joint: Joint) -> None:
+    n2 = joint.gear_ratio**2
+    total = known.get(("total_viscous_friction", number))
+    if total is not None:
+        link = known.setdefault(("link_viscous_friction", number), 0.0)
+        known.setdefault(("motor_viscous_friction", number), total - n2 * link)
+    if joint.spring == "rigid":
+        known.setdefault(("link_viscous_friction", number), 0.0)
+        if ("inertia", number) in known:
+            known.setdefault(("motor_inertia", number), known["inertia", number])
+            known.setdefault(("link_inertia", number), 0.0)
+    if joint.spring == "three-slope" and ("gear_stiffness", number) in known:
+        for slope in ("k1", "k2", "k3"):
+            known.setdefault((f"gear_stiffness_{slope}", number), known["gear_stiffness", number])
+        for knee, torque in (("t1", 1.0), ("t2", 2.0)):  # where nothing bends
+            known.setdefault((f"gear_knee_{knee}", number), torque)

@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave import _core
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.parameters import Values
+from strainwave.parameters import Values, completed
 from strainwave.records import FloatArray, Study
 
 Quantity = Literal[
@@ -100,10 +100,6 @@ def build_arm(study: Study) -> _core.Arm:
 def parameter_vector(arm: _core.Arm, values: Values, study: Study) -> FloatArray:
     """Values by name -> the core's flat list.
 
-    A rigid joint's motor and link only ever move together, so what the rigid model knows of them is
-    enough: `inertia`, or `rigid_inertia` of joint 1, stands for both, and `total_viscous_friction`
-    for both frictions.
-
     Parameters
     ----------
     arm : _core.Arm
@@ -120,7 +116,7 @@ def parameter_vector(arm: _core.Arm, values: Values, study: Study) -> FloatArray
     InvalidInput
         A parameter the arm needs is not there.
     """
-    known = _split_rigid(values, study)
+    known = completed(values, study)
     missing = [
         name for name in arm.parameter_names if name not in known and name[0] not in _OPTIONAL
     ]
@@ -133,29 +129,6 @@ def parameter_vector(arm: _core.Arm, values: Values, study: Study) -> FloatArray
         )
     vector = [known.get(name, _OPTIONAL.get(name[0], 0.0)) for name in arm.parameter_names]
     return np.array(vector)
-
-
-def _split_rigid(values: Values, study: Study) -> Values:
-    known = dict(values)
-    for joint, drive in enumerate(study.joints, start=1):
-        if drive.spring != "rigid":
-            continue
-        if ("total_viscous_friction", joint) in known:
-            known.setdefault(
-                ("motor_viscous_friction", joint), known["total_viscous_friction", joint]
-            )
-        known.setdefault(("link_viscous_friction", joint), 0.0)
-    first = study.joints[0]
-    if first.spring == "rigid" and ("motor_inertia", 1) not in known:
-        if ("inertia", 1) in known:
-            known["motor_inertia", 1] = known["inertia", 1]
-            known.setdefault(("link_inertia", 1), 0.0)
-        elif ("rigid_inertia", 1) in known:
-            # All of it counted as the motor's but what alpha needs for a proper link: gamma^2/beta.
-            beta, gamma = known.get(("beta", None), 1.0), known.get(("gamma", None), 0.0)
-            known["alpha", None] = alpha = min(1.5 * gamma**2 / beta, known["rigid_inertia", 1])
-            known["motor_inertia", 1] = (known["rigid_inertia", 1] - alpha) * first.gear_ratio**2
-    return known
 
 
 def simulate(
