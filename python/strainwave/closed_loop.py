@@ -70,7 +70,9 @@ class Observed:
     channels: tuple[str, ...]  # omega_m{i} [rad/s], then a{i} [m/s^2]
     time: FloatArray  # (n_rows,) [s] without the filter's edges
     measured: FloatArray  # (n_rows, n_channels)
-    noise: FloatArray  # (n_channels,) standard deviation of the sensor's own noise behind the filter
+    noise: (
+        FloatArray  # (n_channels,) standard deviation of the sensor's own noise behind the filter
+    )
 
     @property
     def moves(self) -> tuple[bool, ...]:

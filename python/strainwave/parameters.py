@@ -1,4 +1,4 @@
-"""Values of an arm's parameters, their units, and values from a file: a result.json, or a table of known values."""
+"""An arm's parameters: their units, and values from a result.json or a table of known ones."""
 
 from __future__ import annotations
 

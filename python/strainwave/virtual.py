@@ -135,9 +135,7 @@ def simulate_study(
         progress(f"simulating {experiment.name}")
         rng = np.random.default_rng([seed, number])
         replayed = replay and study.log_path(experiment).exists()
-        plan = (
-            _replayed(study, experiment) if replayed else _invent(study, experiment, values, rng)
-        )
+        plan = _replayed(study, experiment) if replayed else _invent(study, experiment, values, rng)
         written.append(_columns(study, plan, values, noise, rng))
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE):
