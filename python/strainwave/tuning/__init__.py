@@ -7,12 +7,12 @@ the earlier stages found.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from strainwave.closed_loop import observe, predict_closed_loop, velocity_band
+from strainwave.closed_loop import linearised, observe, predict_closed_loop, velocity_band
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.parameters import unit_of
 from strainwave.records import (
@@ -31,7 +31,7 @@ from strainwave.tuning.unknowns import VISCOUS, Search, link_inertias, search_of
 
 __all__ = ["TuningOptions", "tune"]
 
-_ROUNDS = 4  # of new weights; the second seldom moves anything
+_ROUNDS = 6  # of new weights; the third seldom moves anything
 _SETTLED = 0.2  # relative change of the weights
 _TOLERANCE = 1e-6  # of the coordinates and of the cost
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
@@ -65,8 +65,7 @@ def tune(
     with a least deviation for the error of their models: a step tells little of some parameters,
     and those stay where they were.
 
-    A three-slope gear is simulated with one stiffness for the whole curve. Encoders are simulated
-    without counts, so that the simulation is smooth in the parameters.
+    A three-slope gear is simulated with one stiffness for the whole curve.
 
     Parameters
     ----------
@@ -105,7 +104,7 @@ def tune(
     records = tuple(
         observe(log, study, cutoff, accelerometers=chosen.accelerometers) for log in used
     )
-    end = _minimise(Misfit(_simulated(study), search, records), chosen.max_iterations)
+    end = _minimise(Misfit(linearised(study, search.fixed), search, records), chosen.max_iterations)
     values = search.values(end.z)
     start = search.values(np.zeros(len(end.z)))
     initial = tuple(predict_closed_loop(start, log, study, cutoff) for log in used)
@@ -141,20 +140,14 @@ class _End:
     converged: bool
 
 
-def _simulated(study: Study) -> Study:
-    """Linear springs, encoders without counts."""
-    joints = tuple(replace(j, spring="linear", encoder_counts=None) for j in study.joints)
-    return replace(study, joints=joints)
-
-
 def _minimise(misfit: Misfit, max_iterations: int) -> _End:
-    """Least squares, and weights from its residuals, in turn until the weights stay."""
+    """Least squares, and what is held meanwhile, in turn until the weights stay."""
     from scipy.optimize import least_squares
 
     z = np.zeros(len(misfit.search.unknowns))
     reach = misfit.search.reach
     try:
-        misfit = misfit.weighted_for(misfit.differences(z))
+        misfit = misfit.around(z)
     except (InvalidInput, NumericalFailure) as failure:
         raise NotIdentifiable(
             f"tuning cannot simulate what the steps before found: {failure}"
@@ -177,7 +170,7 @@ def _minimise(misfit: Misfit, max_iterations: int) -> _End:
         iterations += int(found.njev)
         if not converged:
             break
-        renewed = misfit.weighted_for(misfit.differences(z))
+        renewed = misfit.around(z)
         changes = [
             np.max(np.abs(np.log(new / old)))
             for new, old in zip(renewed.weights, misfit.weights, strict=True)
@@ -185,7 +178,8 @@ def _minimise(misfit: Misfit, max_iterations: int) -> _End:
         if max(changes) < _SETTLED or iterations >= max_iterations:
             break
         misfit = renewed
-    covariance = covariance_of(found.fun, found.jac, misfit.block_of_rows())
+    effect = misfit.friction_effect(z)
+    covariance = covariance_of(found.fun, found.jac, misfit.block_of_rows(), effect)
     slope = misfit.search.slope(z)
     return _End(z, covariance * np.outer(slope, slope), iterations, converged)
 
@@ -272,7 +266,7 @@ def _warnings(
     for k, (unknown, at) in enumerate(zip(search.unknowns, _at_bounds(search, end), strict=True)):
         if at:
             text = (
-                f"tuning ended at the end of its range, {values[k]:.3g} {unknown.unit}: these steps"
+                f"tuning ended at the end of its range, {values[k]:.3g} {unknown.unit}: the steps"
             )
             text += " and the records before them do not agree on it"
             yield Caution("at-bounds", str(unknown), text)

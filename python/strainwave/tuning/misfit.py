@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.closed_loop import Observed
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.parameters import Values
 from strainwave.records import FloatArray, IntArray, Study
 from strainwave.tuning.unknowns import Search
 
@@ -17,15 +18,18 @@ _PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat eac
 _LEAST = 2e-3  # of a channel's own spread: no model is better than that
 _HUGE = 1e4  # a residual, in deviations, of parameters that no arm can have
 _BLOCKS = 10  # a record
+_MOST = 0.5  # of a Coulomb friction, by which it is changed at most
 
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
     """Weighted differences between simulated and measured channels of all records."""
 
-    study: Study  # as it is simulated
+    study: Study  # with linear springs
     search: Search
     records: tuple[Observed, ...]
+    # a record: (n_rows, n_channels), what the counts of the encoders change
+    counts: tuple[FloatArray, ...] = ()
     weights: tuple[FloatArray, ...] = ()  # a record: (n_channels,), one over a row's deviation
 
     def residual(self, z: FloatArray) -> FloatArray:
@@ -38,39 +42,70 @@ class Misfit:
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         """By central differences, all arms in one run a record: (n_rows, n_unknowns)."""
-        count = len(z)
-        shifted = np.concatenate([z + _STEP * np.eye(count), z - _STEP * np.eye(count)])
-        arms = [self.search.values(one) for one in shifted]
+        step = _STEP * np.eye(len(z))
+        above, below = ([self.search.values(one) for one in z + sign * step] for sign in (1, -1))
+        data = self._change(above, below) / (2.0 * _STEP)
+        return np.concatenate([data, self.search.prior_jacobian(z)])
+
+    def friction_effect(self, z: FloatArray) -> FloatArray:
+        """What a deviation of each friction taken over does: (n_data_rows, n_frictions)."""
+        values = self.search.values(z)
+        above, below = [], []
+        for key, deviation in self.search.fixed_deviation.items():
+            step = min(deviation, _MOST * abs(values[key])) if "coulomb" in key[0] else deviation
+            if step > 0.0:
+                above.append(values | {key: values[key] + step})
+                below.append(values | {key: values[key] - step})
+        if not above:
+            return np.zeros((len(self.block_of_rows()), 0))
+        return self._change(above, below) / 2.0
+
+    def _change(self, above: Sequence[Values], below: Sequence[Values]) -> FloatArray:
+        """Weighted differences between pairs of arms, one run a record: (n_rows, n_pairs)."""
         parts = []
         for record, weight in zip(self.records, self.weights, strict=True):
-            seen = record.simulated(self.study, arms)[:, :: decimation(record)]
-            slope = (seen[:count] - seen[count:]) / (2.0 * _STEP)
-            parts.append((weight * slope).reshape(count, -1))
-        data = np.concatenate(parts, axis=1).T
-        return np.concatenate([data, self.search.prior_jacobian(z)])
+            seen = record.simulated(_countless(self.study), [*above, *below])[
+                :, :: decimation(record)
+            ]
+            change = weight * (seen[: len(above)] - seen[len(above) :])
+            parts.append(change.reshape(len(above), -1))
+        return np.concatenate(parts, axis=1).T
 
     def differences(self, z: FloatArray) -> list[FloatArray]:
         """Simulated less measured, a record: (n_rows, n_channels), unweighted."""
         values = self.search.values(z)
-        return [
-            (record.simulated(self.study, [values])[0] - record.measured)[:: decimation(record)]
+        found = [
+            (record.simulated(_countless(self.study), [values])[0] - record.measured)
             for record in self.records
         ]
+        return [
+            (difference + counts)[:: decimation(record)]
+            for difference, counts, record in zip(found, self.counts, self.records, strict=True)
+        ]
 
-    def weighted_for(self, differences: Sequence[FloatArray]) -> Misfit:
-        """With weights for differences of that size and colour.
+    def around(self, z: FloatArray) -> Misfit:
+        """With the counts' effect and the weights for parameters near z.
 
-        A channel's rows are divided by their robust deviation and by the root of how many rows say
-        the same thing, so that a coloured residual does not outvote the prior.
+        The servo sees counts, and what they do to the motion is no smooth function of the
+        parameters; it is found once and held. A channel's rows are divided by the robust deviation
+        of its differences, and by the root of how many rows say the same thing, so that a coloured
+        residual does not outvote the prior.
         """
+        values = [self.search.values(z)]
+        effects = tuple(
+            record.simulated(self.study, values)[0]
+            - record.simulated(_countless(self.study), values)[0]
+            for record in self.records
+        )
+        counted = replace(self, counts=effects)
         weights = []
-        for record, difference in zip(self.records, differences, strict=True):
+        for record, difference in zip(self.records, counted.differences(z), strict=True):
             spread = _LEAST * np.std(record.measured, axis=0)
             least = np.maximum(np.maximum(record.noise, spread), 1e-12)
             robust = 1.4826 * np.median(np.abs(difference), axis=0)
             size = np.maximum(np.maximum(robust, least), 0.5 * np.std(difference, axis=0))
             weights.append(1.0 / (size * np.sqrt([_repeats(column) for column in difference.T])))
-        return replace(self, weights=tuple(weights))
+        return replace(counted, weights=tuple(weights))
 
     def _rows(self, differences: Sequence[FloatArray]) -> FloatArray:
         pairs = zip(differences, self.weights, strict=True)
@@ -84,6 +119,12 @@ class Misfit:
             block = number * _BLOCKS + np.arange(rows) * _BLOCKS // rows
             labels.append(np.repeat(block, len(record.channels)))
         return np.concatenate(labels)
+
+
+def _countless(study: Study) -> Study:
+    """Encoders without counts: the simulation is then smooth in the parameters."""
+    joints = tuple(replace(joint, encoder_counts=None) for joint in study.joints)
+    return replace(study, joints=joints)
 
 
 def decimation(record: Observed) -> int:
@@ -104,11 +145,14 @@ def _repeats(column: FloatArray) -> float:
     return float(1.0 + 2.0 * np.sum(correlation[1:until]))
 
 
-def covariance_of(residual: FloatArray, jacobian: FloatArray, block: IntArray) -> FloatArray:
+def covariance_of(
+    residual: FloatArray, jacobian: FloatArray, block: IntArray, friction: FloatArray
+) -> FloatArray:
     """Covariance of the coordinates, counting what goes on for longer than one row.
 
     The inverse of J'J, its deviations raised where the blocks' scores g_b = J_b' r_b scatter more
-    than independent rows would: (J'J)^-1 (sum g_b g_b' + P) (J'J)^-1, P from the prior.
+    than independent rows would: (J'J)^-1 (sum g_b g_b' + P) (J'J)^-1, P from the prior. To this
+    comes what the uncertainty of the friction that was taken over makes.
 
     Parameters
     ----------
@@ -116,6 +160,8 @@ def covariance_of(residual: FloatArray, jacobian: FloatArray, block: IntArray) -
     jacobian : (n_rows, n_unknowns)
     block : (n_data_rows,)
         Of the data's rows, which come first.
+    friction : (n_data_rows, n_frictions)
+        From `Misfit.friction_effect`.
 
     Returns
     -------
@@ -131,4 +177,5 @@ def covariance_of(residual: FloatArray, jacobian: FloatArray, block: IntArray) -
     meat = len(labels) / (len(labels) - 1.0) * scores.T @ scores + prior
     sandwich = np.diag(inverse @ meat @ inverse)
     raised = np.sqrt(np.maximum(1.0, sandwich / np.diag(inverse)))
-    return np.asarray(inverse * np.outer(raised, raised))
+    moved = inverse @ jacobian[:n_data].T @ friction
+    return np.asarray(inverse * np.outer(raised, raised) + moved @ moved.T)

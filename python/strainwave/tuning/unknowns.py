@@ -55,6 +55,7 @@ class Search:
 
     unknowns: tuple[Unknown, ...]
     fixed: Mapping[tuple[str, int | None], float]
+    fixed_deviation: Mapping[tuple[str, int | None], float]
     prior: Prior
 
     @property
@@ -142,16 +143,16 @@ def search_of(
     by_joint = _by_joint(joints, study)
     start = _starts(model, by_joint, study)
     names = tuple(start)
-    prior, deviation = _prior(model, by_joint, study, start, floor)
+    prior = _prior(model, by_joint, study, start, floor)
+    leeway = _leeway(prior, np.array(list(start.values())))
     unknowns = []
     for k, (name, joint) in enumerate(names):
-        relative = deviation[k] / abs(start[name, joint])
-        reach = np.log1p(max(span, _REACH * relative))
+        reach = np.log1p(max(span, leeway[k]))
         if name in _DAMPINGS:
             reach = max(reach, np.log(_DAMPING_FACTOR))
         unit = unit_of(name, study.joints[(joint or 1) - 1]) if joint else _unit(name)
         unknowns.append(Unknown(name, joint, unit, start[name, joint], float(reach)))
-    return Search(tuple(unknowns), _fixed(model, by_joint), prior)
+    return Search(tuple(unknowns), *_fixed(model, by_joint), prior)
 
 
 def _unit(name: str) -> str:
@@ -220,18 +221,23 @@ def _rigid(model: RigidModel | None, name: str) -> float:
     return value
 
 
-def _fixed(model: RigidModel | None, joints: Mapping[int, JointModel]) -> Values:
-    """Friction that is taken over."""
+def _fixed(model: RigidModel | None, joints: Mapping[int, JointModel]) -> tuple[Values, Values]:
+    """Friction that is taken over, and its deviations."""
     fixed: Values = {}
+    deviation: Values = {}
     for number, joint in joints.items():
-        fixed["motor_coulomb_friction", number] = joint.values["motor_coulomb_friction"]
-        fixed["friction_offset", number] = 0.0
-        for name in ("motor_coulomb_friction", "friction_offset"):
-            value = model.value(name, number) if model is not None else None
-            if value is not None:
-                fixed[name, number] = value
-        fixed["motor_coulomb_friction", number] = max(fixed["motor_coulomb_friction", number], 0.0)
-    return fixed
+        key = "motor_coulomb_friction", number
+        at = list(joint.values).index(key[0])
+        fixed[key] = joint.values[key[0]]
+        deviation[key] = float(np.sqrt(joint.covariance[at, at]))
+        fixed["friction_offset", number] = deviation["friction_offset", number] = 0.0
+        for k, p in enumerate(model.parameters if model is not None else ()):
+            if (p.name, p.joint) in fixed and p.joint == number and p.value is not None:
+                assert model is not None
+                fixed[p.name, number] = p.value
+                deviation[p.name, number] = float(np.sqrt(model.covariance[k, k]))
+        fixed[key] = max(fixed[key], 0.0)
+    return fixed, deviation
 
 
 def _prior(
@@ -240,10 +246,10 @@ def _prior(
     study: Study,
     start: Values,
     floor: float,
-) -> tuple[Prior, FloatArray]:
-    """Whitened rows, and each unknown's deviation by them alone."""
+) -> Prior:
     names = tuple(start)
-    rows, target = [], []
+    rows: list[FloatArray] = []
+    target: list[FloatArray] = []
     link = link_inertias(study, names)
     for number, joint in joints.items():
         known = [name for name in joint.values if name != "motor_coulomb_friction"]
@@ -271,10 +277,18 @@ def _prior(
         covariance = model.covariance[np.ix_(shared, shared)]
         least = np.full(len(shared), floor)
         _append(rows, target, weight, model.solution[shared], covariance, least)
-    prior = Prior(np.concatenate(rows), np.concatenate(target))
-    information = prior.rows.T @ prior.rows
-    deviation = np.sqrt(np.diag(np.linalg.inv(information)))
-    return prior, deviation
+    return Prior(np.concatenate(rows), np.concatenate(target))
+
+
+def _leeway(prior: Prior, start: FloatArray) -> FloatArray:
+    """Share by which each parameter may leave its start by what is known of it.
+
+    Four deviations from what all earlier stages say together, which is not quite the start where
+    two of them tell of one parameter.
+    """
+    mean = np.linalg.lstsq(prior.rows, prior.target)[0]
+    deviation = np.sqrt(np.diag(np.linalg.inv(prior.rows.T @ prior.rows)))
+    return np.asarray((np.abs(mean - start) + _REACH * deviation) / np.abs(start))
 
 
 def _append(
