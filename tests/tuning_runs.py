@@ -93,8 +93,12 @@ def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) 
     """beta and gamma times (1 + share factor), with that deviation; friction as it is."""
     columns = columns_of(study)
     values = np.array([known.get((c.name, c.joint), 0.0) for c in columns])
-    deviation = np.array([share * abs(v) if c.joint is None else 1e-6 for c, v in zip(columns, values, strict=True)])
-    values += factor * np.array([d if c.joint is None else 0.0 for c, d in zip(columns, deviation, strict=True)])
+    deviation = np.array(
+        [share * abs(v) if c.joint is None else 1e-6 for c, v in zip(columns, values, strict=True)]
+    )
+    values += factor * np.array(
+        [d if c.joint is None else 0.0 for c, d in zip(columns, deviation, strict=True)]
+    )
     parameters = tuple(
         Parameter(c.name, c.joint, float(v), float(d), c.unit, "rigid")
         for c, v, d in zip(columns, values, deviation, strict=True)
