@@ -81,7 +81,7 @@ def test_thinning_keeps_every_peak() -> None:
     long = prediction("motion", 90.0)
     long.measured[3333, 0] = 50.0
     long.measured[4444, 0] = -50.0
-    drawn = figures.torque_fit(long, 0)["data"][0]
+    drawn = figures.time_fit(long, 0)["data"][0]
     assert max(drawn["y"]) == 50.0
     assert min(drawn["y"]) == -50.0
     assert len(drawn["x"]) <= figures.MOST_POINTS
@@ -90,7 +90,7 @@ def test_thinning_keeps_every_peak() -> None:
 def test_gaps_stay_gaps() -> None:
     gappy = prediction("motion", 90.0)
     gappy.measured[100:200] = np.nan
-    assert None in figures.torque_fit(gappy, 0)["data"][0]["y"]
+    assert None in figures.time_fit(gappy, 0)["data"][0]["y"]
 
 
 def test_the_summary_names_all() -> None:

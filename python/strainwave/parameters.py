@@ -1,4 +1,4 @@
-"""Values of an arm's parameters from a file: a result.json, or a table of known values."""
+"""Values of an arm's parameters: from a result.json or a table, completed, and their units."""
 
 from __future__ import annotations
 
@@ -14,6 +14,29 @@ from strainwave.records import Joint, Study
 
 Values = dict[tuple[str, int | None], float]
 """Parameter values by (name, joint), joint from 1 or None for the arm's own."""
+
+
+def unit_of(name: str, joint: Joint) -> str:
+    """The SI unit of a joint's parameter.
+
+    Parameters
+    ----------
+    name : str
+        As in docs/notation.md.
+    joint : Joint
+
+    Returns
+    -------
+    str
+    """
+    revolute = joint.motion == "revolute"
+    if "inertia" in name:
+        return "kg m^2" if revolute else "kg"
+    if "coulomb" in name or "offset" in name or "knee" in name:
+        return "N m" if revolute else "N"
+    if "stiffness" in name:
+        return "N m/rad" if revolute else "N/m"
+    return "N m s/rad" if revolute else "N s/m"
 
 
 def read_parameters(path: Path) -> Values:

@@ -1,4 +1,4 @@
-"""The only file that knows the order: logs -> signals -> rigid -> decoupled -> physical -> report.
+"""The only file that knows the order: logs, signals, rigid, decoupled, physical, tuned, report.
 
 Each stage is one function from records to one record; this file calls them, keeps the time, and
 decides what happens when one cannot answer.
@@ -25,11 +25,13 @@ from strainwave import (
     signals,
     study,
     sweep,
+    tuning,
     validation,
 )
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.files import write_whole
 from strainwave.records import (
+    ArmModel,
     Caution,
     Decoupled,
     FrequencyResponse,
@@ -44,7 +46,7 @@ from strainwave.records import (
     Study,
 )
 
-STAGES = ("rigid", "decoupled")
+STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
 
 Progress = Callable[[str], None]
@@ -113,7 +115,12 @@ def identify(
     responses: dict[int, FrequencyResponse] = {}
     if "decoupled" in run.stages and any(joint.spring != "rigid" for joint in the_study.joints):
         records, joints, responses = _decoupled(run, the_study, all_logs, model)
-    return Identification(
+    tuned = None
+    if "tuned" in run.stages and len(joints) == the_study.n_joints:
+        tuned = _tuned(run, the_study, all_logs, model, joints)
+    if tuned is not None:
+        checks = _with_elastic(run, the_study, all_logs, tuned, checks)
+    found = Identification(
         study=the_study,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         version=__version__,
@@ -127,7 +134,21 @@ def identify(
         joints=joints,
         responses=responses,
         sweeps=sweep.sweeps(records),
+        tuned=tuned,
         reason="; ".join(run.reasons) or None,
+    )
+    return replace(found, warnings=_still_true(found))
+
+
+def _still_true(found: Identification) -> tuple[Caution, ...]:
+    """Without what an earlier stage could not tell and a later one could."""
+    told = {
+        p.name if p.joint is None else f"{p.name} of joint {p.joint}"
+        for p in found.parameters
+        if p.value is not None
+    }
+    return tuple(
+        w for w in found.warnings if not (w.code == "not-identifiable" and w.where in told)
     )
 
 
@@ -200,6 +221,47 @@ def _decoupled(
     return tuple(records), joints, {j: r for j, r in responses.items() if r is not None}
 
 
+def _tuned(
+    run: _Run,
+    the_study: Study,
+    all_logs: Sequence[Log],
+    model: RigidModel | None,
+    joints: Sequence[JointModel],
+) -> ArmModel | None:
+    """All parameters at once on closed-loop records; None, with a caution, without any."""
+    with run.timed("tuned", "tuning the whole arm on closed-loop records"):
+        try:
+            found = tuning.tune(all_logs, model, joints, the_study)
+        except NotIdentifiable as failure:
+            run.warnings.append(Caution("not-tuned", str(the_study.path), str(failure)))
+            return None
+    run.warnings.extend(found.warnings)
+    if found.status == "iteration-limit":
+        run.reasons.append("the fine tuning did not converge")
+    return found
+
+
+def _with_elastic(
+    run: _Run,
+    the_study: Study,
+    all_logs: Sequence[Log],
+    tuned: ArmModel,
+    checks: tuple[Prediction, ...],
+) -> tuple[Prediction, ...]:
+    """The check records' torques from the rigid model, and their motion from the tuned arm."""
+    made = list(checks)
+    with run.timed("checks", "simulating the records it never saw"):
+        for log in _used_for(all_logs, "check"):
+            if "servo" in log.experiment.control and the_study.servo is not None:
+                made.append(validation.predict_elastic(tuned, log, the_study))
+                run.warnings.extend(made[-1].warnings)
+    return tuple(made)
+
+
+def _used_for(all_logs: Sequence[Log], use: str) -> list[Log]:
+    return [log for log in all_logs if log.experiment.use == use]
+
+
 def _response(records: Sequence[Decoupled]) -> FrequencyResponse | None:
     """The nonparametric response beside the models; None where the inputs cannot be told apart."""
     try:
@@ -257,7 +319,7 @@ class _Run:
         self.progress(said)
         begin = time.perf_counter()
         yield
-        self.timing_s[part] = time.perf_counter() - begin
+        self.timing_s[part] = self.timing_s.get(part, 0.0) + time.perf_counter() - begin
 
 
 def _signals(
@@ -265,10 +327,9 @@ def _signals(
 ) -> list[Signals]:
     """Motor-side signals of the records of one use, which have them."""
     found = []
-    for log in all_logs:
-        if log.experiment.use == use:
-            found.append(signals.motor_side(log, the_study))
-            warnings.extend(found[-1].warnings)
+    for log in _used_for(all_logs, use):
+        found.append(signals.motor_side(log, the_study))
+        warnings.extend(found[-1].warnings)
     return found
 
 

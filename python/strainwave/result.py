@@ -54,8 +54,8 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "parameters": [_parameter(p) for p in identification.parameters],
         "stages": stages,
         "checks": [
-            {"experiment": check.experiment, "fit_percent": dict(check.fit_percent)}
-            for check in identification.checks
+            {"experiment": name, "fit_percent": fits}
+            for name, fits in _check_fits(identification).items()
         ],
         "warnings": [_warning(w) for w in identification.warnings],
         "timing_s": dict(identification.timing_s),
@@ -80,6 +80,14 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "decimation": model.decimation,
         "n_rows": model.n_rows,
     }
+
+
+def _check_fits(identification: Identification) -> dict[str, dict[str, float]]:
+    """Fits by record: torques by the rigid model, motion by the tuned arm."""
+    found: dict[str, dict[str, float]] = {}
+    for check in identification.checks:
+        found.setdefault(check.experiment, {}).update(check.fit_percent)
+    return found
 
 
 def _record(record: RecordModel) -> dict[str, Any]:

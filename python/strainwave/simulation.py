@@ -165,8 +165,50 @@ def simulate(
     NumericalFailure
         The motion left the finite numbers.
     """
+    recorded = simulate_arms(
+        study, [values], drive, sample_time=sample_time, samples=samples, record=record
+    )
+    time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
+    return Trajectory(time, {name: recorded[name][0] for name in record})
+
+
+def simulate_arms(
+    study: Study,
+    arms: Sequence[Values],
+    drive: Drive,
+    *,
+    sample_time: float,
+    samples: int,
+    record: Sequence[Quantity],
+) -> dict[Quantity, FloatArray]:
+    """Run one experiment on many arms at once, side by side in vector lanes and threads.
+
+    Parameters
+    ----------
+    study : Study
+    arms : sequence of dict
+        (name, joint) -> value, one an arm.
+    drive : Drive
+    sample_time : float [s]
+        Between recorded samples.
+    samples : int
+    record : sequence of str
+        Quantities to record.
+
+    Returns
+    -------
+    dict
+        Quantity -> (n_arms, n_samples, n_joints).
+
+    Raises
+    ------
+    InvalidInput
+        A parameter is missing or impossible, or the clocks have no common step.
+    NumericalFailure
+        A motion left the finite numbers.
+    """
     arm = build_arm(study)
-    vector = parameter_vector(arm, values, study)
+    vectors = np.array([parameter_vector(arm, values, study) for values in arms])
     servo = study.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
         raise InvalidInput(
@@ -179,7 +221,7 @@ def simulate(
     counts = [round(clock / step) for clock in clocks]
     try:
         recorded = arm.simulate(
-            vector[None],
+            vectors,
             np.ascontiguousarray(drive.voltage, dtype=float),
             reference=np.ascontiguousarray(drive.reference, dtype=float),
             servo=(servo.kp, servo.ki, servo.limit, drive.servo) if servo else None,
@@ -196,8 +238,7 @@ def simulate(
         raise InvalidInput(str(error), remedy="check the parameters and the study") from error
     except FloatingPointError as error:
         raise NumericalFailure(str(error)) from error
-    time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
-    return Trajectory(time, {name: recorded[name][0] for name in record})
+    return {name: recorded[name] for name in record}
 
 
 def common_step(clocks: Sequence[float]) -> float:

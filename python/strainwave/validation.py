@@ -1,12 +1,13 @@
-"""Rigid model and a record -> Prediction: what its torques should have been."""
+"""Model and a record -> Prediction: what its torques, or its motion, should have been."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from strainwave.closed_loop import predict_closed_loop
 from strainwave.errors import NotIdentifiable
 from strainwave.prediction import band_prediction
-from strainwave.records import Caution, Prediction, RigidModel, Signals, Study
+from strainwave.records import ArmModel, Caution, Log, Prediction, RigidModel, Signals, Study
 
 
 def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Prediction:
@@ -64,3 +65,27 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
             if not np.isfinite(fit)
         ),
     )
+
+
+def predict_elastic(arm: ArmModel, log: Log, study: Study) -> Prediction:
+    """Predict a record's motion with the whole arm, by simulating it under its servo.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    log : Log
+        With its references, and voltages where a joint was in open loop.
+    study : Study
+
+    Returns
+    -------
+    Prediction
+        Motor velocities and, where there are accelerometers, accelerations. The fit of a channel
+        that hardly stands out of its noise is NaN, and a warning says so.
+
+    Raises
+    ------
+    InvalidInput
+        The log or the study lacks something that replaying it needs.
+    """
+    return predict_closed_loop(dict(arm.values), log, study)

@@ -16,7 +16,8 @@ from strainwave import excitation, logs, pipeline, scara
 from strainwave import study as studies
 from strainwave.errors import InvalidInput
 from strainwave.parameters import Values, read_parameters
-from strainwave.records import Experiment, FloatArray, Identification, Log, Prbs, Study
+from strainwave.records import Experiment, FloatArray, Identification, Prbs, Study
+from strainwave.replay import replay as replay_log
 from strainwave.simulation import (
     Drive,
     Quantity,
@@ -134,11 +135,7 @@ def simulate_study(
         progress(f"simulating {experiment.name}")
         rng = np.random.default_rng([seed, number])
         replayed = replay and study.log_path(experiment).exists()
-        plan = (
-            _replay(study, experiment, logs.read_log(study, experiment))
-            if replayed
-            else _invent(study, experiment, values, rng)
-        )
+        plan = _replayed(study, experiment) if replayed else _invent(study, experiment, values, rng)
         written.append(_columns(study, plan, values, noise, rng))
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE):
@@ -207,32 +204,9 @@ def derived(values: Values, study: Study) -> Values:
     return known
 
 
-def _replay(study: Study, experiment: Experiment, log: Log) -> _Plan:
-    """The log's own references and open-loop voltages; a servoed joint's PRBS from its numbers."""
-    voltage = np.zeros((len(log), study.n_joints))
-    reference = np.zeros_like(voltage)
-    for i in range(study.n_joints):
-        if experiment.control[i] == "open":
-            voltage[:, i] = log.channels[_input_channel(log, i + 1)]
-        else:
-            reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
-            if experiment.prbs and experiment.joint == i + 1:
-                voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
-    numbers = range(1, study.n_joints + 1)
-    before = [log.channels[_input_channel(log, i)][0] - voltage[0, i - 1] for i in numbers]
-    drive = Drive(
-        tick=log.sample_time,
-        voltage=voltage,
-        reference=reference,
-        servo=tuple(control == "servo" for control in experiment.control),
-        motor_angle=tuple(float(log.channels[f"theta_m{i}"][0]) for i in numbers),
-        initial_voltage=tuple(float(v) for v in before),
-    )
-    return _Plan(drive, log.sample_time, len(log))
-
-
-def _input_channel(log: Log, joint: int) -> str:
-    return f"u{joint}" if f"u{joint}" in log.channels else f"torque{joint}"
+def _replayed(study: Study, experiment: Experiment) -> _Plan:
+    log = logs.read_log(study, experiment)
+    return _Plan(replay_log(study, log), log.sample_time, len(log))
 
 
 def _invent(
@@ -299,13 +273,6 @@ def _steps(study: Study, experiment: Experiment) -> FloatArray:
     level = _STEP_SHARE.get(experiment.use, 0.48) * study.servo.limit / max(kp, 1e-9)
     levels = np.array([0.0, level, 0.0])
     return excitation.steps(levels, hold=_STEP_SECONDS, clock=study.servo.period)
-
-
-def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
-    sequence = excitation.prbs(prbs)
-    at = np.floor(np.arange(samples) * sample_time / prbs.clock + 1e-9).astype(int)
-    held: FloatArray = sequence[at % len(sequence)]
-    return held
 
 
 def _holding_voltage(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from strainwave.parameters import unit_of
 from strainwave.physical.grey_box import GreyBoxFit, RigidKnowledge, fit_grey_box
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.records import (
@@ -165,29 +166,6 @@ def _parameter(name: str, number: int, joint: Joint, told: tuple[float, float] |
     return Parameter(
         name, number, value, std, unit, "decoupled", (value - _REACH * std, value + _REACH * std)
     )
-
-
-def unit_of(name: str, joint: Joint) -> str:
-    """The SI unit of a joint's parameter.
-
-    Parameters
-    ----------
-    name : str
-        As in docs/notation.md.
-    joint : Joint
-
-    Returns
-    -------
-    str
-    """
-    revolute = joint.motion == "revolute"
-    if "inertia" in name:
-        return "kg m^2" if revolute else "kg"
-    if "coulomb" in name or "offset" in name or "knee" in name:
-        return "N m" if revolute else "N"
-    if "stiffness" in name:
-        return "N m/rad" if revolute else "N/m"
-    return "N m s/rad" if revolute else "N s/m"
 
 
 def _is_told(name: str, value: float, std: float, determined: bool) -> bool:

@@ -20,9 +20,11 @@ MOST_POINTS = 2000  # a trace with more is thinned: a screen is no wider
 
 Figure = dict[str, Any]
 
+_UNITS = {"u": "V", "torque": "N m", "omega_m": "rad/s", "a": "m/s^2"}
 
-def torque_fit(prediction: Prediction, channel: int) -> Figure:
-    """Measured and predicted torque of one channel over time, and their difference.
+
+def time_fit(prediction: Prediction, channel: int) -> Figure:
+    """One channel over time, measured and predicted, and their difference.
 
     Parameters
     ----------
@@ -39,7 +41,7 @@ def torque_fit(prediction: Prediction, channel: int) -> Figure:
     predicted = prediction.predicted[:, channel]
     pick = thinned(prediction.time, measured)
     time = rounded(prediction.time[pick])
-    unit = "N m" if prediction.channels[channel].startswith("torque") else "V"
+    unit = _UNITS.get(prediction.channels[channel].rstrip("0123456789"), "")
     return {
         "data": [
             line(time, measured[pick], "measured", MEASURED),

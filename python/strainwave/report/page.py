@@ -34,6 +34,7 @@ def render(identification: Identification) -> str:
         _predictions(
             "How well the model explains what it was fitted to", identification.fitted, plots
         ),
+        _tuned(identification, plots),
         _predictions("Records it never saw", identification.checks, plots),
         _making(identification),
     ]
@@ -155,6 +156,28 @@ def _elastic(identification: Identification, plots: dict[str, figures.Figure]) -
     return "".join(parts)
 
 
+def _tuned(identification: Identification, plots: dict[str, figures.Figure]) -> str:
+    """What tuning did: fits before and after, and the records it was tuned to."""
+    tuned = identification.tuned
+    if tuned is None:
+        return ""
+    rows = []
+    for experiment, fits in tuned.fit_percent.items():
+        before = tuned.initial_fit_percent.get(experiment, {})
+        rows += [
+            f"<tr><td>{escape(experiment)}</td><td>{escape(channel)}</td>"
+            f'<td class="number">{percent(before.get(channel, math.nan))}</td>'
+            f'<td class="number">{percent(fit)}</td></tr>'
+            for channel, fit in fits.items()
+        ]
+    table = _table(
+        f"Fine tuning on closed-loop records: {tuned.status} after {tuned.iterations} iterations",
+        ("record", "channel", "#fit before", "#fit after"),
+        "".join(rows),
+    )
+    return table + _predictions("The tuned arm under its servo", tuned.simulated, plots)
+
+
 def _figure(label: str, drawn: figures.Figure, plots: dict[str, figures.Figure]) -> str:
     name = f"figure-{len(plots)}"
     plots[name] = drawn
@@ -175,7 +198,7 @@ def _predictions(
         for column, channel in enumerate(prediction.channels):
             fit = prediction.fit_percent.get(channel, float("nan"))
             label = f"{prediction.experiment}, {channel}: fit {percent(fit)}"
-            parts.append(_figure(label, figures.torque_fit(prediction, column), plots))
+            parts.append(_figure(label, figures.time_fit(prediction, column), plots))
     return "".join(parts)
 
 

@@ -1,0 +1,108 @@
+"""Log -> Drive: what an experiment applied, so that a model can go through it again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave import excitation
+from strainwave.errors import InvalidInput
+from strainwave.records import FloatArray, Log, Prbs, Study
+from strainwave.simulation import Drive
+
+
+def replay(study: Study, log: Log) -> Drive:
+    """The log's own references and open-loop voltages; a servoed joint's PRBS from its numbers.
+
+    The arm starts at rest where the log does, under the voltages of its first sample. A reference
+    that was not logged is zero.
+
+    Parameters
+    ----------
+    study : Study
+    log : Log
+
+    Returns
+    -------
+    Drive
+        One tick a sample.
+    """
+    experiment = log.experiment
+    voltage = np.zeros((len(log), study.n_joints))
+    reference = np.zeros_like(voltage)
+    for i in range(study.n_joints):
+        if experiment.control[i] == "open":
+            voltage[:, i] = log.channels[_input_channel(log, i + 1)]
+        else:
+            reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
+            if experiment.prbs and experiment.joint == i + 1:
+                voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
+    numbers = range(1, study.n_joints + 1)
+    before = [log.channels[_input_channel(log, i)][0] - voltage[0, i - 1] for i in numbers]
+    return Drive(
+        tick=log.sample_time,
+        voltage=voltage,
+        reference=reference,
+        servo=tuple(control == "servo" for control in experiment.control),
+        motor_angle=tuple(float(log.channels[f"theta_m{i}"][0]) for i in numbers),
+        initial_voltage=tuple(float(v) for v in before),
+    )
+
+
+def missing_for_replay(study: Study, log: Log) -> str | None:
+    """What a log lacks to be gone through again, if anything.
+
+    Parameters
+    ----------
+    study : Study
+    log : Log
+
+    Returns
+    -------
+    str or None
+        A clause that says what is missing.
+    """
+    experiment = log.experiment
+    if study.servo is None and "servo" in experiment.control:
+        return "the study describes no servo"
+    for i, control in enumerate(experiment.control, start=1):
+        if not any(name in log.channels for name in (f"u{i}", f"torque{i}")):
+            return f"neither torque{i} nor u{i} is there"
+        if f"theta_m{i}" not in log.channels:
+            return f"theta_m{i} is not there"
+        moved = experiment.joint in (None, i) and experiment.prbs is None
+        if control == "servo" and moved and f"ref{i}" not in log.channels:
+            return f"the servo's reference ref{i} is not there"
+    return None
+
+
+def check_replay(study: Study, log: Log) -> None:
+    """Refuse a log that cannot be gone through again.
+
+    Parameters
+    ----------
+    study : Study
+    log : Log
+
+    Raises
+    ------
+    InvalidInput
+        A channel or the servo is missing.
+    """
+    missing = missing_for_replay(study, log)
+    if missing:
+        raise InvalidInput(
+            missing,
+            where=log.name,
+            remedy="give the study a [servo] table, and the log the references of servoed joints",
+        )
+
+
+def _input_channel(log: Log, joint: int) -> str:
+    return f"u{joint}" if f"u{joint}" in log.channels else f"torque{joint}"
+
+
+def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
+    sequence = excitation.prbs(prbs)
+    at = np.floor(np.arange(samples) * sample_time / prbs.clock + 1e-9).astype(int)
+    held: FloatArray = sequence[at % len(sequence)]
+    return held
