@@ -80,12 +80,12 @@ def outputs(rig: Rig, payloads: Sequence[int]) -> Comparison:
     for disks in payloads:
         rig.progress(f"one output against two, {disks} kg")
         run = rig.prbs(1, disks=disks)
-        for count, drawn in curves.items():
+        for count in curves:
             found = rig.estimate(run, outputs=count)
             e = errors_of(found, run.truth)
             values[f"outputs_{count}_db_{disks}_kg"] = e.response_db
             values[f"outputs_{count}_anti_resonance_percent_{disks}_kg"] = e.anti_resonance_percent
-            drawn += estimated_curve(f"{disks} kg", found)
+            curves[count] += estimated_curve(f"{disks} kg", found)
         subspace = rig.estimate(run, outputs=1, way="moesp")
         values[f"outputs_1_subspace_db_{disks}_kg"] = errors_of(subspace, run.truth).response_db
     worst = {

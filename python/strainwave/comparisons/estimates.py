@@ -18,6 +18,7 @@ from strainwave.records import (
     Decoupled,
     FloatArray,
     FrequencyResponse,
+    Hold,
     InputOutput,
     Mode,
     StateSpace,
@@ -47,7 +48,8 @@ class Estimate:
     """A model of motor torque to motor velocity with its modes."""
 
     model: StateSpace
-    response: FrequencyResponse | None  # of `LINES_HZ`, continuous time; None: there is none
+    continuous: ContinuousStateSpace | None  # None: there is none
+    response: FrequencyResponse | None  # of the latter at `LINES_HZ`
     anti_resonance: Mode | None
     resonance: Mode | None
 
@@ -75,6 +77,7 @@ def stretch(decoupled: Decoupled, *, inputs: int = 2, outputs: int = 2) -> Input
     InputOutput
     """
     T = decoupled.sample_time
+    first: Hold = "first"
     every = max(1, round(STEP / T))
     edge = round(_EDGE / T)
     rows = slice(edge, -edge, every)
@@ -82,11 +85,17 @@ def stretch(decoupled: Decoupled, *, inputs: int = 2, outputs: int = 2) -> Input
         low_pass(decoupled.inputs[:, :inputs], BANDWIDTH_HZ, T)[rows],
         low_pass(decoupled.outputs[:, :outputs], BANDWIDTH_HZ, T)[rows],
         every * T,
-        hold=("first",) * inputs,
+        hold=(first,) * inputs,
     )
 
 
-def estimate(*records: Decoupled, way: Way = "pem", inputs: int = 2, outputs: int = 2) -> Estimate:
+def estimate(
+    *records: Decoupled,
+    way: Way = "pem",
+    inputs: int = 2,
+    outputs: int = 2,
+    start: StateSpace | None = None,
+) -> Estimate:
     """A third-order model of one joint.
 
     Parameters
@@ -97,6 +106,8 @@ def estimate(*records: Decoupled, way: Way = "pem", inputs: int = 2, outputs: in
         1 leaves the interaction torque out.
     outputs : int
         1 leaves the link velocity out.
+    start : StateSpace, optional
+        Of PEM; None: from subspace methods.
 
     Returns
     -------
@@ -104,7 +115,7 @@ def estimate(*records: Decoupled, way: Way = "pem", inputs: int = 2, outputs: in
     """
     data = without_means([stretch(record, inputs=inputs, outputs=outputs) for record in records])
     if way == "pem":
-        model = pem(data, MODEL_ORDER)
+        model = pem(data, None if start else MODEL_ORDER, start=start)
     else:
         model = subspace(data, MODEL_ORDER, method="moesp")
     try:
@@ -112,8 +123,8 @@ def estimate(*records: Decoupled, way: Way = "pem", inputs: int = 2, outputs: in
         found = modes(model, 0, 0)
         response = frequency_response(continuous, LINES_HZ)
     except (NotIdentifiable, NumericalFailure):  # a model that no continuous-time joint has
-        return Estimate(model, None, None, None)
-    return Estimate(model, response, found.anti_resonance, found.resonance)
+        return Estimate(model, None, None, None, None)
+    return Estimate(model, continuous, response, found.anti_resonance, found.resonance)
 
 
 def response_of(joint: TwoInertia, frequencies_hz: FloatArray = LINES_HZ) -> FrequencyResponse:
@@ -155,21 +166,25 @@ def errors_of(found: Estimate, truth: TwoInertia) -> Errors:
 
 
 def distance_db(
-    one: ComplexArray, other: ComplexArray, band_hz: tuple[float, float] = JUDGED_HZ
+    one: ComplexArray,
+    other: ComplexArray,
+    frequencies_hz: FloatArray = LINES_HZ,
+    band_hz: tuple[float, float] = JUDGED_HZ,
 ) -> float:
     """Root mean square of two responses' difference in magnitude, logarithmic in frequency.
 
     Parameters
     ----------
     one, other : (n_frequencies,)
-        At `LINES_HZ`.
+    frequencies_hz : (n_frequencies,)
+        Evenly spaced in their logarithm.
     band_hz : (float, float)
 
     Returns
     -------
     float [dB]
     """
-    judged = (LINES_HZ >= band_hz[0]) & (LINES_HZ <= band_hz[1])
+    judged = (frequencies_hz >= band_hz[0]) & (frequencies_hz <= band_hz[1])
     ratio = 20.0 * np.log10(np.abs(one[judged]) / np.abs(other[judged]))
     return float(np.sqrt(np.mean(ratio**2)))
 

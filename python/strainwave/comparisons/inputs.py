@@ -8,13 +8,13 @@ from strainwave.comparisons.rig import AMPLITUDE, CLOCK, ORDER, Rig, Run
 from strainwave.decoupling import interaction_torques
 from strainwave.filters import lagged
 from strainwave.parameters import Values
-from strainwave.records import Comparison, Control, FloatArray, Study
+from strainwave.records import BoolArray, Comparison, Control, FloatArray, Study
 from strainwave.report.curves import Series, lines, spectrum
+from strainwave.report.figures import Figure
 from strainwave.simulation import build_arm
 
 PERIOD = (2**ORDER - 1) * CLOCK  # [s]
 _SHOWN = 0.3  # [s]
-_BAND_HZ = (3.0, 60.0)  # around anti-resonance and resonance
 _SLOW_HZ = 5.0  # below the anti-resonance, where a servo holds
 _FLAT_DB = 3.0
 _FAITHFUL = 90.0  # [%] fit of the computed torque
@@ -164,9 +164,7 @@ def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:
     return np.asarray(frequency[shown]), np.asarray(density[shown])
 
 
-def _drawn(
-    run: Run, tau: FloatArray, true: FloatArray, rows: FloatArray
-) -> tuple[dict[str, object], ...]:
+def _drawn(run: Run, tau: FloatArray, true: FloatArray, rows: BoolArray) -> tuple[Figure, ...]:
     time = run.trajectory.time[rows]
     return (
         lines(
@@ -178,8 +176,6 @@ def _drawn(
     )
 
 
-def _spectra(densities: dict[str, tuple[FloatArray, FloatArray]]) -> dict[str, object]:
+def _spectra(densities: dict[str, tuple[FloatArray, FloatArray]]) -> Figure:
     series = [Series(name, f[f <= 200.0], p[f <= 200.0]) for name, (f, p) in densities.items()]
-    return spectrum(
-        series, "(N m)²/Hz", f"Its power spectral density; judged {_BAND_HZ[0]:g} Hz up"
-    )
+    return spectrum(series, "(N m)²/Hz", "Its power spectral density")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -211,25 +211,6 @@ def run_steps(study: Study, values: Values, levels: tuple[float, ...], joint: in
     return simulate(
         study, values, drive, sample_time=SAMPLE, samples=samples, record=_SENSORS + _TRUTH
     )
-
-
-def study_of(values: Values, study: Study) -> Study:
-    """The rig's study with the kinds of springs that some values are of.
-
-    Parameters
-    ----------
-    values : dict
-    study : Study
-
-    Returns
-    -------
-    Study
-    """
-    joints = []
-    for number, joint in enumerate(study.joints, start=1):
-        linear = ("gear_stiffness", number) in values
-        joints.append(replace(joint, spring="linear" if linear else "three-slope"))
-    return replace(study, joints=tuple(joints))
 
 
 def ideal_log(trajectory: Trajectory, joint: int) -> Log:
