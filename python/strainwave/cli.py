@@ -93,15 +93,27 @@ def simulate(
 
 
 @app.command(epilog="Example: strainwave demo --out demo")
-def demo(out: Out, seed: Seed = 0, quiet: Quiet = False) -> None:
+def demo(
+    out: Out,
+    seed: Seed = 0,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Leave out the comparisons with the published figures.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
     """Simulate the built-in SCARA-type arm, identify it, and compare with the truth."""
     from strainwave import virtual
-    from strainwave.summary import print_summary
+    from strainwave.summary import print_comparisons, print_summary
 
     with _progress(quiet) as tell:
         identification, truth = virtual.demonstrate(out, seed=seed, progress=tell)
     if not quiet:
         print_summary(identification, out, truth=truth)
+    if not quick:
+        with _progress(quiet) as tell:
+            found = virtual.compare(identification, out, seed=seed, progress=tell)
+        if not quiet:
+            print_comparisons(found, out)
     raise typer.Exit(DONE if identification.determined else NOT_ANSWERED)
 
 

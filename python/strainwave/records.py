@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, MinLen
@@ -456,6 +456,22 @@ class OrderSelection:
     def model(self) -> StateSpace:
         """The chosen one."""
         return next(model for model in self.models if model.order == self.chosen)
+
+
+# --- comparisons --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One claim of the method, put to the built-in arm whose truth is known."""
+
+    figure: int  # of the source that makes the claim
+    title: str
+    claim: str  # in one sentence
+    holds: bool  # on this arm
+    values: Mapping[str, float]  # NaN: there is none
+    message: str  # the number that shows it, or why it does not hold
+    plots: tuple[dict[str, Any], ...]  # plotly figures; the caption is `layout.meta`
 
 
 # --- the whole run ------------------------------------------------------------------------------

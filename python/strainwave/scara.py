@@ -12,6 +12,7 @@ from strainwave.errors import InvalidInput
 from strainwave.parameters import Values
 from strainwave.records import Arm, Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
 
+DESCRIPTION = "a simulated SCARA-type arm with three-slope gears and noisy sensors"
 LINK_LENGTH = (0.35, 0.30)  # [m]
 LINK_MASS = (8.0, 3.0)  # [kg]; link 1's with the motor of joint 2
 CENTROID = (0.22, 0.15)  # [m] from the link's own axis

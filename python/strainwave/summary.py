@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from strainwave.formatting import percent, plus_minus
-from strainwave.records import Identification, JointModel, Parameter, Sweep
+from strainwave.records import Comparison, Identification, JointModel, Parameter, Sweep
 
 Truth = Mapping[tuple[str, int | None], float]
 """Known values of a virtual arm, by name and joint."""
@@ -58,6 +58,28 @@ def print_summary(
     for name in ("report.html", "result.json"):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     console.print(f"{total:.1f} s")
+
+
+def print_comparisons(
+    comparisons: Sequence[Comparison], folder: Path, *, console: Console | None = None
+) -> None:
+    """Print each claim with its number and verdict.
+
+    Parameters
+    ----------
+    comparisons : sequence of Comparison
+    folder : Path
+        Where comparisons.html and comparisons.json were written.
+    console : rich Console, optional
+        The terminal, if not standard output.
+    """
+    console = console or Console(highlight=False)
+    for c in comparisons:
+        verdict = "Holds" if c.holds else "Does not hold"
+        line = Text(f"Fig. {c.figure:>2}: {c.claim} {verdict}: {c.message}")
+        console.print(line, style="" if c.holds else "yellow", soft_wrap=True)
+    for name in ("comparisons.html", "comparisons.json"):
+        console.print(Text(f"written: {folder / name}"), soft_wrap=True)
 
 
 def _frequencies(joint: JointModel) -> str:

@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave import excitation, logs, pipeline, scara
+from strainwave import comparisons, excitation, logs, pipeline, scara
 from strainwave import study as studies
 from strainwave.errors import InvalidInput
+from strainwave.files import write_whole
 from strainwave.parameters import Values, read_parameters
-from strainwave.records import Experiment, FloatArray, Identification, Prbs, Study
+from strainwave.records import Comparison, Experiment, FloatArray, Identification, Prbs, Study
 from strainwave.replay import replay as replay_log
+from strainwave.report import render_comparisons
 from strainwave.simulation import (
     Drive,
     Quantity,
@@ -173,6 +175,32 @@ def demonstrate(folder: Path, *, seed: int, progress: Progress) -> tuple[Identif
     progress("writing the report")
     pipeline.write(identification, folder)
     return identification, derived(values, study)
+
+
+def compare(
+    identification: Identification, folder: Path, *, seed: int, progress: Progress
+) -> tuple[Comparison, ...]:
+    """The source's claims put to the built-in arm: comparisons.html and comparisons.json.
+
+    Parameters
+    ----------
+    identification : Identification
+        Of that arm; its tuned parameters are compared, if it has them.
+    folder : Path
+    seed : int
+    progress : callable
+
+    Returns
+    -------
+    tuple of Comparison
+    """
+    tuned = identification.tuned.values if identification.tuned else None
+    found = comparisons.compare(tuned, seed=seed, progress=progress)
+    progress("writing the comparisons")
+    page = render_comparisons(found, arm=scara.DESCRIPTION)
+    document = comparisons.to_json(found, seed)
+    write_whole(folder, {"comparisons.html": page.encode(), "comparisons.json": document})
+    return found
 
 
 def derived(values: Values, study: Study) -> Values:

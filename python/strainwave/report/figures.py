@@ -39,14 +39,14 @@ def time_fit(prediction: Prediction, channel: int) -> Figure:
     """
     measured = prediction.measured[:, channel]
     predicted = prediction.predicted[:, channel]
-    pick = _thinned(prediction.time, measured)
+    pick = thinned(prediction.time, measured)
     time = rounded(prediction.time[pick])
     unit = _UNITS.get(prediction.channels[channel].rstrip("0123456789"), "")
     return {
         "data": [
-            _line(time, measured[pick], "measured", MEASURED),
-            _line(time, predicted[pick], "model", MODEL, dash="4px,2px"),
-            _line(time, (measured - predicted)[pick], "difference", RESIDUAL, width=1),
+            line(time, measured[pick], "measured", MEASURED),
+            line(time, predicted[pick], "model", MODEL, dash="4px,2px"),
+            line(time, (measured - predicted)[pick], "difference", RESIDUAL, width=1),
         ],
         "layout": {
             "xaxis": {"title": {"text": "time [s]"}},
@@ -55,7 +55,7 @@ def time_fit(prediction: Prediction, channel: int) -> Figure:
     }
 
 
-def _line(
+def line(
     x: list[float | None],
     y: FloatArray,
     name: str,
@@ -64,6 +64,7 @@ def _line(
     dash: str = "solid",
     width: float = 1.5,
 ) -> Figure:
+    """One trace of a figure."""
     return {
         "type": "scattergl" if len(x) > MOST_POINTS else "scatter",
         "mode": "lines",
@@ -74,7 +75,7 @@ def _line(
     }
 
 
-def _thinned(time: FloatArray, y: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
+def thinned(time: FloatArray, y: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
     """Rows to draw: lowest and highest of each bin, so that no peak is lost; NaN stays a gap."""
     n = len(time)
     if n <= MOST_POINTS:

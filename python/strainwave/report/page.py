@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable
 from html import escape
-from importlib.resources import files
 
 from strainwave.formatting import percent, plus_minus
 from strainwave.records import Caution, Identification, Parameter, Prediction
 from strainwave.report import elastic, figures
+from strainwave.report.html import document, figure, table
 
 
 def render(identification: Identification) -> str:
@@ -39,21 +38,7 @@ def render(identification: Identification) -> str:
         _making(identification),
     ]
     title = f"strainwave: {identification.study.path.parent.name or identification.study.path.name}"
-    return "\n".join(
-        [
-            "<!doctype html>",
-            '<html lang="en"><head><meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            '<meta name="color-scheme" content="light dark">',
-            '<link rel="icon" href="data:,">',  # or the browser asks for one
-            f"<title>{escape(title)}</title>",
-            f"<style>{_own('page.css')}</style></head><body>",
-            *body,
-            f'<script type="application/json" id="figures">{_inline_json(plots)}</script>',
-            *_scripts(plots),
-            "</body></html>\n",
-        ]
-    )
+    return document(title, body, plots)
 
 
 def _heading(identification: Identification) -> str:
@@ -115,7 +100,7 @@ def _warnings(warnings: tuple[Caution, ...]) -> str:
         f'<td class="text">{escape(w.message)}</td></tr>'
         for w in warnings
     )
-    return _table("Warnings", ("code", "where", "what, and what to do"), rows)
+    return table("Warnings", ("code", "where", "what, and what to do"), rows)
 
 
 def _parameters(parameters: tuple[Parameter, ...]) -> str:
@@ -130,7 +115,7 @@ def _parameters(parameters: tuple[Parameter, ...]) -> str:
             f"<td>{escape(p.stage)}</td></tr>"
         )
     heads = ("parameter", "joint", "#value", "#± one sigma", "#95 % interval", "unit", "stage")
-    return _table("Parameters", heads, "".join(rows))
+    return table("Parameters", heads, "".join(rows))
 
 
 def _elastic(identification: Identification, plots: dict[str, figures.Figure]) -> str:
@@ -142,17 +127,17 @@ def _elastic(identification: Identification, plots: dict[str, figures.Figure]) -
         for row in elastic.resonance_rows(identification)
     )
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
-    parts = [_table("Resonances", (*heads, "equivalent stiffness [N m/rad]"), rows)]
+    parts = [table("Resonances", (*heads, "equivalent stiffness [N m/rad]"), rows)]
     for joint in identification.joints:
         ratio = identification.study.joints[joint.joint - 1].gear_ratio
         drawn = elastic.response(joint, ratio, identification.responses.get(joint.joint))
         label = (
             f"joint {joint.joint} alone, motor torque to motor velocity; dotted: band of the fit"
         )
-        parts.append(_figure(label, drawn, plots))
+        parts.append(figure(label, drawn, plots))
     for sweep in identification.sweeps:
         label = f"joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
-        parts.append(_figure(label, elastic.stiffness(sweep), plots))
+        parts.append(figure(label, elastic.stiffness(sweep), plots))
     return "".join(parts)
 
 
@@ -170,22 +155,12 @@ def _tuned(identification: Identification, plots: dict[str, figures.Figure]) -> 
             f'<td class="number">{percent(fit)}</td></tr>'
             for channel, fit in fits.items()
         ]
-    table = _table(
+    fits_of_records = table(
         f"Fine tuning on closed-loop records: {tuned.status} after {tuned.iterations} iterations",
         ("record", "channel", "#fit before", "#fit after"),
         "".join(rows),
     )
-    return table + _predictions("The tuned arm under its servo", tuned.simulated, plots)
-
-
-def _figure(label: str, drawn: figures.Figure, plots: dict[str, figures.Figure]) -> str:
-    name = f"figure-{len(plots)}"
-    plots[name] = drawn
-    shape = "figure tall" if "yaxis2" in drawn["layout"] else "figure"
-    return (
-        f"<h3>{escape(label)}</h3>"
-        f'<div class="{shape}" id="{name}" role="img" aria-label="{escape(label)}"></div>'
-    )
+    return fits_of_records + _predictions("The tuned arm under its servo", tuned.simulated, plots)
 
 
 def _predictions(
@@ -198,7 +173,7 @@ def _predictions(
         for column, channel in enumerate(prediction.channels):
             fit = prediction.fit_percent.get(channel, float("nan"))
             label = f"{prediction.experiment}, {channel}: fit {percent(fit)}"
-            parts.append(_figure(label, figures.time_fit(prediction, column), plots))
+            parts.append(figure(label, figures.time_fit(prediction, column), plots))
     return "".join(parts)
 
 
@@ -225,32 +200,3 @@ def _making(identification: Identification) -> str:
         )
     items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(fact)}</dd>" for term, fact in facts)
     return f"<h2>How it was made</h2><dl>{items}</dl>"
-
-
-def _table(title: str, heads: Iterable[str], rows: str) -> str:
-    cells = "".join(
-        f'<th scope="col" class="number">{escape(head[1:])}</th>'
-        if head.startswith("#")
-        else f'<th scope="col">{escape(head)}</th>'
-        for head in heads
-    )
-    return (
-        f'<h2>{escape(title)}</h2><div class="wide"><table><thead><tr>{cells}</tr></thead>'
-        f"<tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _scripts(plots: dict[str, figures.Figure]) -> list[str]:
-    if not plots:
-        return []
-    plotly = files("plotly").joinpath("package_data/plotly.min.js").read_text(encoding="utf-8")
-    return [f"<script>{plotly}</script>", f"<script>{_own('page.js')}</script>"]
-
-
-def _own(name: str) -> str:
-    return files("strainwave.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _inline_json(value: object) -> str:
-    """JSON that may stand inside a script element: `<` would let a name close it."""
-    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
