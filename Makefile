@@ -23,7 +23,7 @@ $(VENV)/.built: $(VENV)/.installed pyproject.toml $(RUST)
 	@touch $@
 
 demo: setup
-	$(BIN)/strainwave demo --out $(DEMO)
+	$(BIN)/strainwave demo --out $(DEMO) $(DEMO_ARGS)
 
 test: setup
 	cargo test --workspace --exclude strainwave-python --locked --quiet
