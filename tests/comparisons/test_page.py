@@ -111,7 +111,7 @@ def test_quick_leaves_the_comparisons_out(
 
 def test_bode_has_bands_and_a_phase_from_the_middle() -> None:
     f = np.geomspace(1.0, 100.0, 50)
-    response = 1.0 / (2j * np.pi * f)
+    response = (1.0 / (2j * np.pi * f)).astype(np.complex128)
     size = np.abs(response)
     drawn = curves.bode(
         [
