@@ -18,6 +18,7 @@ KNOWN = -1
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
 _TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
+_RIDGE = 1e-9  # of one, in a block's own share of what it says
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
 
 
@@ -32,6 +33,13 @@ class Equations:
     target: FloatArray  # (n_rows,)
     group: IntArray  # (n_rows,) rows of one group have errors of one size; or KNOWN
     block: IntArray  # (n_rows,) rows of one block may have errors in common
+    # where `local` is not zero, as (rows, columns); no two share either. Empty: everywhere
+    patches: tuple[tuple[slice, slice], ...] = ()
+
+    @property
+    def local_patches(self) -> tuple[tuple[slice, slice], ...]:
+        """`patches`, or one over everything."""
+        return self.patches or ((slice(None), slice(None)),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,18 +93,24 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     scale = np.linalg.norm(X, axis=0)
     scale[scale == 0.0] = 1.0
     Xy = np.column_stack([X / scale, equations.target * root])
-    Z = equations.local * (root[:, None] * equations.local_deviation)
-    gram = Z.T @ Z
-    gram[np.diag_indices_from(gram)] += 1.0
-    lower, _ = chol = cho_factor(gram, lower=True)
-    taken = cho_solve(chol, Z.T @ Xy)
-    Q, R = np.linalg.qr(np.vstack([Xy - Z @ taken, -taken]))
+    taken = np.zeros((equations.local.shape[1], p + 1))
+    left = Xy.copy()
+    leverage = np.zeros(len(root))
+    for rows, columns in equations.local_patches:
+        Z = equations.local[rows, columns] * root[rows, None] * equations.local_deviation[columns]
+        gram = Z.T @ Z
+        gram[np.diag_indices_from(gram)] += 1.0
+        lower, _ = chol = cho_factor(gram, lower=True)
+        taken[columns] = cho_solve(chol, Z.T @ Xy[rows])
+        left[rows] -= Z @ taken[columns]
+        inner = solve_triangular(lower, Z.T, lower=True, check_finite=False)
+        leverage[rows] += np.sum(inner**2, axis=0)
+    Q, R = np.linalg.qr(np.vstack([left, -taken]))
     U, s, Vt = np.linalg.svd(R[:p, :p])
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
     x = Vt[seen].T @ ((U[:, seen].T @ R[:p, -1]) / s[seen])
-    leverage = np.sum(Q[: len(root), :p] ** 2, axis=1)
-    leverage += np.sum(solve_triangular(lower, Z.T, lower=True, check_finite=False) ** 2, axis=0)
+    leverage += np.sum(Q[: len(root), :p] ** 2, axis=1)
     return Factor(
         root=root,
         value=x / scale,
@@ -189,20 +203,20 @@ def jackknife(
     k = basis.shape[1]
     gram = A.T @ A
     gram[range(k, len(gram)), range(k, len(gram))] += 1.0
-    right = A.T @ y
-    whole = np.linalg.solve(gram, right)[: k + n_local]
+    whole = np.linalg.inv(gram)
+    left = y - A @ (whole @ (A.T @ y))
+    inverse = whole[: k + n_local]
     shifts = []
     known = equations.group == KNOWN
     for label in np.unique(equations.block[~known]):
         part = (equations.block == label) & ~known
-        without = gram - A[part].T @ A[part]
-        # what only this block tells is lost without it: the ridge keeps that at its whole-data
-        # size instead of dividing by nothing
-        without[range(k), range(k)] += 1e-9
-        reduced = np.linalg.solve(without, right - A[part].T @ y[part])
-        shifts.append(reduced[: k + n_local] - whole)
+        # x_b - x = -G^-1 A_b' (1 - H)^-1 r_b, H = A_b G^-1 A_b': without block b, exactly. What
+        # only this block tells is lost without it: the ridge keeps that from dividing by nothing
+        reach = whole @ A[part].T
+        hat = A[part] @ reach
+        hat[np.diag_indices_from(hat)] -= 1.0 + _RIDGE
+        shifts.append(reach[: k + n_local] @ np.linalg.solve(hat, left[part]))
     # the priors' share: an estimate leans towards them, in proportion to how little the data say
-    inverse = np.linalg.inv(gram)[: k + n_local]
     lean = np.hstack([inverse[:, k:], inverse @ A[known].T])
     m = len(shifts)
     inner = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + lean @ lean.T

@@ -45,6 +45,7 @@ from strainwave.records import (
     Signals,
     Study,
 )
+from strainwave.replay import missing_for_replay
 
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
@@ -252,7 +253,7 @@ def _with_elastic(
     made = list(checks)
     with run.timed("checks", "simulating the records it never saw"):
         for log in _used_for(all_logs, "check"):
-            if "servo" in log.experiment.control and the_study.servo is not None:
+            if missing_for_replay(the_study, log) is None:
                 made.append(validation.predict_elastic(tuned, log, the_study))
                 run.warnings.extend(made[-1].warnings)
     return tuple(made)

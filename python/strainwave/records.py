@@ -689,10 +689,12 @@ class Identification:
     def parameters(self) -> tuple[Parameter, ...]:
         """The best of each parameter, once: of several stages' values the one most certain.
 
-        The arm's own first, then joint by joint; of equals, the later stage's.
+        The arm's own first, then joint by joint; of equals, the later stage's. A tuned arm whose
+        three-slope gears are simulated with one slope fits well with wrong parameters: not taken.
         """
         best: dict[tuple[str, int | None], Parameter] = {}
-        for model in (self.rigid, *self.joints, self.tuned):
+        bent = any(joint.spring == "three-slope" for joint in self.study.joints)
+        for model in (self.rigid, *self.joints, None if bent else self.tuned):
             for found in model.parameters if model else ():
                 earlier = best.get((found.name, found.joint))
                 if earlier is None or _deviation(found) <= _deviation(earlier):

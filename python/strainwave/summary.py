@@ -43,11 +43,12 @@ def print_summary(
     for sweep in identification.sweeps:
         console.print(Text(_trend(sweep)))
     for title, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
+        together: dict[str, dict[str, float]] = {}
         for prediction in predictions:
-            fits = ", ".join(
-                f"{name} {percent(fit)}" for name, fit in prediction.fit_percent.items()
-            )
-            console.print(f"fit ({title}) {prediction.experiment}: {fits}", markup=False)
+            together.setdefault(prediction.experiment, {}).update(prediction.fit_percent)
+        for experiment, by_channel in together.items():
+            fits = ", ".join(f"{name} {percent(fit)}" for name, fit in by_channel.items())
+            console.print(f"fit ({title}) {experiment}: {fits}", markup=False)
     for warning in identification.warnings:
         text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
         console.print(text, style="yellow")

@@ -18,7 +18,7 @@ as one more equation each, weighted by its deviation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from strainwave.stiction import free_friction, responses
 COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "relaxation_time")
 """Unknowns: m_M, d_M, f, m_L, d_L, c = 1/k, t = d_G/k."""
 
+_N_PHYSICAL = 7
 _MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION = range(7)
 
 _BELOW = 2.5  # anti-resonance over the band's lower edge
@@ -48,6 +49,7 @@ _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
 _ROUNDS = 8  # of weights and linearisation at one band
+_CONVERGED = 0.02  # change in white-error deviations
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
@@ -102,44 +104,42 @@ def fit_grey_box(
     band = band_hz or _possible(*_FIRST_BAND_HZ, records)
     x: FloatArray | None = None
     for _ in range(_BANDS):
-        fit, x = _at(records, study, known, band, x)
+        solved = _solve(records, study, known, band, x)
+        x = solved.x
         if band_hz is not None:
-            return fit
-        before, band = band, _band_around(fit.joint, records, band)
+            return _fit_of(solved, np.zeros((_N_PHYSICAL, _N_PHYSICAL)))
+        joint = joint_of(_physical(x)[:6], solved.ratio)
+        before, band = band, _band_around(joint, records, band)
         if all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(before, band, strict=True)):
             break
     others = [
-        _at(records, study, known, _possible(low, high, records), x)[0]
+        _solve(records, study, known, _possible(low, high, records), x)
         for low, high in (
             (band[0] * _OTHER_BAND, band[1] / _OTHER_BAND),
             (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
         )
     ]
-    return replace(fit, covariance=fit.covariance + _model_error(fit, others))
+    return _fit_of(solved, _model_error(solved, others))
 
 
-def _at(
-    records: Sequence[tuple[LinkSignals, Decoupled]],
-    study: Study,
-    known: RigidKnowledge,
-    band: tuple[float, float],
-    start: FloatArray | None,
-) -> tuple[GreyBoxFit, FloatArray]:
-    """The fit in one band, and its unknowns."""
-    pieces = [_piece(signals, joint, study, band) for signals, joint in records]
-    equations, factor, x = _solve(pieces, known, start)
-    covariance, _ = ls.jackknife(equations, factor)
-    told = ls.determined(equations, factor, covariance)
-    return _result(pieces, equations, factor, x, covariance, told, band), x
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """The equations in one band, and what solves them."""
+
+    ratio: float
+    band_hz: tuple[float, float]
+    sizes: tuple[float, float]  # norms of torque and of twist
+    equations: ls.Equations
+    factor: ls.Factor
+    x: FloatArray  # (n_unknowns,)
 
 
-def _model_error(fit: GreyBoxFit, others: Sequence[GreyBoxFit]) -> FloatArray:
+def _model_error(solved: _Solved, others: Sequence[_Solved]) -> FloatArray:
     """Covariance from what the equations leave out, as it shows in how the band changes the answer.
 
     Were the model exact, each band would give the same within its deviations.
     """
-    own = np.append(fit.joint.vector, fit.coulomb_friction)
-    moves = [np.append(o.joint.vector, o.coulomb_friction) - own for o in others]
+    moves = [_physical(other.x) - _physical(solved.x) for other in others]
     return np.asarray(np.mean([np.outer(move, move) for move in moves], axis=0))
 
 
@@ -220,18 +220,30 @@ def _piece(
 
 
 def _solve(
-    pieces: Sequence[_Piece], known: RigidKnowledge, start: FloatArray | None
-) -> tuple[ls.Equations, ls.Factor, FloatArray]:
-    """Weights and linearisation in turn."""
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    study: Study,
+    known: RigidKnowledge,
+    band: tuple[float, float],
+    start: FloatArray | None,
+) -> _Solved:
+    """Weights and linearisation in turn, in one band."""
+    pieces = [_piece(signals, joint, study, band) for signals, joint in records]
     x = _start(pieces) if start is None else start
     equations = _assemble(pieces, known, x)
     root = ls.first_weights(equations.target, equations.group)
     for _ in range(_ROUNDS):
         factor = ls.factorise(equations, root)
+        settled = np.all(np.abs(factor.value - x) <= _CONVERGED * factor.deviation)
         x = factor.value
+        if settled:
+            break
         equations = _assemble(pieces, known, x)
         root = ls.root_weights(equations, factor)
-    return equations, ls.factorise(equations, root), x
+    sizes = (
+        float(np.linalg.norm(np.concatenate([p.torque for p in pieces]))),
+        float(np.linalg.norm(np.concatenate([p.twist[:, 0] for p in pieces]))),
+    )
+    return _Solved(pieces[0].ratio, band, sizes, equations, factor, x)
 
 
 def _start(pieces: Sequence[_Piece]) -> FloatArray:
@@ -253,6 +265,7 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
     n_local = sum(p.free.shape[1] for p in pieces)
     total = sum(len(p.torque) for p in pieces)
     first_block = at = 0
+    patches: list[tuple[slice, slice]] = []
     for number, p in enumerate(pieces):
         n_rows, n_free = len(p.torque), p.free.shape[1]
         motor = np.zeros((n_rows, len(COLUMNS)))
@@ -265,6 +278,8 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
         gear[:, _RELAXATION] = -p.twist[:, 1]
         Z = np.zeros((2 * n_rows, n_local))
         Z[:n_rows, at : at + n_free] = p.free
+        top = 2 * sum(len(earlier.torque) for earlier in pieces[:number])
+        patches.append((slice(top, top + n_rows), slice(at, at + n_free)))
         at += n_free
         n_blocks = max(2, round(_BLOCKS * n_rows / total))
         label = first_block + np.arange(n_rows) * n_blocks // n_rows
@@ -284,6 +299,7 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
         target=np.concatenate([*target, values]),
         group=np.concatenate([*group, np.full(len(values), ls.KNOWN)]),
         block=np.concatenate([*block, np.full(len(values), ls.KNOWN)]),
+        patches=tuple(patches),
     )
 
 
@@ -305,10 +321,6 @@ def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]
     return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
 
 
-def _joint(x: FloatArray, ratio: float) -> TwoInertia:
-    return joint_of(_physical(x)[:6], ratio)
-
-
 def _physical(x: FloatArray) -> FloatArray:
     """The six of `NAMES`, then the Coulomb friction."""
     k = 1.0 / x[_COMPLIANCE]
@@ -317,35 +329,26 @@ def _physical(x: FloatArray) -> FloatArray:
     return np.concatenate([first, gear, x[[_COULOMB]]])
 
 
-def _result(
-    pieces: Sequence[_Piece],
-    equations: ls.Equations,
-    factor: ls.Factor,
-    x: FloatArray,
-    covariance: FloatArray,
-    told: np.ndarray[tuple[int], np.dtype[np.bool_]],
-    band: tuple[float, float],
-) -> GreyBoxFit:
+def _fit_of(solved: _Solved, model_error: FloatArray) -> GreyBoxFit:
+    """The physical parameters of a solution, with their covariance."""
+    equations, factor, x = solved.equations, solved.factor, solved.x
+    covariance, _ = ls.jackknife(equations, factor)
+    told = ls.determined(equations, factor, covariance)
     J = jacobian(_physical, x)
     residual = ls.residual_of(equations, factor)
     fits = []
-    for parity in (0, 1):
+    for parity, size in enumerate(solved.sizes):
         rows = (equations.group != ls.KNOWN) & (equations.group % 2 == parity)
-        fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / _size(pieces, parity)))
+        fits.append(100.0 * (1.0 - float(np.linalg.norm(residual[rows])) / size))
     order = [_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION, _COULOMB]
     return GreyBoxFit(
-        joint=_joint(x, pieces[0].ratio),
+        joint=joint_of(_physical(x)[:6], solved.ratio),
         coulomb_friction=float(x[_COULOMB]),
-        covariance=J @ covariance @ J.T,
+        covariance=J @ covariance @ J.T + model_error,
         determined=tuple(bool(told[k]) for k in order),
-        band_hz=band,
-        torque_fit_percent=float(fits[0]),
-        twist_fit_percent=float(fits[1]),
+        band_hz=solved.band_hz,
+        torque_fit_percent=fits[0],
+        twist_fit_percent=fits[1],
         condition_number=factor.condition_number,
         n_rows=int(np.count_nonzero(equations.group != ls.KNOWN)),
     )
-
-
-def _size(pieces: Sequence[_Piece], parity: int) -> float:
-    signals = [p.twist[:, 0] if parity else p.torque for p in pieces]
-    return float(np.linalg.norm(np.concatenate(signals)))

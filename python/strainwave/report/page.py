@@ -62,7 +62,7 @@ def _verdict(identification: Identification) -> str:
     else:
         mark = "doubt" if identification.warnings else ""
         lines.append(
-            "<strong>Every parameter asked for was found, but for what the warnings name.</strong>"
+            "<strong>Every parameter was found, but for those that a warning names.</strong>"
         )
     worst = _worst(identification.checks)
     if worst is not None:

@@ -207,8 +207,8 @@ def _parameters(
     link = link_inertias(study, names)
     for number, joint in enumerate(study.joints, start=1):
         total = np.zeros(len(weight[0]))
-        total[search_index(search, VISCOUS[0], number)] = 1.0
-        total[search_index(search, VISCOUS[1], number)] = joint.gear_ratio**2
+        total[search.index(VISCOUS[0], number)] = 1.0
+        total[search.index(VISCOUS[1], number)] = joint.gear_ratio**2
         derived = [("total_viscous_friction", total)]
         if study.n_joints > 1:
             derived.append(("link_inertia", link[number - 1]))
@@ -230,11 +230,6 @@ def _parameters(
     for k, parameter in enumerate(taken, start=len(found)):
         whole[k, k] = (parameter.std or 0.0) ** 2
     return (*found, *taken), whole
-
-
-def search_index(search: Search, name: str, joint: int | None) -> int:
-    """Where an unknown stands."""
-    return [(u.name, u.joint) for u in search.unknowns].index((name, joint))
 
 
 def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:

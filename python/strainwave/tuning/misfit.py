@@ -13,12 +13,11 @@ from strainwave.parameters import Values
 from strainwave.records import FloatArray, IntArray, Study
 from strainwave.tuning.unknowns import Search
 
-_STEP = 1e-3  # of the coordinates: the central difference is then good to 1e-6 of itself
+_STEP = 1e-4  # of the coordinates: far above rounding, and good to about as much of itself
 _PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat each other
 _LEAST = 2e-3  # of a channel's own spread: no model is better than that
 _HUGE = 1e4  # a residual, in deviations, of parameters that no arm can have
 _BLOCKS = 10  # a record
-_MOST = 0.5  # of a Coulomb friction, by which it is changed at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,34 +40,25 @@ class Misfit:
         return np.concatenate([data, self.search.prior_residual(z)])
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """By central differences, all arms in one run a record: (n_rows, n_unknowns)."""
-        step = _STEP * np.eye(len(z))
-        above, below = ([self.search.values(one) for one in z + sign * step] for sign in (1, -1))
-        data = self._change(above, below) / (2.0 * _STEP)
+        """By forward differences, all arms in one run a record: (n_rows, n_unknowns)."""
+        shifted = [self.search.values(one) for one in z + _STEP * np.eye(len(z))]
+        data = self._change(z, shifted) / _STEP
         return np.concatenate([data, self.search.prior_jacobian(z)])
 
     def friction_effect(self, z: FloatArray) -> FloatArray:
         """What a deviation of each friction taken over does: (n_data_rows, n_frictions)."""
         values = self.search.values(z)
-        above, below = [], []
-        for key, deviation in self.search.fixed_deviation.items():
-            step = min(deviation, _MOST * abs(values[key])) if "coulomb" in key[0] else deviation
-            if step > 0.0:
-                above.append(values | {key: values[key] + step})
-                below.append(values | {key: values[key] - step})
-        if not above:
-            return np.zeros((len(self.block_of_rows()), 0))
-        return self._change(above, below) / 2.0
+        deviations = self.search.fixed_deviation.items()
+        shifted = [values | {key: values[key] + step} for key, step in deviations]
+        return self._change(z, shifted)
 
-    def _change(self, above: Sequence[Values], below: Sequence[Values]) -> FloatArray:
-        """Weighted differences between pairs of arms, one run a record: (n_rows, n_pairs)."""
+    def _change(self, z: FloatArray, arms: Sequence[Values]) -> FloatArray:
+        """Weighted differences of arms from the one at z: (n_data_rows, n_arms)."""
         parts = []
         for record, weight in zip(self.records, self.weights, strict=True):
-            seen = record.simulated(_countless(self.study), [*above, *below])[
-                :, :: decimation(record)
-            ]
-            change = weight * (seen[: len(above)] - seen[len(above) :])
-            parts.append(change.reshape(len(above), -1))
+            both = [self.search.values(z), *arms]
+            seen = record.simulated(_countless(self.study), both)[:, :: decimation(record)]
+            parts.append((weight * (seen[1:] - seen[0])).reshape(len(arms), -1))
         return np.concatenate(parts, axis=1).T
 
     def differences(self, z: FloatArray) -> list[FloatArray]:

@@ -18,6 +18,7 @@ _BASE = ("alpha", "beta", "gamma")
 _LEAST_SHARE = 0.05  # of the total viscous friction, where a start would be negative
 _DAMPING_FACTOR = 3.0  # up and down
 _REACH = 4.0  # deviations
+_MOST = 0.9  # of its value, which a parameter may lose
 # Of its value: the stiffness that stands for a curve, and the damping found with it, depend on how
 # far the gear was twisted; between softest and stiffest slope lies about twice as much.
 _EQUIVALENT = 0.1
@@ -70,6 +71,10 @@ class Search:
     @property
     def _exponential(self) -> FloatArray:
         return np.array([not u.name.startswith("gravity") for u in self.unknowns])
+
+    def index(self, name: str, joint: int | None) -> int:
+        """Where an unknown stands."""
+        return [(u.name, u.joint) for u in self.unknowns].index((name, joint))
 
     def parameters(self, z: FloatArray) -> FloatArray:
         """The unknowns' values, (n_unknowns,)."""
@@ -147,7 +152,7 @@ def search_of(
     leeway = _leeway(prior, np.array(list(start.values())))
     unknowns = []
     for k, (name, joint) in enumerate(names):
-        reach = np.log1p(max(span, leeway[k]))
+        reach = -np.log1p(-min(max(span, leeway[k]), _MOST))
         if name in _DAMPINGS:
             reach = max(reach, np.log(_DAMPING_FACTOR))
         unit = unit_of(name, study.joints[(joint or 1) - 1]) if joint else _unit(name)
