@@ -33,7 +33,7 @@ def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The demonstration's folder and what it printed."""
     folder = tmp_path_factory.mktemp("demo") / "out"
-    done = run("demo", "--out", str(folder), "--quick")
+    done = run("demo", "--quick", "--out", str(folder))
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     return folder, done.stdout

@@ -17,6 +17,7 @@ from strainwave.report.figures import Figure
 
 PAYLOAD = 3  # [kg]
 _STARTS = (0, 256, 512, 768)  # clocks of the PRBS that the records begin with
+_SLIDES = 0.7  # share of the time below which a response is more of stiction than of the joint
 _OUTSIDE = 2.0  # deviations that a value may lie beyond a bound
 
 
@@ -30,6 +31,7 @@ class Level:
     physical: tuple[float, float]  # the same from the equations of motion, with its deviation
     true: float  # with the slope that the gear showed
     bounds: tuple[float, float]  # with K1 and with K3
+    sliding: float  # share of the time in which the motor surely slides
 
 
 def levels(rig: Rig, joint: int, amplitudes: Sequence[float], records: int) -> tuple[Level, ...]:
@@ -85,6 +87,7 @@ def responses(swept: dict[int, tuple[Level, ...]]) -> Comparison:
             f"joint {joint}: resonance {hz[0]:.2f} to {hz[-1]:.2f} Hz"
             + ("" if rises else ", though not at every step")
         )
+        values[f"sliding_share_{joint}_at_{found[0].amplitude:g}_v"] = found[0].sliding
     low, high = (swept[1][k].amplitude for k in (0, -1))
     return Comparison(
         figure=14,
@@ -92,7 +95,7 @@ def responses(swept: dict[int, tuple[Level, ...]]) -> Comparison:
         claim="The stronger the input, the higher both joints ring: the gear stiffens.",
         holds=holds,
         values=values,
-        message=f"{'; '.join(said)} from {low:g} to {high:g} V",
+        message=f"{'; '.join(said)} from {low:g} to {high:g} V" + _stands(swept),
         plots=tuple(plots),
     )
 
@@ -150,6 +153,18 @@ def squares(swept: dict[int, tuple[Level, ...]]) -> Comparison:
     )
 
 
+def _stands(swept: dict[int, tuple[Level, ...]]) -> str:
+    """Where friction, not the gear, shapes the response."""
+    shares = [found[0].sliding for found in swept.values()]
+    if min(shares) >= _SLIDES:
+        return ""
+    listed = " and ".join(f"{100.0 * share:.0f} %" for share in shares)
+    return (
+        f"; at {swept[1][0].amplitude:g} V the motors slide in only {listed} of the time, and "
+        "stiction distorts the whole response"
+    )
+
+
 def _resonance_hz(level: Level) -> float:
     pole = level.state_space.resonance
     return float("nan") if pole is None else pole.frequency_hz
@@ -199,6 +214,7 @@ def _level(rig: Rig, joint: int, amplitude: float, runs: Sequence[Run]) -> Level
         physical=(_square(joint_of(vector, ratio)), deviation),
         true=float(np.mean([_square(run.truth) for run in runs])),
         bounds=(low, high),
+        sliding=float(np.mean([run.signals.sliding[:, joint - 1] != 0.0 for run in runs])),
     )
 
 
@@ -219,11 +235,11 @@ def _scatter(joint: int, found: Sequence[Level]) -> Figure:
         [
             Points("truth: mean slope", volt, np.array([level.true for level in found]), true=True),
             Points("equations of motion", volt, own[:, 0], own[:, 1]),
-            Points("state space (PEM), mean of the records", volt, pem, spread),
-            Points("K1", ends, np.full(2, low)),
-            Points("K3", ends, np.full(2, high)),
+            Points("state space (PEM)", volt, pem, spread),
+            Points("with K1", ends, np.full(2, low)),
+            Points("with K3", ends, np.full(2, high)),
         ],
         "amplitude [V]",
         "squared anti-resonance [rad²/s²]",
-        f"Joint {joint}, {PAYLOAD} kg; bars: 95 %",
+        f"Joint {joint}, {PAYLOAD} kg; bars: 95 %, of PEM from the scatter of the records",
     )

@@ -37,12 +37,11 @@ def methods(rig: Rig) -> Comparison:
     values: dict[str, float] = {}
     plots = []
     for way, method in _WAYS:
-        curves = []
+        truth = rig.prbs(1, other="servo").truth
+        curves = curve("truth", response_of(truth), true=True)
         for other, loop in _LOOPS:
             run = rig.prbs(1, other=other)
             found = rig.estimate(run, way=way)
-            if other == "servo":
-                curves += curve("truth", response_of(run.truth), true=True)
             curves += estimated_curve(f"joint 2 {loop}", found)
             e = errors_of(found, run.truth)
             values[f"{way}_{loop}_db"] = e.response_db

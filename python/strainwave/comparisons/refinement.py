@@ -134,7 +134,11 @@ def responses(rig: Rig, joint: int, tuned: Values) -> Comparison:
         found = response.response[:, 0, 0]
         off[f"{name}_db"] = distance_db(found, true, _LINES_HZ, _WHOLE_HZ)
         off[f"{name}_slow_db"] = distance_db(found, true, _LINES_HZ, _SLOW_HZ)
-    stiffness = 100.0 * (optimised.gear_stiffness / run.truth.gear_stiffness - 1.0)
+    gear = {
+        "stiffness_error_percent": optimised.gear_stiffness / run.truth.gear_stiffness,
+        "gear_damping_error_percent": optimised.gear_damping / run.truth.gear_damping,
+    }
+    gear = {name: 100.0 * (ratio - 1.0) for name, ratio in gear.items()}
     holds = off["modified_db"] < off["initial_db"] and off["tuned_db"] < off["initial_db"]
     return Comparison(
         figure=6 if joint == 1 else 9,
@@ -142,22 +146,23 @@ def responses(rig: Rig, joint: int, tuned: Values) -> Comparison:
         claim="The rigid model's low-frequency lag, and then tuning, bring the first response "
         "closer to the joint's own.",
         holds=holds,
-        values={**off, "stiffness_error_percent": stiffness},
+        values={**off, **gear},
         message=f"off by {off['initial_db']:.2f} dB at first, {off['modified_db']:.2f} dB with "
         f"the rigid lag, {off['tuned_db']:.2f} dB tuned (rms, 0.02 to 100 Hz); below 1 Hz "
         f"{off['initial_slow_db']:.2f}, {off['modified_slow_db']:.2f} and "
-        f"{off['tuned_slow_db']:.2f} dB{_why(off, stiffness)}",
+        f"{off['tuned_slow_db']:.2f} dB{_why(off, gear)}",
         plots=(bode(curves, f"Joint {joint}: motor torque to motor velocity"),),
     )
 
 
-def _why(off: Mapping[str, float], stiffness: float) -> str:
+def _why(off: Mapping[str, float], gear: Mapping[str, float]) -> str:
     if off["modified_db"] >= off["initial_db"]:
         return "; the lag of the state-space model was the better one here"
     if off["tuned_db"] >= off["initial_db"]:
         return (
-            f"; tuning found one slope, {stiffness:+.1f} % off this record's, in steps that twist "
-            "the gear otherwise: a gear of three slopes has no single stiffness"
+            f"; tuning one slope to steps ended {gear['stiffness_error_percent']:+.1f} % in "
+            f"stiffness and {gear['gear_damping_error_percent']:+.0f} % in gear damping from this "
+            "record's truth: one slope does not stand for three"
         )
     return ""
 

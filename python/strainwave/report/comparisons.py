@@ -52,7 +52,7 @@ def _comparison(c: Comparison, plots: dict[str, Figure]) -> str:
     parts = [
         f'<h2 id="fig-{c.figure}">Fig. {c.figure}: {escape(c.title)}</h2>',
         f"<p>{escape(c.claim)}</p>",
-        f'<p><strong class="{_mark(c)}">{_verdict(c).capitalize()}.</strong> '
+        f'<p><strong class="{_mark(c)}">{_verdict(c).capitalize()}:</strong> '
         f"{escape(c.message)}</p>",
     ]
     parts += [figure(str(drawn["layout"].get("meta", c.title)), drawn, plots) for drawn in c.plots]

@@ -44,7 +44,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points with error bars, by name."""
+    """Points with error bars, or a line without, by name."""
 
     name: str
     x: FloatArray
@@ -170,7 +170,7 @@ def spectrum(series: Sequence[Series], quantity: str, caption: str) -> Figure:
 
 
 def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) -> Figure:
-    """Points with 95 % error bars, each series joined by a thin line.
+    """Points with 95 % error bars, joined by thin lines; without bars, the lines alone.
 
     Parameters
     ----------
@@ -183,10 +183,10 @@ def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) ->
     dict
     """
     data = []
-    for one, (colour, dash, _) in zip(points, _looks([p.true for p in points]), strict=True):
-        trace = line(rounded(one.x), one.y, one.name, colour, dash=dash, width=1)
-        trace |= {"mode": "lines" if one.true else "lines+markers", "marker": {"color": colour}}
+    for one, (colour, dash, width) in zip(points, _looks([p.true for p in points]), strict=True):
+        trace = line(rounded(one.x), one.y, one.name, colour, dash=dash, width=width)
         if one.std is not None:
+            trace |= {"mode": "lines+markers", "marker": {"color": colour}}
             bar = rounded(_REACH * one.std)
             trace["error_y"] = {"type": "data", "array": bar, "color": colour, "thickness": 1.2}
         data.append(trace)
