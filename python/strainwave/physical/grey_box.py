@@ -250,7 +250,6 @@ def _start(pieces: Sequence[_Piece]) -> FloatArray:
 def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) -> ls.Equations:
     """(S6) and (S7) of all records around x, then what the rigid model knows."""
     shared, local, target, group, block, deviation = [], [], [], [], [], []
-    n_local = sum(p.free.shape[1] for p in pieces)
     total = sum(len(p.torque) for p in pieces)
     first_block = at = 0
     for number, p in enumerate(pieces):
@@ -263,14 +262,12 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
         gear[:, [_LINK, _LINK_VISCOUS]] = x[_COMPLIANCE] * p.link
         gear[:, _COMPLIANCE] = own - p.tau
         gear[:, _RELAXATION] = -p.twist[:, 1]
-        Z = np.zeros((2 * n_rows, n_local))
-        Z[:n_rows, at : at + n_free] = p.free
-        at += n_free
+        local.append(ls.Local(at + np.arange(n_rows), p.free))
+        at += 2 * n_rows
         n_blocks = max(2, round(_BLOCKS * n_rows / total))
         label = first_block + np.arange(n_rows) * n_blocks // n_rows
         first_block += n_blocks
         shared += [motor, gear]
-        local.append(Z)
         target += [p.torque, p.twist[:, 0] + x[_COMPLIANCE] * own]
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [label, label]
@@ -279,7 +276,7 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
     return ls.Equations(
         shared=np.concatenate([*shared, beforehand]),
         noise=np.zeros(len(COLUMNS)),
-        local=np.concatenate([*local, np.zeros((len(values), n_local))]),
+        local=tuple(local),
         local_deviation=np.array(deviation),
         target=np.concatenate([*target, values]),
         group=np.concatenate([*group, np.full(len(values), ls.KNOWN)]),
