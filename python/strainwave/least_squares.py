@@ -223,6 +223,10 @@ def jackknife(
     return covariance, np.diag(inner)[k:] * equations.local_deviation[:n_local] ** 2
 
 
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+
+
 @dataclass(frozen=True, slots=True)
 class _Normal:
     """Normal equations of w and of the nuisance unknowns, part by part, all of unit size."""
@@ -256,7 +260,7 @@ class _Normal:
             right=A.T @ y,
             local_gram=tuple(grams),
             local_right=tuple(rights),
-            eliminated=tuple(np.linalg.solve(g, r) for g, r in zip(grams, rights, strict=True)),
+            eliminated=tuple(_solved(g, r) for g, r in zip(grams, rights, strict=True)),
         )
 
     def without(self, left_out: BoolArray) -> _Normal:
@@ -274,7 +278,7 @@ class _Normal:
                 Ay = np.column_stack([self.A[rows[inside]], self.y[rows[inside]]])
                 grams[i] = grams[i] - Z.T @ Z
                 rights[i] = rights[i] - Z.T @ Ay
-                eliminated[i] = np.linalg.solve(grams[i], rights[i])
+                eliminated[i] = _solved(grams[i], rights[i])
         return replace(
             self,
             gram=gram,

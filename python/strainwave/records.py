@@ -555,8 +555,10 @@ class Decoupled:
     outputs: FloatArray  # (n_samples, 2) [rad/s] motor velocity, link velocity
     valid: BoolArray  # (n_samples,)
     held: bool  # u stays constant until the next sample; tau runs straight
-    total_inertia: float  # c_1 = m_M + n^2 m_L [kg m^2] at the motor
+    gear_ratio: float  # n, link turns per motor turn
+    total_inertia: float | None  # c_1 = m_M + n^2 m_L [kg m^2] at the motor; None: not known
     total_viscous_friction: float | None  # c_0 = d_M + n^2 d_L [N m s/rad] at the motor
+    bandwidth_hz: float | None  # of a zero-phase filter over everything; None: there is none
     shared: tuple[Lag, ...]  # low-passes that every signal has behind it
     fusion: Fusion | None  # how the link velocity was made; belongs into the output equation
     richness_hz: FloatArray  # (n_frequencies,) [Hz]
