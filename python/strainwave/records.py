@@ -600,7 +600,7 @@ class RecordModel:
     """Everything one record tells of the joint that was excited in it."""
 
     signals: Decoupled
-    physical: JointModel  # from the equations of motion
+    physical: JointModel | None  # from the equations of motion; None: it failed
     state_space: StateSpace | None  # by prediction-error minimisation; None: it failed
     modes: Modes | None  # of the state-space model
     transfer: JointModel | None  # from the state-space model, by (17), (18)

@@ -32,7 +32,7 @@ from strainwave.physical.two_inertia import (
     joint_of,
     resonance,
 )
-from strainwave.records import Decoupled, FloatArray, LinkSignals, Study
+from strainwave.records import Decoupled, FloatArray, IntArray, LinkSignals, Study
 from strainwave.stiction import free_friction, responses
 
 COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "relaxation_time")
@@ -55,12 +55,35 @@ _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
 
 
 @dataclass(frozen=True, slots=True)
+class RigidError:
+    """What one standard deviation along one direction of the rigid model's scatter changes."""
+
+    tau: tuple[FloatArray, ...]  # one a record, (n_samples,) [N m] at the link
+    total_inertia: float  # [kg m^2]
+    total_viscous_friction: float  # [N m s/rad]
+    coulomb_friction: float  # [N m]
+
+
+@dataclass(frozen=True, slots=True)
 class RigidKnowledge:
     """What the rigid step knows of one joint, with deviations; None: nothing."""
 
     total_inertia: tuple[float, float] | None  # c_1 [kg m^2]
     total_viscous_friction: tuple[float, float] | None  # c_0 [N m s/rad]
     coulomb_friction: tuple[float, float] | None  # f [N m]
+    errors: tuple[RigidError, ...] = ()  # directions in which tau is uncertain
+
+    def moved(self, error: RigidError) -> RigidKnowledge:
+        """The same with one error in it."""
+        return RigidKnowledge(
+            _moved(self.total_inertia, error.total_inertia),
+            _moved(self.total_viscous_friction, error.total_viscous_friction),
+            _moved(self.coulomb_friction, error.coulomb_friction),
+        )
+
+
+def _moved(known: tuple[float, float] | None, change: float) -> tuple[float, float] | None:
+    return known and (known[0] + change, known[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,46 +123,31 @@ def fit_grey_box(
     GreyBoxFit
     """
     band = band_hz or _possible(*_FIRST_BAND_HZ, records)
-    x: FloatArray | None = None
-    for _ in range(_BANDS):
-        fit, x = _at(records, study, known, band, x)
-        if band_hz is not None:
-            return fit
-        before, band = band, _band_around(fit.joint, records, band)
+    solved = _solve(records, study, known, band, None)
+    for _ in range(0 if band_hz else _BANDS - 1):
+        before, band = band, _band_around(_joint_of(solved), records, band)
         if all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(before, band, strict=True)):
             break
-    others = [
-        _at(records, study, known, _possible(low, high, records), x)[0]
+        solved = _solve(records, study, known, band, solved.x)
+    fit = _result(solved, known, band)
+    if band_hz is not None:
+        return fit
+    own = _physical(solved.x)
+    moves = [
+        _physical(_solve(records, study, known, _possible(low, high, records), solved.x).x) - own
         for low, high in (
             (band[0] * _OTHER_BAND, band[1] / _OTHER_BAND),
             (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
         )
     ]
-    return replace(fit, covariance=fit.covariance + _model_error(fit, others))
+    return replace(fit, covariance=fit.covariance + _model_error(moves))
 
 
-def _at(
-    records: Sequence[tuple[LinkSignals, Decoupled]],
-    study: Study,
-    known: RigidKnowledge,
-    band: tuple[float, float],
-    start: FloatArray | None,
-) -> tuple[GreyBoxFit, FloatArray]:
-    """The fit in one band, and its unknowns."""
-    pieces = [_piece(signals, joint, study, band) for signals, joint in records]
-    equations, factor, x = _solve(pieces, known, start)
-    covariance, _ = ls.jackknife(equations, factor)
-    told = ls.determined(equations, factor, covariance)
-    return _result(pieces, equations, factor, x, covariance, told, band), x
-
-
-def _model_error(fit: GreyBoxFit, others: Sequence[GreyBoxFit]) -> FloatArray:
+def _model_error(moves: Sequence[FloatArray]) -> FloatArray:
     """Covariance from what the equations leave out, as it shows in how the band changes the answer.
 
     Were the model exact, each band would give the same within its deviations.
     """
-    own = np.append(fit.joint.vector, fit.coulomb_friction)
-    moves = [np.append(o.joint.vector, o.coulomb_friction) - own for o in others]
     return np.asarray(np.mean([np.outer(move, move) for move in moves], axis=0))
 
 
@@ -148,12 +156,30 @@ class _Piece:
     """One record's filtered columns, at the rows kept."""
 
     ratio: float
+    band: tuple[float, float]
+    sample_time: float
+    rows: IntArray
     torque: FloatArray  # (n_rows,) u + n tau
     tau: FloatArray  # (n_rows,)
     motor: FloatArray  # (n_rows, 3) dw_M, w_M, s
     link: FloatArray  # (n_rows, 2) dw_L, w_L
     twist: FloatArray  # (n_rows, 2) delta, ddelta
     free: FloatArray  # (n_rows, n_free) shapes of free friction
+
+    def with_more(self, tau: FloatArray) -> _Piece:
+        """The same with more interaction torque, (n_samples,)."""
+        more = band_pass(tau, *self.band, self.sample_time)[self.rows]
+        return replace(self, torque=self.torque + self.ratio * more, tau=self.tau + more)
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """Weighted equations in one band, and their solution."""
+
+    pieces: tuple[_Piece, ...]
+    equations: ls.Equations
+    factor: ls.Factor
+    x: FloatArray  # around which they are linear
 
 
 def _possible(
@@ -208,6 +234,9 @@ def _piece(
     shapes = free_friction(direction, max(2, int(1.0 / (_KNOTS * high * T))))
     return _Piece(
         ratio=n,
+        band=band,
+        sample_time=T,
+        rows=rows,
         torque=(passed(signals.motor_torque[:, i]) + n * passed(tau))[rows],
         tau=passed(tau)[rows],
         motor=np.column_stack([differentiate(motor_velocity, T), motor_velocity, slid])[rows],
@@ -220,9 +249,14 @@ def _piece(
 
 
 def _solve(
-    pieces: Sequence[_Piece], known: RigidKnowledge, start: FloatArray | None
-) -> tuple[ls.Equations, ls.Factor, FloatArray]:
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    study: Study,
+    known: RigidKnowledge,
+    band: tuple[float, float],
+    start: FloatArray | None,
+) -> _Solved:
     """Weights and linearisation in turn."""
+    pieces = tuple(_piece(signals, joint, study, band) for signals, joint in records)
     x = _start(pieces) if start is None else start
     equations = _assemble(pieces, known, x)
     root = ls.first_weights(equations.target, equations.group)
@@ -231,7 +265,17 @@ def _solve(
         x = factor.value
         equations = _assemble(pieces, known, x)
         root = ls.root_weights(equations, factor)
-    return equations, ls.factorise(equations, root), x
+    return _Solved(pieces, equations, ls.factorise(equations, root), x)
+
+
+def _rigid_errors(solved: _Solved, known: RigidKnowledge) -> FloatArray:
+    """Columns: how far each of the rigid model's errors moves the unknowns."""
+    columns = []
+    for error in known.errors:
+        pieces = [p.with_more(tau) for p, tau in zip(solved.pieces, error.tau, strict=True)]
+        equations = _assemble(pieces, known.moved(error), solved.x)
+        columns.append(ls.factorise(equations, solved.factor.root).value - solved.factor.value)
+    return np.reshape(columns, (-1, len(COLUMNS))).T
 
 
 def _start(pieces: Sequence[_Piece]) -> FloatArray:
@@ -302,8 +346,8 @@ def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]
     return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
 
 
-def _joint(x: FloatArray, ratio: float) -> TwoInertia:
-    return joint_of(_physical(x)[:6], ratio)
+def _joint_of(solved: _Solved) -> TwoInertia:
+    return joint_of(_physical(solved.x)[:6], solved.pieces[0].ratio)
 
 
 def _physical(x: FloatArray) -> FloatArray:
@@ -314,24 +358,23 @@ def _physical(x: FloatArray) -> FloatArray:
     return np.concatenate([first, gear, x[[_COULOMB]]])
 
 
-def _result(
-    pieces: Sequence[_Piece],
-    equations: ls.Equations,
-    factor: ls.Factor,
-    x: FloatArray,
-    covariance: FloatArray,
-    told: np.ndarray[tuple[int], np.dtype[np.bool_]],
-    band: tuple[float, float],
-) -> GreyBoxFit:
+def _result(solved: _Solved, known: RigidKnowledge, band: tuple[float, float]) -> GreyBoxFit:
+    equations, factor, x = solved.equations, solved.factor, solved.x
+    covariance, _ = ls.jackknife(equations, factor)
+    told = ls.determined(equations, factor, covariance)
+    # tau came from the rigid model, whose errors no row of the data shows
+    errors = _rigid_errors(solved, known)
+    covariance = covariance + errors @ errors.T
     J = jacobian(_physical, x)
     residual = ls.residual_of(equations, factor)
     fits = []
     for parity in (0, 1):
         rows = (equations.group != ls.KNOWN) & (equations.group % 2 == parity)
-        fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / _size(pieces, parity)))
+        size = _size(solved.pieces, parity)
+        fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / size))
     order = [_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION, _COULOMB]
     return GreyBoxFit(
-        joint=_joint(x, pieces[0].ratio),
+        joint=_joint_of(solved),
         coulomb_friction=float(x[_COULOMB]),
         covariance=J @ covariance @ J.T,
         determined=tuple(bool(told[k]) for k in order),
