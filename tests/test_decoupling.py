@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
-from strainwave import decoupling, links, rigid, signals
+from strainwave import decoupling, interaction, links, rigid, signals
 from strainwave.errors import NotIdentifiable
 from strainwave.logs import read_log
 from strainwave.records import Arm, Decoupled, FloatArray, Joint, RigidModel, Study
@@ -25,9 +25,9 @@ def run_of(gravity: float | None, both: bool = False) -> tuple[Study, Trajectory
 
 
 def torques(study: Study, model: RigidModel, run: Trajectory) -> FloatArray:
-    base = decoupling.base_parameters(model, study)
+    base = interaction.base_parameters(model, study)
     motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
-    return decoupling.interaction_torques(study, base, *motion)
+    return interaction.interaction_torques(study, base, *motion)
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
@@ -46,11 +46,11 @@ def test_every_joint_alone_obeys_its_two_inertias(gravity: float | None) -> None
 
 def test_alpha_cancels() -> None:
     study, run = run_of(None)
-    base = decoupling.base_parameters(true_model(study, rig_values(study)), study)
+    base = interaction.base_parameters(true_model(study, rig_values(study)), study)
     motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
     other = base.copy()
     other[0] += 7.0
-    first, second = (decoupling.interaction_torques(study, b, *motion) for b in (base, other))
+    first, second = (interaction.interaction_torques(study, b, *motion) for b in (base, other))
     assert first == pytest.approx(second, abs=1e-10 * np.abs(first).max())
 
 
@@ -60,8 +60,8 @@ def test_the_closed_form_of_a_two_link_arm() -> None:
     q, dq, ddq = (rng.normal(size=(50, 2)) for _ in range(3))
     values = rig_values(study)
     beta, gamma = values["beta", None], values["gamma", None]
-    tau = decoupling.interaction_torques(
-        study, decoupling.base_parameters(true_model(study, values), study), q, dq, ddq
+    tau = interaction.interaction_torques(
+        study, interaction.base_parameters(true_model(study, values), study), q, dq, ddq
     )
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
     first = 2.0 * gamma * (1.0 - c2) * ddq[:, 0] - (beta + gamma * c2) * ddq[:, 1]
@@ -88,6 +88,7 @@ def test_inputs_explain_the_motor_and_the_link(gravity: float | None) -> None:
     for one in decoupled(gravity):
         n = study.joints[one.joint - 1].gear_ratio
         motor_inertia = values["motor_inertia", one.joint]
+        assert one.total_inertia is not None
         link_inertia = (one.total_inertia - motor_inertia) / n**2
         # momenta, so that no velocity needs differentiating
         momentum = one.outputs @ np.array([motor_inertia, n * link_inertia])
@@ -204,10 +205,27 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
     (found,) = decoupling.decouple(seen, replace(model, parameters=parameters), study)
     assert found.inputs.shape[1] == inputs
     assert found.total_inertia == pytest.approx(0.2)
+    assert found.gear_ratio == 0.5
     if gravity is not None:
         assert found.inputs[:, 1] == pytest.approx(-3.0 * np.cos(seen.link_angle[:, 0]))
     friction = seen.motor_torque[:, 0] - found.inputs[:, 0]
     assert friction == pytest.approx(0.05 * seen.direction[:, 0] + 0.01)
+
+
+def test_only_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
+    study, run = run_of(None)
+    seen = links.link_side(log_of(run), study)
+    with pytest.raises(NotIdentifiable, match="rigid model"):
+        decoupling.decouple(seen, None, study)
+
+
+def test_a_bare_joint_keeps_its_friction(shared_data: Path) -> None:
+    study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
+    seen = links.link_side(read_log(study, study.experiments[0]), study)
+    (found,) = decoupling.decouple(seen, None, study)
+    assert found.inputs == pytest.approx(seen.motor_torque)
+    assert found.total_inertia is None
+    assert found.total_viscous_friction is None
 
 
 def test_an_unknown_parameter_is_refused_by_name() -> None:

@@ -43,6 +43,7 @@ def test_every_frequency_record_of_a_linear_arm(
     assert found.reason is None
     assert found.records
     for record in found.records:
+        assert record.physical is not None
         true = truth["joints"][record.physical.joint - 1]
         for name in ("motor_inertia", "link_inertia"):
             assert value(record.physical, name) == pytest.approx(true[name], rel=tolerance)

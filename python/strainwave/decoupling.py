@@ -8,6 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.errors import NotIdentifiable
+from strainwave.interaction import (
+    base_parameters,
+    interaction_torques,
+    known,
+    own_inertias,
+    total_inertias,
+)
 from strainwave.records import (
     Caution,
     Check,
@@ -17,7 +24,6 @@ from strainwave.records import (
     RigidModel,
     Study,
 )
-from strainwave.regressor import gear_ratios
 from strainwave.simulation import build_arm
 
 _SHARE = 0.95  # of the motor velocity's power that lies below the band's top
@@ -40,7 +46,7 @@ class DecouplingOptions:
 
 def decouple(
     signals: LinkSignals,
-    model: RigidModel,
+    model: RigidModel | None,
     study: Study,
     options: DecouplingOptions | None = None,
 ) -> tuple[Decoupled, ...]:
@@ -51,7 +57,8 @@ def decouple(
     Parameters
     ----------
     signals : LinkSignals
-    model : RigidModel
+    model : RigidModel or None
+        None will do for a single joint without gravity; its friction then stays in u.
     study : Study
     options : DecouplingOptions, optional
 
@@ -63,19 +70,16 @@ def decouple(
     Raises
     ------
     NotIdentifiable
-        The rigid model lacks a parameter that the torques need.
+        The rigid model is missing, or lacks a parameter that the torques need.
     """
     chosen = options or DecouplingOptions()
-    base = base_parameters(model, study)
-    tau = interaction_torques(
-        study, base, signals.link_angle, signals.link_velocity, signals.link_acceleration
-    )
-    acted_on = study.n_joints > 1 or study.arm.gravity is not None
-    total = total_inertias(model, study)
+    base, tau = _interaction(signals, model, study)
     found = []
     for i in range(study.n_joints):
-        u = signals.motor_torque[:, i] - _dry_friction(signals, model, i)
-        inputs = np.column_stack([u, tau[:, i]]) if acted_on else u[:, None]
+        u = signals.motor_torque[:, i]
+        if model is not None:
+            u = u - _dry_friction(signals, model, i)
+        inputs = u[:, None] if tau is None else np.column_stack([u, tau[:, i]])
         band = chosen.band_hz or _band(signals, i)
         frequency, richness = _richness(inputs, signals.sample_time, band)
         checks = tuple(_checks(signals, study, base, i, inputs, band, richness))
@@ -91,8 +95,10 @@ def decouple(
                 ),
                 valid=np.asarray(signals.valid.all(axis=1)),
                 held=signals.held[i],
-                total_inertia=float(total[i]),
-                total_viscous_friction=_viscous(model, study, i + 1),
+                gear_ratio=study.joints[i].gear_ratio,
+                total_inertia=float(total_inertias(model, study)[i]) if model else None,
+                total_viscous_friction=_viscous(model, study, i + 1) if model else None,
+                bandwidth_hz=signals.bandwidth_hz,
                 shared=signals.shared,
                 fusion=signals.fusion[i],
                 richness_hz=frequency,
@@ -104,131 +110,19 @@ def decouple(
     return tuple(found)
 
 
-def base_parameters(model: RigidModel, study: Study) -> FloatArray:
-    """What the link-side inverse dynamics need, from the rigid model.
-
-    In alpha's place stands alpha + m_M1/n1^2, because the rigid model cannot part them; see
-    `interaction_torques` for why nothing is lost.
-
-    Parameters
-    ----------
-    model : RigidModel
-    study : Study
-
-    Returns
-    -------
-    (n_base,)
-        In the order of the core's parameters.
-
-    Raises
-    ------
-    NotIdentifiable
-        One of them is not known.
-    """
-    arm = build_arm(study)
-    still = np.zeros((1, study.n_joints))
-    count = arm.base_regressor(still, still, still).shape[2]
-    values = []
-    for name, joint in arm.parameter_names[:count]:
-        if name.startswith("gravity") and study.arm.gravity is None:
-            values.append(0.0)
-        elif name == "alpha":
-            values.append(_known(model, "rigid_inertia", 1))
-        elif study.n_joints == 1 and not name.startswith("gravity"):
-            # its share of the total cancels likewise
-            values.append(_known(model, "inertia", 1) / study.joints[0].gear_ratio ** 2)
-        else:
-            values.append(_known(model, name, joint))
-    return np.array(values)
-
-
-def interaction_torques(
-    study: Study,
-    base: FloatArray,
-    angle: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-) -> FloatArray:
-    """Torque of all the other links, of rates and of gravity on each link, (13), (14).
-
-    tau_i = mbar_i ddq_i - [M(q) ddq + c(q, dq) + g(q)]_i,
-    mbar_1 = alpha + beta + 2 gamma, mbar_2 = beta: each link's own inertia, the arm stretched.
-
-    For joint 1 that is 2 gamma (1 - cos q2) ddq1 - (beta + gamma cos q2) ddq2 - c_1 - g_1. Here
-    alpha has gone: it is in mbar_1 and, the same, in the (1,1) element of M. So any value may
-    stand for it in both, and alpha + m_M1/n1^2 does. Gravity is a torque like the rest.
-
-    Parameters
-    ----------
-    study : Study
-    base : (n_base,)
-        From `base_parameters`.
-    angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
-        Of the links, relative.
-
-    Returns
-    -------
-    (n_samples, n_joints) [N m] at the links
-    """
-    arm = build_arm(study)
-    motion = tuple(np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
-    rigid = arm.base_regressor(*motion) @ base
-    return np.asarray(own_inertias(study, base) * acceleration - rigid)
-
-
-def own_inertias(study: Study, base: FloatArray) -> FloatArray:
-    """mbar, each link's own inertia with the arm stretched, out of the core's regressor.
-
-    Parameters
-    ----------
-    study : Study
-    base : (n_base,)
-
-    Returns
-    -------
-    (n_joints,) [kg m^2]
-    """
-    arm = build_arm(study)
-    n_joints = study.n_joints
-    still = np.zeros((n_joints, n_joints))
-    unit: FloatArray = np.eye(n_joints)
-    # row k: torques of a unit acceleration of joint k, less what gravity asks for at rest
-    torque = arm.base_regressor(still, still, unit) @ base
-    held = arm.base_regressor(still, still, still) @ base
-    return np.asarray(np.diagonal(torque - held))
-
-
-def total_inertias(model: RigidModel, study: Study) -> FloatArray:
-    """c_1 = m_M + n^2 m_L of (18), at the motors.
-
-    Parameters
-    ----------
-    model : RigidModel
-    study : Study
-
-    Returns
-    -------
-    (n_joints,) [kg m^2]
-
-    Raises
-    ------
-    NotIdentifiable
-        A parameter it is made of is not known.
-    """
-    own = own_inertias(study, base_parameters(model, study)) * gear_ratios(study) ** 2
-    if study.n_joints > 1:
-        own[1] += _known(model, "motor_inertia", 2)
-    return np.asarray(own)
-
-
-def _known(model: RigidModel, name: str, joint: int | None) -> float:
-    value = model.value(name, joint)
-    if value is None:
-        place = f" of joint {joint}" if joint else ""
+def _interaction(
+    signals: LinkSignals, model: RigidModel | None, study: Study
+) -> tuple[FloatArray, FloatArray | None]:
+    """Base parameters and torques; no torques where nothing acts on the joint but its motor."""
+    if study.n_joints == 1 and study.arm.gravity is None:
+        return np.zeros(0), None
+    if model is None:
         raise NotIdentifiable(
-            f"decoupling needs {name}{place}, which the motion records do not tell"
+            "what gravity or the other links do to a joint takes a rigid model: add a motion record"
         )
-    return value
+    base = base_parameters(model, study)
+    motion = (signals.link_angle, signals.link_velocity, signals.link_acceleration)
+    return base, interaction_torques(study, base, *motion)
 
 
 def _viscous(model: RigidModel, study: Study, joint: int) -> float | None:
@@ -237,7 +131,7 @@ def _viscous(model: RigidModel, study: Study, joint: int) -> float | None:
 
 
 def _dry_friction(signals: LinkSignals, model: RigidModel, i: int) -> FloatArray:
-    coulomb = _known(model, "motor_coulomb_friction", i + 1)
+    coulomb = known(model, "motor_coulomb_friction", i + 1)
     offset = model.value("friction_offset", i + 1) or 0.0
     return np.asarray(coulomb * signals.direction[:, i] + offset)
 

@@ -6,12 +6,12 @@ leaves it true at the same instants. Everything here acts along the first axis.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from strainwave.records import FloatArray, Lag
+from strainwave.records import ComplexArray, FloatArray, Lag
 
 BUTTERWORTH_ORDER = 4
 """Of one pass; forward and backward the roll-off is that of order 8."""
@@ -207,21 +207,51 @@ def band_pass(
     (n_samples, ...)
         Within about 1.5 / low_hz seconds of either end it holds transients.
     """
+
+    def response(f: FloatArray) -> ComplexArray:
+        gain = (2j * np.pi * f) ** -integrals
+        return np.asarray(gain / ((1.0 + (low_hz / f) ** 8) * (1.0 + (f / high_hz) ** 8)))
+
+    return by_spectrum(signal, response, sample_time, 3.0 / low_hz)
+
+
+def by_spectrum(
+    signal: FloatArray,
+    response: Callable[[FloatArray], ComplexArray],
+    sample_time: float,
+    reach: float,
+) -> FloatArray:
+    """A filter given by its frequency response, on the signal continued by point reflection.
+
+    Parameters
+    ----------
+    signal : (n_samples, ...)
+    response : callable
+        (n_frequencies,) [Hz], all positive -> (n_frequencies,), the same for every column, or
+        (n_frequencies, n_out, n_in) from columns to columns. The mean does not pass.
+    sample_time : float [s]
+    reach : float [s]
+        How far the signal is continued at either end.
+
+    Returns
+    -------
+    (n_samples, ...)
+    """
     from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
     n = len(signal)
-    pad = min(n - 1, int(3.0 / (low_hz * sample_time)))
+    pad = min(n - 1, int(reach / sample_time))
     before = 2.0 * signal[:1] - signal[pad:0:-1]
     after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
     longer = np.concatenate([before, signal, after])
     size = next_fast_len(len(longer) + pad)
-    f = rfftfreq(size, sample_time)
-    gain = np.zeros(len(f), dtype=complex)
-    f = f[1:]
-    gain[1:] = (2j * np.pi * f) ** -integrals / (
-        (1.0 + (low_hz / f) ** 8) * (1.0 + (f / high_hz) ** 8)
-    )
-    spectrum = rfft(longer, size, axis=0)
-    spectrum *= gain.reshape(-1, *(1,) * (signal.ndim - 1))
-    passed: FloatArray = irfft(spectrum, size, axis=0)[pad : pad + n]
+    f = rfftfreq(size, sample_time)[1:]
+    spectrum = rfft(longer, size, axis=0)[1:]
+    gain = response(f)
+    if gain.ndim == 3:
+        spectrum = np.einsum("foi,fi->fo", gain, spectrum)
+    else:
+        spectrum = spectrum * gain.reshape(-1, *(1,) * (signal.ndim - 1))
+    whole = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
+    passed: FloatArray = irfft(whole, size, axis=0)[pad : pad + n]
     return passed

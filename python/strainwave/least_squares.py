@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,8 +19,15 @@ KNOWN = -1
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
 _TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
-_RIDGE = 1e-9  # of one, in a block's own share of what it says
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
+
+
+@dataclass(frozen=True, slots=True)
+class Local:
+    """Nuisance unknowns that only some rows have: those of one record, say."""
+
+    rows: IntArray  # (n,) in which they occur; no other `Local` has any of them
+    columns: FloatArray  # (n, n_unknowns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,18 +36,11 @@ class Equations:
 
     shared: FloatArray  # (n_rows, n_parameters)
     noise: FloatArray  # (n_parameters,) rms of the noise in each shared column
-    local: FloatArray  # (n_rows, n_local)
+    local: tuple[Local, ...]  # z, part by part
     local_deviation: FloatArray  # (n_local,)
     target: FloatArray  # (n_rows,)
     group: IntArray  # (n_rows,) rows of one group have errors of one size; or KNOWN
     block: IntArray  # (n_rows,) rows of one block may have errors in common
-    # where `local` is not zero, as (rows, columns); no two share either. Empty: everywhere
-    patches: tuple[tuple[slice, slice], ...] = ()
-
-    @property
-    def local_patches(self) -> tuple[tuple[slice, slice], ...]:
-        """`patches`, or one over everything."""
-        return self.patches or ((slice(None), slice(None)),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,40 +94,53 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     scale = np.linalg.norm(X, axis=0)
     scale[scale == 0.0] = 1.0
     Xy = np.column_stack([X / scale, equations.target * root])
-    taken = np.zeros((equations.local.shape[1], p + 1))
-    left = Xy.copy()
-    leverage = np.zeros(len(root))
-    for rows, columns in equations.local_patches:
-        Z = equations.local[rows, columns] * root[rows, None] * equations.local_deviation[columns]
+    lent = np.zeros(len(root))  # leverage of the nuisance unknowns
+    taken: list[FloatArray] = []
+    for part, deviation in _parts(equations):
+        Z = part.columns * (root[part.rows, None] * deviation)
         gram = Z.T @ Z
         gram[np.diag_indices_from(gram)] += 1.0
         lower, _ = chol = cho_factor(gram, lower=True)
-        taken[columns] = cho_solve(chol, Z.T @ Xy[rows])
-        left[rows] -= Z @ taken[columns]
+        taken.append(cho_solve(chol, Z.T @ Xy[part.rows]))
+        Xy[part.rows] -= Z @ taken[-1]
         inner = solve_triangular(lower, Z.T, lower=True, check_finite=False)
-        leverage[rows] += np.sum(inner**2, axis=0)
-    Q, R = np.linalg.qr(np.vstack([left, -taken]))
+        lent[part.rows] = np.sum(inner**2, axis=0)
+    below = np.concatenate([np.zeros((0, p + 1)), *taken])
+    Q, R = np.linalg.qr(np.vstack([Xy, -below]))
     U, s, Vt = np.linalg.svd(R[:p, :p])
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
     x = Vt[seen].T @ ((U[:, seen].T @ R[:p, -1]) / s[seen])
-    leverage += np.sum(Q[: len(root), :p] ** 2, axis=1)
     return Factor(
         root=root,
         value=x / scale,
-        local=(taken[:, -1] - taken[:, :p] @ x) * equations.local_deviation,
+        local=(below[:, -1] - below[:, :p] @ x) * equations.local_deviation,
         scale=scale,
         singular=s,
         directions=Vt,
         seen=seen,
-        leverage=leverage,
+        leverage=np.sum(Q[: len(root), :p] ** 2, axis=1) + lent,
     )
+
+
+def _parts(equations: Equations) -> Iterator[tuple[Local, FloatArray]]:
+    """Each part with its unknowns' deviations."""
+    first = 0
+    for part in equations.local:
+        n = part.columns.shape[1]
+        yield part, equations.local_deviation[first : first + n]
+        first += n
 
 
 def residual_of(equations: Equations, factor: Factor) -> FloatArray:
     """What the equations leave unexplained: (n_rows,)."""
-    explained = equations.shared @ factor.value + equations.local @ factor.local
-    return equations.target - explained
+    residual = equations.target - equations.shared @ factor.value
+    first = 0
+    for part in equations.local:
+        n = part.columns.shape[1]
+        residual[part.rows] -= part.columns @ factor.local[first : first + n]
+        first += n
+    return np.asarray(residual)
 
 
 def root_weights(equations: Equations, factor: Factor) -> FloatArray:
@@ -192,37 +206,125 @@ def jackknife(
         Variances of the first nuisance unknowns.
     """
     basis = factor.directions[factor.seen].T / factor.scale[:, None]
+    back = basis / factor.singular[factor.seen]
     root = factor.root[:, None]
-    A = np.hstack(
-        [
-            (equations.shared * root) @ (basis / factor.singular[factor.seen]),
-            equations.local * (root * equations.local_deviation),
-        ]
-    )
-    y = equations.target * factor.root
-    k = basis.shape[1]
-    gram = A.T @ A
-    gram[range(k, len(gram)), range(k, len(gram))] += 1.0
-    whole = np.linalg.inv(gram)
-    left = y - A @ (whole @ (A.T @ y))
-    inverse = whole[: k + n_local]
-    shifts = []
+    normal = _Normal.of(equations, factor, (equations.shared * root) @ back)
     known = equations.group == KNOWN
+    shifts = []
+    whole = normal.solution(n_local)
     for label in np.unique(equations.block[~known]):
-        part = (equations.block == label) & ~known
-        # x_b - x = -G^-1 A_b' (1 - H)^-1 r_b, H = A_b G^-1 A_b': without block b, exactly. What
-        # only this block tells is lost without it: the ridge keeps that from dividing by nothing
-        reach = whole @ A[part].T
-        hat = A[part] @ reach
-        hat[np.diag_indices_from(hat)] -= 1.0 + _RIDGE
-        shifts.append(reach[: k + n_local] @ np.linalg.solve(hat, left[part]))
-    # the priors' share: an estimate leans towards them, in proportion to how little the data say
-    lean = np.hstack([inverse[:, k:], inverse @ A[known].T])
+        left_out = (equations.block == label) & ~known
+        shifts.append(normal.without(left_out).solution(n_local) - whole)
+    lean = normal.lean(n_local, known)
     m = len(shifts)
     inner = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + lean @ lean.T
-    back = basis / factor.singular[factor.seen]
+    k = back.shape[1]
     covariance: FloatArray = back @ inner[:k, :k] @ back.T
     return covariance, np.diag(inner)[k:] * equations.local_deviation[:n_local] ** 2
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class _Normal:
+    """Normal equations of w and of the nuisance unknowns, part by part, all of unit size."""
+
+    A: FloatArray  # (n_rows, k) columns of w
+    y: FloatArray  # (n_rows,)
+    rows: tuple[IntArray, ...]
+    Z: tuple[FloatArray, ...]  # one a part
+    gram: FloatArray  # (k, k)
+    right: FloatArray  # (k,)
+    local_gram: tuple[FloatArray, ...]  # with the prior's unit matrix
+    local_right: tuple[FloatArray, ...]  # [Z'A, Z'y], one a part
+    eliminated: tuple[FloatArray, ...]  # local_gram^-1 local_right
+
+    @staticmethod
+    def of(equations: Equations, factor: Factor, A: FloatArray) -> _Normal:
+        y = equations.target * factor.root
+        Ay = np.column_stack([A, y])
+        rows, Z, grams, rights = [], [], [], []
+        for part, deviation in _parts(equations):
+            rows.append(part.rows)
+            Z.append(part.columns * (factor.root[part.rows, None] * deviation))
+            grams.append(Z[-1].T @ Z[-1] + np.eye(len(deviation)))
+            rights.append(Z[-1].T @ Ay[part.rows])
+        return _Normal(
+            A=A,
+            y=y,
+            rows=tuple(rows),
+            Z=tuple(Z),
+            gram=A.T @ A,
+            right=A.T @ y,
+            local_gram=tuple(grams),
+            local_right=tuple(rights),
+            eliminated=tuple(_solved(g, r) for g, r in zip(grams, rights, strict=True)),
+        )
+
+    def without(self, left_out: BoolArray) -> _Normal:
+        """The same with some rows left out; parts that have none of them stay as they are."""
+        gram = self.gram - self.A[left_out].T @ self.A[left_out]
+        # what only these rows tell is lost without them: the ridge keeps that at its whole-data
+        # size instead of dividing by nothing
+        gram[np.diag_indices_from(gram)] += 1e-9
+        grams, rights = list(self.local_gram), list(self.local_right)
+        eliminated = list(self.eliminated)
+        for i, rows in enumerate(self.rows):
+            inside = left_out[rows]
+            if inside.any():
+                Z = self.Z[i][inside]
+                Ay = np.column_stack([self.A[rows[inside]], self.y[rows[inside]]])
+                grams[i] = grams[i] - Z.T @ Z
+                rights[i] = rights[i] - Z.T @ Ay
+                eliminated[i] = _solved(grams[i], rights[i])
+        return replace(
+            self,
+            gram=gram,
+            right=self.right - self.A[left_out].T @ self.y[left_out],
+            local_gram=tuple(grams),
+            local_right=tuple(rights),
+            eliminated=tuple(eliminated),
+        )
+
+    def solution(self, n_local: int) -> FloatArray:
+        """w, then the first nuisance unknowns."""
+        k = len(self.gram)
+        left, right = self.gram.copy(), self.right.copy()
+        for b, e in zip(self.local_right, self.eliminated, strict=True):
+            left -= b[:, :k].T @ e[:, :k]
+            right -= b[:, :k].T @ e[:, k]
+        w = np.linalg.solve(left, right)
+        z = [e[:, k] - e[:, :k] @ w for e in self.eliminated] if n_local else []
+        return np.concatenate([w, *z])[: k + n_local]
+
+    def lean(self, n_local: int, known: BoolArray) -> FloatArray:
+        """How far the estimate follows the priors' unit errors: it leans towards them.
+
+        Columns of the inverse: of the nuisance unknowns' priors, then of what is known beforehand.
+        """
+        k = len(self.gram)
+        W = [e[:, :k] for e in self.eliminated]
+        left = self.gram - sum(
+            (b[:, :k].T @ w for b, w in zip(self.local_right, W, strict=True)), np.zeros((k, k))
+        )
+        S = np.linalg.inv(left)
+        below = np.concatenate([np.zeros((0, k)), *W])
+        shared = np.hstack([-S @ below.T, S @ self.A[known].T])
+        if not n_local:
+            return np.asarray(shared)
+        first = below[:n_local]
+        own = np.zeros((n_local, len(below)))
+        at = 0
+        for gram in self.local_gram:
+            n = len(gram)
+            wanted = np.arange(at, min(at + n, n_local)) - at
+            if len(wanted):
+                own[at + wanted, at : at + n] = np.linalg.inv(gram)[wanted]
+            at += n
+        own += first @ S @ below.T
+        return np.vstack([shared, np.hstack([own, -first @ S @ self.A[known].T])])
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:

@@ -196,8 +196,6 @@ def _decoupled(
     at_full: list[tuple[Decoupled, ...]] = []
     with run.timed("decoupled", "decoupling the joints"):
         try:
-            if model is None:
-                raise NotIdentifiable("decoupling needs a rigid model")
             for log in excited:
                 run.progress(f"decoupling the joints: {log.name}")
                 seen = links.link_side(log, the_study)

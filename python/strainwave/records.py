@@ -571,8 +571,10 @@ class Decoupled:
     outputs: FloatArray  # (n_samples, 2) [rad/s] motor velocity, link velocity
     valid: BoolArray  # (n_samples,)
     held: bool  # u stays constant until the next sample; tau runs straight
-    total_inertia: float  # c_1 = m_M + n^2 m_L [kg m^2] at the motor
+    gear_ratio: float  # n, link turns per motor turn
+    total_inertia: float | None  # c_1 = m_M + n^2 m_L [kg m^2] at the motor; None: not known
     total_viscous_friction: float | None  # c_0 = d_M + n^2 d_L [N m s/rad] at the motor
+    bandwidth_hz: float | None  # of a zero-phase filter over everything; None: there is none
     shared: tuple[Lag, ...]  # low-passes that every signal has behind it
     fusion: Fusion | None  # how the link velocity was made; belongs into the output equation
     richness_hz: FloatArray  # (n_frequencies,) [Hz]
@@ -614,7 +616,7 @@ class RecordModel:
     """Everything one record tells of the joint that was excited in it."""
 
     signals: Decoupled
-    physical: JointModel  # from the equations of motion
+    physical: JointModel | None  # from the equations of motion; None: it failed
     state_space: StateSpace | None  # by prediction-error minimisation; None: it failed
     modes: Modes | None  # of the state-space model
     transfer: JointModel | None  # from the state-space model, by (17), (18)

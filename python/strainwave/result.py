@@ -92,7 +92,8 @@ def _check_fits(identification: Identification) -> dict[str, dict[str, float]]:
 
 def _record(record: RecordModel) -> dict[str, Any]:
     """One excited record: the physical model, and the state-space model beside it."""
-    own = _joint(record.physical)
+    chosen = record.physical or record.transfer
+    own = _nothing(record) if chosen is None else _joint(chosen)
     own["experiment"] = record.signals.experiment.name
     own["equation_fit_percent"] = own.pop("fit_percent")
     own["fit_percent"] = None if record.state_space is None else record.state_space.fit_percent
@@ -101,7 +102,26 @@ def _record(record: RecordModel) -> dict[str, Any]:
         own["state_space"] = _state_space(record.state_space, record.modes)
     own["transfer_function"] = None if record.transfer is None else _joint(record.transfer)
     own["checks"] = [asdict(check) for check in record.signals.checks]
+    own["warnings"] += [_warning(w) for w in record.warnings]
     return own
+
+
+def _nothing(record: RecordModel) -> dict[str, Any]:
+    """A record without physical parameters: its state-space model's resonances, if any."""
+    modes = record.modes
+    return {
+        "joint": record.signals.joint,
+        "method": None if record.state_space is None else record.state_space.method,
+        "order": None if record.state_space is None else record.state_space.order,
+        "status": "not-identifiable",
+        **_frequencies(
+            None if modes is None else modes.anti_resonance,
+            None if modes is None else modes.resonance,
+        ),
+        "fit_percent": None,
+        "parameters": [],
+        "warnings": [],
+    }
 
 
 def _joint(joint: JointModel) -> dict[str, Any]:

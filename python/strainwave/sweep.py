@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.records import Prbs, RecordModel, Sweep, SweepPoint
+from strainwave.records import RecordModel, Sweep, SweepPoint
 
 _LEAST = 3  # amplitudes that make a trend
 _CERTAIN = 3.0  # deviations from which a slope is not chance
@@ -29,8 +29,8 @@ def sweeps(records: Sequence[RecordModel]) -> tuple[Sweep, ...]:
     tuple of Sweep
     """
     found = []
-    for joint in sorted({record.physical.joint for record in records}):
-        own = [r for r in records if r.physical.joint == joint and _others_free(r)]
+    for joint in sorted({record.signals.joint for record in records}):
+        own = [r for r in records if r.signals.joint == joint and _others_free(r)]
         points = sorted(_points(own), key=lambda point: point.amplitude)
         if len({point.amplitude for point in points}) >= _LEAST:
             found.append(_sweep(joint, tuple(points)))
@@ -46,20 +46,20 @@ def _others_free(record: RecordModel) -> bool:
 def _points(records: Iterable[RecordModel]) -> list[SweepPoint]:
     points = []
     for record in records:
-        prbs, mode = record.signals.experiment.prbs, record.physical.anti_resonance
-        if not isinstance(prbs, Prbs) or mode is None or mode.frequency_std_hz is None:
+        prbs, joint = record.signals.experiment.prbs, record.physical
+        mode = joint and joint.anti_resonance
+        if prbs is None or joint is None or mode is None or mode.frequency_std_hz is None:
             continue
         w = 2.0 * np.pi * mode.frequency_hz
-        names = list(record.physical.values)
-        k = names.index("gear_stiffness")
+        k = list(joint.values).index("gear_stiffness")
         points.append(
             SweepPoint(
                 experiment=record.signals.experiment.name,
                 amplitude=prbs.amplitude,
                 squared_anti_resonance=w**2,
                 squared_anti_resonance_std=2.0 * w * 2.0 * np.pi * mode.frequency_std_hz,
-                gear_stiffness=record.physical.values["gear_stiffness"],
-                gear_stiffness_std=float(np.sqrt(record.physical.covariance[k, k])),
+                gear_stiffness=joint.values["gear_stiffness"],
+                gear_stiffness_std=float(np.sqrt(joint.covariance[k, k])),
             )
         )
     return points

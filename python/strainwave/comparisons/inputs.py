@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.comparisons.rig import AMPLITUDE, CLOCK, ORDER, Rig, Run
-from strainwave.decoupling import interaction_torques
 from strainwave.filters import lagged
+from strainwave.interaction import interaction_torques
 from strainwave.parameters import Values
 from strainwave.records import BoolArray, Comparison, Control, FloatArray, Study
 from strainwave.report.curves import Series, lines, spectrum

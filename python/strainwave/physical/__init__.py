@@ -1,33 +1,48 @@
-"""Both sides of a joint, decoupled -> JointModel: its physical parameters, with deviations."""
+"""Both sides of a joint, decoupled -> JointModel: its physical parameters, with deviations.
+
+Two ways lead there: straight from the equations of motion (`identify_joint`), and through a
+state-space model and its transfer functions (`state_space_of`, `from_state_space`), the paper's.
+`identify_record` goes both.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
-from strainwave.parameters import unit_of
+from strainwave.errors import StrainwaveError
 from strainwave.physical.grey_box import GreyBoxFit, RigidKnowledge, fit_grey_box
+from strainwave.physical.linear import LinearOptions, modes_of, state_space_of
+from strainwave.physical.rigid_knowledge import rigid_knowledge
+from strainwave.physical.told import cautions_of, parameters_of, status_of
+from strainwave.physical.transfer import from_state_space
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.records import (
     Caution,
     Decoupled,
-    FloatArray,
-    Joint,
     JointModel,
     LinkSignals,
-    Parameter,
     RecordModel,
     RigidModel,
     Study,
 )
 
-__all__ = ["PhysicalOptions", "identify_joint"]
+__all__ = [
+    "LinearOptions",
+    "PhysicalOptions",
+    "RecordOptions",
+    "from_state_space",
+    "identify_joint",
+    "identify_record",
+    "modes_of",
+    "rigid_knowledge",
+    "state_space_of",
+]
 
-_TOLD = 0.3  # relative deviation up to which a damping or friction is worth printing
-_REACH = 1.96  # of a 95 % interval, in deviations
-_ALL = (*NAMES, "motor_coulomb_friction")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +51,14 @@ class PhysicalOptions:
 
     band_hz: tuple[float, float] | None = None  # of the equations' filter; None: from the data
     use_rigid: bool = True  # whether what the rigid model knows joins as equations
+
+
+@dataclass(frozen=True, slots=True)
+class RecordOptions:
+    """What may be set by hand of both ways."""
+
+    physical: PhysicalOptions = field(default_factory=PhysicalOptions)
+    linear: LinearOptions = field(default_factory=LinearOptions)
 
 
 def identify_joint(
@@ -65,142 +88,81 @@ def identify_joint(
     chosen = options or PhysicalOptions()
     number = records[0][1].joint
     joint = study.joints[number - 1]
-    known = RigidKnowledge(None, None, None)
-    if model is not None and chosen.use_rigid:
-        known = rigid_knowledge(model, study, number)
+    known = rigid_knowledge(model, study, number, [signals for signals, _ in records])
+    if not chosen.use_rigid:
+        known = RigidKnowledge(None, None, None, known.errors)
     with threadpool_limits(limits=1, user_api="blas"):  # many small systems, as in the rigid step
         fit = fit_grey_box(records, study, known, chosen.band_hz)
     names = tuple(signals.experiment.name for signals, _ in records)
-    warnings = tuple(_warnings(fit, joint, number, names))
-    told = [w.where for w in warnings if w.code == "not-identifiable"]
-    wrong = any(w.code == "implausible" for w in warnings)
+    values = _values(fit)
+    said = values, fit.covariance, fit.determined, joint, number
+    warnings = tuple(cautions_of(*said, ", ".join(names)))
     return JointModel(
         joint=number,
         experiments=names,
         method="grey-box",
-        parameters=tuple(_parameters(fit, joint, number)),
-        values=_values(fit),
+        parameters=tuple(parameters_of(*said)),
+        values=values,
         covariance=fit.covariance,
         anti_resonance=anti_resonance(fit.joint, fit.covariance[:6, :6]),
         resonance=resonance(fit.joint, fit.covariance[:6, :6]),
         band_hz=fit.band_hz,
         fit_percent={"torque": fit.torque_fit_percent, "twist": fit.twist_fit_percent},
-        status="implausible" if wrong else "partly-determined" if told else "determined",
+        status=status_of(warnings),
         warnings=warnings,
     )
 
 
-def rigid_knowledge(model: RigidModel, study: Study, joint: int) -> RigidKnowledge:
-    """c_1, c_0 and f of one joint, each with its deviation, as the rigid model tells them.
+def identify_record(
+    signals: LinkSignals,
+    decoupled: Decoupled,
+    model: RigidModel | None,
+    study: Study,
+    options: RecordOptions | None = None,
+) -> RecordModel:
+    """Everything one record tells of the joint that was excited in it.
 
     Parameters
     ----------
-    model : RigidModel
+    signals : LinkSignals
+    decoupled : Decoupled
+        Of that joint.
+    model : RigidModel or None
     study : Study
-    joint : int
-        From 1.
+    options : RecordOptions, optional
 
     Returns
     -------
-    RigidKnowledge
-        None for what it does not tell.
+    RecordModel
+        What could not be had is None, and a warning says why.
     """
-    n2 = study.joints[joint - 1].gear_ratio ** 2
-    inertia: dict[tuple[str, int | None], float]
-    if study.n_joints == 1:
-        inertia = {("inertia", 1): 1.0}
-    elif joint == 1:
-        inertia = {("rigid_inertia", 1): n2, ("beta", None): n2, ("gamma", None): 2.0 * n2}
-    else:
-        inertia = {("motor_inertia", 2): 1.0, ("beta", None): n2}
-    return RigidKnowledge(
-        total_inertia=_sum(model, inertia),
-        total_viscous_friction=_sum(model, {("total_viscous_friction", joint): 1.0}),
-        coulomb_friction=_sum(model, {("motor_coulomb_friction", joint): 1.0}),
-    )
+    chosen = options or RecordOptions()
+    where = decoupled.experiment.name
+    warnings: list[Caution] = []
 
-
-def _sum(
-    model: RigidModel, weights: dict[tuple[str, int | None], float]
-) -> tuple[float, float] | None:
-    """A weighted sum of rigid parameters and its deviation."""
-    weight = np.zeros(len(model.parameters))
-    for k, p in enumerate(model.parameters):
-        weight[k] = weights.get((p.name, p.joint), 0.0)
-        if weight[k] and p.value is None:
+    def tried(code: str, step: Callable[[], Result]) -> Result | None:
+        try:
+            return step()
+        except (StrainwaveError, np.linalg.LinAlgError) as problem:
+            warnings.append(Caution(code, where, str(problem)))
             return None
-    if np.count_nonzero(weight) != len(weights):
-        return None
-    used = np.flatnonzero(weight)
-    variance = weight[used] @ model.covariance[np.ix_(used, used)] @ weight[used]
-    return float(weight @ model.solution), float(np.sqrt(variance))
+
+    def grey_box() -> JointModel:
+        return identify_joint([(signals, decoupled)], model, study, chosen.physical)
+
+    physical = tried("grey-box-failed", grey_box)
+    linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))
+    modes = transfer = None
+    if linear is not None:
+        found = linear
+        known = rigid_knowledge(model, study, decoupled.joint)
+        modes = tried("modes-failed", lambda: modes_of(found))
+        transfer = tried(
+            "transfer-function-failed", lambda: from_state_space(found, decoupled, study, known)
+        )
+    return RecordModel(decoupled, physical, linear, modes, transfer, tuple(warnings))
 
 
 def _values(fit: GreyBoxFit) -> dict[str, float]:
     values = [*fit.joint.vector.tolist(), fit.coulomb_friction]
-    return dict(zip(_ALL, values, strict=True))
-
-
-def _deviations(fit: GreyBoxFit) -> FloatArray:
-    return np.asarray(np.sqrt(np.clip(np.diag(fit.covariance), 0.0, None)))
-
-
-def _parameters(fit: GreyBoxFit, joint: Joint, number: int) -> Iterator[Parameter]:
-    values, deviation = _values(fit), _deviations(fit)
-    for k, name in enumerate(_ALL):
-        told = _is_told(name, values[name], float(deviation[k]), fit.determined[k])
-        yield _parameter(name, number, joint, (values[name], float(deviation[k])) if told else None)
-    n2 = joint.gear_ratio**2
-    weight = np.zeros(len(_ALL))
-    weight[[_ALL.index("motor_viscous_friction"), _ALL.index("link_viscous_friction")]] = 1.0, n2
-    total = float(weight @ np.array(list(values.values())))
-    spread = float(np.sqrt(weight @ fit.covariance @ weight))
-    yield _parameter("total_viscous_friction", number, joint, (total, spread))
-
-
-def _parameter(name: str, number: int, joint: Joint, told: tuple[float, float] | None) -> Parameter:
-    unit = unit_of(name, joint)
-    if told is None:
-        return Parameter(name, number, None, None, unit, "decoupled")
-    value, std = told
-    return Parameter(
-        name, number, value, std, unit, "decoupled", (value - _REACH * std, value + _REACH * std)
-    )
-
-
-def _is_told(name: str, value: float, std: float, determined: bool) -> bool:
-    """Only the sum of the viscous frictions shows in fast records; their split hardly does."""
-    split = name in ("motor_viscous_friction", "link_viscous_friction")
-    return determined and not (split and std > _TOLD * abs(value))
-
-
-def _warnings(
-    fit: GreyBoxFit, joint: Joint, number: int, names: Sequence[str]
-) -> Iterator[Caution]:
-    where = ", ".join(names)
-    deviation = _deviations(fit)
-    for k, (name, value) in enumerate(_values(fit).items()):
-        place = f"{name} of joint {number}"
-        std = float(deviation[k])
-        if not _is_told(name, value, std, fit.determined[k]):
-            text = f"{where} tell it only to {value:.3g} +- {std:.2g} {unit_of(name, joint)}"
-            if name.endswith("viscous_friction"):
-                text += "; of the viscous frictions only the total is well known"
-            yield Caution("not-identifiable", place, text)
-        elif value + 2.0 * std < 0.0:
-            text = f"{value:.3g} +- {std:.2g} {unit_of(name, joint)} is impossible: {where} show"
-            text += " something that this joint's model has not"
-            yield Caution("implausible", place, text)
-    if joint.spring == "three-slope":
-        text = f"one slope for the whole curve, as twisted in {where}: between the softest and the"
-        text += " stiffest of the three"
-        yield Caution("equivalent-stiffness", f"gear_stiffness of joint {number}", text)
-
-
-def identify_record(
-    signals: LinkSignals, decoupled: Decoupled, model: RigidModel | None, study: Study
-) -> RecordModel:
-    """TEMPORARY."""
-    return RecordModel(
-        decoupled, identify_joint([(signals, decoupled)], model, study), None, None, None
-    )
+    return dict(zip((*NAMES, "motor_coulomb_friction"), values, strict=True))

@@ -18,7 +18,7 @@ as one more equation each, weighted by its deviation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,13 +32,12 @@ from strainwave.physical.two_inertia import (
     joint_of,
     resonance,
 )
-from strainwave.records import Decoupled, FloatArray, LinkSignals, Study
+from strainwave.records import Decoupled, FloatArray, IntArray, LinkSignals, Study
 from strainwave.stiction import free_friction, responses
 
 COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "relaxation_time")
 """Unknowns: m_M, d_M, f, m_L, d_L, c = 1/k, t = d_G/k."""
 
-_N_PHYSICAL = 7
 _MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION = range(7)
 
 _BELOW = 2.5  # anti-resonance over the band's lower edge
@@ -49,11 +48,21 @@ _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
 _ROUNDS = 8  # of weights and linearisation at one band
-_CONVERGED = 0.02  # change in white-error deviations
+_CONVERGED = 0.02  # change in white-error deviations that ends the rounds
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
 _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
+
+
+@dataclass(frozen=True, slots=True)
+class RigidError:
+    """What one standard deviation along one direction of the rigid model's scatter changes."""
+
+    tau: tuple[FloatArray, ...]  # one a record, (n_samples,) [N m] at the link
+    total_inertia: float  # [kg m^2]
+    total_viscous_friction: float  # [N m s/rad]
+    coulomb_friction: float  # [N m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +72,19 @@ class RigidKnowledge:
     total_inertia: tuple[float, float] | None  # c_1 [kg m^2]
     total_viscous_friction: tuple[float, float] | None  # c_0 [N m s/rad]
     coulomb_friction: tuple[float, float] | None  # f [N m]
+    errors: tuple[RigidError, ...] = ()  # directions in which tau is uncertain
+
+    def moved(self, error: RigidError) -> RigidKnowledge:
+        """The same with one error in it."""
+        return RigidKnowledge(
+            _moved(self.total_inertia, error.total_inertia),
+            _moved(self.total_viscous_friction, error.total_viscous_friction),
+            _moved(self.coulomb_friction, error.coulomb_friction),
+        )
+
+
+def _moved(known: tuple[float, float] | None, change: float) -> tuple[float, float] | None:
+    return known and (known[0] + change, known[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,44 +124,31 @@ def fit_grey_box(
     GreyBoxFit
     """
     band = band_hz or _possible(*_FIRST_BAND_HZ, records)
-    x: FloatArray | None = None
-    for _ in range(_BANDS):
-        solved = _solve(records, study, known, band, x)
-        x = solved.x
-        if band_hz is not None:
-            return _fit_of(solved, np.zeros((_N_PHYSICAL, _N_PHYSICAL)))
-        joint = joint_of(_physical(x)[:6], solved.ratio)
-        before, band = band, _band_around(joint, records, band)
+    solved = _solve(records, study, known, band, None)
+    for _ in range(0 if band_hz else _BANDS - 1):
+        before, band = band, _band_around(_joint_of(solved), records, band)
         if all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(before, band, strict=True)):
             break
-    others = [
-        _solve(records, study, known, _possible(low, high, records), x)
+        solved = _solve(records, study, known, band, solved.x)
+    fit = _result(solved, known, band)
+    if band_hz is not None:
+        return fit
+    own = _physical(solved.x)
+    moves = [
+        _physical(_solve(records, study, known, _possible(low, high, records), solved.x).x) - own
         for low, high in (
             (band[0] * _OTHER_BAND, band[1] / _OTHER_BAND),
             (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
         )
     ]
-    return _fit_of(solved, _model_error(solved, others))
+    return replace(fit, covariance=fit.covariance + _model_error(moves))
 
 
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    """The equations in one band, and what solves them."""
-
-    ratio: float
-    band_hz: tuple[float, float]
-    sizes: tuple[float, float]  # norms of torque and of twist
-    equations: ls.Equations
-    factor: ls.Factor
-    x: FloatArray  # (n_unknowns,)
-
-
-def _model_error(solved: _Solved, others: Sequence[_Solved]) -> FloatArray:
+def _model_error(moves: Sequence[FloatArray]) -> FloatArray:
     """Covariance from what the equations leave out, as it shows in how the band changes the answer.
 
     Were the model exact, each band would give the same within its deviations.
     """
-    moves = [_physical(other.x) - _physical(solved.x) for other in others]
     return np.asarray(np.mean([np.outer(move, move) for move in moves], axis=0))
 
 
@@ -148,12 +157,30 @@ class _Piece:
     """One record's filtered columns, at the rows kept."""
 
     ratio: float
+    band: tuple[float, float]
+    sample_time: float
+    rows: IntArray
     torque: FloatArray  # (n_rows,) u + n tau
     tau: FloatArray  # (n_rows,)
     motor: FloatArray  # (n_rows, 3) dw_M, w_M, s
     link: FloatArray  # (n_rows, 2) dw_L, w_L
     twist: FloatArray  # (n_rows, 2) delta, ddelta
     free: FloatArray  # (n_rows, n_free) shapes of free friction
+
+    def with_more(self, tau: FloatArray) -> _Piece:
+        """The same with more interaction torque, (n_samples,)."""
+        more = band_pass(tau, *self.band, self.sample_time)[self.rows]
+        return replace(self, torque=self.torque + self.ratio * more, tau=self.tau + more)
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """Weighted equations in one band, and their solution."""
+
+    pieces: tuple[_Piece, ...]
+    equations: ls.Equations
+    factor: ls.Factor
+    x: FloatArray  # around which they are linear
 
 
 def _possible(
@@ -208,6 +235,9 @@ def _piece(
     shapes = free_friction(direction, max(2, int(1.0 / (_KNOTS * high * T))))
     return _Piece(
         ratio=n,
+        band=band,
+        sample_time=T,
+        rows=rows,
         torque=(passed(signals.motor_torque[:, i]) + n * passed(tau))[rows],
         tau=passed(tau)[rows],
         motor=np.column_stack([differentiate(motor_velocity, T), motor_velocity, slid])[rows],
@@ -226,8 +256,8 @@ def _solve(
     band: tuple[float, float],
     start: FloatArray | None,
 ) -> _Solved:
-    """Weights and linearisation in turn, in one band."""
-    pieces = [_piece(signals, joint, study, band) for signals, joint in records]
+    """Weights and linearisation in turn."""
+    pieces = tuple(_piece(signals, joint, study, band) for signals, joint in records)
     x = _start(pieces) if start is None else start
     equations = _assemble(pieces, known, x)
     root = ls.first_weights(equations.target, equations.group)
@@ -239,11 +269,17 @@ def _solve(
             break
         equations = _assemble(pieces, known, x)
         root = ls.root_weights(equations, factor)
-    sizes = (
-        float(np.linalg.norm(np.concatenate([p.torque for p in pieces]))),
-        float(np.linalg.norm(np.concatenate([p.twist[:, 0] for p in pieces]))),
-    )
-    return _Solved(pieces[0].ratio, band, sizes, equations, factor, x)
+    return _Solved(pieces, equations, factor, x)
+
+
+def _rigid_errors(solved: _Solved, known: RigidKnowledge) -> FloatArray:
+    """Columns: how far each of the rigid model's errors moves the unknowns."""
+    columns = []
+    for error in known.errors:
+        pieces = [p.with_more(tau) for p, tau in zip(solved.pieces, error.tau, strict=True)]
+        equations = _assemble(pieces, known.moved(error), solved.x)
+        columns.append(ls.factorise(equations, solved.factor.root).value - solved.factor.value)
+    return np.reshape(columns, (-1, len(COLUMNS))).T
 
 
 def _start(pieces: Sequence[_Piece]) -> FloatArray:
@@ -262,10 +298,8 @@ def _start(pieces: Sequence[_Piece]) -> FloatArray:
 def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) -> ls.Equations:
     """(S6) and (S7) of all records around x, then what the rigid model knows."""
     shared, local, target, group, block, deviation = [], [], [], [], [], []
-    n_local = sum(p.free.shape[1] for p in pieces)
     total = sum(len(p.torque) for p in pieces)
     first_block = at = 0
-    patches: list[tuple[slice, slice]] = []
     for number, p in enumerate(pieces):
         n_rows, n_free = len(p.torque), p.free.shape[1]
         motor = np.zeros((n_rows, len(COLUMNS)))
@@ -276,16 +310,12 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
         gear[:, [_LINK, _LINK_VISCOUS]] = x[_COMPLIANCE] * p.link
         gear[:, _COMPLIANCE] = own - p.tau
         gear[:, _RELAXATION] = -p.twist[:, 1]
-        Z = np.zeros((2 * n_rows, n_local))
-        Z[:n_rows, at : at + n_free] = p.free
-        top = 2 * sum(len(earlier.torque) for earlier in pieces[:number])
-        patches.append((slice(top, top + n_rows), slice(at, at + n_free)))
-        at += n_free
+        local.append(ls.Local(at + np.arange(n_rows), p.free))
+        at += 2 * n_rows
         n_blocks = max(2, round(_BLOCKS * n_rows / total))
         label = first_block + np.arange(n_rows) * n_blocks // n_rows
         first_block += n_blocks
         shared += [motor, gear]
-        local.append(Z)
         target += [p.torque, p.twist[:, 0] + x[_COMPLIANCE] * own]
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [label, label]
@@ -294,12 +324,11 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
     return ls.Equations(
         shared=np.concatenate([*shared, beforehand]),
         noise=np.zeros(len(COLUMNS)),
-        local=np.concatenate([*local, np.zeros((len(values), n_local))]),
+        local=tuple(local),
         local_deviation=np.array(deviation),
         target=np.concatenate([*target, values]),
         group=np.concatenate([*group, np.full(len(values), ls.KNOWN)]),
         block=np.concatenate([*block, np.full(len(values), ls.KNOWN)]),
-        patches=tuple(patches),
     )
 
 
@@ -321,6 +350,10 @@ def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]
     return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
 
 
+def _joint_of(solved: _Solved) -> TwoInertia:
+    return joint_of(_physical(solved.x)[:6], solved.pieces[0].ratio)
+
+
 def _physical(x: FloatArray) -> FloatArray:
     """The six of `NAMES`, then the Coulomb friction."""
     k = 1.0 / x[_COMPLIANCE]
@@ -329,26 +362,34 @@ def _physical(x: FloatArray) -> FloatArray:
     return np.concatenate([first, gear, x[[_COULOMB]]])
 
 
-def _fit_of(solved: _Solved, model_error: FloatArray) -> GreyBoxFit:
-    """The physical parameters of a solution, with their covariance."""
+def _result(solved: _Solved, known: RigidKnowledge, band: tuple[float, float]) -> GreyBoxFit:
     equations, factor, x = solved.equations, solved.factor, solved.x
     covariance, _ = ls.jackknife(equations, factor)
     told = ls.determined(equations, factor, covariance)
+    # tau came from the rigid model, whose errors no row of the data shows
+    errors = _rigid_errors(solved, known)
+    covariance = covariance + errors @ errors.T
     J = jacobian(_physical, x)
     residual = ls.residual_of(equations, factor)
     fits = []
-    for parity, size in enumerate(solved.sizes):
+    for parity in (0, 1):
         rows = (equations.group != ls.KNOWN) & (equations.group % 2 == parity)
-        fits.append(100.0 * (1.0 - float(np.linalg.norm(residual[rows])) / size))
+        size = _size(solved.pieces, parity)
+        fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / size))
     order = [_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION, _COULOMB]
     return GreyBoxFit(
-        joint=joint_of(_physical(x)[:6], solved.ratio),
+        joint=_joint_of(solved),
         coulomb_friction=float(x[_COULOMB]),
-        covariance=J @ covariance @ J.T + model_error,
+        covariance=J @ covariance @ J.T,
         determined=tuple(bool(told[k]) for k in order),
-        band_hz=solved.band_hz,
-        torque_fit_percent=fits[0],
-        twist_fit_percent=fits[1],
+        band_hz=band,
+        torque_fit_percent=float(fits[0]),
+        twist_fit_percent=float(fits[1]),
         condition_number=factor.condition_number,
         n_rows=int(np.count_nonzero(equations.group != ls.KNOWN)),
     )
+
+
+def _size(pieces: Sequence[_Piece], parity: int) -> float:
+    signals = [p.twist[:, 0] if parity else p.torque for p in pieces]
+    return float(np.linalg.norm(np.concatenate(signals)))

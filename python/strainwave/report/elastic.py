@@ -143,7 +143,7 @@ def resonance_rows(identification: Identification) -> list[tuple[str, ...]]:
         Joint, records, anti-resonance, its damping, resonance, its damping, stiffness.
     """
     rows = [_row(joint, "all, at once") for joint in identification.joints]
-    rows += [_row(r.physical, _name(r)) for r in identification.records]
+    rows += [_row(r.physical, _name(r)) for r in identification.records if r.physical]
     return sorted(rows, key=lambda row: row[0])
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.filters import differentiate, low_pass
-from strainwave.least_squares import Equations, Factor
+from strainwave.least_squares import Equations, Factor, Local
 from strainwave.records import BoolArray, FloatArray, IntArray, Signals, Study
 from strainwave.regressor import (
     FRICTION_COLUMNS,
@@ -165,7 +165,7 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
     return Equations(
         shared=np.concatenate(shared),
         noise=np.sqrt(noise),
-        local=np.concatenate(local),
+        local=(Local(np.arange(sum(map(len, local))), np.concatenate(local)),),
         local_deviation=np.array(deviation),
         target=np.concatenate(target),
         group=np.concatenate(group),

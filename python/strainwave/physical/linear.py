@@ -1,0 +1,343 @@
+"""Decoupled -> StateSpace: a linear model of one joint, the paper's decoupling identification.
+
+Two inputs, motor torque less Coulomb friction and interaction torque, and two outputs, motor and
+link velocity, as in (11), (12). What prediction-error estimation asks of the data, it gets here:
+
+- The noise must be innovations of some size at every frequency up to Nyquist. So the rate comes
+  down together with the low-pass in front; a low-pass alone would make the noise predictable.
+- Friction and sensor bias drift. A second-order zero-phase high-pass below the anti-resonance
+  keeps that out, and gentle as it is leaves no empty band.
+- Straight lines between so few samples are not the input. Its samples are raised by 1/sinc^2, so
+  that the lines through them have in the band the spectrum that the input had.
+- The link velocity (10) leans on the motor's at low frequencies; both are known, so it is undone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, cast
+
+import numpy as np
+
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.filters import by_spectrum
+from strainwave.records import (
+    Caution,
+    ComplexArray,
+    Decoupled,
+    FloatArray,
+    Fusion,
+    Hold,
+    InputOutput,
+    Modes,
+    StateSpace,
+)
+from strainwave.statespace import modes, pem, subspace
+
+BELOW = 3.0  # anti-resonance over the band's lower edge
+ABOVE = 3.0  # the band's upper edge over the resonance: with less, d_G hardly shows
+_FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring; then adapted
+_SLOWEST = 6.0  # periods of the lower edge in the longest stretch, at least
+_OVERSAMPLED = 3.0  # the rate over the band's upper edge
+_ROUNDS = 5  # in which the band may move
+_SAME_BAND = 0.1
+_FAR_OFF = 0.25
+_HIGH_PASS, _LOW_PASS = 2, 8  # powers in the squared magnitude
+_RAISED = 0.75  # of the new rate, up to which inputs are raised: sinc^2 is then a tenth
+
+
+@dataclass(frozen=True, slots=True)
+class LinearOptions:
+    """What may be set by hand."""
+
+    # None: the physical 3, or the paper's 4 where 3 does not do
+    order: Literal[3, 4] | None = None
+    outputs: Literal["both", "motor"] = "both"
+    inputs: Literal["both", "motor"] = "both"  # "motor": the interaction torque is left out
+    method: Literal["pem", "subspace"] = "pem"
+    band_hz: tuple[float, float] | None = None  # of the filter; None: from the resonances found
+
+
+def state_space_of(
+    records: Decoupled | Sequence[Decoupled], options: LinearOptions | None = None
+) -> StateSpace:
+    """State-space model of one joint, from one or several records.
+
+    The noise model is estimated along with the plant, so that feedback through a servo or through
+    the other joint does no harm.
+
+    Parameters
+    ----------
+    records : Decoupled or sequence of Decoupled
+        Of one joint.
+    options : LinearOptions, optional
+
+    Returns
+    -------
+    StateSpace
+        Of the filtered signals: what they have below the band is not in it.
+
+    Raises
+    ------
+    InvalidInput
+        Records of different joints or rates.
+    NotIdentifiable
+        No stretch without saturation is long enough, or no model fits.
+    """
+    chosen = options or LinearOptions()
+    joint = (records,) if isinstance(records, Decoupled) else tuple(records)
+    _check(joint)
+    if chosen.band_hz is not None:
+        return _model(joint, chosen.band_hz, chosen)
+    band = _search(joint)
+    model = _model(joint, band, chosen)
+    found = modes_of(model)
+    # a part of the signals may show other modes than the joint's, and the band would run off
+    whole = chosen.inputs == chosen.outputs == "both"
+    if not (whole and found.anti_resonance and found.resonance):
+        return model
+    better = band_around(found.anti_resonance.frequency_hz, found.resonance.frequency_hz, joint)
+    return model if _same(band, better, _FAR_OFF) else _model(joint, better, chosen)
+
+
+def modes_of(model: StateSpace) -> Modes:
+    """Poles, and zeros from motor torque to motor velocity, of what lies in the band.
+
+    Parameters
+    ----------
+    model : StateSpace
+        From `state_space_of`.
+
+    Returns
+    -------
+    Modes
+        Without deviations where alternating poles had to be left out.
+    """
+    return modes(without_alternating(model), 0, 0)
+
+
+def without_alternating(model: StateSpace) -> StateSpace:
+    """A model that has a counterpart in continuous time: poles on the negative real axis left out.
+
+    Such a pole answers every sample with the opposite sign: it shapes the edge of the band, at
+    Nyquist. In the band it is a mere gain, which goes into D.
+
+    Parameters
+    ----------
+    model : StateSpace
+
+    Returns
+    -------
+    StateSpace
+        The model itself where there is none; else one without covariance.
+    """
+    values, vectors = np.linalg.eig(model.A)
+    bad = np.flatnonzero((values.imag == 0.0) & (values.real <= 0.0))
+    if not len(bad) or len(bad) == model.order:
+        return model
+    z, v = float(values[bad[0]].real), vectors[:, bad[0]].real
+    w = np.linalg.inv(vectors)[bad[0]].real
+    others = np.linalg.svd(w[None])[2][1:].T  # w'A = z w', so that what w does not see stays unseen
+    to = np.linalg.inv(np.column_stack([others, v]))[:-1]
+    shorter = replace(
+        model,
+        A=to @ model.A @ others,
+        B=to @ model.B,
+        C=model.C @ others,
+        D=model.D + np.outer(model.C @ v, w @ model.B) / (1.0 - z),
+        K=to @ model.K,
+        initial_states=model.initial_states @ to.T,
+        covariance=None,
+    )
+    return without_alternating(shorter)
+
+
+def band_around(
+    anti_resonance_hz: float, resonance_hz: float, records: Sequence[Decoupled]
+) -> tuple[float, float]:
+    """The band of the filter for a joint that rings there, cut to what the records hold.
+
+    Parameters
+    ----------
+    anti_resonance_hz, resonance_hz : float [Hz]
+    records : sequence of Decoupled
+
+    Returns
+    -------
+    (float, float) [Hz]
+    """
+    low, high = anti_resonance_hz / BELOW, resonance_hz * ABOVE
+    for record in records:
+        longest = max((stop - start for start, stop in _stretches(record)), default=1)
+        low = max(low, _SLOWEST / (longest * record.sample_time))
+        high = min(high, 0.4 / record.sample_time, 0.8 * (record.bandwidth_hz or np.inf))
+    return min(low, high / 4.0), high
+
+
+def band_of(f: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
+    """Gain of the zero-phase band-pass, 1 / ((1 + (low/f)^2) (1 + (f/high)^8)).
+
+    Parameters
+    ----------
+    f : (n_frequencies,) [Hz]
+    band_hz : (float, float) [Hz]
+
+    Returns
+    -------
+    (n_frequencies,)
+    """
+    low, high = band_hz
+    gain = (1.0 + (low / f) ** _HIGH_PASS) * (1.0 + (f / high) ** _LOW_PASS)
+    return np.asarray(1.0 / gain)
+
+
+def velocities(f: FloatArray, record: Decoupled) -> ComplexArray:
+    """From the outputs to the velocities of motor and link themselves, (10) undone.
+
+    Parameters
+    ----------
+    f : (n_frequencies,) [Hz]
+    record : Decoupled
+
+    Returns
+    -------
+    (n_frequencies, 2, 2)
+    """
+    undo = np.zeros((len(f), 2, 2), dtype=complex)
+    undo[:, 0, 0] = undo[:, 1, 1] = 1.0
+    if record.fusion is not None:
+        F = _lean(f, record.fusion)
+        undo[:, 1, 1] = 1.0 / (1.0 - F)
+        undo[:, 1, 0] = -record.gear_ratio * F / (1.0 - F)
+    return undo
+
+
+def _lean(f: FloatArray, fusion: Fusion) -> ComplexArray:
+    """The low-pass F of (10)."""
+    x = 2j * np.pi * f * fusion.time_constant
+    return np.asarray(1.0 / (1.0 + x if fusion.order == 1 else 1.0 + np.sqrt(2.0) * x + x * x))
+
+
+def _check(records: Sequence[Decoupled]) -> None:
+    if not records:
+        raise InvalidInput("there is no record to take a state-space model from")
+    first = records[0]
+    for record in records[1:]:
+        if record.joint != first.joint or record.inputs.shape[1] != first.inputs.shape[1]:
+            raise InvalidInput(
+                f"records of different joints: {first.joint} and {record.joint}",
+                where=record.experiment.name,
+                remedy="take one joint at a time",
+            )
+        if abs(record.sample_time - first.sample_time) > 1e-6 * first.sample_time:
+            raise InvalidInput(
+                f"sample times differ: {first.sample_time:g} s and {record.sample_time:g} s",
+                where=record.experiment.name,
+                remedy="log all records at one rate",
+            )
+
+
+def _stretches(record: Decoupled) -> list[tuple[int, int]]:
+    """First and last but one of the uninterrupted valid samples."""
+    edges = np.flatnonzero(np.diff(np.r_[False, record.valid, False].astype(np.int8)))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def _data(
+    records: Sequence[Decoupled], band_hz: tuple[float, float], options: LinearOptions
+) -> tuple[InputOutput, ...]:
+    """Filtered, decimated stretches."""
+    found = [piece for record in records for piece in _pieces(record, band_hz, options)]
+    if not found:
+        raise NotIdentifiable(
+            f"no stretch of {records[0].experiment.name} is free of edges and saturation for "
+            f"{_SLOWEST:g} periods of {band_hz[0]:.3g} Hz: record for longer, or lower the "
+            "amplitude"
+        )
+    return tuple(found)
+
+
+def _pieces(
+    record: Decoupled, band_hz: tuple[float, float], options: LinearOptions
+) -> Iterator[InputOutput]:
+    low, high = band_hz
+    T = record.sample_time
+    step = max(1, int(1.0 / (_OVERSAMPLED * high * T) + 1e-9))
+    n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
+    n_out = 1 if options.outputs == "motor" else 2
+
+    def raised(f: FloatArray) -> ComplexArray:
+        lines = np.where(f * step * T < _RAISED, np.sinc(f * step * T) ** 2, 1.0)
+        return np.asarray(band_of(f, band_hz) / lines, dtype=complex)
+
+    def undone(f: FloatArray) -> ComplexArray:
+        return np.asarray(band_of(f, band_hz)[:, None, None] * velocities(f, record))
+
+    for start, stop in _stretches(record):
+        edge = int(1.0 / (low * T))
+        # the high-pass answers over one period; what is left must tell something
+        if (stop - start) * T * low < _SLOWEST - 1e-6:
+            continue
+        inputs = by_spectrum(record.inputs[start:stop, :n_in], raised, T, 3.0 / low)
+        outputs = by_spectrum(record.outputs[start:stop], undone, T, 3.0 / low)
+        yield InputOutput(
+            inputs=np.ascontiguousarray(inputs[edge : stop - start - edge : step]),
+            outputs=np.ascontiguousarray(outputs[edge : stop - start - edge : step, :n_out]),
+            sample_time=step * T,
+            hold=cast("tuple[Hold, ...]", ("first",) * n_in),
+            input_names=("motor_torque", "interaction_torque")[:n_in],
+            output_names=("motor_velocity", "link_velocity")[:n_out],
+        )
+
+
+def _search(records: Sequence[Decoupled]) -> tuple[float, float]:
+    """A band around the resonances, by subspace estimates, which are quick and need no start."""
+    band = band_around(_FIRST_BAND_HZ[0] * BELOW, _FIRST_BAND_HZ[1] / ABOVE, records)
+    for _ in range(_ROUNDS):
+        found = modes_of(subspace(_data(records, band, LinearOptions()), 3))
+        if found.anti_resonance is None or found.resonance is None:
+            break
+        before = band
+        low, high = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
+        band = band_around(min(low, high), max(low, high), records)
+        if _same(before, band, _SAME_BAND):
+            break
+    return band
+
+
+def _same(band: tuple[float, float], other: tuple[float, float], within: float) -> bool:
+    return all(abs(a / b - 1.0) < within for a, b in zip(band, other, strict=True))
+
+
+def _model(
+    records: Sequence[Decoupled], band_hz: tuple[float, float], options: LinearOptions
+) -> StateSpace:
+    """The model in one band; of two orders, that which rings and has the lower BIC."""
+    data = _data(records, band_hz, options)
+    fit = pem if options.method == "pem" else subspace
+    model = fit(data, options.order or 3)
+    if options.order is None and not _will_do(model):
+        other = fit(data, 4)
+        if _rings(other) and (not _rings(model) or other.bic < model.bic):
+            model = other
+    return replace(model, warnings=model.warnings + tuple(_warnings(model, records)))
+
+
+def _will_do(model: StateSpace) -> bool:
+    return model.status in ("converged", "estimated") and _rings(model)
+
+
+def _rings(model: StateSpace) -> bool:
+    found = modes_of(replace(model, covariance=None))
+    return bool(found.resonance and found.anti_resonance)
+
+
+def _warnings(model: StateSpace, records: Sequence[Decoupled]) -> Iterator[Caution]:
+    where = ", ".join(record.experiment.name for record in records)
+    growth = float(np.abs(np.linalg.eigvals(model.A)).max())
+    if growth > 1.0:
+        rate = float(np.log(growth) / model.sample_time)
+        text = f"the slowest pole grows by {rate:.2g} 1/s, as friction that is not quite taken off"
+        text += " makes it seem; the simulated fit means nothing, resonances are not touched"
+        yield Caution("unstable-model", where, text)

@@ -1,0 +1,128 @@
+"""Values and their covariance -> parameters to print, and what must be said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from strainwave.parameters import unit_of
+from strainwave.records import Caution, FloatArray, Joint, Parameter
+
+_TOLD = 0.3  # relative deviation up to which a damping or friction is worth printing
+_REACH = 1.96  # of a 95 % interval, in deviations
+
+
+def parameters_of(
+    values: Mapping[str, float],
+    covariance: FloatArray,
+    determined: Sequence[bool],
+    joint: Joint,
+    number: int,
+) -> Iterator[Parameter]:
+    """Each value as a parameter, None where it is hardly told, then the total viscous friction.
+
+    Parameters
+    ----------
+    values : mapping from name to value
+    covariance : (n_values, n_values)
+    determined : (n_values,)
+    joint : Joint
+    number : int
+        The joint's, from 1.
+
+    Yields
+    ------
+    Parameter
+    """
+    deviation = _deviations(covariance)
+    for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
+        told = _is_told(name, value, std, known)
+        yield _parameter(name, number, joint, (value, std) if told else None)
+    weight = np.array(
+        [
+            {"motor_viscous_friction": 1.0, "link_viscous_friction": joint.gear_ratio**2}.get(n, 0)
+            for n in values
+        ]
+    )
+    total = float(weight @ np.array(list(values.values())))
+    spread = float(np.sqrt(max(weight @ covariance @ weight, 0.0)))
+    yield _parameter("total_viscous_friction", number, joint, (total, spread))
+
+
+def cautions_of(
+    values: Mapping[str, float],
+    covariance: FloatArray,
+    determined: Sequence[bool],
+    joint: Joint,
+    number: int,
+    source: str,
+) -> Iterator[Caution]:
+    """What is hardly told, what is impossible, and what is an average.
+
+    Parameters
+    ----------
+    values, covariance, determined, joint, number
+        As for `parameters_of`.
+    source : str
+        Where the values come from: the records' names.
+
+    Yields
+    ------
+    Caution
+    """
+    deviation = _deviations(covariance)
+    for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
+        place, unit = f"{name} of joint {number}", unit_of(name, joint)
+        if value + 2.0 * std < 0.0:
+            text = f"{value:.3g} +- {std:.2g} {unit} is impossible: {source} show something that"
+            yield Caution("implausible", place, text + " this joint's model has not")
+        elif not _is_told(name, value, std, known):
+            text = f"{source} tell it only to {value:.3g} +- {std:.2g} {unit}"
+            if name.endswith("viscous_friction"):
+                text += "; of the viscous frictions only the total is well known"
+            yield Caution("not-identifiable", place, text)
+    if joint.spring == "three-slope":
+        text = f"one slope for the whole curve, as twisted in {source}: between the softest and the"
+        text += " stiffest of the three"
+        yield Caution("equivalent-stiffness", f"gear_stiffness of joint {number}", text)
+
+
+def status_of(
+    warnings: Iterable[Caution],
+) -> Literal["determined", "partly-determined", "implausible"]:
+    """The verdict on a joint's parameters that their cautions make.
+
+    Parameters
+    ----------
+    warnings : iterable of Caution
+
+    Returns
+    -------
+    str
+    """
+    codes = {warning.code for warning in warnings}
+    if "implausible" in codes:
+        return "implausible"
+    return "partly-determined" if "not-identifiable" in codes else "determined"
+
+
+def _parameter(name: str, number: int, joint: Joint, told: tuple[float, float] | None) -> Parameter:
+    unit = unit_of(name, joint)
+    if told is None:
+        return Parameter(name, number, None, None, unit, "decoupled")
+    value, std = told
+    return Parameter(
+        name, number, value, std, unit, "decoupled", (value - _REACH * std, value + _REACH * std)
+    )
+
+
+def _deviations(covariance: FloatArray) -> list[float]:
+    return [float(d) for d in np.sqrt(np.clip(np.diag(covariance), 0.0, None))]
+
+
+def _is_told(name: str, value: float, std: float, determined: bool) -> bool:
+    """Only the sum of the viscous frictions shows in fast records; their split hardly does."""
+    split = name in ("motor_viscous_friction", "link_viscous_friction")
+    return determined and not (split and std > _TOLD * abs(value))

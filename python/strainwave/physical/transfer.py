@@ -1,0 +1,248 @@
+"""StateSpace, RigidModel -> JointModel: physical parameters from transfer functions, (15)-(18).
+
+G11 of the paper, motor torque to motor velocity, is read off the state-space model: its lightly
+damped zero pair gives b1, b2, its pole pair d1, d2. The slow lag of (17), which fast records hardly
+show, is the rigid model's: (18) puts c_0 + c_1 s in its place. What follows is a closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave.errors import NotIdentifiable
+from strainwave.filters import by_spectrum
+from strainwave.physical.grey_box import RigidKnowledge
+from strainwave.physical.linear import (
+    band_around,
+    band_of,
+    modes_of,
+    velocities,
+    without_alternating,
+)
+from strainwave.physical.told import cautions_of, parameters_of, status_of
+from strainwave.physical.two_inertia import (
+    NAMES,
+    TwoInertia,
+    from_coefficients,
+    jacobian,
+    state_space,
+)
+from strainwave.records import (
+    Caution,
+    ComplexArray,
+    ContinuousStateSpace,
+    Decoupled,
+    FloatArray,
+    JointModel,
+    Mode,
+    StateSpace,
+    Study,
+)
+from strainwave.statespace import propagate, to_continuous
+
+_TOLD = 1.0  # relative deviation beyond which even the sign is a guess
+_SLOW = 0.1  # of the anti-resonance: (18) asks for c_0/c_1 far below
+_HEAVIER = 0.1  # relative difference of c_1 to the model's own that is worth a word
+_RECIPROCAL = 70.0  # per cent; noise leaves above 90 on good records
+_LINES = 25  # at which G12 and G21 are compared
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """What is read off G11."""
+
+    zero: complex
+    pole: complex
+    lag: tuple[float, float]  # c_0, c_1 of the model itself, where it rings
+
+    @property
+    def vector(self) -> FloatArray:
+        """b1, b2, d1, d2, c_0, c_1, then frequency [Hz] and damping of zero and pole."""
+        of = [
+            x for r in (self.zero, self.pole) for x in (-2.0 * r.real / abs(r) ** 2, abs(r) ** -2)
+        ]
+        rings = [
+            x for r in (self.zero, self.pole) for x in (abs(r) / (2.0 * np.pi), -r.real / abs(r))
+        ]
+        return np.array([*of, *self.lag, *rings])
+
+
+def from_state_space(
+    model: StateSpace, record: Decoupled, study: Study, known: RigidKnowledge
+) -> JointModel:
+    """Physical parameters from G11 of a state-space model, (17), (18).
+
+    Parameters
+    ----------
+    model : StateSpace
+        From `state_space_of`; of more than three states, the least damped pairs are taken.
+    record : Decoupled
+        The record it was estimated from.
+    study : Study
+    known : RigidKnowledge
+        c_0 and c_1 for (18). Where they are not known, the model's own are taken, (17).
+
+    Returns
+    -------
+    JointModel
+        Impossible values are reported as they came, with status "implausible". `fit_percent` tells
+        how well these parameters explain the velocities in the band, and how well G12 = G21.
+
+    Raises
+    ------
+    NotIdentifiable
+        The model has no oscillating pole and zero pair.
+    """
+    number = record.joint
+    joint, where = study.joints[number - 1], record.experiment.name
+    nominal = _pairs(model, None)
+    vector, scatter = propagate(model, lambda near: _pairs(near, nominal).vector)
+    if scatter is None:
+        scatter = np.full((len(vector), len(vector)), np.nan)
+    lag, sources = _with_rigid(vector[:6], scatter[:6, :6], known)
+    found = from_coefficients(lag[:2], lag[2:4], lag[4:], record.gear_ratio)
+    J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], record.gear_ratio).vector, lag)
+    covariance = J @ sources @ J.T
+    values = dict(zip(NAMES, found.vector.tolist(), strict=True))
+    deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    told = tuple(bool(d <= _TOLD * abs(v)) for d, v in zip(deviation, found.vector, strict=True))
+    ring = np.sqrt(np.clip(np.diag(scatter)[6:], 0.0, None))
+    modes = [_mode(nominal.zero, ring[:2]), _mode(nominal.pole, ring[2:])]
+    band = band_around(modes[0].frequency_hz, modes[1].frequency_hz, [record])
+    fit = _fit_percent(found, record, band)
+    reciprocity = _reciprocity(model, modes[0].frequency_hz, modes[1].frequency_hz)
+    if reciprocity is not None:
+        fit["reciprocity"] = reciprocity
+    said = values, covariance, told, joint, number
+    warnings = (*cautions_of(*said, where), *_doubts(nominal, lag, reciprocity, where))
+    return JointModel(
+        joint=number,
+        experiments=(where,),
+        method="transfer-function",
+        parameters=tuple(parameters_of(*said)),
+        values=values,
+        covariance=covariance,
+        anti_resonance=modes[0],
+        resonance=modes[1],
+        band_hz=band,
+        fit_percent=fit,
+        status=status_of(warnings),
+        warnings=warnings,
+    )
+
+
+def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
+    """The least damped pairs; of a model near another, those that moved least."""
+    reduced = without_alternating(model)
+    found = modes_of(reduced)
+    zeros, poles = ([m.value for m in ms if m.oscillates] for ms in (found.zeros, found.poles))
+    if not zeros or not poles:
+        raise NotIdentifiable(
+            "the state-space model has no oscillating pair of poles and zeros: raise the amplitude "
+            "or record for longer"
+        )
+    if near is None:
+        zero, pole = (min(v, key=lambda r: abs(r.real / r)) for v in (zeros, poles))
+    else:
+        aim = near
+        zero = min(zeros, key=lambda r: abs(r - aim.zero))
+        pole = min(poles, key=lambda r: abs(r - aim.pole))
+    return _Pairs(zero, pole, _lag(to_continuous(reduced), zero, pole))
+
+
+def _lag(model: ContinuousStateSpace, zero: complex, pole: complex) -> tuple[float, float]:
+    """c_0 and c_1 with G11 = (1 + b1 s + b2 s^2)/((c_0 + c_1 s)(1 + d1 s + d2 s^2)) where it rings.
+
+    One complex equation at the geometric mean of anti-resonance and resonance.
+    """
+    s = 1j * np.sqrt(abs(zero) * abs(pole))
+    up, down = ((s - r) * (s - r.conjugate()) / abs(r) ** 2 for r in (zero, pole))
+    lag = up / (down * _response(model, np.array([s]))[0, 0, 0])
+    return float(lag.real), float(lag.imag / abs(s))
+
+
+def _response(model: ContinuousStateSpace, s: ComplexArray) -> ComplexArray:
+    """(n, n_outputs, n_inputs)."""
+    inner = s[:, None, None] * np.eye(model.order) - model.A
+    return np.asarray(model.C @ np.linalg.solve(inner, model.B[None] + 0j) + model.D)
+
+
+def _s(f: FloatArray) -> ComplexArray:
+    return np.asarray(2j * np.pi * f, dtype=np.complex128)
+
+
+def _with_rigid(
+    own: FloatArray, covariance: FloatArray, known: RigidKnowledge
+) -> tuple[FloatArray, FloatArray]:
+    """The modification (18): b1, b2, d1, d2, c_0, c_1 with the rigid model's lag."""
+    vector, scatter = own.copy(), covariance.copy()
+    for place, value in ((4, known.total_viscous_friction), (5, known.total_inertia)):
+        if value is not None:
+            vector[place] = value[0]
+            scatter[place] = scatter[:, place] = 0.0
+            scatter[place, place] = value[1] ** 2
+    return vector, scatter
+
+
+def _mode(value: complex, deviation: FloatArray) -> Mode:
+    std = [float(d) if np.isfinite(d) else None for d in deviation]
+    return Mode(value, abs(value) / (2.0 * np.pi), -value.real / abs(value), std[0], std[1])
+
+
+def _fit_percent(
+    joint: TwoInertia, record: Decoupled, band: tuple[float, float]
+) -> dict[str, float]:
+    """How well the physical parameters explain both velocities from the inputs, in the band."""
+    A, B, C = state_space(joint)
+    n_in = record.inputs.shape[1]
+    B[:, n_in:] = 0.0
+    physical = ContinuousStateSpace(A, B, C, np.zeros((2, 2)))
+
+    def modelled(f: FloatArray) -> ComplexArray:
+        return np.asarray(band_of(f, band)[:, None, None] * _response(physical, _s(f)))
+
+    def measured(f: FloatArray) -> ComplexArray:
+        return np.asarray(band_of(f, band)[:, None, None] * velocities(f, record))
+
+    reach = 3.0 / band[0]
+    rows = np.flatnonzero(record.valid)
+    edge = int(1.0 / (band[0] * record.sample_time))
+    rows = rows[(rows >= rows[0] + edge) & (rows <= rows[-1] - edge)]
+    inputs = np.zeros((len(record.inputs), 2))
+    inputs[:, :n_in] = record.inputs
+    y = by_spectrum(record.outputs, measured, record.sample_time, reach)[rows]
+    miss = y - by_spectrum(inputs, modelled, record.sample_time, reach)[rows]
+    size = np.linalg.norm(y - y.mean(axis=0), axis=0)
+    fits = 100.0 * (1.0 - np.linalg.norm(miss, axis=0) / size)
+    return dict(zip(("motor_velocity", "link_velocity"), fits.tolist(), strict=True))
+
+
+def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | None:
+    """Per cent of agreement of G12 and G21, which a passive joint has equal."""
+    if min(len(model.C), model.B.shape[1]) < 2:
+        return None
+    f = np.geomspace(0.7 * low_hz, 1.3 * high_hz, _LINES)
+    G = _response(to_continuous(without_alternating(model)), _s(f))
+    apart, mean = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
+    return float(100.0 * (1.0 - np.linalg.norm(apart) / np.linalg.norm(mean)))
+
+
+def _doubts(
+    own: _Pairs, lag: FloatArray, reciprocity: float | None, where: str
+) -> Iterator[Caution]:
+    """Where the method's own assumptions do not hold."""
+    if reciprocity is not None and reciprocity < _RECIPROCAL:
+        text = f"G12 and G21, equal in a joint, agree only to {reciprocity:.0f} %: check the gear"
+        yield Caution("not-reciprocal", where, text + " ratio, torque_per_volt and the link sensor")
+    if abs(lag[4] / lag[5]) > _SLOW * abs(own.zero):
+        text = "the joint's slow lag is not far below its anti-resonance, so that (18) is rough"
+        yield Caution("lag-not-slow", where, text)
+    ratio = own.lag[1] / lag[5]
+    if abs(ratio - 1.0) > _HEAVIER:
+        text = f"the inertia where the joint rings is {ratio:.2f} times the rigid model's: see what"
+        yield Caution(
+            "inertia-mismatch", where, text + " friction and torque_per_volt do to either"
+        )
