@@ -201,12 +201,14 @@ def _decoupled(
                 seen = links.link_side(log, the_study)
                 run.warnings.extend(seen.warnings)
                 parts = decoupling.decouple(seen, model, the_study)
-                if log.experiment.use == "frequency":
+                at_once = log.experiment.use == "frequency"
+                how = physical.RecordOptions(state_space=at_once)
+                if at_once:
                     at_full.append(parts)
                 for part in _excited_joints(parts, log):
                     run.warnings.extend(part.warnings)
-                    records.append(physical.identify_record(seen, part, model, the_study))
-                    if log.experiment.use == "frequency":
+                    records.append(physical.identify_record(seen, part, model, the_study, how))
+                    if at_once:
                         together.setdefault(part.joint, []).append((seen, part))
         except NotIdentifiable as failure:
             run.reasons.append(str(failure))

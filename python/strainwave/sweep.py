@@ -47,7 +47,7 @@ def _points(records: Iterable[RecordModel]) -> list[SweepPoint]:
     points = []
     for record in records:
         prbs, joint = record.signals.experiment.prbs, record.physical
-        mode = joint and joint.anti_resonance
+        mode = None if joint is None else joint.anti_resonance
         if prbs is None or joint is None or mode is None or mode.frequency_std_hz is None:
             continue
         w = 2.0 * np.pi * mode.frequency_hz

@@ -59,6 +59,7 @@ class RecordOptions:
 
     physical: PhysicalOptions = field(default_factory=PhysicalOptions)
     linear: LinearOptions = field(default_factory=LinearOptions)
+    state_space: bool = True  # whether a state-space model is estimated beside
 
 
 def identify_joint(
@@ -151,8 +152,9 @@ def identify_record(
         return identify_joint([(signals, decoupled)], model, study, chosen.physical)
 
     physical = tried("grey-box-failed", grey_box)
-    linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))
-    modes = transfer = None
+    linear = modes = transfer = None
+    if chosen.state_space:
+        linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))
     if linear is not None:
         found = linear
         known = rigid_knowledge(model, study, decoupled.joint)
