@@ -21,7 +21,7 @@ def lab(shared_data: Path) -> Callable[[str], tuple[Identification, dict[str, An
     def of(arm: str) -> tuple[Identification, dict[str, Any]]:
         if arm not in made:
             folder = shared_data / "lab" / arm
-            found = pipeline.identify(folder / "study.toml", stages=("rigid", "decoupled"))
+            found = pipeline.identify(folder / "study.toml")
             made[arm] = found, json.loads((folder / "truth.json").read_text())
         return made[arm]
 
@@ -65,3 +65,31 @@ def test_a_three_slope_arm_hardens_and_stays_within_its_slopes(
         assert all(0.97 * k1 < p.gear_stiffness < 1.03 * k3 for p in sweep.points)
         rising = [p.squared_anti_resonance for p in sweep.points]
         assert rising == sorted(rising)
+
+
+def test_a_flexible_joint_without_motion_records(shared_data: Path) -> None:
+    """The measured arm rings at 3.4 to 3.5 Hz (zeros) and 4.0 to 4.5 Hz (poles)."""
+    found = pipeline.identify(shared_data / "real" / "ist-flexible-arm" / "study.toml")
+    assert found.reason is None
+    assert found.rigid is None
+    (record,) = found.records
+    assert record.modes is not None
+    assert record.physical is not None
+    for modes in (record.modes, record.physical):
+        assert modes.anti_resonance is not None
+        assert modes.resonance is not None
+        assert 3.4 < modes.anti_resonance.frequency_hz < 3.5
+        assert 4.0 < modes.resonance.frequency_hz < 4.5
+
+
+@pytest.mark.parametrize("arm", ["scara-linear-5kg", "vertical-linear-0kg"])
+def test_a_tuned_linear_arm_foretells_steps(
+    arm: str, lab: Callable[[str], tuple[Identification, dict[str, Any]]]
+) -> None:
+    """Velocity of the joint that steps, closed loop: at least 97 %."""
+    found, _ = lab(arm)
+    assert found.tuned is not None
+    assert found.tuned.status == "converged"
+    fits = {(c.experiment, name): fit for c in found.checks for name, fit in c.fit_percent.items()}
+    for joint in (1, 2):
+        assert fits[f"step-check-j{joint}", f"omega_m{joint}"] > 97.0

@@ -191,6 +191,8 @@ def _decoupled(
         text = 'elastic gears show in fast records only: add experiments with use = "frequency"'
         run.warnings.append(Caution("no-frequency-record", str(the_study.path), text))
         return (), (), {}
+    if model is None and not _alone(the_study):
+        return (), (), {}  # why there is none has been said
     records = []
     together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
     at_full: list[tuple[Decoupled, ...]] = []
@@ -277,9 +279,13 @@ def _excited_joints(parts: Sequence[Decoupled], log: Log) -> list[Decoupled]:
 
 
 def _single_and_excited(the_study: Study, all_logs: Sequence[Log]) -> bool:
-    """Whether a joint can be identified without a rigid model: nothing acts on it but its motor."""
-    alone = the_study.n_joints == 1 and the_study.arm.gravity is None
-    return alone and any(log.experiment.use == "frequency" for log in all_logs)
+    """Whether a joint can be identified without a rigid model."""
+    return _alone(the_study) and any(log.experiment.use == "frequency" for log in all_logs)
+
+
+def _alone(the_study: Study) -> bool:
+    """Whether nothing acts on the joint but its motor."""
+    return the_study.n_joints == 1 and the_study.arm.gravity is None
 
 
 def write(identification: Identification, folder: Path) -> None:
