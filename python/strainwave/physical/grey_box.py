@@ -47,7 +47,8 @@ _SLOWEST = 6.0  # periods of the lower edge in the shortest record, at least
 _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
-_ROUNDS = 8  # of weights and linearisation at one band
+_ROUNDS = 8  # of weights and linearisation at one band, at most
+_SETTLED = 0.01  # of a deviation, by which a round still moves the unknowns
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
@@ -262,9 +263,12 @@ def _solve(
     root = ls.first_weights(equations.target, equations.group)
     for _ in range(_ROUNDS):
         factor = ls.factorise(equations, root)
+        settled = bool(np.all(np.abs(factor.value - x) <= _SETTLED * factor.deviation))
         x = factor.value
         equations = _assemble(pieces, known, x)
         root = ls.root_weights(equations, factor)
+        if settled:
+            break
     return _Solved(pieces, equations, ls.factorise(equations, root), x)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from strainwave.records import Caution, FloatArray, Joint, Parameter
 
 _TOLD = 0.3  # relative deviation up to which a damping or friction is worth printing
+_SPLIT = ("motor_viscous_friction", "link_viscous_friction")
 _REACH = 1.96  # of a 95 % interval, in deviations
 
 
@@ -74,7 +75,7 @@ def cautions_of(
     deviation = _deviations(covariance)
     for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
         place, unit = f"{name} of joint {number}", unit_of(name, joint)
-        if value + 2.0 * std < 0.0:
+        if value + 2.0 * std < 0.0 and (name not in _SPLIT or std <= _TOLD * abs(value)):
             text = f"{value:.3g} +- {std:.2g} {unit} is impossible: {source} show something that"
             yield Caution("implausible", place, text + " this joint's model has not")
         elif not _is_told(name, value, std, known):
@@ -146,5 +147,4 @@ def _deviations(covariance: FloatArray) -> list[float]:
 
 def _is_told(name: str, value: float, std: float, determined: bool) -> bool:
     """Only the sum of the viscous frictions shows in fast records; their split hardly does."""
-    split = name in ("motor_viscous_friction", "link_viscous_friction")
-    return determined and not (split and std > _TOLD * abs(value))
+    return determined and not (name in _SPLIT and std > _TOLD * abs(value))

@@ -7,7 +7,7 @@ show, is the rigid model's: (18) puts c_0 + c_1 s in its place. What follows is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +71,11 @@ class _Pairs:
 
 
 def from_state_space(
-    model: StateSpace, record: Decoupled, study: Study, known: RigidKnowledge
+    model: StateSpace,
+    record: Decoupled,
+    study: Study,
+    known: RigidKnowledge,
+    others: Sequence[StateSpace] = (),
 ) -> JointModel:
     """Physical parameters from G11 of a state-space model, (17), (18).
 
@@ -84,6 +88,9 @@ def from_state_space(
     study : Study
     known : RigidKnowledge
         c_0 and c_1 for (18). Where they are not known, the model's own are taken, (17).
+    others : sequence of StateSpace
+        Of the same record in other bands. A joint as in (1), (2) would give the same in each; how
+        far they lie apart is counted as model error.
 
     Returns
     -------
@@ -102,6 +109,9 @@ def from_state_space(
     vector, scatter = propagate(model, lambda near: _pairs(near, nominal).vector)
     if scatter is None:
         scatter = np.full((len(vector), len(vector)), np.nan)
+    moves = [_pairs(other, nominal).vector - vector for other in others]
+    if moves:
+        scatter = scatter + np.mean([np.outer(move, move) for move in moves], axis=0)
     lag, sources = _with_rigid(vector[:6], scatter[:6, :6], known)
     found = from_coefficients(lag[:2], lag[2:4], lag[4:], record.gear_ratio)
     J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], record.gear_ratio).vector, lag)
