@@ -95,8 +95,9 @@ def from_state_space(
     Returns
     -------
     JointModel
-        Impossible values are reported as they came, with status "implausible". `fit_percent` tells
-        how well these parameters explain the velocities in the band, and how well G12 = G21.
+        Without deviations where the model has none. Impossible values are reported as they came,
+        with status "implausible". `fit_percent` tells how well these parameters explain the
+        velocities in the band, and how well G12 = G21.
 
     Raises
     ------
@@ -118,7 +119,7 @@ def from_state_space(
     covariance = J @ sources @ J.T
     values = dict(zip(NAMES, found.vector.tolist(), strict=True))
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    told = tuple(bool(d <= _TOLD * abs(v)) for d, v in zip(deviation, found.vector, strict=True))
+    told = tuple(not d > _TOLD * abs(v) for d, v in zip(deviation, found.vector, strict=True))
     ring = np.sqrt(np.clip(np.diag(scatter)[6:], 0.0, None))
     modes = [_mode(nominal.zero, ring[:2]), _mode(nominal.pole, ring[2:])]
     band = band_around(modes[0].frequency_hz, modes[1].frequency_hz, [record])
