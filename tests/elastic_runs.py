@@ -31,9 +31,11 @@ def rig_values(study: Study) -> Values:
     return values
 
 
-def prbs_run(study: Study, joint: int = 1, *, both: bool = False) -> Trajectory:
+def prbs_run(
+    study: Study, joint: int = 1, *, both: bool = False, values: Values | None = None
+) -> Trajectory:
     """Open-loop PRBS on one joint, or on both with one shifted by a third of the sequence."""
-    values = rig_values(study)
+    values = values or rig_values(study)
     sequence = excitation.prbs(PRBS)
     voltage = np.zeros((len(sequence), 2))
     voltage[:, joint - 1] = sequence

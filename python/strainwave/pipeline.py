@@ -238,6 +238,13 @@ def _tuned(
         except NotIdentifiable as failure:
             run.warnings.append(Caution("not-tuned", str(the_study.path), str(failure)))
             return None
+    if any(joint.spring == "three-slope" for joint in the_study.joints):
+        text = (
+            "gears of three slopes are tuned as if they had one: fits and check records show what"
+        )
+        text += " that is worth, and its parameters are not taken"
+        run.warnings.append(Caution("tuned-with-one-slope", str(the_study.path.name), text))
+        return found
     run.warnings.extend(found.warnings)
     if found.status == "iteration-limit":
         run.reasons.append("the fine tuning did not converge")

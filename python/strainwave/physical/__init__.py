@@ -8,14 +8,20 @@ state-space model and its transfer functions (`state_space_of`, `from_state_spac
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
 
 from strainwave.errors import StrainwaveError
 from strainwave.physical.grey_box import GreyBoxFit, RigidKnowledge, fit_grey_box
-from strainwave.physical.linear import LinearOptions, modes_of, state_space_of
+from strainwave.physical.linear import (
+    LinearOptions,
+    band_around,
+    modes_of,
+    other_bands,
+    state_space_of,
+)
 from strainwave.physical.rigid_knowledge import rigid_knowledge
 from strainwave.physical.told import cautions_of, parameters_of, status_of
 from strainwave.physical.transfer import from_state_space
@@ -25,8 +31,10 @@ from strainwave.records import (
     Decoupled,
     JointModel,
     LinkSignals,
+    Modes,
     RecordModel,
     RigidModel,
+    StateSpace,
     Study,
 )
 
@@ -159,10 +167,31 @@ def identify_record(
         found = linear
         known = rigid_knowledge(model, study, decoupled.joint)
         modes = tried("modes-failed", lambda: modes_of(found))
+        others = _in_other_bands(decoupled, modes, chosen.linear)
         transfer = tried(
-            "transfer-function-failed", lambda: from_state_space(found, decoupled, study, known)
+            "transfer-function-failed",
+            lambda: from_state_space(found, decoupled, study, known, others),
         )
     return RecordModel(decoupled, physical, linear, modes, transfer, tuple(warnings))
+
+
+def _in_other_bands(
+    record: Decoupled, modes: Modes | None, options: LinearOptions
+) -> list[StateSpace]:
+    """Models that show how much the band matters; none where they fail or make no sense."""
+    if modes is None or modes.anti_resonance is None or modes.resonance is None:
+        return []
+    rings = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
+    band = options.band_hz or band_around(*rings, [record])
+    found = []
+    for other in other_bands(band, [record]):
+        try:
+            model = state_space_of(record, replace(options, band_hz=other))
+            if model.status == "converged" and modes_of(model).resonance:
+                found.append(model)
+        except (StrainwaveError, np.linalg.LinAlgError):
+            continue
+    return found
 
 
 def _values(fit: GreyBoxFit) -> dict[str, float]:

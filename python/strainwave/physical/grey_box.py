@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave import least_squares as ls
+from strainwave.errors import NotIdentifiable
 from strainwave.filters import band_pass, differentiate, lagged
 from strainwave.physical.two_inertia import (
     NAMES,
@@ -47,11 +48,17 @@ _SLOWEST = 6.0  # periods of the lower edge in the shortest record, at least
 _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
+<<<<<<< HEAD
 _ROUNDS = 8  # of weights and linearisation at one band
 _CONVERGED = 0.02  # change in white-error deviations that ends the rounds
+=======
+_ROUNDS = 8  # of weights and linearisation at one band, at most
+_SETTLED = 0.01  # of a deviation, by which a round still moves the unknowns
+>>>>>>> part-e
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
+_SUREST = 1e-6  # relative deviation of what the rigid model tells, at least: weights stay finite
 _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
 
 
@@ -122,7 +129,18 @@ def fit_grey_box(
     Returns
     -------
     GreyBoxFit
+
+    Raises
+    ------
+    NotIdentifiable
+        The link has no sensor.
     """
+    for signals, joint in records:
+        if signals.sources[joint.joint - 1] == "motor":
+            raise NotIdentifiable(
+                f"link {joint.joint} has no sensor in {signals.experiment.name}: its gear's twist is "
+                "not seen"
+            )
     band = band_hz or _possible(*_FIRST_BAND_HZ, records)
     solved = _solve(records, study, known, band, None)
     for _ in range(0 if band_hz else _BANDS - 1):
@@ -263,13 +281,23 @@ def _solve(
     root = ls.first_weights(equations.target, equations.group)
     for _ in range(_ROUNDS):
         factor = ls.factorise(equations, root)
+<<<<<<< HEAD
         settled = np.all(np.abs(factor.value - x) <= _CONVERGED * factor.deviation)
+=======
+        settled = bool(np.all(np.abs(factor.value - x) <= _SETTLED * factor.deviation))
+>>>>>>> part-e
         x = factor.value
         if settled:
             break
         equations = _assemble(pieces, known, x)
         root = ls.root_weights(equations, factor)
+<<<<<<< HEAD
     return _Solved(pieces, equations, factor, x)
+=======
+        if settled:
+            break
+    return _Solved(pieces, equations, ls.factorise(equations, root), x)
+>>>>>>> part-e
 
 
 def _rigid_errors(solved: _Solved, known: RigidKnowledge) -> FloatArray:
@@ -344,9 +372,10 @@ def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]
             continue
         row = np.zeros(len(COLUMNS))
         for column, factor in columns.items():
-            row[column] = factor / value[1]
-        rows.append(row)
-        values.append(value[0] / value[1])
+            row[column] = factor
+        deviation = max(value[1], _SUREST * abs(value[0]))
+        rows.append(row / deviation)
+        values.append(value[0] / deviation)
     return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
 
 

@@ -11,6 +11,7 @@ from strainwave.parameters import unit_of
 from strainwave.records import Caution, FloatArray, Joint, Parameter
 
 _TOLD = 0.3  # relative deviation up to which a damping or friction is worth printing
+_SPLIT = ("motor_viscous_friction", "link_viscous_friction")
 _REACH = 1.96  # of a 95 % interval, in deviations
 
 
@@ -27,6 +28,7 @@ def parameters_of(
     ----------
     values : mapping from name to value
     covariance : (n_values, n_values)
+        NaN where it is not known: then no deviation is given.
     determined : (n_values,)
     joint : Joint
     number : int
@@ -47,7 +49,7 @@ def parameters_of(
         ]
     )
     total = float(weight @ np.array(list(values.values())))
-    spread = float(np.sqrt(max(weight @ covariance @ weight, 0.0)))
+    spread = float(np.sqrt(np.clip(weight @ covariance @ weight, 0.0, None)))
     yield _parameter("total_viscous_friction", number, joint, (total, spread))
 
 
@@ -75,11 +77,13 @@ def cautions_of(
     deviation = _deviations(covariance)
     for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
         place, unit = f"{name} of joint {number}", unit_of(name, joint)
-        if value + 2.0 * std < 0.0:
-            text = f"{value:.3g} +- {std:.2g} {unit} is impossible: {source} show something that"
+        told = _is_told(name, value, std, known)
+        size = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
+        if value + 2.0 * np.nan_to_num(std) < 0.0 and (told or name not in _SPLIT):
+            text = f"{size} is impossible: {source} show something that"
             yield Caution("implausible", place, text + " this joint's model has not")
-        elif not _is_told(name, value, std, known):
-            text = f"{source} tell it only to {value:.3g} +- {std:.2g} {unit}"
+        elif not told:
+            text = f"{source} tell it only to {size}"
             if name.endswith("viscous_friction"):
                 text += "; of the viscous frictions only the total is well known"
             yield Caution("not-identifiable", place, text)
@@ -113,6 +117,8 @@ def _parameter(name: str, number: int, joint: Joint, told: tuple[float, float] |
     if told is None:
         return Parameter(name, number, None, None, unit, "decoupled")
     value, std = told
+    if not np.isfinite(std):
+        return Parameter(name, number, value, None, unit, "decoupled")
     return Parameter(
         name, number, value, std, unit, "decoupled", (value - _REACH * std, value + _REACH * std)
     )
@@ -124,5 +130,6 @@ def _deviations(covariance: FloatArray) -> list[float]:
 
 def _is_told(name: str, value: float, std: float, determined: bool) -> bool:
     """Only the sum of the viscous frictions shows in fast records; their split hardly does."""
-    split = name in ("motor_viscous_friction", "link_viscous_friction")
-    return determined and not (split and std > _TOLD * abs(value))
+    if name in _SPLIT and not std <= _TOLD * abs(value):
+        return False
+    return determined

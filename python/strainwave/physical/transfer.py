@@ -7,7 +7,7 @@ show, is the rigid model's: (18) puts c_0 + c_1 s in its place. What follows is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +71,11 @@ class _Pairs:
 
 
 def from_state_space(
-    model: StateSpace, record: Decoupled, study: Study, known: RigidKnowledge
+    model: StateSpace,
+    record: Decoupled,
+    study: Study,
+    known: RigidKnowledge,
+    others: Sequence[StateSpace] = (),
 ) -> JointModel:
     """Physical parameters from G11 of a state-space model, (17), (18).
 
@@ -84,12 +88,16 @@ def from_state_space(
     study : Study
     known : RigidKnowledge
         c_0 and c_1 for (18). Where they are not known, the model's own are taken, (17).
+    others : sequence of StateSpace
+        Of the same record in other bands. A joint as in (1), (2) would give the same in each; how
+        far they lie apart is counted as model error.
 
     Returns
     -------
     JointModel
-        Impossible values are reported as they came, with status "implausible". `fit_percent` tells
-        how well these parameters explain the velocities in the band, and how well G12 = G21.
+        Without deviations where the model has none. Impossible values are reported as they came,
+        with status "implausible". `fit_percent` tells how well these parameters explain the
+        velocities in the band, and how well G12 = G21.
 
     Raises
     ------
@@ -102,13 +110,16 @@ def from_state_space(
     vector, scatter = propagate(model, lambda near: _pairs(near, nominal).vector)
     if scatter is None:
         scatter = np.full((len(vector), len(vector)), np.nan)
+    moves = [_pairs(other, nominal).vector - vector for other in others]
+    if moves:
+        scatter = scatter + np.mean([np.outer(move, move) for move in moves], axis=0)
     lag, sources = _with_rigid(vector[:6], scatter[:6, :6], known)
     found = from_coefficients(lag[:2], lag[2:4], lag[4:], record.gear_ratio)
     J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], record.gear_ratio).vector, lag)
     covariance = J @ sources @ J.T
     values = dict(zip(NAMES, found.vector.tolist(), strict=True))
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    told = tuple(bool(d <= _TOLD * abs(v)) for d, v in zip(deviation, found.vector, strict=True))
+    told = tuple(not d > _TOLD * abs(v) for d, v in zip(deviation, found.vector, strict=True))
     ring = np.sqrt(np.clip(np.diag(scatter)[6:], 0.0, None))
     modes = [_mode(nominal.zero, ring[:2]), _mode(nominal.pole, ring[2:])]
     band = band_around(modes[0].frequency_hz, modes[1].frequency_hz, [record])

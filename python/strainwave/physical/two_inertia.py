@@ -204,10 +204,11 @@ def _mode(
 
 
 def _least_damped(ascending: FloatArray) -> complex:
-    """The root of a polynomial with the least damping ratio, from its upper half plane."""
+    """The oscillating root of a polynomial with the least damping ratio; without one, any."""
     roots = np.roots(ascending[::-1]).astype(np.complex128)
-    upper = roots[roots.imag >= 0.0]
-    return complex(upper[np.argmax(upper.real / np.abs(upper) + (upper.imag == 0.0) * -2.0)])
+    candidates = roots[roots.imag > 0.0] if (roots.imag > 0.0).any() else roots
+    moduli = np.maximum(np.abs(candidates), np.finfo(float).tiny)
+    return complex(candidates[np.argmax(candidates.real / moduli)])
 
 
 def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:

@@ -1,0 +1,76 @@
+"""One joint of a virtual arm under PRBS, decoupled, with a rigid model that errs a little."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
+from strainwave import decoupling, links
+from strainwave.parameters import Values
+from strainwave.physical.two_inertia import TwoInertia
+from strainwave.records import Decoupled, LinkSignals, RigidModel, Study
+
+RIGID_ERROR = 1e-3
+"""Relative, of every parameter of the rigid model: that of a good motion record."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a stage is given, and what it should find."""
+
+    study: Study
+    values: Values
+    model: RigidModel
+    signals: LinkSignals
+    decoupled: Decoupled
+    truth: TwoInertia
+
+    @property
+    def records(self) -> list[tuple[LinkSignals, Decoupled]]:
+        return [(self.signals, self.decoupled)]
+
+
+@cache
+def case(seed: int, joint: int = 1) -> Case:
+    """The rig with its gears and motors changed by up to 30 %, both joints excited."""
+    rng = np.random.default_rng(seed)
+    study = rig()
+    values = rig_values(study)
+    for (name, number), value in values.items():
+        if number is not None:
+            values[name, number] = value * float(np.exp(rng.uniform(-0.26, 0.26)))
+    run = prbs_run(study, joint, both=True, values=values)
+    model = erring(true_model(study, values), rng)
+    signals = links.link_side(log_of(run, joint, seed=seed), study)
+    decoupled = decoupling.decouple(signals, model, study)[joint - 1]
+    return Case(study, values, model, signals, decoupled, truth_of(values, joint))
+
+
+def erring(model: RigidModel, rng: np.random.Generator) -> RigidModel:
+    """A model whose parameters are off by what its covariance says."""
+    deviation = RIGID_ERROR * np.abs(model.solution)
+    solution = model.solution + deviation * rng.standard_normal(len(deviation))
+    parameters = tuple(
+        replace(p, value=float(v), std=float(d))
+        for p, v, d in zip(model.parameters, solution, deviation, strict=True)
+    )
+    return replace(
+        model, parameters=parameters, solution=solution, covariance=np.diag(deviation**2)
+    )
+
+
+def truth_of(values: Values, joint: int) -> TwoInertia:
+    """The joint decoupled, the arm stretched."""
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    return TwoInertia(
+        motor_inertia=values["motor_inertia", joint],
+        motor_viscous_friction=values["motor_viscous_friction", joint],
+        link_inertia=alpha + beta + 2.0 * gamma if joint == 1 else beta,
+        link_viscous_friction=values["link_viscous_friction", joint],
+        gear_stiffness=values["gear_stiffness", joint],
+        gear_damping=values["gear_damping", joint],
+        gear_ratio=0.01,
+    )

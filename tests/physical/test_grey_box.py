@@ -1,0 +1,149 @@
+"""Physical parameters straight from the equations of motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from joint_records import Case, case
+from strainwave.errors import NotIdentifiable
+from strainwave.physical import PhysicalOptions, identify_joint
+from strainwave.physical.told import cautions_of, parameters_of, unit_of
+from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
+from strainwave.records import FloatArray, Joint, JointModel
+
+CASES = [(1, 1), (2, 1), (3, 2), (4, 2)]
+WELL_TOLD = [NAMES.index(n) for n in ("motor_inertia", "link_inertia", "gear_stiffness")]
+
+
+def found_in(one: Case, options: PhysicalOptions | None = None) -> JointModel:
+    return identify_joint(one.records, one.model, one.study, options)
+
+
+def vector_of(model: JointModel) -> FloatArray:
+    return np.array([model.values[name] for name in NAMES])
+
+
+@pytest.fixture(scope="module")
+def models() -> list[tuple[Case, JointModel]]:
+    return [(case(*which), found_in(case(*which))) for which in CASES]
+
+
+def test_noisy_records_give_the_joint_back(models: list[tuple[Case, JointModel]]) -> None:
+    for one, model in models:
+        off = vector_of(model) / one.truth.vector - 1.0
+        # the rigid model is off by 0.1 %, three times over by chance
+        assert np.abs(off[WELL_TOLD]).max() < 0.005
+        assert abs(off[NAMES.index("gear_damping")]) < 0.06
+        friction = one.values["motor_coulomb_friction", one.decoupled.joint]
+        assert model.values["motor_coulomb_friction"] == pytest.approx(friction, rel=0.02)
+        total = next(p for p in model.parameters if p.name == "total_viscous_friction")
+        wanted = one.truth.motor_viscous_friction + 1e-4 * one.truth.link_viscous_friction
+        assert total.value == pytest.approx(wanted, rel=0.05)
+        assert model.status != "implausible"
+
+
+def test_deviations_are_those_of_the_errors(models: list[tuple[Case, JointModel]]) -> None:
+    """Twelve normalised errors: their mean square is near one if the covariance is honest."""
+    normalised = []
+    for one, model in models:
+        std = np.sqrt(np.diag(model.covariance))[: len(NAMES)]
+        normalised.append(((vector_of(model) - one.truth.vector) / std)[WELL_TOLD])
+    size = float(np.sqrt(np.mean(np.square(normalised))))
+    # errors of the three go together, so that there are some four independent ones
+    assert 0.2 < size < 2.0
+
+
+def test_frequencies_come_with_deviations(models: list[tuple[Case, JointModel]]) -> None:
+    for one, model in models:
+        assert model.anti_resonance is not None
+        assert model.resonance is not None
+        for mode, true in (
+            (model.anti_resonance, anti_resonance(one.truth)),
+            (model.resonance, resonance(one.truth)),
+        ):
+            assert mode.frequency_hz == pytest.approx(true.frequency_hz, rel=2e-3)
+            assert mode.frequency_std_hz is not None
+            assert mode.frequency_std_hz < 0.005 * mode.frequency_hz
+
+
+def test_two_records_at_once_are_no_worse() -> None:
+    one = case(1, 1)
+    twice = identify_joint(one.records * 2, one.model, one.study)
+    once = vector_of(found_in(one))[WELL_TOLD]
+    assert vector_of(twice)[WELL_TOLD] == pytest.approx(once, rel=1e-3)
+    assert twice.experiments == ("prbs", "prbs")
+
+
+def test_the_rigid_models_errors_are_counted() -> None:
+    """beta is in tau of joint 2: where it is less certain, so is what follows."""
+    one = case(3, 2)
+    doubtful = replace(one.model, covariance=25.0 * one.model.covariance)
+    sure, unsure = (
+        identify_joint(one.records, model, one.study) for model in (one.model, doubtful)
+    )
+    k = NAMES.index("link_inertia")
+    assert unsure.covariance[k, k] > 4.0 * sure.covariance[k, k]
+
+
+def test_a_band_may_be_set() -> None:
+    one = case(1, 1)
+    model = found_in(one, PhysicalOptions(band_hz=(5.0, 45.0)))
+    assert model.band_hz == (5.0, 45.0)
+    assert model.values != found_in(one).values
+
+
+def test_the_rigid_models_equations_may_be_left_out() -> None:
+    one = case(1, 1)
+    with_rigid, without = found_in(one), found_in(one, PhysicalOptions(use_rigid=False))
+    weight = np.zeros(len(NAMES) + 1)
+    weight[NAMES.index("motor_viscous_friction")] = 1.0
+    weight[NAMES.index("link_viscous_friction")] = 1e-4
+    spread = [float(weight @ m.covariance @ weight) for m in (with_rigid, without)]
+    assert spread[1] > 2.0 * spread[0]
+
+
+def test_without_a_rigid_model_the_data_speak_alone() -> None:
+    one = case(1, 1)
+    model = identify_joint(one.records, None, one.study)
+    off = vector_of(model) / one.truth.vector - 1.0
+    assert np.abs(off[WELL_TOLD]).max() < 0.01
+
+
+def test_a_link_without_sensor_is_refused() -> None:
+    one = case(1, 1)
+    blind = replace(one.signals, sources=("motor", "motor"))
+    with pytest.raises(NotIdentifiable, match="no sensor"):
+        identify_joint([(blind, one.decoupled)], one.model, one.study)
+
+
+def test_what_is_hardly_told_or_impossible_is_said() -> None:
+    joint = Joint(spring="three-slope", gear_ratio=0.01)
+    values = dict(zip(NAMES, [1e-4, 1e-4, -3.0, 0.5, 2e4, 20.0], strict=True))
+    covariance = np.diag([1e-6, 9e-5, 0.1, 0.01, 10.0, 0.1]) ** 2
+    told = (True,) * 5 + (False,)
+    said = {p.name: p.value for p in parameters_of(values, covariance, told, joint, 1)}
+    assert said["motor_viscous_friction"] is None  # to 90 %
+    assert said["link_viscous_friction"] == 0.5  # to 2 %
+    assert said["gear_damping"] is None
+    assert said["link_inertia"] == -3.0
+    assert said["total_viscous_friction"] == pytest.approx(1.5e-4)
+    codes = {
+        (c.code, c.where.split()[0]) for c in cautions_of(values, covariance, told, joint, 1, "x")
+    }
+    assert codes == {
+        ("not-identifiable", "motor_viscous_friction"),
+        ("not-identifiable", "gear_damping"),
+        ("implausible", "link_inertia"),
+        ("equivalent-stiffness", "gear_stiffness"),
+    }
+
+
+def test_units() -> None:
+    revolute = Joint(spring="linear", gear_ratio=0.01)
+    sliding = replace(revolute, motion="prismatic")
+    names = ("link_inertia", "motor_coulomb_friction", "gear_stiffness", "gear_damping")
+    assert [unit_of(n, revolute) for n in names] == ["kg m^2", "N m", "N m/rad", "N m s/rad"]
+    assert [unit_of(n, sliding) for n in names] == ["kg", "N", "N/m", "N s/m"]
