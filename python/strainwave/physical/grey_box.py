@@ -48,13 +48,8 @@ _SLOWEST = 6.0  # periods of the lower edge in the shortest record, at least
 _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
-<<<<<<< HEAD
-_ROUNDS = 8  # of weights and linearisation at one band
-_CONVERGED = 0.02  # change in white-error deviations that ends the rounds
-=======
 _ROUNDS = 8  # of weights and linearisation at one band, at most
 _SETTLED = 0.01  # of a deviation, by which a round still moves the unknowns
->>>>>>> part-e
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
@@ -281,23 +276,13 @@ def _solve(
     root = ls.first_weights(equations.target, equations.group)
     for _ in range(_ROUNDS):
         factor = ls.factorise(equations, root)
-<<<<<<< HEAD
-        settled = np.all(np.abs(factor.value - x) <= _CONVERGED * factor.deviation)
-=======
         settled = bool(np.all(np.abs(factor.value - x) <= _SETTLED * factor.deviation))
->>>>>>> part-e
         x = factor.value
-        if settled:
-            break
         equations = _assemble(pieces, known, x)
         root = ls.root_weights(equations, factor)
-<<<<<<< HEAD
-    return _Solved(pieces, equations, factor, x)
-=======
         if settled:
             break
     return _Solved(pieces, equations, ls.factorise(equations, root), x)
->>>>>>> part-e
 
 
 def _rigid_errors(solved: _Solved, known: RigidKnowledge) -> FloatArray:
