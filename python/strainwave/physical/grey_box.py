@@ -133,8 +133,8 @@ def fit_grey_box(
     for signals, joint in records:
         if signals.sources[joint.joint - 1] == "motor":
             raise NotIdentifiable(
-                f"link {joint.joint} has no sensor in {signals.experiment.name}: its gear's twist is "
-                "not seen"
+                f"link {joint.joint} has no sensor in {signals.experiment.name}: the gear's twist "
+                "is not seen"
             )
     band = band_hz or _possible(*_FIRST_BAND_HZ, records)
     solved = _solve(records, study, known, band, None)
