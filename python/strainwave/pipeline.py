@@ -215,13 +215,16 @@ def _decoupled(
         except NotIdentifiable as failure:
             run.reasons.append(str(failure))
             return (), (), {}
-        joints = tuple(
-            physical.identify_joint(together[joint], model, the_study) for joint in sorted(together)
-        )
+        joints = []
+        for joint in sorted(together):
+            try:
+                joints.append(physical.identify_joint(together[joint], model, the_study))
+            except NotIdentifiable as failure:
+                run.warnings.append(Caution("not-identifiable", f"joint {joint}", str(failure)))
     for found in joints:
         run.warnings.extend(found.warnings)
     responses = {joint: _response([parts[joint - 1] for parts in at_full]) for joint in together}
-    return tuple(records), joints, {j: r for j, r in responses.items() if r is not None}
+    return tuple(records), tuple(joints), {j: r for j, r in responses.items() if r is not None}
 
 
 def _tuned(

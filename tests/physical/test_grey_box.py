@@ -9,8 +9,9 @@ import pytest
 
 from joint_records import Case, case
 from strainwave.errors import NotIdentifiable
+from strainwave.parameters import unit_of
 from strainwave.physical import PhysicalOptions, identify_joint
-from strainwave.physical.told import cautions_of, parameters_of, unit_of
+from strainwave.physical.told import cautions_of, parameters_of
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.records import FloatArray, Joint, JointModel
 
