@@ -2,7 +2,7 @@
 
     python examples/decoupled_by_hand.py [STUDY.toml]
 
-Without a study it simulates the built-in arm first.
+Any study will do: of measured logs, or your own. Without one it simulates the built-in arm.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ def main(study_path: Path) -> None:
     study = read_study(study_path)
     all_logs = {e.name: logs.read_log(study, e) for e in study.experiments}
     motion = [log for log in all_logs.values() if log.experiment.use == "motion"]
-    model = rigid.fit([signals.motor_side(log, study) for log in motion], study)
+    # a bare joint can do without a rigid model
+    model = rigid.fit([signals.motor_side(log, study) for log in motion], study) if motion else None
 
     for log in all_logs.values():
         if log.experiment.use != "frequency":
@@ -36,6 +37,9 @@ def main(study_path: Path) -> None:
                 print(f"  {p.name:24s} {p.value} +- {p.std} {p.unit}")
             assert found.anti_resonance is not None
             print(f"  anti-resonance {found.anti_resonance.frequency_hz:.3f} Hz")
+            linear = physical.state_space_of(joint)  # prediction-error minimisation, (11), (12)
+            rings = physical.modes_of(linear)
+            print(f"  state space of order {linear.order}: {linear.status}, {rings.resonance}")
             response = frequency.respond([joint])
             print(f"  nonparametric response at {len(response.frequencies_hz)} frequencies")
 

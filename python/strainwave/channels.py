@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.records import BoolArray, Caution, FloatArray, Joint, Log, Study
+from strainwave.records import BoolArray, Caution, Decoupled, FloatArray, Joint, Log, Study
 from strainwave.stiction import sliding_direction
 
 _STANDING = 0.02  # [s] of an unmoved encoder that count as standing still
@@ -158,3 +160,33 @@ def _flat_tops(signal: FloatArray) -> BoolArray:
         for start, stop in np.flatnonzero(np.diff(at.astype(np.int8))).reshape(-1, 2).tolist():
             flat[start:stop] |= stop - start >= _FLAT
     return flat
+
+
+def check_alike(records: Sequence[Decoupled]) -> None:
+    """Check that decoupled records can be taken together: one joint, one rate.
+
+    Parameters
+    ----------
+    records : sequence of Decoupled
+
+    Raises
+    ------
+    InvalidInput
+        There is none, or they are of different joints, inputs or sample times.
+    """
+    if not records:
+        raise InvalidInput("there is no record to take a model from")
+    first = records[0]
+    for record in records[1:]:
+        if record.joint != first.joint or record.inputs.shape[1] != first.inputs.shape[1]:
+            raise InvalidInput(
+                f"records of different joints: {first.joint} and {record.joint}",
+                where=record.experiment.name,
+                remedy="take one joint at a time",
+            )
+        if abs(record.sample_time - first.sample_time) > 1e-6 * first.sample_time:
+            raise InvalidInput(
+                f"sample times differ: {first.sample_time:g} s and {record.sample_time:g} s",
+                where=record.experiment.name,
+                remedy="log all records at one rate",
+            )

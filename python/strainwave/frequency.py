@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.channels import check_alike
+from strainwave.errors import NotIdentifiable
 from strainwave.records import (
     ComplexArray,
     Decoupled,
@@ -63,7 +64,7 @@ def respond(
         The inputs cannot be told apart in the records.
     """
     chosen = options or FrequencyOptions()
-    _check(records)
+    check_alike(records)
     n_in = min(chosen.inputs or records[0].inputs.shape[1], records[0].inputs.shape[1])
     T = records[0].sample_time
     pairs = [(r.inputs[:, :n_in], r.outputs) for r in records]
@@ -254,25 +255,6 @@ def resonance(
         resonance_hz=float(abs(pole) * peak),
         resonance_damping=float(-pole.real / abs(pole)),
     )
-
-
-def _check(records: Sequence[Decoupled]) -> None:
-    if not records:
-        raise InvalidInput("there is no record to take a frequency response from")
-    first = records[0]
-    for record in records[1:]:
-        if record.joint != first.joint or record.inputs.shape[1] != first.inputs.shape[1]:
-            raise InvalidInput(
-                f"records of different joints: {first.joint} and {record.joint}",
-                where=record.experiment.name,
-                remedy="take one joint at a time",
-            )
-        if abs(record.sample_time - first.sample_time) > 1e-6 * first.sample_time:
-            raise InvalidInput(
-                f"sample times differ: {first.sample_time:g} s and {record.sample_time:g} s",
-                where=record.experiment.name,
-                remedy="log all records at one rate",
-            )
 
 
 def _period(record: Decoupled) -> int | None:

@@ -620,6 +620,7 @@ class RecordModel:
     state_space: StateSpace | None  # by prediction-error minimisation; None: it failed
     modes: Modes | None  # of the state-space model
     transfer: JointModel | None  # from the state-space model, by (17), (18)
+    check: ModelCheck | None = None  # the state-space model on a part that it was not fitted to
     warnings: tuple[Caution, ...] = ()
 
 

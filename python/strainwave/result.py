@@ -13,6 +13,7 @@ from strainwave.records import (
     Identification,
     JointModel,
     Mode,
+    ModelCheck,
     Modes,
     Parameter,
     RecordModel,
@@ -100,10 +101,20 @@ def _record(record: RecordModel) -> dict[str, Any]:
     own["state_space"] = None
     if record.state_space is not None:
         own["state_space"] = _state_space(record.state_space, record.modes)
+        own["state_space"]["held_out"] = None if record.check is None else _check(record.check)
     own["transfer_function"] = None if record.transfer is None else _joint(record.transfer)
     own["checks"] = [asdict(check) for check in record.signals.checks]
     own["warnings"] += [_warning(w) for w in record.warnings]
     return own
+
+
+def _check(check: ModelCheck) -> dict[str, Any]:
+    """Fits and tests of residuals on data that were not fitted."""
+    return {
+        "fit_percent": check.fit_percent,
+        "prediction_fit_percent": check.prediction_fit_percent,
+        "tests": [asdict(test) for test in check.tests],
+    }
 
 
 def _nothing(record: RecordModel) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.physical.linear import (
     LinearOptions,
     band_of,
+    judge,
     modes_of,
     other_bands,
     state_space_of,
@@ -159,3 +160,19 @@ def test_an_alternating_pole_is_a_gain_in_the_band() -> None:
     before, after = (frequency_response(m, f).response for m in (turned, shorter))
     assert after == pytest.approx(before, rel=0.02)
     assert without_alternating(joint) is joint
+
+
+@pytest.mark.parametrize("which", CASES[:2])
+def test_held_out_data_are_foretold_and_feedback_is_seen(which: tuple[int, int]) -> None:
+    """One step ahead on the last quarter; the interaction torque is feedback, and shows as such."""
+    check = judge(case(*which).decoupled, model_of(*which))
+    assert min(check.prediction_fit_percent) > 90.0
+    verdicts = {test.name: test.passed for test in check.tests}
+    assert set(verdicts) == {"white", "independent-of-past-inputs", "no-feedback"}
+
+
+def test_a_model_that_does_not_ring_is_not_judged() -> None:
+    model = model_of(1, 1)
+    dull = replace(model, A=np.diag([0.5, 0.6, 0.7]))
+    with pytest.raises(NotIdentifiable, match="does not ring"):
+        judge(case(1, 1).decoupled, dull)

@@ -18,6 +18,7 @@ from strainwave.physical.grey_box import GreyBoxFit, RigidKnowledge, fit_grey_bo
 from strainwave.physical.linear import (
     LinearOptions,
     band_around,
+    judge,
     modes_of,
     other_bands,
     state_space_of,
@@ -45,6 +46,7 @@ __all__ = [
     "from_state_space",
     "identify_joint",
     "identify_record",
+    "judge",
     "modes_of",
     "rigid_knowledge",
     "state_space_of",
@@ -160,19 +162,20 @@ def identify_record(
         return identify_joint([(signals, decoupled)], model, study, chosen.physical)
 
     physical = tried("grey-box-failed", grey_box)
-    linear = modes = transfer = None
+    linear = modes = transfer = check = None
     if chosen.state_space:
         linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))
     if linear is not None:
         found = linear
         known = rigid_knowledge(model, study, decoupled.joint)
         modes = tried("modes-failed", lambda: modes_of(found))
+        check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
         others = _in_other_bands(decoupled, modes, chosen.linear)
         transfer = tried(
             "transfer-function-failed",
             lambda: from_state_space(found, decoupled, study, known, others),
         )
-    return RecordModel(decoupled, physical, linear, modes, transfer, tuple(warnings))
+    return RecordModel(decoupled, physical, linear, modes, transfer, check, tuple(warnings))
 
 
 def _in_other_bands(

@@ -20,7 +20,8 @@ from typing import Literal, cast
 
 import numpy as np
 
-from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.channels import check_alike
+from strainwave.errors import NotIdentifiable
 from strainwave.filters import by_spectrum
 from strainwave.records import (
     Caution,
@@ -30,10 +31,11 @@ from strainwave.records import (
     Fusion,
     Hold,
     InputOutput,
+    ModelCheck,
     Modes,
     StateSpace,
 )
-from strainwave.statespace import modes, pem, subspace
+from strainwave.statespace import check_model, modes, pem, subspace
 
 BELOW = 3.0  # anti-resonance over the band's lower edge
 ABOVE = 3.0  # the band's upper edge over the resonance: with less, d_G hardly shows
@@ -41,6 +43,7 @@ _FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring
 _SLOWEST = 6.0  # periods of the lower edge in the longest stretch, at least
 _OVERSAMPLED = 4.0  # the rate over the band's upper edge: 3.5 to 4.5 do, beyond 5 the
 # low-pass leaves so little noise below Nyquist that the fit sees nothing else
+_FITTED = 0.75  # share of a stretch that is fitted where the rest is to judge
 _ROUNDS = 5  # in which the band may move
 _SAME_BAND = 0.1
 _FAR_OFF = 0.25
@@ -89,7 +92,7 @@ def state_space_of(
     """
     chosen = options or LinearOptions()
     joint = (records,) if isinstance(records, Decoupled) else tuple(records)
-    _check(joint)
+    check_alike(joint)
     if chosen.band_hz is not None:
         return _model(joint, chosen.band_hz, chosen)
     band = _search(joint)
@@ -122,6 +125,45 @@ def other_bands(
         band_around(low * BELOW * by, high / ABOVE / by, records)
         for by in (_OTHER_BAND, 1.0 / _OTHER_BAND)
     )
+
+
+def judge(
+    records: Decoupled | Sequence[Decoupled],
+    model: StateSpace,
+    options: LinearOptions | None = None,
+) -> ModelCheck:
+    """The same model fitted to the first three quarters of each stretch, on the last one.
+
+    Parameters
+    ----------
+    records : Decoupled or sequence of Decoupled
+        Those of the model.
+    model : StateSpace
+        From `state_space_of`; its order and its resonances' band are taken.
+    options : LinearOptions, optional
+
+    Returns
+    -------
+    ModelCheck
+        Fits, and tests of whiteness and independence, on data that the fit has not seen.
+
+    Raises
+    ------
+    NotIdentifiable
+        The model does not ring, so that there is no band.
+    """
+    chosen = options or LinearOptions()
+    joint = (records,) if isinstance(records, Decoupled) else tuple(records)
+    found = modes_of(replace(model, covariance=None))
+    if not (found.anti_resonance and found.resonance):
+        raise NotIdentifiable("the model does not ring: there is no band to judge it in")
+    rings = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
+    data = _data(joint, band_around(min(rings), max(rings), joint), chosen)
+    cuts = [round(_FITTED * len(piece.inputs)) for piece in data]
+    first = [piece.window(0, cut) for piece, cut in zip(data, cuts, strict=True)]
+    last = [piece.window(cut, len(piece.inputs)) for piece, cut in zip(data, cuts, strict=True)]
+    fit = pem if chosen.method == "pem" else subspace
+    return check_model(fit(first, model.order), last)
 
 
 def modes_of(model: StateSpace) -> Modes:
@@ -240,25 +282,6 @@ def _lean(f: FloatArray, fusion: Fusion) -> ComplexArray:
     """The low-pass F of (10)."""
     x = 2j * np.pi * f * fusion.time_constant
     return np.asarray(1.0 / (1.0 + x if fusion.order == 1 else 1.0 + np.sqrt(2.0) * x + x * x))
-
-
-def _check(records: Sequence[Decoupled]) -> None:
-    if not records:
-        raise InvalidInput("there is no record to take a state-space model from")
-    first = records[0]
-    for record in records[1:]:
-        if record.joint != first.joint or record.inputs.shape[1] != first.inputs.shape[1]:
-            raise InvalidInput(
-                f"records of different joints: {first.joint} and {record.joint}",
-                where=record.experiment.name,
-                remedy="take one joint at a time",
-            )
-        if abs(record.sample_time - first.sample_time) > 1e-6 * first.sample_time:
-            raise InvalidInput(
-                f"sample times differ: {first.sample_time:g} s and {record.sample_time:g} s",
-                where=record.experiment.name,
-                remedy="log all records at one rate",
-            )
 
 
 def _stretches(record: Decoupled) -> list[tuple[int, int]]:

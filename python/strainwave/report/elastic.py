@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.formatting import plus_minus
+from strainwave.formatting import percent, plus_minus
 from strainwave.physical.two_inertia import joint_of, state_space
 from strainwave.records import (
     ComplexArray,
@@ -145,6 +145,28 @@ def resonance_rows(identification: Identification) -> list[tuple[str, ...]]:
     rows = [_row(joint, "all, at once") for joint in identification.joints]
     rows += [_row(r.physical, _name(r)) for r in identification.records if r.physical]
     return sorted(rows, key=lambda row: row[0])
+
+
+def judgement_rows(identification: Identification) -> list[tuple[str, ...]]:
+    """Rows of the table of state-space models on data that were not fitted.
+
+    Parameters
+    ----------
+    identification : Identification
+
+    Returns
+    -------
+    list of tuple of str
+        Joint, record, fits one step ahead of motor and link velocity, then each test's verdict.
+    """
+    rows: list[tuple[str, ...]] = []
+    for record in identification.records:
+        check = record.check
+        if check is not None:
+            fits = " / ".join(percent(fit) for fit in check.prediction_fit_percent)
+            verdicts = "; ".join(test.message for test in check.tests)
+            rows.append((str(record.signals.joint), _name(record), fits, verdicts))
+    return rows
 
 
 def _name(record: RecordModel) -> str:

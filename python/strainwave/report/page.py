@@ -128,6 +128,13 @@ def _elastic(identification: Identification, plots: dict[str, figures.Figure]) -
     )
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     parts = [table("Resonances", (*heads, "equivalent stiffness [N m/rad]"), rows)]
+    judged = "".join(
+        "<tr>" + "".join(f'<td class="text">{escape(cell)}</td>' for cell in row) + "</tr>"
+        for row in elastic.judgement_rows(identification)
+    )
+    if judged:
+        title = "State-space models on the last quarter of their records, fitted to the rest"
+        parts.append(table(title, ("joint", "record", "one step ahead", "residuals"), judged))
     for joint in identification.joints:
         ratio = identification.study.joints[joint.joint - 1].gear_ratio
         drawn = elastic.response(joint, ratio, identification.responses.get(joint.joint))
