@@ -129,7 +129,9 @@ def _elastic(identification: Identification, plots: dict[str, figures.Figure]) -
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     parts = [table("Resonances", (*heads, "equivalent stiffness [N m/rad]"), rows)]
     judged = "".join(
-        "<tr>" + "".join(f'<td class="text">{escape(cell)}</td>' for cell in row) + "</tr>"
+        "<tr>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row[:-1])
+        + f'<td class="text">{escape(row[-1])}</td></tr>'
         for row in elastic.judgement_rows(identification)
     )
     if judged:
