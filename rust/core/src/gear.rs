@@ -89,7 +89,9 @@ impl<R: Real> Spring<R> {
 
     /// The twist [rad] at which the spring gives a torque [N m]: the inverse of [`Spring::torque`].
     ///
-    /// Newton's iteration kept inside a bracket, so that it also ends where slopes rise and fall.
+    /// Newton's iteration inside a bracket that is halved wherever a step leaves it or does not
+    /// halve the excess: between a steep slope and a flat one the bare iteration can go round for
+    /// ever.
     pub fn twist(&self, torque: R) -> R {
         const { assert!(R::LANES == 1) };
         let second = self.k1 + self.knees[0].slope_change;
@@ -97,24 +99,24 @@ impl<R: Real> Spring<R> {
         let wanted = torque.abs();
         let (mut low, mut high) = (R::splat(0.0), wanted / least);
         let mut twist = high;
-        for _ in 0..100 {
-            let excess = self.torque(twist) - wanted;
+        let mut excess = self.torque(twist) - wanted;
+        for _ in 0..200 {
             if excess.any_negative() {
                 low = twist;
             } else {
                 high = twist;
             }
-            let next = twist - excess / self.stiffness(twist);
-            let outside = (next - low).any_negative() || (high - next).any_negative();
-            let next = if outside {
-                R::splat(0.5) * (low + high)
-            } else {
-                next
-            };
+            let mut next = twist - excess / self.stiffness(twist);
             if (next - twist).lane(0).abs() <= 1e-15 * next.lane(0) {
                 break;
             }
-            twist = next;
+            let mut left = self.torque(next) - wanted;
+            let outside = (next - low).any_negative() || (high - next).any_negative();
+            if outside || left.lane(0).abs() > 0.5 * excess.lane(0).abs() {
+                next = R::splat(0.5) * (low + high);
+                left = self.torque(next) - wanted;
+            }
+            (twist, excess) = (next, left);
         }
         twist.copysign(torque)
     }
@@ -202,5 +204,12 @@ mod tests {
             let twist: f64 = spring.twist(torque);
             prop_assert!((spring.torque(twist) - torque).abs() < 1e-12 * (1.0 + torque.abs()));
         }
+    }
+
+    #[test]
+    fn the_twist_is_found_where_the_bare_iteration_goes_round() {
+        let spring = Spring::three_slope([1e3, 8.1e3, 0.81e3], [10.5, 32.9], CORNER);
+        let twist: f64 = spring.twist(23.2);
+        assert!((spring.torque(twist) - 23.2).abs() < 1e-12);
     }
 }
