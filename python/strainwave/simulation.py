@@ -32,7 +32,7 @@ Quantity = Literal[
 LONGEST_STEP = 1.25e-4
 """[s] Some 300 steps a period of the fastest gear resonance, 26 Hz, where the order is four."""
 
-_OPTIONAL = {"friction_offset": 0.0, "gravity_torque_1": 0.0, "gravity_torque_2": 0.0}
+_OPTIONAL = {"friction_offset": 0.0, "friction_settling_time": 0.0, "gravity_torque_1": 0.0, "gravity_torque_2": 0.0}
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,7 +89,7 @@ const DRIVE: [&str; 5] = [
 impl GearKind {
     fn names(self) -> &'static [&'static str] {
         match self {
-            GearKind::Linear => &["gear_stiffness", "gear_damping"],
+            GearKind::Linear => &["gear_stiffness", "gear_damping", "friction_settling_time"],
             GearKind::ThreeSlope => &[
                 "gear_stiffness_k1",
                 "gear_stiffness_k2",
@@ -97,6 +97,7 @@ impl GearKind {
                 "gear_knee_t1",
                 "gear_knee_t2",
                 "gear_damping",
+                "friction_settling_time",
             ],
             GearKind::Rigid => &[],
         }
@@ -129,7 +130,8 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 "motor_viscous_friction"
                 | "motor_coulomb_friction"
                 | "link_viscous_friction"
-                | "gear_damping" => (value >= 0.0, "zero or positive"),
+                | "gear_damping"
+                | "friction_settling_time" => (value >= 0.0, "zero or positive"),
                 // A rigid gear's link may have its inertia counted with the motor's.
                 "link_inertia" if self.joints[0].gear == GearKind::Rigid => {
                     (value >= 0.0, "zero or positive")
@@ -208,13 +210,15 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         let joints = self.joints.map(|joint| {
             let [motor_inertia, motor_viscous, coulomb, offset, link_viscous] =
                 DRIVE.map(|_| take());
-            let (spring, gear_damping) = match joint.gear {
-                GearKind::Rigid => (Spring::linear(R::splat(1.0)), R::splat(0.0)),
-                GearKind::Linear => (Spring::linear(take()), take()),
+            let zero = R::splat(0.0);
+            let (spring, gear_damping, settling_time) = match joint.gear {
+                GearKind::Rigid => (Spring::linear(R::splat(1.0)), zero, zero),
+                GearKind::Linear => (Spring::linear(take()), take(), take()),
                 GearKind::ThreeSlope => {
                     let slopes = [take(), take(), take()];
                     let knees = [take(), take()];
-                    (Spring::three_slope(slopes, knees, self.corner), take())
+                    let spring = Spring::three_slope(slopes, knees, self.corner);
+                    (spring, take(), take())
                 }
             };
             Joint {
@@ -223,6 +227,8 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 motor_mobility: R::splat(1.0) / motor_inertia,
                 motor_viscous,
                 coulomb,
+                settling_time,
+                settling_rate: R::splat(1.0) / settling_time.max(R::splat(AT_ONCE)),
                 offset,
                 link_viscous,
                 rigid: joint.gear == GearKind::Rigid,
@@ -230,8 +236,10 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 gear_damping,
             }
         });
+        let settles = |joint: &Joint<R>| (-joint.settling_time).any_negative();
         Plant {
             base: A::base(&base),
+            settles: joints.iter().any(settles),
             joints,
         }
     }
@@ -265,6 +273,9 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         }
     }
 }
+
+/// Settling time [s] that counts as none; its inverse is a number still.
+const AT_ONCE: f64 = 1e-200;
 
 /// A number per lane.
 #[inline(always)]

@@ -86,11 +86,18 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         for i in 0..N {
             margin[i] = margin[i] * modes.direction[i];
         }
-        if standing {
+        if standing || self.settles {
             let holding = self.holding_torques(x, torque, modes);
             for i in 0..N {
-                let left = self.joints[i].coulomb - holding[i].abs();
-                margin[i] = (R::splat(1.0) - modes.free[i]).mul_add(left, margin[i]);
+                let joint = &self.joints[i];
+                let left = joint.coulomb - holding[i].abs();
+                let held = (R::splat(1.0) - modes.free[i]) * left;
+                // at once: the speed; else what friction has yet to take up before it holds
+                let instant = R::splat(1.0) - joint.settling_time * joint.settling_rate;
+                let beyond =
+                    modes.direction[i].mul_add(holding[i], -(modes.free[i] * joint.coulomb));
+                let share = joint.settling_time * joint.motor_mobility * modes.free[i];
+                margin[i] = instant.mul_add(margin[i], share.mul_add(beyond, held));
             }
         }
         margin
@@ -126,12 +133,15 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
     /// Changes the mode of the joint whose event this is.
     fn turn(&self, motion: &mut Motion<R, N>, joint: usize) {
         if motion.modes.free[joint].lane(0) != 0.0 {
+            motion.modes.direction[joint] = R::splat(0.0);
+            motion.modes.free[joint] = R::splat(0.0);
+            if self.joints[joint].settling_time.lane(0) > 0.0 {
+                return;
+            }
             motion.state.motor_velocity[joint] = R::splat(0.0);
             if self.is_rigid(joint) {
                 motion.state.link_velocity[joint] = R::splat(0.0);
             }
-            motion.modes.direction[joint] = R::splat(0.0);
-            motion.modes.free[joint] = R::splat(0.0);
             self.release(&motion.state, &motion.torque, &mut motion.modes);
         } else {
             let holding = self.holding_torques(&motion.state, &motion.torque, &motion.modes)[joint];
@@ -250,8 +260,12 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
             .map(|i| {
                 let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
                 // The margin of a sliding motor is its speed, whose slope is known at the beginning.
-                let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
-                let slope = slope.lane(0) * self.length;
+                let slope = if self.plant.joints[i].settling_time.lane(0) > 0.0 {
+                    (self.end(1e-4).1[i].lane(0) - ends[0]) / 1e-4
+                } else {
+                    let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
+                    slope.lane(0) * self.length
+                };
                 (root(|part| self.end(part).1[i].lane(0), ends, slope), i)
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
@@ -268,15 +282,24 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     let tiny = 1e-12 * (begin.abs() + end.abs());
     let bend = end - begin - slope;
     let (mut kept, mut f_kept) = (0.0, begin);
+    let (mut last, mut f_last) = (1.0, end);
     if begin <= tiny {
-        // It begins at zero. If it rises from there, the event is where it comes back: beyond half
-        // the parabola's way.
-        let half = -0.5 * slope / bend;
-        let top = if slope > 0.0 { f(half) } else { 0.0 };
-        if top <= tiny {
+        // It begins at zero. If it rises from there, the event is where it comes back: beyond the
+        // top, which half the parabola's way may already have passed.
+        if slope <= 0.0 {
             return 0.0;
         }
-        (kept, f_kept) = (half, top);
+        let mut part = -0.5 * slope / bend;
+        let mut value = f(part);
+        while value <= tiny {
+            (last, f_last) = (part, value);
+            part *= 0.25;
+            if part < 1e-12 {
+                return 0.0;
+            }
+            value = f(part);
+        }
+        (kept, f_kept) = (part, value);
     }
     let discriminant = slope * slope - 4.0 * bend * begin;
     // The form of the quadratic's root that does not cancel.
@@ -285,13 +308,12 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     } else {
         2.0 * begin / (discriminant.max(0.0).sqrt() - slope)
     };
-    let chord = kept + (1.0 - kept) * f_kept / (f_kept - end);
-    let mut next = if guess > kept && guess < 1.0 {
+    let chord = kept + (last - kept) * f_kept / (f_kept - f_last);
+    let mut next = if guess > kept && guess < last {
         guess
     } else {
         chord
     };
-    let (mut last, mut f_last) = (1.0, end);
     for _ in 0..60 {
         let value = f(next);
         if value.abs() <= tiny || (next - last).abs() < 1e-15 {

@@ -17,6 +17,10 @@ pub struct Joint<R> {
     pub motor_viscous: R,
     /// f_M [N m] at the motor.
     pub coulomb: R,
+    /// tau [s]: how fast a motor that friction stops comes to rest; zero: at once.
+    pub settling_time: R,
+    /// 1/tau, huge where it stops at once.
+    pub settling_rate: R,
     /// f_0 [N m] at the motor.
     pub offset: R,
     /// d_L [N m s/rad] at the link.
@@ -54,14 +58,23 @@ pub struct Acceleration<R, const N: usize> {
 /// What each motor's friction does during a step.
 ///
 /// `direction` is +1 or -1 while the motor slides that way and the Coulomb torque opposes it, and 0
-/// while it stands; `free` is 1 where the motor may move and 0 where it stands. A joint without
-/// Coulomb friction is always free and has direction 0.
+/// while it is held; `free` is 1 where the motor slides and 0 where it is held: where it stands, or
+/// settles at the rate `-dtheta_M / tau`. A joint without Coulomb friction is always free and has
+/// direction 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Modes<R, const N: usize> {
     /// Sign that Coulomb friction opposes.
     pub direction: [R; N],
-    /// 1 sliding, 0 standing.
+    /// 1 sliding, 0 held.
     pub free: [R; N],
+}
+
+impl<R: Real, const N: usize> Modes<R, N> {
+    /// Whether a motor slides in every lane.
+    #[inline(always)]
+    fn all_free(&self, joint: usize) -> bool {
+        !(self.free[joint] - R::splat(1.0)).any_negative()
+    }
 }
 
 /// Motor torques [N m] at the beginning, middle and end of a step.
@@ -92,6 +105,8 @@ pub struct Plant<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
     pub base: A::Base<R>,
     /// Its drive trains.
     pub joints: [Joint<R>; N],
+    /// Whether any motor takes its time to come to rest.
+    pub settles: bool,
 }
 
 impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELASTIC> {
@@ -151,7 +166,11 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
             } else {
                 let transmitted = joint.transmitted(x, i);
                 let net = (-joint.ratio).mul_add(transmitted, drive);
-                motor[i] = modes.free[i] * joint.motor_mobility * net;
+                let settling = (modes.free[i] - R::splat(1.0)) * joint.settling_rate;
+                motor[i] = settling.mul_add(
+                    x.motor_velocity[i],
+                    modes.free[i] * joint.motor_mobility * net,
+                );
                 force[i] = transmitted - load;
             }
         }
@@ -164,9 +183,10 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         Acceleration { motor, link }
     }
 
-    /// Torque [N m] that friction must supply at each motor to keep it from moving, offset apart.
+    /// Torque [N m] that friction must take up at each motor to hold it, offset apart: to keep it
+    /// at rest, or to let it settle.
     ///
-    /// The motor stands while this stays within +-f_M: Sgn(0) is the whole interval [-1, 1].
+    /// The motor is held while this stays within +-f_M: Sgn(0) is the whole interval [-1, 1].
     #[inline(always)]
     pub fn holding_torques(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> [R; N] {
         let mut holding = [R::splat(0.0); N];
@@ -174,7 +194,9 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
             let joint = &self.joints[i];
             holding[i] = torque[i] - joint.offset;
             if !self.is_rigid(i) {
+                let brake = joint.motor_inertia * joint.settling_rate - joint.motor_viscous;
                 holding[i] = (-joint.ratio).mul_add(joint.transmitted(x, i), holding[i]);
+                holding[i] = brake.mul_add(x.motor_velocity[i], holding[i]);
             }
         }
         if !ELASTIC {
@@ -228,16 +250,49 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
     ) -> State<R, N> {
         let a1 = &now.acceleration;
         let half = R::splat(0.5) * h;
-        let a2 = self.after(now, &x.drifted(half, a1), &torque.middle, modes);
-        let third = x.moved(half, half * half, a1, half, &a2);
+        let held = |stage: Stage<R, N>, t: R| (self.held(x, stage.0, modes, t), stage.1);
+        let second = held(x.drifted(half, a1), half);
+        let a2 = self.after(now, &second, &torque.middle, modes);
+        let third = held(x.moved(half, half * half, a1, half, &a2), half);
         let a3 = self.after(now, &third, &torque.middle, modes);
-        let fourth = x.moved(h, h * half, &a2, h, &a3);
+        let fourth = held(x.moved(h, h * half, &a2, h, &a3), h);
         let a4 = self.after(now, &fourth, &torque.end, modes);
         let sixth = h * R::splat(1.0 / 6.0);
         let inner = a2.plus(&a3);
         let for_angle = a1.plus(&inner);
         let for_velocity = for_angle.plus(&inner).plus(&a4);
-        x.moved(h, h * sixth, &for_angle, sixth, &for_velocity).0
+        held(x.moved(h, h * sixth, &for_angle, sixth, &for_velocity), h).0
+    }
+
+    /// A stage `t` after the beginning in which the held motors are where they settle:
+    /// dtheta_M(t) = dtheta_M(0) exp(-t/tau), whatever the rest of the arm does.
+    ///
+    /// Solved rather than integrated, so that tau may be any part of the step.
+    #[inline(always)]
+    fn held(
+        &self,
+        begin: &State<R, N>,
+        mut stage: State<R, N>,
+        modes: &Modes<R, N>,
+        t: R,
+    ) -> State<R, N> {
+        if !self.settles {
+            return stage;
+        }
+        for i in 0..N {
+            if modes.all_free(i) {
+                continue;
+            }
+            let joint = &self.joints[i];
+            let (free, one) = (modes.free[i], R::splat(1.0));
+            let left = (-joint.settling_rate * t).exp();
+            let velocity = begin.motor_velocity[i] * left;
+            let way = joint.settling_time * begin.motor_velocity[i] * (one - left);
+            let angle = begin.motor_angle[i] + way;
+            stage.motor_velocity[i] = free.mul_add(stage.motor_velocity[i] - velocity, velocity);
+            stage.motor_angle[i] = free.mul_add(stage.motor_angle[i] - angle, angle);
+        }
+        stage
     }
 
     /// Accelerations at a later stage, whose links have turned a little since `now`.

@@ -54,6 +54,16 @@ pub trait Real:
     /// Replace the number in one lane.
     fn set_lane(&mut self, index: usize, value: f64);
 
+    /// Exponential function.
+    #[inline(always)]
+    fn exp(self) -> Self {
+        let mut all = self;
+        for lane in 0..Self::LANES {
+            all.set_lane(lane, self.lane(lane).exp());
+        }
+        all
+    }
+
     /// Sine and cosine, within 4e-16 for arguments below 1e5.
     ///
     /// The argument is reduced by a multiple of pi (Cody and Waite, three parts) and halved; the
