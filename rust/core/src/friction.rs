@@ -10,7 +10,8 @@
 //!
 //! The instants are roots of the integrator's own step as a function of its length, found to
 //! rounding, so that the cut keeps the order, and the result is a smooth function of all parameters
-//! between changes of the events' sequence.
+//! between changes of the events' sequence. Over a scalar with derivatives the instants have theirs,
+//! by the implicit function theorem on that very step.
 
 use crate::arm::Arm;
 use crate::drive::CurrentLoop;
@@ -105,22 +106,25 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         h: f64,
     ) -> Motion<R, N> {
         let mut now = *motion;
-        let mut left = h;
+        let mut left = R::splat(h);
         for _ in 0..MOST_EVENTS {
             let leg = Leg::new(self, &now, target, current, left);
-            let (end, margins) = leg.end(1.0);
+            let (end, margins) = leg.end(R::splat(1.0));
             let Some((part, joint)) = leg.first_event(&margins) else {
                 return end;
             };
+            let part = R::root(part, |part| leg.end(part).1[joint]);
             now = leg.end(part).0;
             self.turn(&mut now, joint);
-            left *= 1.0 - part;
-            if left <= 1e-15 * h {
+            left = left * (R::splat(1.0) - part);
+            if left.lane(0) <= 1e-15 * h {
                 return now;
             }
         }
         self.hold_restless(&mut now);
-        Leg::new(self, &now, target, current, left).end(1.0).0
+        Leg::new(self, &now, target, current, left)
+            .end(R::splat(1.0))
+            .0
     }
 
     /// Changes the mode of the joint whose event this is.
@@ -159,7 +163,7 @@ struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
     from: &'a Motion<R, N>,
     target: &'a [R; N],
     current: &'a CurrentLoop<R, N>,
-    length: f64,
+    length: R,
     begin: Instant<A, R, N>,
     standing: bool,
 }
@@ -181,7 +185,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
 
 struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool>(
     &'l Leg<'a, A, R, N, ELASTIC>,
-    f64,
+    R,
 );
 
 impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
@@ -200,7 +204,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
         from: &'a Motion<R, N>,
         target: &'a [R; N],
         current: &'a CurrentLoop<R, N>,
-        length: f64,
+        length: R,
     ) -> Self {
         Self {
             plant,
@@ -214,18 +218,18 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
     }
 
     /// Where the leg is after a part of its length, and the margins there.
-    fn end(&self, part: f64) -> (Motion<R, N>, [R; N]) {
+    fn end(&self, part: R) -> (Motion<R, N>, [R; N]) {
         R::scope(EndOf(self, part))
     }
 
     #[inline(always)]
-    fn integrate(&self, part: f64) -> (Motion<R, N>, [R; N]) {
+    fn integrate(&self, part: R) -> (Motion<R, N>, [R; N]) {
         let t = part * self.length;
         let torque = self.current.over(&self.from.torque, self.target, t);
         let modes = &self.from.modes;
-        let state =
-            self.plant
-                .runge_kutta(&self.from.state, &self.begin, &torque, modes, R::splat(t));
+        let state = self
+            .plant
+            .runge_kutta(&self.from.state, &self.begin, &torque, modes, t);
         let margins = self
             .plant
             .margins(&state, &torque.end, modes, self.standing);
@@ -251,8 +255,9 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
                 let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
                 // The margin of a sliding motor is its speed, whose slope is known at the beginning.
                 let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
-                let slope = slope.lane(0) * self.length;
-                (root(|part| self.end(part).1[i].lane(0), ends, slope), i)
+                let slope = slope.lane(0) * self.length.lane(0);
+                let margin = |part| self.end(R::splat(part)).1[i].lane(0);
+                (root(margin, ends, slope), i)
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
     }
@@ -309,7 +314,8 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     last
 }
 
-fn sign<R: Real>(value: f64) -> R {
+/// +1, -1 or 0.
+pub(crate) fn sign<R: Real>(value: f64) -> R {
     R::splat(if value > 0.0 {
         1.0
     } else if value < 0.0 {
