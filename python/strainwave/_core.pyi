@@ -59,6 +59,35 @@ class Arm:
         `servo` is (kp, ki, limit, active joints). Raises ValueError for sizes that do not fit and
         values no arm can have, FloatingPointError where a motion leaves the finite numbers.
         """
+    def sensitivities(
+        self,
+        parameters: NDArray[np.float64],
+        voltage: NDArray[np.float64],
+        *,
+        with_respect_to: Sequence[tuple[str, int | None]],
+        motor_angle: Sequence[float],
+        step: float,
+        steps_per_tick: int,
+        steps_per_sample: int,
+        samples: int,
+        record: Sequence[str],
+        reference: NDArray[np.float64] | None = None,
+        servo: tuple[Sequence[float], Sequence[float], float, Sequence[bool]] | None = None,
+        steps_per_servo: int = 1,
+        motor_velocity: Sequence[float] | None = None,
+        link_angle: Sequence[float] | None = None,
+        link_velocity: Sequence[float] | None = None,
+        initial_voltage: Sequence[float] | None = None,
+    ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """One arm's experiment with its exact derivatives.
+
+        For each quantity the values (samples, n_joints) that `simulate` gives and their tangents
+        (samples, n_joints, n_directions). A direction is a name of `parameter_names`, or
+        `initial_motor_angle`, `initial_motor_velocity`, `initial_link_angle` or
+        `initial_link_velocity` and a joint from 1; where the links hang on their gears, the initial
+        link angle is what is added to the hanging one. The GIL is released, so that records can
+        run in threads. Errors are those of `simulate`.
+        """
     def base_regressor(
         self,
         angle: NDArray[np.float64],

@@ -13,10 +13,10 @@ const SECONDS: usize = 4;
 const STEPS_PER_SECOND: usize = 8000;
 
 /// The built-in SCARA-type arm with 5 kg at its tip.
-const PARAMETERS: [f64; 27] = [
+const PARAMETERS: [f64; 29] = [
     1.6097, 0.64425, 0.7875, 0.0, 0.0, //
-    1.5e-4, 2e-4, 0.06, 0.0, 0.5, 16e3, 25e3, 29e3, 7.0, 25.0, 20.0, //
-    0.5e-4, 0.8e-4, 0.03, 0.0, 0.15, 4.7e3, 6.1e3, 7.1e3, 2.0, 6.9, 4.0,
+    1.5e-4, 2e-4, 0.06, 0.0, 0.5, 16e3, 25e3, 29e3, 7.0, 25.0, 20.0, 0.0, //
+    0.5e-4, 0.8e-4, 0.03, 0.0, 0.15, 4.7e3, 6.1e3, 7.1e3, 2.0, 6.9, 4.0, 0.0,
 ];
 
 fn task(record: Vec<Quantity>) -> Task<TwoLink<false>, 2> {

@@ -200,11 +200,19 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         values: &[&[f64]],
     ) -> Plant<A, R, N, ELASTIC> {
         assert_eq!(values.len(), R::LANES);
+        self.plant_of(|k| gather(|lane| R::One::splat(values[lane][k])))
+    }
+
+    /// The arm whose `k`-th parameter is `value(k)`.
+    pub fn plant_of<R: Real, const ELASTIC: bool>(
+        &self,
+        value: impl Fn(usize) -> R,
+    ) -> Plant<A, R, N, ELASTIC> {
         assert!(!ELASTIC || self.is_elastic());
-        let mut next = 0..;
+        let mut next = 0;
         let mut take = || {
-            let k = next.next().unwrap_or(0);
-            gather(|lane| values[lane][k])
+            next += 1;
+            value(next - 1)
         };
         let base: Vec<R> = A::NAMES.iter().map(|_| take()).collect();
         let joints = self.joints.map(|joint| {
@@ -279,10 +287,10 @@ const AT_ONCE: f64 = 1e-200;
 
 /// A number per lane.
 #[inline(always)]
-pub fn gather<R: Real>(value: impl Fn(usize) -> f64) -> R {
+pub fn gather<R: Real>(value: impl Fn(usize) -> R::One) -> R {
     let mut all = R::splat(0.0);
     for lane in 0..R::LANES {
-        all.set_lane(lane, value(lane));
+        all.set_one(lane, value(lane));
     }
     all
 }

@@ -11,7 +11,8 @@ use crate::lanes::{F64x4, F64x8};
 #[cfg(target_arch = "x86_64")]
 use crate::real::Fused;
 use crate::real::Real;
-use crate::simulate::{Diverged, Member, Record, SideBySide, Task};
+use crate::sensitivity::{Sensitivities, by_duals};
+use crate::simulate::{Diverged, Member, Record, SideBySide, Source, Task, values};
 
 /// Registers' worth of arms that take turns.
 const GROUPS: usize = 2;
@@ -103,9 +104,9 @@ fn single<A: Arm<N>, const N: usize, const ELASTIC: bool>(
     width: Width,
 ) -> Results<N> {
     match width {
-        Width::Portable => f64::scope(SideBySide::<A, f64, f64, N, ELASTIC>::new(task, member)),
+        Width::Portable => side_by_side::<A, f64, N, ELASTIC>(task, member),
         #[cfg(target_arch = "x86_64")]
-        _ => Fused::scope(SideBySide::<A, Fused, Fused, N, ELASTIC>::new(task, member)),
+        _ => side_by_side::<A, Fused, N, ELASTIC>(task, member),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }
@@ -117,15 +118,58 @@ fn group<A: Arm<N>, const N: usize, const ELASTIC: bool>(
     width: Width,
 ) -> Results<N> {
     match width {
-        Width::Portable => f64::scope(SideBySide::<A, f64, f64, N, ELASTIC>::new(task, members)),
+        Width::Portable => side_by_side::<A, f64, N, ELASTIC>(task, members),
         #[cfg(target_arch = "x86_64")]
-        Width::Avx2 => F64x4::scope(SideBySide::<A, F64x4, Fused, N, ELASTIC>::new(
-            task, members,
-        )),
+        Width::Avx2 => side_by_side::<A, F64x4, N, ELASTIC>(task, members),
         #[cfg(target_arch = "x86_64")]
-        Width::Avx512 => F64x8::scope(SideBySide::<A, F64x8, Fused, N, ELASTIC>::new(
-            task, members,
-        )),
+        Width::Avx512 => side_by_side::<A, F64x8, N, ELASTIC>(task, members),
+        #[cfg(not(target_arch = "x86_64"))]
+        _ => unreachable!("only x86-64 detects vectors"),
+    }
+}
+
+fn side_by_side<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool>(
+    task: &Task<A, N>,
+    members: &[Member<'_, N>],
+) -> Results<N> {
+    let given = |_, value| R::One::splat(value);
+    R::scope(SideBySide::<A, R, _, N, ELASTIC>::new(task, members, given))
+        .into_iter()
+        .map(|record| record.map(|record| values(&record)))
+        .collect()
+}
+
+/// One arm in one experiment, with the derivatives of all that is recorded.
+///
+/// # Errors
+/// The motion diverged.
+///
+/// # Panics
+/// `width` is more than the processor has.
+pub fn sensitivities<A: Arm<N>, const N: usize>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    directions: &[Source],
+    width: Width,
+) -> Result<Sensitivities<N>, Diverged> {
+    assert!(width <= Width::detect(), "this processor has no {width:?}");
+    if task.config.is_elastic() {
+        followed::<A, N, true>(task, member, directions, width)
+    } else {
+        followed::<A, N, false>(task, member, directions, width)
+    }
+}
+
+fn followed<A: Arm<N>, const N: usize, const ELASTIC: bool>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    directions: &[Source],
+    width: Width,
+) -> Result<Sensitivities<N>, Diverged> {
+    match width {
+        Width::Portable => by_duals::<A, f64, f64, N, ELASTIC>(task, member, directions),
+        #[cfg(target_arch = "x86_64")]
+        _ => by_duals::<A, Fused, F64x4, N, ELASTIC>(task, member, directions),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }

@@ -17,7 +17,7 @@ pub struct CurrentLoop<R, const N: usize> {
 impl<R: Real, const N: usize> CurrentLoop<R, N> {
     /// Loops with given bandwidths [rad/s] for an integrator of step `h` [s].
     pub fn new(torque_per_volt: [f64; N], bandwidth: [f64; N], h: f64) -> Self {
-        let decay = [0.5 * h, h].map(|t| bandwidth.map(|w| R::splat(decay(w, t))));
+        let decay = [0.5 * h, h].map(|t| bandwidth.map(|w| decay(w, R::splat(t))));
         Self {
             torque_per_volt,
             bandwidth,
@@ -44,10 +44,10 @@ impl<R: Real, const N: usize> CurrentLoop<R, N> {
 
     /// Torques over a part of a step, `t` seconds long.
     #[inline(always)]
-    pub fn over(&self, begin: &[R; N], target: &[R; N], t: f64) -> StepTorque<R, N> {
+    pub fn over(&self, begin: &[R; N], target: &[R; N], t: R) -> StepTorque<R, N> {
         let (mut middle, mut end) = (*target, *target);
         for i in 0..N {
-            let half_way = R::splat(decay(self.bandwidth[i], 0.5 * t));
+            let half_way = decay(self.bandwidth[i], R::splat(0.5) * t);
             let distance = begin[i] - target[i];
             middle[i] = distance.mul_add(half_way, target[i]);
             end[i] = distance.mul_add(half_way * half_way, target[i]);
@@ -61,11 +61,12 @@ impl<R: Real, const N: usize> CurrentLoop<R, N> {
 }
 
 /// What is left of a distance to the target after `t` seconds; nothing if the loop is ideal.
-fn decay(bandwidth: f64, t: f64) -> f64 {
+#[inline(always)]
+fn decay<R: Real>(bandwidth: f64, t: R) -> R {
     if bandwidth.is_infinite() {
-        0.0
+        R::splat(0.0)
     } else {
-        (-bandwidth * t).exp()
+        (R::splat(-bandwidth) * t).exp()
     }
 }
 
@@ -86,11 +87,11 @@ pub struct Servo<const N: usize> {
 
 /// What one arm's servo remembers.
 #[derive(Clone, Copy, Debug)]
-pub struct ServoState<const N: usize> {
+pub struct ServoState<R, const N: usize> {
     /// Integral of the velocity error [rad].
-    pub integral: [f64; N],
+    pub integral: [R; N],
     /// Encoder angle at the last tick [rad].
-    pub last_angle: [f64; N],
+    pub last_angle: [R; N],
 }
 
 impl<const N: usize> Servo<N> {
@@ -98,22 +99,26 @@ impl<const N: usize> Servo<N> {
     ///
     /// e = reference - encoder difference / period, and the integral takes in this tick's error
     /// before it is used (backward Euler).
-    pub fn command(
+    pub fn command<R: Real>(
         &self,
-        state: &mut ServoState<N>,
+        state: &mut ServoState<R, N>,
         reference: &[f64; N],
-        encoder: &[f64; N],
+        encoder: &[R; N],
         feed_forward: &[f64; N],
-    ) -> [f64; N] {
-        let mut voltage = *feed_forward;
+    ) -> [R; N] {
+        const { assert!(R::LANES == 1) };
+        let c = R::splat;
+        let mut voltage = feed_forward.map(c);
         for i in 0..N {
             if self.active[i] {
-                let error = reference[i] - (encoder[i] - state.last_angle[i]) / self.period;
-                let integral = state.integral[i] + error * self.period;
-                let wanted = feed_forward[i] + self.kp[i] * error + self.ki[i] * integral;
-                voltage[i] = wanted.clamp(-self.limit, self.limit);
-                if voltage[i] == wanted {
+                let error = c(reference[i]) - (encoder[i] - state.last_angle[i]) / c(self.period);
+                let integral = state.integral[i] + error * c(self.period);
+                let wanted = voltage[i] + c(self.kp[i]) * error + c(self.ki[i]) * integral;
+                if wanted.lane(0).abs() <= self.limit {
+                    voltage[i] = wanted;
                     state.integral[i] = integral;
+                } else {
+                    voltage[i] = c(self.limit).copysign(wanted);
                 }
             }
             state.last_angle[i] = encoder[i];
@@ -123,12 +128,16 @@ impl<const N: usize> Servo<N> {
 }
 
 /// Encoder reading [rad] of a motor angle: whole counts, or the angle itself without an encoder.
-pub fn encoder_angle(angle: f64, counts_per_turn: Option<f64>) -> f64 {
-    match counts_per_turn {
-        Some(counts) => {
-            let count = std::f64::consts::TAU / counts;
-            (angle / count).round() * count
+///
+/// A derivative that the angle carries is the reading's too: that of the staircase, zero but for
+/// its jumps, would say that the encoder sees no motion.
+pub fn encoder_angle<R: Real>(angle: R, counts_per_turn: Option<f64>) -> R {
+    let mut reading = angle;
+    if let Some(counts) = counts_per_turn {
+        let count = std::f64::consts::TAU / counts;
+        for lane in 0..R::LANES {
+            reading.set_lane(lane, (angle.lane(lane) / count).round() * count);
         }
-        None => angle,
     }
+    reading
 }

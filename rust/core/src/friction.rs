@@ -8,9 +8,18 @@
 //!   hold it is within `f_M`, else it slides on the other way;
 //! - where the torque that holds a standing motor leaves `[-f_M, f_M]`: it slides that way.
 //!
+//! A motor may be given a settling time tau: friction then does not stop it at once but as fast as
+//! `ddtheta_M = -dtheta_M / tau`, for as long as that takes no more than `f_M`. The torque is
+//! `clamp(H + m_M dtheta_M / tau, -f_M, f_M)`, with H what keeps the motor at rest: one backward Euler
+//! step of length tau of the set-valued law (its Yosida regularisation). Unlike a steep function of
+//! the velocity it lets nothing creep: under any load below `f_M` the motor comes to rest. Friction
+//! changes sides some tau before the motor does. As tau goes to zero the law is the set-valued one,
+//! and its events are the same two.
+//!
 //! The instants are roots of the integrator's own step as a function of its length, found to
 //! rounding, so that the cut keeps the order, and the result is a smooth function of all parameters
-//! between changes of the events' sequence.
+//! between changes of the events' sequence. Over a scalar with derivatives the instants have theirs,
+//! by the implicit function theorem on that very step.
 
 use crate::arm::Arm;
 use crate::drive::CurrentLoop;
@@ -22,6 +31,9 @@ use crate::real::{Real, Work};
 /// Chattering needs a torque that changes sign many times within a step, which the step could not
 /// resolve anyway.
 const MOST_EVENTS: usize = 12;
+
+/// Part of a leg after which the slope of a margin at its beginning is taken.
+const SOON: f64 = 1e-4;
 
 /// One arm in motion: its state, its motors' torques and their friction modes.
 #[derive(Clone, Copy, Debug)]
@@ -71,9 +83,9 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
 
     /// How far the end of a step is from breaking its modes; negative where it does.
     ///
-    /// A sliding motor's margin is its velocity in its direction, a standing one's the friction
-    /// left. `standing` says whether any motor stands: then the holding torques are worth their
-    /// cost.
+    /// A sliding motor's margin is its velocity in its direction, a held one's the friction left; of
+    /// a motor that takes its time to settle, the first is `dtheta_M + tau ddtheta_M`. `standing` says
+    /// whether any motor is held: then the holding torques are worth their cost.
     #[inline(always)]
     pub fn margins(
         &self,
@@ -92,12 +104,11 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
                 let joint = &self.joints[i];
                 let left = joint.coulomb - holding[i].abs();
                 let held = (R::splat(1.0) - modes.free[i]) * left;
-                // at once: the speed; else what friction has yet to take up before it holds
-                let instant = R::splat(1.0) - joint.settling_time * joint.settling_rate;
-                let beyond =
-                    modes.direction[i].mul_add(holding[i], -(modes.free[i] * joint.coulomb));
-                let share = joint.settling_time * joint.motor_mobility * modes.free[i];
-                margin[i] = instant.mul_add(margin[i], share.mul_add(beyond, held));
+                // 1 where it stops at once, 0 where it settles
+                let at_once = R::splat(1.0) - joint.settling_time * joint.settling_rate;
+                let beyond = modes.direction[i] * holding[i] - joint.coulomb;
+                let lever = joint.settling_time * joint.motor_mobility * modes.free[i];
+                margin[i] = at_once.mul_add(margin[i], lever.mul_add(beyond, held));
             }
         }
         margin
@@ -112,22 +123,30 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         h: f64,
     ) -> Motion<R, N> {
         let mut now = *motion;
-        let mut left = h;
+        let mut left = R::splat(h);
         for _ in 0..MOST_EVENTS {
             let leg = Leg::new(self, &now, target, current, left);
-            let (end, margins) = leg.end(1.0);
+            let (end, margins) = leg.end(R::splat(1.0));
             let Some((part, joint)) = leg.first_event(&margins) else {
                 return end;
             };
+            // what begins in another mode than the leg's does so at a fixed time
+            let part = if part > 0.0 {
+                R::root(part, |part| leg.end(part).1[joint])
+            } else {
+                R::splat(part)
+            };
             now = leg.end(part).0;
             self.turn(&mut now, joint);
-            left *= 1.0 - part;
-            if left <= 1e-15 * h {
+            left = left * (R::splat(1.0) - part);
+            if left.lane(0) <= 1e-15 * h {
                 return now;
             }
         }
         self.hold_restless(&mut now);
-        Leg::new(self, &now, target, current, left).end(1.0).0
+        Leg::new(self, &now, target, current, left)
+            .end(R::splat(1.0))
+            .0
     }
 
     /// Changes the mode of the joint whose event this is.
@@ -169,7 +188,7 @@ struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
     from: &'a Motion<R, N>,
     target: &'a [R; N],
     current: &'a CurrentLoop<R, N>,
-    length: f64,
+    length: R,
     begin: Instant<A, R, N>,
     standing: bool,
 }
@@ -191,7 +210,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
 
 struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool>(
     &'l Leg<'a, A, R, N, ELASTIC>,
-    f64,
+    R,
 );
 
 impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
@@ -210,7 +229,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
         from: &'a Motion<R, N>,
         target: &'a [R; N],
         current: &'a CurrentLoop<R, N>,
-        length: f64,
+        length: R,
     ) -> Self {
         Self {
             plant,
@@ -224,18 +243,18 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
     }
 
     /// Where the leg is after a part of its length, and the margins there.
-    fn end(&self, part: f64) -> (Motion<R, N>, [R; N]) {
+    fn end(&self, part: R) -> (Motion<R, N>, [R; N]) {
         R::scope(EndOf(self, part))
     }
 
     #[inline(always)]
-    fn integrate(&self, part: f64) -> (Motion<R, N>, [R; N]) {
+    fn integrate(&self, part: R) -> (Motion<R, N>, [R; N]) {
         let t = part * self.length;
         let torque = self.current.over(&self.from.torque, self.target, t);
         let modes = &self.from.modes;
-        let state =
-            self.plant
-                .runge_kutta(&self.from.state, &self.begin, &torque, modes, R::splat(t));
+        let state = self
+            .plant
+            .runge_kutta(&self.from.state, &self.begin, &torque, modes, t);
         let margins = self
             .plant
             .margins(&state, &torque.end, modes, self.standing);
@@ -259,14 +278,15 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
             .filter(|&i| margins_at_end[i].lane(0) < 0.0)
             .map(|i| {
                 let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
-                // The margin of a sliding motor is its speed, whose slope is known at the beginning.
+                let margin = |part| self.end(R::splat(part)).1[i].lane(0);
                 let slope = if self.plant.joints[i].settling_time.lane(0) > 0.0 {
-                    (self.end(1e-4).1[i].lane(0) - ends[0]) / 1e-4
+                    (margin(SOON) - ends[0]) / SOON
                 } else {
+                    // The margin of a sliding motor is its speed.
                     let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
-                    slope.lane(0) * self.length
+                    slope.lane(0) * self.length.lane(0)
                 };
-                (root(|part| self.end(part).1[i].lane(0), ends, slope), i)
+                (root(margin, ends, slope), i)
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
     }
@@ -331,7 +351,8 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     last
 }
 
-fn sign<R: Real>(value: f64) -> R {
+/// +1, -1 or 0.
+pub(crate) fn sign<R: Real>(value: f64) -> R {
     R::splat(if value > 0.0 {
         1.0
     } else if value < 0.0 {

@@ -118,6 +118,7 @@ impl<R: Real> Spring<R> {
             }
             (twist, excess) = (next, left);
         }
+        let twist = R::root(twist.lane(0), |twist| self.torque(twist) - wanted);
         twist.copysign(torque)
     }
 }

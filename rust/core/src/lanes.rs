@@ -6,7 +6,7 @@
 
 use std::arch::x86_64::*;
 
-use crate::real::{Real, Work, operators};
+use crate::real::{Fused, Real, Work, operators};
 
 /// Runs work compiled for AVX2 and fused multiply-add.
 ///
@@ -47,6 +47,7 @@ macro_rules! vector {
 
         impl Real for $name {
             const LANES: usize = $lanes;
+            type One = Fused;
             #[inline(always)]
             fn scope<W: Work>(work: W) -> W::Output {
                 unsafe { $with(work) }
@@ -92,6 +93,14 @@ macro_rules! vector {
                 assert!(index < $lanes);
                 // SAFETY: as in `lane`.
                 unsafe { *(&raw mut self.0).cast::<f64>().add(index) = value }
+            }
+            #[inline(always)]
+            fn one(self, index: usize) -> Fused {
+                Fused(self.lane(index))
+            }
+            #[inline(always)]
+            fn set_one(&mut self, index: usize, one: Fused) {
+                self.set_lane(index, one.0);
             }
         }
     };

@@ -5,12 +5,14 @@
 //!
 //! [`arm`] and [`gear`] hold the physics, [`plant`] puts them together, [`friction`] cuts time where
 //! Coulomb friction changes its mode, [`simulate`] runs whole experiments over any [`real::Real`],
-//! and [`dispatch`] chooses which.
+//! and [`dispatch`] chooses which. Over [`dual`] numbers the same chain gives its derivatives,
+//! [`sensitivity`].
 
 pub mod arm;
 pub mod config;
 pub mod dispatch;
 pub mod drive;
+pub mod dual;
 pub mod friction;
 pub mod gear;
 #[cfg(target_arch = "x86_64")]
@@ -18,5 +20,6 @@ mod lanes;
 pub mod plant;
 pub mod real;
 pub mod rigid;
+pub mod sensitivity;
 pub mod sensors;
 pub mod simulate;

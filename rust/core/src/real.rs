@@ -1,9 +1,9 @@
 //! The scalar that the arm's equations are written over.
 //!
 //! One source serves a single trajectory (`f64`, or [`Fused`] where the machine has a fused
-//! multiply-add) and a batch side by side in vector lanes (`lanes`). Derivatives
-//! with respect to parameters are to be one more scalar. Everything is branch-free: a lane cannot
-//! take another path than its neighbour.
+//! multiply-add), a batch side by side in vector lanes (`lanes`) and derivatives with respect to
+//! parameters ([`crate::dual`]). Everything is branch-free: a lane cannot take another path than its
+//! neighbour.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -29,6 +29,8 @@ pub trait Real:
 {
     /// How many numbers stand side by side.
     const LANES: usize;
+    /// What stands in one lane.
+    type One: Real<One = Self::One>;
     /// Runs work compiled for the processor features that this scalar's operations need.
     ///
     /// Outside of such a scope each operation would be a call, so every hot function that is not
@@ -51,8 +53,21 @@ pub trait Real:
     fn any_negative(self) -> bool;
     /// The number in one lane.
     fn lane(self, index: usize) -> f64;
-    /// Replace the number in one lane.
+    /// Replaces the number in one lane. A derivative that is carried along stays as it is.
     fn set_lane(&mut self, index: usize, value: f64);
+    /// What stands in one lane, with its derivatives.
+    fn one(self, index: usize) -> Self::One;
+    /// Replaces what stands in one lane, with its derivatives.
+    fn set_one(&mut self, index: usize, one: Self::One);
+
+    /// The root of a function whose value is known, as a function of all that the function holds.
+    ///
+    /// Only a scalar with derivatives has something to do here: they follow from the function's
+    /// own at the root.
+    #[inline(always)]
+    fn root(root: f64, _: impl Fn(Self) -> Self) -> Self {
+        Self::splat(root)
+    }
 
     /// Exponential function.
     #[inline(always)]
@@ -127,6 +142,7 @@ fn series<R: Real>(x: R, coefficients: &[f64]) -> R {
 
 impl Real for f64 {
     const LANES: usize = 1;
+    type One = Self;
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
         work.run()
@@ -167,6 +183,14 @@ impl Real for f64 {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, value: f64) {
         *self = value;
+    }
+    #[inline(always)]
+    fn one(self, _: usize) -> Self {
+        self
+    }
+    #[inline(always)]
+    fn set_one(&mut self, _: usize, one: Self) {
+        *self = one;
     }
 }
 
@@ -235,6 +259,7 @@ operators!(
 #[cfg(target_arch = "x86_64")]
 impl Real for Fused {
     const LANES: usize = 1;
+    type One = Self;
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
         // SAFETY: `dispatch` picks this scalar only where the processor has the features.
@@ -275,5 +300,13 @@ impl Real for Fused {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, value: f64) {
         self.0 = value;
+    }
+    #[inline(always)]
+    fn one(self, _: usize) -> Self {
+        self
+    }
+    #[inline(always)]
+    fn set_one(&mut self, _: usize, one: Self) {
+        *self = one;
     }
 }

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use crate::arm::Arm;
 use crate::config::{Config, gather};
 use crate::drive::{CurrentLoop, Servo, ServoState, encoder_angle};
-use crate::friction::Motion;
+use crate::friction::{Motion, sign};
 use crate::plant::{Instant, Plant, State};
 use crate::real::{Real, Work};
 use crate::sensors::LowPass;
@@ -108,7 +108,34 @@ pub struct Task<A, const N: usize> {
 }
 
 /// What was recorded: for each quantity of the task, samples times joints.
-pub type Record<const N: usize> = Vec<Vec<[f64; N]>>;
+pub type Record<const N: usize> = RecordOf<f64, N>;
+
+/// A record of numbers of any kind.
+pub type RecordOf<S, const N: usize> = Vec<Vec<[S; N]>>;
+
+/// The plain numbers of a record.
+pub fn values<S: Real, const N: usize>(record: &RecordOf<S, N>) -> Record<N> {
+    let plain = |row: &[S; N]| row.map(|value| value.lane(0));
+    record
+        .iter()
+        .map(|rows| rows.iter().map(plain).collect())
+        .collect()
+}
+
+/// A number that a motion depends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The parameter of this place in [`Config::parameter_names`].
+    Parameter(usize),
+    /// A joint's first motor angle.
+    MotorAngle(usize),
+    /// A joint's first motor velocity.
+    MotorVelocity(usize),
+    /// A joint's first link angle, or what is added to the angle where it hangs.
+    LinkAngle(usize),
+    /// A joint's first link velocity.
+    LinkVelocity(usize),
+}
 
 /// A motion that left the finite numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -117,41 +144,48 @@ pub struct Diverged {
     pub time: f64,
 }
 
-/// Arms to be run side by side, a multiple of `R::LANES`; `S` is the scalar of the same machine,
-/// which redoes the steps of single lanes in which friction changes its mode.
+/// Arms to be run side by side, a multiple of `R::LANES`. Steps of single lanes in which friction
+/// changes its mode are redone on `R::One`.
 ///
 /// Groups of `R::LANES` take turns at every step: while one waits for its own last result, the
 /// processor is already at the next one's operations.
-pub struct SideBySide<'a, A, R, S, const N: usize, const ELASTIC: bool> {
+pub struct SideBySide<'a, A, R, G, const N: usize, const ELASTIC: bool> {
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
-    scalars: PhantomData<(R, S)>,
+    given: G,
+    scalar: PhantomData<R>,
 }
 
-impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
-    SideBySide<'a, A, R, S, N, ELASTIC>
+impl<'a, A: Arm<N>, R: Real, G, const N: usize, const ELASTIC: bool>
+    SideBySide<'a, A, R, G, N, ELASTIC>
+where
+    G: Fn(Source, f64) -> R::One,
 {
-    /// A multiple of `R::LANES` members.
-    pub fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>]) -> Self {
+    /// A multiple of `R::LANES` members, and how a number that a motion depends on is to be had
+    /// from its value.
+    pub fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>], given: G) -> Self {
         Self {
             task,
             members,
-            scalars: PhantomData,
+            given,
+            scalar: PhantomData,
         }
     }
 }
 
-impl<A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool> Work
-    for SideBySide<'_, A, R, S, N, ELASTIC>
+impl<A: Arm<N>, R: Real, G, const N: usize, const ELASTIC: bool> Work
+    for SideBySide<'_, A, R, G, N, ELASTIC>
+where
+    G: Fn(Source, f64) -> R::One,
 {
-    type Output = Vec<Result<Record<N>, Diverged>>;
+    type Output = Vec<Result<RecordOf<R::One, N>, Diverged>>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut groups: Vec<Group<'_, A, R, S, N, ELASTIC>> = self
+        let mut groups: Vec<Group<'_, A, R, N, ELASTIC>> = self
             .members
             .chunks(R::LANES)
-            .map(|members| Group::new(self.task, members))
+            .map(|members| Group::new(self.task, members, &self.given))
             .collect();
         let clock = &self.task.clock;
         let (mut to_tick, mut to_servo, mut to_sample) = (0, 0, 0);
@@ -184,20 +218,20 @@ struct Event {
 }
 
 /// Arms that run side by side.
-struct Group<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool> {
+struct Group<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
     plant: Plant<A, R, N, ELASTIC>,
     current: CurrentLoop<R, N>,
-    single: Vec<Plant<A, S, N, ELASTIC>>,
-    single_current: CurrentLoop<S, N>,
+    single: Vec<Plant<A, R::One, N, ELASTIC>>,
+    single_current: CurrentLoop<R::One, N>,
     motion: Motion<R, N>,
     standing: bool,
     target: [R; N],
-    voltage: Vec<[f64; N]>,
-    servo: Vec<ServoState<N>>,
+    voltage: Vec<[R::One; N]>,
+    servo: Vec<ServoState<R::One, N>>,
     sensors: Option<Sensors<R, N>>,
-    records: Vec<Record<N>>,
+    records: Vec<RecordOf<R::One, N>>,
     diverged: Vec<Option<Diverged>>,
 }
 
@@ -208,28 +242,29 @@ struct Sensors<R, const N: usize> {
     readings: [[R; N]; 2],
 }
 
-impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
-    Group<'a, A, R, S, N, ELASTIC>
-{
-    fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>]) -> Self {
+impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R, N, ELASTIC> {
+    fn new(
+        task: &'a Task<A, N>,
+        members: &'a [Member<'a, N>],
+        given: &impl Fn(Source, f64) -> R::One,
+    ) -> Self {
         assert_eq!(members.len(), R::LANES);
         let step = task.clock.step;
-        let values: Vec<&[f64]> = members.iter().map(|member| member.parameters).collect();
-        let single: Vec<Plant<A, S, N, ELASTIC>> = values
-            .iter()
-            .map(|&own| task.config.plant(&[own]))
+        let parameter = |lane: usize, k| given(Source::Parameter(k), members[lane].parameters[k]);
+        let single: Vec<Plant<A, R::One, N, ELASTIC>> = (0..R::LANES)
+            .map(|lane| task.config.plant_of(|k| parameter(lane, k)))
             .collect();
         let single_current = task.config.current_loop(step);
-        let starts: Vec<Motion<S, N>> = members
+        let starts: Vec<Motion<R::One, N>> = members
             .iter()
             .zip(&single)
-            .map(|(member, plant)| start(plant, &single_current, &member.initial))
+            .map(|(member, plant)| start(plant, &single_current, &member.initial, given))
             .collect();
         let motion = side_by_side(&starts);
         let mut group = Self {
             task,
             members,
-            plant: task.config.plant(&values),
+            plant: task.config.plant_of(|k| gather(|lane| parameter(lane, k))),
             current: task.config.current_loop(step),
             single,
             single_current,
@@ -238,11 +273,12 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
             motion,
             voltage: members
                 .iter()
-                .map(|member| member.initial.voltage)
+                .map(|member| member.initial.voltage.map(R::One::splat))
                 .collect(),
             servo: members
                 .iter()
-                .map(|member| member.servo_at_rest(task))
+                .zip(&starts)
+                .map(|(member, start)| member.servo_at_rest(task, &start.state.motor_angle))
                 .collect(),
             sensors: None,
             records: vec![
@@ -286,12 +322,10 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
             let voltage = &mut self.voltage[lane];
             match &self.task.servo {
                 Some(servo) if servo_reads => {
-                    let mut encoder = [0.0; N];
-                    for i in 0..N {
-                        let angle = self.motion.state.motor_angle[i].lane(lane);
-                        encoder[i] =
-                            encoder_angle(angle, self.task.config.joints[i].encoder_counts);
-                    }
+                    let encoder = std::array::from_fn(|i| {
+                        let angle = self.motion.state.motor_angle[i].one(lane);
+                        encoder_angle(angle, self.task.config.joints[i].encoder_counts)
+                    });
                     let reference = &member.reference[tick];
                     *voltage =
                         servo.command(&mut self.servo[lane], reference, &encoder, feed_forward);
@@ -299,17 +333,17 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
                 Some(servo) => {
                     for i in 0..N {
                         if !servo.active[i] {
-                            voltage[i] = feed_forward[i];
+                            voltage[i] = R::One::splat(feed_forward[i]);
                         }
                     }
                 }
-                None => *voltage = *feed_forward,
+                None => *voltage = feed_forward.map(R::One::splat),
             }
             for i in 0..N {
-                let torque = self.current.torque_per_volt[i] * voltage[i];
-                self.target[i].set_lane(lane, torque);
+                let torque = R::One::splat(self.current.torque_per_volt[i]) * voltage[i];
+                self.target[i].set_one(lane, torque);
                 if self.current.bandwidth[i].is_infinite() {
-                    self.motion.torque[i].set_lane(lane, torque);
+                    self.motion.torque[i].set_one(lane, torque);
                 }
             }
         }
@@ -321,7 +355,7 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
     /// A torque that jumped may be more than friction can hold.
     fn release(&mut self) {
         for lane in 0..R::LANES {
-            let mut one: Motion<S, N> = self.lane(lane);
+            let mut one = one_of(&self.motion, lane);
             if self.single[lane].release(&one.state, &one.torque, &mut one.modes) {
                 self.set_lane(lane, &one);
             }
@@ -357,8 +391,8 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
     fn redo(&mut self, before: &Motion<R, N>, least: R) {
         for lane in 0..R::LANES {
             if least.lane(lane) < 0.0 {
-                let from: Motion<S, N> = one_of(before, lane);
-                let target = self.target.map(|target| S::splat(target.lane(lane)));
+                let from = one_of(before, lane);
+                let target = self.target.map(|target| target.one(lane));
                 let h = self.task.clock.step;
                 let to = self.single[lane].advance(&from, &target, &self.single_current, h);
                 self.set_lane(lane, &to);
@@ -367,14 +401,10 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
         self.standing = any_standing(&self.motion);
     }
 
-    fn lane(&self, lane: usize) -> Motion<S, N> {
-        one_of(&self.motion, lane)
-    }
-
-    fn set_lane(&mut self, lane: usize, one: &Motion<S, N>) {
-        let put = |all: &mut [R; N], own: &[S; N]| {
+    fn set_lane(&mut self, lane: usize, one: &Motion<R::One, N>) {
+        let put = |all: &mut [R; N], own: &[R::One; N]| {
             for i in 0..N {
-                all[i].set_lane(lane, own[i].lane(0));
+                all[i].set_one(lane, own[i]);
             }
         };
         put(&mut self.motion.state.motor_angle, &one.state.motor_angle);
@@ -463,18 +493,14 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
                     self.put_all(k, &self.plant.gear_torques(&self.motion.state))
                 }
                 Quantity::Encoder => self.put(k, |group, lane, i| {
-                    let angle = group.motion.state.motor_angle[i].lane(lane);
+                    let angle = group.motion.state.motor_angle[i].one(lane);
                     encoder_angle(angle, group.task.config.joints[i].encoder_counts)
                 }),
                 Quantity::Accelerometer => self.put_all(k, &self.sensed(0)),
                 Quantity::Gyro => self.put_all(k, &self.sensed(1)),
                 Quantity::Sliding => self.put(k, |group, lane, i| {
                     let velocity = group.motion.state.motor_velocity[i].lane(lane);
-                    if velocity == 0.0 {
-                        0.0
-                    } else {
-                        velocity.signum()
-                    }
+                    sign(velocity)
                 }),
             }
         }
@@ -483,11 +509,11 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
 
     fn put_all(&mut self, quantity: usize, values: &[R; N]) {
         for lane in 0..R::LANES {
-            self.records[lane][quantity].push(values.map(|value| value.lane(lane)));
+            self.records[lane][quantity].push(values.map(|value| value.one(lane)));
         }
     }
 
-    fn put(&mut self, quantity: usize, value: impl Fn(&Self, usize, usize) -> f64) {
+    fn put(&mut self, quantity: usize, value: impl Fn(&Self, usize, usize) -> R::One) {
         for lane in 0..R::LANES {
             let row = std::array::from_fn(|i| value(self, lane, i));
             self.records[lane][quantity].push(row);
@@ -514,7 +540,7 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
         }
     }
 
-    fn results(self) -> Vec<Result<Record<N>, Diverged>> {
+    fn results(self) -> Vec<Result<RecordOf<R::One, N>, Diverged>> {
         self.records
             .into_iter()
             .zip(self.diverged)
@@ -525,19 +551,23 @@ impl<'a, A: Arm<N>, R: Real, S: Real, const N: usize, const ELASTIC: bool>
 
 impl<const N: usize> Member<'_, N> {
     /// A servo whose integral already commands the initial voltage.
-    fn servo_at_rest<A: Arm<N>>(&self, task: &Task<A, N>) -> ServoState<N> {
+    fn servo_at_rest<A: Arm<N>, S: Real>(
+        &self,
+        task: &Task<A, N>,
+        motor_angle: &[S; N],
+    ) -> ServoState<S, N> {
         let mut state = ServoState {
-            integral: [0.0; N],
-            last_angle: [0.0; N],
+            integral: [S::splat(0.0); N],
+            last_angle: *motor_angle,
         };
         for i in 0..N {
             let counts = task.config.joints[i].encoder_counts;
-            state.last_angle[i] = encoder_angle(self.initial.motor_angle[i], counts);
+            state.last_angle[i] = encoder_angle(motor_angle[i], counts);
             if let Some(servo) = &task.servo
                 && servo.active[i]
                 && servo.ki[i] > 0.0
             {
-                state.integral[i] = self.initial.voltage[i] / servo.ki[i];
+                state.integral[i] = S::splat(self.initial.voltage[i] / servo.ki[i]);
             }
         }
         state
@@ -549,17 +579,23 @@ fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
     plant: &Plant<A, S, N, ELASTIC>,
     current: &CurrentLoop<S, N>,
     initial: &Initial<N>,
+    given: &impl Fn(Source, f64) -> S,
 ) -> Motion<S, N> {
+    let each = |source: fn(usize) -> Source, values: &[f64; N]| -> [S; N] {
+        std::array::from_fn(|i| given(source(i), values[i]))
+    };
     let mut state = State {
-        motor_angle: initial.motor_angle.map(S::splat),
-        motor_velocity: initial.motor_velocity.map(S::splat),
-        link_angle: [S::splat(0.0); N],
-        link_velocity: initial.link_velocity.map(S::splat),
+        motor_angle: each(Source::MotorAngle, &initial.motor_angle),
+        motor_velocity: each(Source::MotorVelocity, &initial.motor_velocity),
+        link_angle: each(Source::LinkAngle, &initial.link_angle.unwrap_or([0.0; N])),
+        link_velocity: each(Source::LinkVelocity, &initial.link_velocity),
     };
-    state.link_angle = match initial.link_angle {
-        Some(angle) => angle.map(S::splat),
-        None => hanging(plant, &state.motor_angle),
-    };
+    if initial.link_angle.is_none() {
+        let hanging = hanging(plant, &state.motor_angle);
+        for i in 0..N {
+            state.link_angle[i] = hanging[i] + state.link_angle[i];
+        }
+    }
     for i in 0..N {
         if plant.is_rigid(i) {
             state.link_angle[i] = plant.joints[i].ratio * state.motor_angle[i];
@@ -577,14 +613,16 @@ fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
 /// Link angles at which gravity's torques and the gears' balance, for motors held where they are.
 ///
 /// Each round takes gravity at the last angles and twists the gears by what holds it. Gravity's own
-/// stiffness is some thousandth of theirs, so a round gains three digits.
+/// stiffness is some thousandth of theirs, so a round gains three digits. Once the angles have
+/// settled it goes on as long again: a derivative that they carry settles as fast, but begins late.
 fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
     plant: &Plant<A, S, N, ELASTIC>,
     motor_angle: &[S; N],
 ) -> [S; N] {
     let rigid: [S; N] = std::array::from_fn(|i| plant.joints[i].ratio * motor_angle[i]);
     let mut angle = rigid;
-    for _ in 0..200 {
+    let mut settled = None;
+    for round in 0..400 {
         let at = A::posture(&angle);
         let gravity = A::bias(&plant.base, &at, &[S::splat(0.0); N]);
         let mut change = 0.0f64;
@@ -595,7 +633,10 @@ fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
                 angle[i] = next;
             }
         }
-        if change < 1e-15 {
+        if change < 1e-15 && settled.is_none() {
+            settled = Some(round);
+        }
+        if settled.is_some_and(|at| round > 2 * at) {
             break;
         }
     }
@@ -611,8 +652,8 @@ fn any_standing<R: Real, const N: usize>(motion: &Motion<R, N>) -> bool {
         .any(|&free| (free - half).any_negative())
 }
 
-fn one_of<R: Real, S: Real, const N: usize>(all: &Motion<R, N>, lane: usize) -> Motion<S, N> {
-    let own = |values: &[R; N]| values.map(|value| S::splat(value.lane(lane)));
+fn one_of<R: Real, const N: usize>(all: &Motion<R, N>, lane: usize) -> Motion<R::One, N> {
+    let own = |values: &[R; N]| values.map(|value| value.one(lane));
     Motion {
         state: State {
             motor_angle: own(&all.state.motor_angle),
@@ -628,9 +669,9 @@ fn one_of<R: Real, S: Real, const N: usize>(all: &Motion<R, N>, lane: usize) -> 
     }
 }
 
-fn side_by_side<R: Real, S: Real, const N: usize>(ones: &[Motion<S, N>]) -> Motion<R, N> {
-    let all = |pick: fn(&Motion<S, N>) -> &[S; N]| -> [R; N] {
-        std::array::from_fn(|i| gather(|lane| pick(&ones[lane])[i].lane(0)))
+fn side_by_side<R: Real, const N: usize>(ones: &[Motion<R::One, N>]) -> Motion<R, N> {
+    let all = |pick: fn(&Motion<R::One, N>) -> &[R::One; N]| -> [R; N] {
+        std::array::from_fn(|i| gather(|lane| pick(&ones[lane])[i]))
     };
     Motion {
         state: State {

@@ -9,9 +9,11 @@ use strainwave_core::simulate::{Initial, Quantity};
 
 const N: f64 = 0.01;
 
-/// link inertia, G1, motor inertia, d_M, f_M, f_0, d_L, gear stiffness, gear damping
+/// link inertia, G1, motor inertia, d_M, f_M, f_0, d_L, gear stiffness, gear damping, settling time
 fn one_joint(link: f64, motor: f64, coulomb: f64, stiffness: f64) -> Vec<f64> {
-    vec![link, 0.0, motor, 0.0, coulomb, 0.0, 0.0, stiffness, 0.0]
+    vec![
+        link, 0.0, motor, 0.0, coulomb, 0.0, 0.0, stiffness, 0.0, 0.0,
+    ]
 }
 
 #[test]

@@ -92,6 +92,11 @@ fn the_order_is_four_through_sticking_and_slipping() {
     let parameters = scara(1.0, 0.0);
     let found = order(config, &parameters);
     assert!(found > 3.7, "{found}");
+    let mut settling = parameters.clone();
+    settling[12] = 3e-4;
+    settling[20] = 1e-3;
+    let found = order(config, &settling);
+    assert!(found > 3.7, "{found}");
     // The case does stick and slip.
     let voltage = telegraph::<2>(7, 40, 8.0);
     let run = Run {
@@ -113,6 +118,29 @@ fn the_order_is_four_through_sticking_and_slipping() {
         })
         .sum::<usize>();
     assert!(turns >= 4, "{turns}");
+}
+
+#[test]
+fn a_motor_that_settles_faster_and_faster_stops_at_once() {
+    let last = |time: f64| {
+        let mut parameters = scara(1.0, 0.0);
+        (parameters[12], parameters[20]) = (time, time);
+        let run = Run {
+            config: config::<TwoLink<false>, 2>([GearKind::Linear; 2]),
+            parameters: &parameters,
+            voltage: &telegraph::<2>(7, 40, 8.0),
+            steps_per_tick: 16,
+            initial: at_rest([0.0; 2]),
+            step: 1.25e-4,
+            steps: 640,
+        };
+        run.record(&[Quantity::LinkAngle])[0][640]
+    };
+    let at_once = last(0.0);
+    let apart = |time: f64| (last(time)[0] - at_once[0]).abs();
+    let (near, nearer) = (apart(1e-5), apart(1e-6));
+    assert!(nearer < 0.15 * near, "{near} {nearer}"); // first order in the settling time
+    assert!(near < 1e-3 * at_once[0].abs(), "{near}");
 }
 
 /// Energy now = energy at the start + work of the motors - losses, over a run sampled every step.
@@ -149,7 +177,7 @@ fn energy_error<A: Arm<N>, const N: usize>(run: &Run<'_, A, N>) -> f64 {
 
 fn drawn_two_link() -> impl Strategy<Value = (Vec<f64>, u64)> {
     let factor = || 0.5..2.0f64;
-    (prop::collection::vec(factor(), 19), any::<u64>()).prop_map(|(factors, seed)| {
+    (prop::collection::vec(factor(), 21), any::<u64>()).prop_map(|(factors, seed)| {
         let mut values: Vec<f64> = scara(1.0, 1.0)
             .iter()
             .zip(&factors)
@@ -170,7 +198,7 @@ proptest! {
 
     #[test]
     fn energy_is_kept_by_smooth_arms((mut values, seed) in drawn_two_link()) {
-        for joint in [5, 12] {
+        for joint in [5, 13] {
             values[joint + 2] = 0.0; // no Coulomb friction: the power has no kinks
         }
         let voltage = telegraph::<2>(seed, 1, 6.0);
@@ -188,7 +216,7 @@ proptest! {
         let voltage = telegraph::<2>(seed, 100, 6.0);
         for gears in [[GearKind::Linear; 2], [GearKind::Rigid, GearKind::Linear]] {
             let values = match gears[0] {
-                GearKind::Rigid => [&values[..10], &values[12..]].concat(),
+                GearKind::Rigid => [&values[..10], &values[13..]].concat(),
                 _ => values.clone(),
             };
             let run = Run {
@@ -222,7 +250,7 @@ proptest! {
         let torque = inverse_dynamics(&config.plant(&[&values]), &q, &dq, &ddq);
         let columns = base_regressor::<TwoLink<true>, 2>(&q, &dq, &ddq);
         for i in 0..2 {
-            let own = &values[5 + 7 * i..];
+            let own = &values[5 + 8 * i..];
             let body: f64 = columns.iter().zip(&values).map(|(column, v)| column[i] * v).sum();
             let speed = dq[i] / 0.01;
             let friction = own[1] * speed + own[2] * dq[i].signum() + own[3];
@@ -267,20 +295,21 @@ proptest! {
 
     #[test]
     fn nothing_ever_leaves_the_finite_numbers(
-        factors in prop::collection::vec(-1.0..1.0f64, 19), seed in any::<u64>(),
+        factors in prop::collection::vec(-1.0..1.0f64, 21), seed in any::<u64>(),
         kinds in prop::array::uniform2(0usize..2), volts in 0.0..20.0f64,
     ) {
         // Every parameter within a factor of ten of a real one; friction up to a hundred times.
         let mut values: Vec<f64> = scara(1.0, 1.0).iter().zip(&factors).map(|(v, f)| v * 10f64.powf(*f)).collect();
         values[2] = values[2].min(0.9 * (values[0] * values[1]).sqrt());
-        for joint in [5, 12] {
+        for joint in [5, 13] {
             values[joint + 2] *= 10f64.powf(1.0 - factors[joint].abs());
             values[joint + 3] = 0.02 * factors[joint + 3];
+            values[joint + 7] = (1e-3 * factors[joint + 7]).max(0.0);
         }
         let gears = kinds.map(|kind| [GearKind::Linear, GearKind::Rigid][kind]);
         let mut chosen = values[..5].to_vec();
         for (i, gear) in gears.iter().enumerate() {
-            let own = &values[5 + 7 * i..12 + 7 * i];
+            let own = &values[5 + 8 * i..13 + 8 * i];
             chosen.extend(if *gear == GearKind::Rigid { &own[..5] } else { own });
         }
         let voltage = telegraph::<2>(seed, 60, volts);
@@ -296,7 +325,7 @@ proptest! {
 #[test]
 fn a_rigid_arm_moves_as_its_inverse_dynamics_says() {
     let linear = scara(1.0, 1.0);
-    let parameters = [&linear[..10], &linear[12..17]].concat();
+    let parameters = [&linear[..10], &linear[13..18]].concat();
     let voltage = telegraph::<2>(3, 50, 9.0);
     let config = config::<TwoLink<true>, 2>([GearKind::Rigid; 2]);
     let run = Run {
@@ -328,7 +357,7 @@ fn a_rigid_arm_moves_as_its_inverse_dynamics_says() {
 #[test]
 fn friction_holds_an_arm_up_for_good() {
     // A single vertical link whose gravity torque, 0.3 N m at the motor's side, is below friction.
-    let parameters = [1.0, 30.0, 1.5e-4, 1e-4, 0.5, 0.0, 0.1, 20e3, 5.0];
+    let parameters = [1.0, 30.0, 1.5e-4, 1e-4, 0.5, 0.0, 0.1, 20e3, 5.0, 0.0];
     let run = Run {
         config: config::<OneLink<true>, 1>([GearKind::Linear]),
         parameters: &parameters,

@@ -10,13 +10,18 @@ use strainwave_core::arm::{OneLink, TwoLink};
 use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::{self, Width};
 use strainwave_core::drive::Servo;
-use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Record, Task};
+use strainwave_core::sensitivity::Sensitivities;
+use strainwave_core::simulate::{Clock, Diverged, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::{arm, gear, rigid};
 
 type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
 /// kp, ki, limit and which joints.
 type ServoGiven = (Vec<f64>, Vec<f64>, f64, Vec<bool>);
+/// A parameter's or an initial state's name, and its joint from 1 where it belongs to one.
+type Direction = (String, Option<usize>);
+/// Values (samples, joints) and tangents (samples, joints, directions).
+type WithTangents<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
 
 /// Each arm the core knows, with its constants.
 #[derive(Clone, Copy)]
@@ -43,7 +48,7 @@ macro_rules! each {
 #[pyclass(frozen, module = "strainwave._core")]
 pub struct Arm(Any);
 
-/// What `simulate` takes beside the parameters.
+/// What `simulate` and `sensitivities` take beside the parameters.
 struct Experiment<'py> {
     voltage: Matrix<'py>,
     reference: Option<Matrix<'py>>,
@@ -152,10 +157,6 @@ impl Arm {
             samples,
         };
         check_clock(&clock)?;
-        let quantities = record
-            .iter()
-            .map(|name| quantity(name))
-            .collect::<PyResult<_>>()?;
         let experiment = Experiment {
             voltage,
             reference,
@@ -166,7 +167,7 @@ impl Arm {
             link_angle,
             link_velocity,
             initial_voltage,
-            record: quantities,
+            record: quantities(&record)?,
         };
         let columns = each!(&self.0, config => run(py, config, &parameters, &experiment))?;
         let shape = [parameters.as_array().nrows(), samples, self.n_joints()];
@@ -174,6 +175,59 @@ impl Arm {
         for (name, column) in record.iter().zip(columns) {
             let array: Bound<'py, PyArray3<f64>> = PyArray1::from_vec(py, column).reshape(shape)?;
             result.set_item(name, array)?;
+        }
+        Ok(result)
+    }
+
+    #[pyo3(signature = (parameters, voltage, *, with_respect_to, motor_angle, step, steps_per_tick,
+        steps_per_sample, samples, record, reference=None, servo=None, steps_per_servo=1,
+        motor_velocity=None, link_angle=None, link_velocity=None, initial_voltage=None))]
+    fn sensitivities<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: Vector<'py>,
+        voltage: Matrix<'py>,
+        with_respect_to: Vec<Direction>,
+        motor_angle: Vec<f64>,
+        step: f64,
+        steps_per_tick: usize,
+        steps_per_sample: usize,
+        samples: usize,
+        record: Vec<String>,
+        reference: Option<Matrix<'py>>,
+        servo: Option<ServoGiven>,
+        steps_per_servo: usize,
+        motor_velocity: Option<Vec<f64>>,
+        link_angle: Option<Vec<f64>>,
+        link_velocity: Option<Vec<f64>>,
+        initial_voltage: Option<Vec<f64>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let clock = Clock {
+            step,
+            steps_per_tick,
+            steps_per_servo,
+            steps_per_sample,
+            samples,
+        };
+        check_clock(&clock)?;
+        let experiment = Experiment {
+            voltage,
+            reference,
+            servo,
+            clock,
+            motor_angle,
+            motor_velocity,
+            link_angle,
+            link_velocity,
+            initial_voltage,
+            record: quantities(&record)?,
+        };
+        let columns = each!(&self.0, config => follow(
+            py, config, &parameters, &with_respect_to, &experiment,
+        ))?;
+        let result = PyDict::new(py);
+        for (name, column) in record.iter().zip(columns) {
+            result.set_item(name, column)?;
         }
         Ok(result)
     }
@@ -217,6 +271,54 @@ fn configure<A: arm::Arm<N>, const N: usize>(
     })
 }
 
+impl Experiment<'_> {
+    fn task<A: arm::Arm<N>, const N: usize>(&self, config: &Config<A, N>) -> PyResult<Task<A, N>> {
+        let servo = match &self.servo {
+            Some((kp, ki, limit, active)) => Some(Servo {
+                kp: fixed(kp, "kp")?,
+                ki: fixed(ki, "ki")?,
+                limit: *limit,
+                period: self.clock.step * self.clock.steps_per_servo as f64,
+                active: fixed(active, "active")?,
+            }),
+            None => None,
+        };
+        Ok(Task {
+            config: *config,
+            clock: self.clock,
+            servo,
+            record: self.record.clone(),
+        })
+    }
+
+    fn initial<const N: usize>(&self) -> PyResult<Initial<N>> {
+        let or_zero = |values: &Option<Vec<f64>>, name| match values {
+            Some(values) => fixed(values, name),
+            None => Ok([0.0; N]),
+        };
+        Ok(Initial {
+            motor_angle: fixed(&self.motor_angle, "motor_angle")?,
+            motor_velocity: or_zero(&self.motor_velocity, "motor_velocity")?,
+            link_angle: match &self.link_angle {
+                Some(angle) => Some(fixed(angle, "link_angle")?),
+                None => None,
+            },
+            link_velocity: or_zero(&self.link_velocity, "link_velocity")?,
+            voltage: or_zero(&self.initial_voltage, "initial_voltage")?,
+        })
+    }
+
+    /// Voltage and reference, a row a tick.
+    fn inputs<const N: usize>(&self) -> PyResult<[Vec<[f64; N]>; 2]> {
+        let ticks = self.clock.ticks();
+        let reference = match &self.reference {
+            Some(reference) => rows::<N>(reference, "reference", ticks)?,
+            None => vec![[0.0; N]; ticks],
+        };
+        Ok([rows::<N>(&self.voltage, "voltage", ticks)?, reference])
+    }
+}
+
 fn run<A: arm::Arm<N>, const N: usize>(
     py: Python<'_>,
     config: &Config<A, N>,
@@ -224,58 +326,23 @@ fn run<A: arm::Arm<N>, const N: usize>(
     experiment: &Experiment<'_>,
 ) -> PyResult<Vec<Vec<f64>>> {
     let values = checked_parameters(config, parameters)?;
-    let ticks = experiment.clock.ticks();
-    let voltage = rows::<N>(&experiment.voltage, "voltage", ticks)?;
-    let reference = match &experiment.reference {
-        Some(reference) => rows::<N>(reference, "reference", ticks)?,
-        None => vec![[0.0; N]; ticks],
-    };
-    let or_zero = |values: &Option<Vec<f64>>, name| match values {
-        Some(values) => fixed(values, name),
-        None => Ok([0.0; N]),
-    };
-    let initial = Initial {
-        motor_angle: fixed(&experiment.motor_angle, "motor_angle")?,
-        motor_velocity: or_zero(&experiment.motor_velocity, "motor_velocity")?,
-        link_angle: match &experiment.link_angle {
-            Some(angle) => Some(fixed(angle, "link_angle")?),
-            None => None,
-        },
-        link_velocity: or_zero(&experiment.link_velocity, "link_velocity")?,
-        voltage: or_zero(&experiment.initial_voltage, "initial_voltage")?,
-    };
-    let servo = match &experiment.servo {
-        Some((kp, ki, limit, active)) => Some(Servo {
-            kp: fixed(kp, "kp")?,
-            ki: fixed(ki, "ki")?,
-            limit: *limit,
-            period: experiment.clock.step * experiment.clock.steps_per_servo as f64,
-            active: fixed(active, "active")?,
-        }),
-        None => None,
-    };
-    let task = Task {
-        config: *config,
-        clock: experiment.clock,
-        servo,
-        record: experiment.record.clone(),
-    };
+    let task = experiment.task(config)?;
+    let [feed_forward, reference] = &experiment.inputs::<N>()?;
+    let initial = experiment.initial()?;
     let members: Vec<Member<'_, N>> = values
         .iter()
-        .map(|own| Member {
-            parameters: own,
-            feed_forward: &voltage,
-            reference: &reference,
+        .map(|parameters| Member {
+            parameters,
+            feed_forward,
+            reference,
             initial,
         })
         .collect();
     let results = py.detach(|| dispatch::simulate(&task, &members, Width::detect()));
-    let mut records: Vec<Record<N>> = Vec::with_capacity(results.len());
-    for result in results {
-        records.push(result.map_err(|diverged| {
-            PyFloatingPointError::new_err(format!("the motion diverged at {} s", diverged.time))
-        })?);
-    }
+    let records: Vec<Record<N>> = results
+        .into_iter()
+        .map(|result| result.map_err(divergence))
+        .collect::<PyResult<_>>()?;
     Ok((0..task.record.len())
         .map(|k| {
             records
@@ -284,6 +351,74 @@ fn run<A: arm::Arm<N>, const N: usize>(
                 .collect()
         })
         .collect())
+}
+
+fn follow<'py, A: arm::Arm<N>, const N: usize>(
+    py: Python<'py>,
+    config: &Config<A, N>,
+    parameters: &Vector<'_>,
+    with_respect_to: &[Direction],
+    experiment: &Experiment<'_>,
+) -> PyResult<Vec<WithTangents<'py>>> {
+    let values = parameters.as_array().to_vec();
+    check_values(config, &values)?;
+    let directions = with_respect_to
+        .iter()
+        .map(|direction| source(config, direction))
+        .collect::<PyResult<Vec<Source>>>()?;
+    let task = experiment.task(config)?;
+    let [feed_forward, reference] = &experiment.inputs::<N>()?;
+    let member = Member {
+        parameters: &values,
+        feed_forward,
+        reference,
+        initial: experiment.initial()?,
+    };
+    let Sensitivities { values, tangents } = py
+        .detach(|| dispatch::sensitivities(&task, &member, &directions, Width::detect()))
+        .map_err(divergence)?;
+    let samples = task.clock.samples;
+    values
+        .into_iter()
+        .zip(tangents)
+        .map(|(values, tangents)| {
+            let values = PyArray1::from_vec(py, values.into_flattened());
+            let tangents = PyArray1::from_vec(py, tangents);
+            Ok((
+                values.reshape([samples, N])?,
+                tangents.reshape([samples, N, directions.len()])?,
+            ))
+        })
+        .collect()
+}
+
+/// What a direction's name stands for.
+fn source<A: arm::Arm<N>, const N: usize>(
+    config: &Config<A, N>,
+    (name, joint): &Direction,
+) -> PyResult<Source> {
+    let names = config.parameter_names();
+    let parameter = names
+        .iter()
+        .position(|known| (known.0, known.1) == (name.as_str(), *joint));
+    let initial: Option<fn(usize) -> Source> = match name.as_str() {
+        "initial_motor_angle" => Some(Source::MotorAngle),
+        "initial_motor_velocity" => Some(Source::MotorVelocity),
+        "initial_link_angle" => Some(Source::LinkAngle),
+        "initial_link_velocity" => Some(Source::LinkVelocity),
+        _ => None,
+    };
+    match (parameter, initial, joint) {
+        (Some(k), _, _) => Ok(Source::Parameter(k)),
+        (_, Some(state), Some(joint)) if (1..=N).contains(joint) => Ok(state(joint - 1)),
+        _ => Err(PyValueError::new_err(format!(
+            "this arm has no {name:?} of joint {joint:?} to differentiate by"
+        ))),
+    }
+}
+
+fn divergence(diverged: Diverged) -> PyErr {
+    PyFloatingPointError::new_err(format!("the motion diverged at {} s", diverged.time))
 }
 
 fn base_regressor<'py, A: arm::Arm<N>, const N: usize>(
@@ -387,6 +522,10 @@ fn gear_kind(name: &str) -> PyResult<GearKind> {
         "rigid" => Ok(GearKind::Rigid),
         _ => Err(PyValueError::new_err(format!("no gear spring {name:?}"))),
     }
+}
+
+fn quantities(names: &[String]) -> PyResult<Vec<Quantity>> {
+    names.iter().map(|name| quantity(name)).collect()
 }
 
 fn quantity(name: &str) -> PyResult<Quantity> {

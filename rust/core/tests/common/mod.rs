@@ -104,7 +104,7 @@ impl Draw {
 /// The built-in SCARA-type arm with linear gears, with or without Coulomb friction and gravity.
 pub fn scara(coulomb: f64, gravity: f64) -> Vec<f64> {
     let mut values = vec![1.6097, 0.64425, 0.7875, 31.0 * gravity, 7.4 * gravity];
-    values.extend([1.5e-4, 2e-4, 0.06 * coulomb, 0.0, 0.5, 25e3, 20.0]);
-    values.extend([0.5e-4, 0.8e-4, 0.03 * coulomb, 0.0, 0.15, 6.1e3, 4.0]);
+    values.extend([1.5e-4, 2e-4, 0.06 * coulomb, 0.0, 0.5, 25e3, 20.0, 0.0]);
+    values.extend([0.5e-4, 0.8e-4, 0.03 * coulomb, 0.0, 0.15, 6.1e3, 4.0, 0.0]);
     values
 }
