@@ -234,23 +234,16 @@ def _tuned(
     model: RigidModel | None,
     joints: Sequence[JointModel],
 ) -> ArmModel | None:
-    """All parameters at once on closed-loop records; None, with a caution, without any."""
-    with run.timed("tuned", "tuning the whole arm on closed-loop records"):
+    """All parameters at once on all records; None, with a caution, without any."""
+    with run.timed("tuned", "fitting the whole arm to all records at once"):
         try:
             found = tuning.tune(all_logs, model, joints, the_study)
         except NotIdentifiable as failure:
             run.warnings.append(Caution("not-tuned", str(the_study.path), str(failure)))
             return None
-    if any(joint.spring == "three-slope" for joint in the_study.joints):
-        text = (
-            "gears of three slopes are tuned as if they had one: fits and check records show what"
-        )
-        text += " that is worth, and its parameters are not taken"
-        run.warnings.append(Caution("tuned-with-one-slope", str(the_study.path.name), text))
-        return found
     run.warnings.extend(found.warnings)
     if found.status == "iteration-limit":
-        run.reasons.append("the fine tuning did not converge")
+        run.reasons.append("the whole-arm fit did not converge")
     return found
 
 

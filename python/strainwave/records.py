@@ -649,7 +649,7 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True)
 class ArmModel:
-    """All parameters of the arm, fitted at once to closed-loop records."""
+    """All parameters of the arm, fitted at once to all records that excite its gears."""
 
     parameters: tuple[Parameter, ...]
     values: Mapping[tuple[str, int | None], float]  # all that simulating the arm needs
@@ -690,18 +690,24 @@ class Identification:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The best of each parameter, once: of several stages' values the one most certain.
+        """The best of each parameter, once.
 
-        The arm's own first, then joint by joint; of equals, the later stage's. A tuned arm whose
-        three-slope gears are simulated with one slope fits well with wrong parameters: not taken.
+        What the whole-arm fit tells, which rests on all records and on the rigid model; of the
+        other stages' values the one most certain, of equals the later stage's. The arm's own first,
+        then joint by joint. One stiffness does not stand beside the three slopes of a curve.
         """
         best: dict[tuple[str, int | None], Parameter] = {}
-        bent = any(joint.spring == "three-slope" for joint in self.study.joints)
-        for model in (self.rigid, *self.joints, None if bent else self.tuned):
+        for model in (self.rigid, *self.joints):
             for found in model.parameters if model else ():
                 earlier = best.get((found.name, found.joint))
                 if earlier is None or _deviation(found) <= _deviation(earlier):
                     best[found.name, found.joint] = found
+        for found in self.tuned.parameters if self.tuned else ():
+            if found.value is not None or (found.name, found.joint) not in best:
+                best[found.name, found.joint] = found
+        curved = {joint for name, joint in best if name == "gear_stiffness_k1"}
+        for joint in curved:
+            best.pop(("gear_stiffness", joint), None)
         return tuple(sorted(best.values(), key=lambda p: p.joint or 0))
 
 

@@ -7,6 +7,8 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from strainwave.records import (
     ArmModel,
     Caution,
@@ -184,12 +186,21 @@ def _tuned(model: ArmModel) -> dict[str, Any]:
         "status": model.status,
         "iterations": model.iterations,
         "parameters": [_parameter(p) for p in model.parameters],
+        "correlations": _correlations(model),
         "fit_percent": {name: dict(fits) for name, fits in model.fit_percent.items()},
         "initial_fit_percent": {
             name: dict(fits) for name, fits in model.initial_fit_percent.items()
         },
         "warnings": [_warning(w) for w in model.warnings],
     }
+
+
+def _correlations(model: ArmModel) -> list[list[float]]:
+    """Between the parameters, in their order; nothing varies with what nothing tells of."""
+    deviation = np.sqrt(np.diag(model.covariance))
+    scale = np.where(deviation > 0.0, deviation, 1.0)
+    correlations: list[list[float]] = (model.covariance / np.outer(scale, scale)).round(4).tolist()
+    return correlations
 
 
 def _parameter(parameter: Parameter) -> dict[str, Any]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,7 +33,12 @@ Quantity = Literal[
 LONGEST_STEP = 1.25e-4
 """[s] Some 300 steps a period of the fastest gear resonance, 26 Hz, where the order is four."""
 
-_OPTIONAL = {"friction_offset": 0.0, "friction_settling_time": 0.0, "gravity_torque_1": 0.0, "gravity_torque_2": 0.0}
+_OPTIONAL = {
+    "friction_offset": 0.0,
+    "friction_settling_time": 0.0,
+    "gravity_torque_1": 0.0,
+    "gravity_torque_2": 0.0,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +51,9 @@ class Drive:
     servo: tuple[bool, ...]  # per joint: whether its servo acts
     motor_angle: tuple[float, ...]  # [rad] at the start
     initial_voltage: tuple[float, ...]  # [V] that has been there before the start
+    motor_velocity: tuple[float, ...] | None = None  # [rad/s] at the start; None: at rest
+    link_angle: tuple[float, ...] | None = None  # [rad]; None: the links hang on their gears
+    link_velocity: tuple[float, ...] | None = None  # [rad/s]; None: at rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,6 +218,64 @@ def simulate_arms(
     """
     arm = build_arm(study)
     vectors = np.array([parameter_vector(arm, values, study) for values in arms])
+    experiment = _experiment(study, drive, sample_time, samples)
+    with _told():
+        recorded = arm.simulate(vectors, record=record, **experiment)
+    return {name: recorded[name] for name in record}
+
+
+def sensitivities(
+    study: Study,
+    values: Values,
+    drive: Drive,
+    directions: Sequence[tuple[str, int | None]],
+    *,
+    sample_time: float,
+    samples: int,
+    record: Sequence[Quantity],
+) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
+    """Run one experiment on one arm, with exact derivatives of all that is recorded.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        (name, joint) -> value.
+    drive : Drive
+    directions : sequence of (name, joint)
+        Parameters as the core names them, or initial states: `initial_motor_angle`,
+        `initial_motor_velocity`, `initial_link_angle`, `initial_link_velocity`.
+    sample_time : float [s]
+        Between recorded samples.
+    samples : int
+    record : sequence of str
+        Quantities to record.
+
+    Returns
+    -------
+    dict
+        Quantity -> values (n_samples, n_joints) and derivatives (n_samples, n_joints,
+        n_directions).
+
+    Raises
+    ------
+    InvalidInput
+        A parameter is missing or impossible, or the clocks have no common step.
+    NumericalFailure
+        The motion left the finite numbers.
+    """
+    arm = build_arm(study)
+    vector = parameter_vector(arm, values, study)
+    experiment = _experiment(study, drive, sample_time, samples)
+    with _told():
+        found = arm.sensitivities(
+            vector, with_respect_to=list(directions), record=record, **experiment
+        )
+    return {name: found[name] for name in record}
+
+
+def _experiment(study: Study, drive: Drive, sample_time: float, samples: int) -> dict[str, Any]:
+    """What the core needs to know of an experiment."""
     servo = study.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
         raise InvalidInput(
@@ -219,26 +286,32 @@ def simulate_arms(
     clocks = [drive.tick, sample_time] + ([servo.period] if servo else [])
     step = common_step(clocks)
     counts = [round(clock / step) for clock in clocks]
+    return {
+        "voltage": np.ascontiguousarray(drive.voltage, dtype=float),
+        "reference": np.ascontiguousarray(drive.reference, dtype=float),
+        "servo": (servo.kp, servo.ki, servo.limit, drive.servo) if servo else None,
+        "step": step,
+        "steps_per_tick": counts[0],
+        "steps_per_sample": counts[1],
+        "steps_per_servo": counts[2] if servo else counts[0],
+        "samples": samples,
+        "motor_angle": drive.motor_angle,
+        "motor_velocity": drive.motor_velocity,
+        "link_angle": drive.link_angle,
+        "link_velocity": drive.link_velocity,
+        "initial_voltage": drive.initial_voltage,
+    }
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """The core's complaints as this package's errors."""
     try:
-        recorded = arm.simulate(
-            vectors,
-            np.ascontiguousarray(drive.voltage, dtype=float),
-            reference=np.ascontiguousarray(drive.reference, dtype=float),
-            servo=(servo.kp, servo.ki, servo.limit, drive.servo) if servo else None,
-            step=step,
-            steps_per_tick=counts[0],
-            steps_per_sample=counts[1],
-            steps_per_servo=counts[2] if servo else counts[0],
-            samples=samples,
-            record=record,
-            motor_angle=drive.motor_angle,
-            initial_voltage=drive.initial_voltage,
-        )
+        yield
     except ValueError as error:
         raise InvalidInput(str(error), remedy="check the parameters and the study") from error
     except FloatingPointError as error:
         raise NumericalFailure(str(error)) from error
-    return {name: recorded[name] for name in record}
 
 
 def common_step(clocks: Sequence[float]) -> float:

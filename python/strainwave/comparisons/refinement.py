@@ -160,9 +160,8 @@ def _why(off: Mapping[str, float], gear: Mapping[str, float]) -> str:
         return "; the lag of the state-space model was the better one here"
     if off["tuned_db"] >= off["initial_db"]:
         return (
-            f"; tuning one slope to steps ended {gear['stiffness_error_percent']:+.1f} % in "
-            f"stiffness and {gear['gear_damping_error_percent']:+.0f} % in gear damping from this "
-            "record's truth: one slope does not stand for three"
+            f"; tuning ended {gear['stiffness_error_percent']:+.1f} % in stiffness and "
+            f"{gear['gear_damping_error_percent']:+.0f} % in gear damping from this record's truth"
         )
     return ""
 

@@ -1,53 +1,53 @@
-"""Closed-loop records, RigidModel, JointModels -> ArmModel: all parameters at once.
+"""All records that excite the gears, RigidModel, JointModels -> ArmModel: every parameter at once.
 
-Nonlinear least squares on simulations of the whole arm under its servo, within bounds around what
+Nonlinear least squares on simulations of the whole arm with exact sensitivities, started from what
 the earlier stages found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from strainwave.closed_loop import linearised, observe, predict_closed_loop, velocity_band
-from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.parameters import unit_of
-from strainwave.records import (
-    ArmModel,
-    Caution,
-    FloatArray,
-    JointModel,
-    Log,
-    Parameter,
-    Prediction,
-    RigidModel,
-    Study,
+from strainwave.closed_loop import predict_closed_loop, velocity_band
+from strainwave.errors import NotIdentifiable
+from strainwave.records import ArmModel, FloatArray, JointModel, Log, RigidModel, Study
+from strainwave.simulation import simulate_arms
+from strainwave.tuning.confidence import confidence_of
+from strainwave.tuning.misfit import Misfit
+from strainwave.tuning.replayed import Replayed, replayed, usable
+from strainwave.tuning.told import Fit, parameters_of, warnings_of
+from strainwave.tuning.trust_region import minimise
+from strainwave.tuning.unknowns import (
+    SETTLING,
+    Search,
+    search_of,
+    with_curves,
+    with_settling,
 )
-from strainwave.tuning.misfit import Misfit, covariance_of
-from strainwave.tuning.unknowns import VISCOUS, Search, link_inertias, search_of
 
 __all__ = ["TuningOptions", "tune"]
 
-_ROUNDS = 6  # of new weights; the third seldom moves anything
+_BAND = 5.0  # times the highest resonance: beyond, little is left of what the gears do
+_LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
+_ROUNDS = 4  # of new weights; the third seldom moves anything
 _SETTLED = 0.2  # relative change of the weights
-_TOLERANCE = 1e-6  # of the coordinates and of the cost
+_ROUGH, _FINE = 1.0, 1e-2  # gain still foretold, in units of the cost
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
-_TOLD = 0.3  # relative deviation up to which a viscous friction is worth printing
-_REACH = 1.96  # of a 95 % interval, in deviations
+_EVIDENT = 3.0  # deviations from zero that a settling time must have
 
 
 @dataclass(frozen=True, slots=True)
 class TuningOptions:
     """What may be set by hand."""
 
-    cutoff_hz: float | None = None  # of what is compared; None: as far up as there is signal
-    accelerometers: bool = True  # whether they are compared beside the motor velocities
-    least_deviation: float = 0.002  # of what earlier stages know, as a share of each value
-    span: float = 0.1  # least share by which a parameter may leave its start
-    max_iterations: int = 50
+    cutoff_hz: float | None = None  # of what is compared; None: from the resonances
+    settling: bool | None = None  # whether friction takes its time; None: if the data say so
+    least_deviation: float = 0.002  # of what the rigid step knows, as a share of each value
+    max_iterations: int = 60
 
 
 def tune(
@@ -57,223 +57,177 @@ def tune(
     study: Study,
     options: TuningOptions | None = None,
 ) -> ArmModel:
-    """Fine tuning: every parameter but Coulomb friction and offset, on all tuning records at once.
+    """Every parameter of the arm from all `frequency`, `sweep` and `tuning` records at once.
 
-    Each record is simulated with its own servo, references and initial state. Differences of motor
-    velocities and accelerations, through one zero-phase low-pass, are divided by their robust
-    deviations. What the earlier stages know joins as rows of its own, with its correlations and
-    with a least deviation for the error of their models: a step tells little of some parameters,
-    and those stay where they were.
-
-    A three-slope gear is simulated with one stiffness for the whole curve.
+    The recorded voltages drive the simulated arm. Differences of motor velocities and link
+    accelerations, through one low-pass, count in robust deviations that the records show.
+    The rigid model joins as rows of its own: motion tells most of friction and gravity. Sensors'
+    constants, and how a record began that begins in motion, are unknowns of that record.
 
     Parameters
     ----------
     logs : sequence of Log
-        Those whose use is "tuning" are taken.
+        Those of other uses are left out.
     model : RigidModel or None
         None will do for a single joint without gravity.
     joints : sequence of JointModel
-        One a joint.
+        One a joint, to start from.
     study : Study
     options : TuningOptions, optional
 
     Returns
     -------
     ArmModel
-        `values` has every parameter; in `parameters` a viscous friction that is hardly told has
-        the value None, and a warning says so. A parameter at the end of its range gives the status
-        "at-bounds".
+        `values` has every parameter; in `parameters` what the data hardly tell has the value None,
+        and a warning says why. A parameter at the end of its range gives the status "at-bounds".
 
     Raises
     ------
     NotIdentifiable
-        There is no tuning record, or a start is missing or impossible.
+        There is no record to fit, or a start is missing or impossible.
     InvalidInput
-        A record lacks something that replaying it needs.
+        A record lacks something that going through it again needs.
     """
     chosen = options or TuningOptions()
-    used = [log for log in logs if log.experiment.use == "tuning"]
+    used = usable(logs, study)
     if not used:
         raise NotIdentifiable(
-            'tuning needs a record with use = "tuning": steps of a servo\'s reference, one joint at'
-            " a time"
+            'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
+            " angle and the voltage of every motor"
         )
-    search = search_of(model, joints, study, floor=chosen.least_deviation, span=chosen.span)
-    cutoff = chosen.cutoff_hz or min(velocity_band(log, study) for log in used)
-    records = tuple(
-        observe(log, study, cutoff, accelerometers=chosen.accelerometers) for log in used
-    )
-    end = _minimise(Misfit(linearised(study, search.fixed), search, records), chosen.max_iterations)
-    values = search.values(end.z)
-    start = search.values(np.zeros(len(end.z)))
-    initial = tuple(predict_closed_loop(start, log, study, cutoff) for log in used)
-    tuned = tuple(predict_closed_loop(values, log, study, cutoff) for log in used)
-    parameters, covariance = _parameters(search, end, model, joints, study)
-    bounded = [u for u, at in zip(search.unknowns, _at_bounds(search, end), strict=True) if at]
+    cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
+    records = tuple(replayed(log, study, cutoff) for log in used)
+    search = _search(records, model, joints, study, chosen)
+    start = search.values(np.zeros(len(search.unknowns)))
+    fit = _fit(Misfit(search, records), np.zeros(len(search.unknowns)), chosen)
+    if chosen.settling is None:
+        fit = _without_idle_settling(fit, chosen)
+    values = fit.misfit.search.values(fit.z)
+    tuning_logs = [log for log in used if log.experiment.use == "tuning"]
+    parameters, covariance = parameters_of(fit, study)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
-    if bounded:
+    if np.any(at_bounds(fit)):
         status = "at-bounds"
-    if not end.converged:
+    if not fit.converged:
         status = "iteration-limit"
     return ArmModel(
         parameters=parameters,
         values=values,
         covariance=covariance,
-        fit_percent=_fits(tuned),
-        initial_fit_percent=_fits(initial),
-        simulated=tuned,
-        initial=initial,
-        iterations=end.iterations,
+        fit_percent=_fits(fit.misfit, fit.z),
+        initial_fit_percent=_fits(Misfit(search, records), np.zeros(len(search.unknowns))),
+        simulated=tuple(predict_closed_loop(values, log, study) for log in tuning_logs),
+        initial=tuple(predict_closed_loop(start, log, study) for log in tuning_logs),
+        iterations=fit.iterations,
         status=status,
-        warnings=tuple(_warnings(search, end, parameters, study)),
+        warnings=tuple(warnings_of(fit, at_bounds(fit), parameters, study)),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _End:
-    """Where the search ended."""
-
-    z: FloatArray  # (n_unknowns,)
-    covariance: FloatArray  # (n_unknowns, n_unknowns) of the parameters
-    iterations: int
-    converged: bool
-
-
-def _minimise(misfit: Misfit, max_iterations: int) -> _End:
-    """Least squares, and what is held meanwhile, in turn until the weights stay."""
-    from scipy.optimize import least_squares
-
-    z = np.zeros(len(misfit.search.unknowns))
-    reach = misfit.search.reach
-    try:
-        misfit = misfit.around(z)
-    except (InvalidInput, NumericalFailure) as failure:
-        raise NotIdentifiable(
-            f"tuning cannot simulate what the steps before found: {failure}"
-        ) from failure
-    iterations, converged = 0, False
-    for _ in range(_ROUNDS):
-        found = least_squares(
-            misfit.residual,
-            z,
-            jac=misfit.jacobian,
-            bounds=(-reach, reach),
-            method="trf",
-            x_scale="jac",
-            xtol=_TOLERANCE,
-            ftol=_TOLERANCE,
-            gtol=1e-12,  # the gradient's size says nothing where rows are so many
-            max_nfev=max(1, max_iterations - iterations),
-        )
-        z, converged = found.x, bool(found.status > 0)
-        iterations += int(found.njev)
-        if not converged:
-            break
-        renewed = misfit.around(z)
-        changes = [
-            np.max(np.abs(np.log(new / old)))
-            for new, old in zip(renewed.weights, misfit.weights, strict=True)
-        ]
-        if max(changes) < _SETTLED or iterations >= max_iterations:
-            break
-        misfit = renewed
-    effect = misfit.friction_effect(z)
-    covariance = covariance_of(found.fun, found.jac, misfit.block_of_rows(), effect)
-    slope = misfit.search.slope(z)
-    return _End(z, covariance * np.outer(slope, slope), iterations, converged)
-
-
-def _at_bounds(search: Search, end: _End) -> list[bool]:
-    near: list[bool] = (np.abs(end.z) > (1.0 - _EDGE) * search.reach).tolist()
+def at_bounds(fit: Fit) -> list[bool]:
+    """Which unknowns ended at the end of their range."""
+    near: list[bool] = (np.abs(fit.z) > (1.0 - _EDGE) * fit.misfit.search.reach).tolist()
     return near
 
 
-def _fits(predictions: Sequence[Prediction]) -> dict[str, dict[str, float]]:
-    return {p.experiment: dict(p.fit_percent) for p in predictions}
+def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], study: Study) -> float:
+    """Some way above the highest resonance, but no higher than the motors show motion."""
+    shown = min(velocity_band(log, study) for log in used)
+    resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
+    limit = _LEAST_BAND / max(log.sample_time for log in used)
+    return min([shown, limit] + ([_BAND * max(resonances)] if resonances else []))
 
 
-def _parameters(
-    search: Search,
-    end: _End,
+def _search(
+    records: Sequence[Replayed],
     model: RigidModel | None,
     joints: Sequence[JointModel],
     study: Study,
-) -> tuple[tuple[Parameter, ...], FloatArray]:
-    """The unknowns, what is derived from them, the friction taken over; and their covariance."""
-    names = [(u.name, u.joint) for u in search.unknowns]
-    units = [u.unit for u in search.unknowns]
-    weight = [*np.eye(len(names))]
-    link = link_inertias(study, names)
-    for number, joint in enumerate(study.joints, start=1):
-        total = np.zeros(len(weight[0]))
-        total[search.index(VISCOUS[0], number)] = 1.0
-        total[search.index(VISCOUS[1], number)] = joint.gear_ratio**2
-        derived = [("total_viscous_friction", total)]
-        if study.n_joints > 1:
-            derived.append(("link_inertia", link[number - 1]))
-        for name, row in derived:
-            names.append((name, number))
-            units.append(unit_of(name, joint))
-            weight.append(row)
-    W = np.array(weight)
-    values = W @ search.parameters(end.z)
-    covariance = W @ end.covariance @ W.T
-    deviation = np.sqrt(np.diag(covariance))
-    found = [
-        _parameter(name, joint, unit, float(value), float(std))
-        for (name, joint), unit, value, std in zip(names, units, values, deviation, strict=True)
-    ]
-    taken = [_coulomb(search, joint, model, study) for joint in joints]
-    whole = np.zeros((len(found) + len(taken),) * 2)
-    whole[: len(found), : len(found)] = covariance
-    for k, parameter in enumerate(taken, start=len(found)):
-        whole[k, k] = (parameter.std or 0.0) ** 2
-    return (*found, *taken), whole
+    options: TuningOptions,
+) -> Search:
+    voltage = np.max([np.max(np.abs(r.drive.voltage), axis=0) for r in records], axis=0)
+    search = search_of(
+        model, joints, study, largest_voltage=voltage.tolist(), floor=options.least_deviation
+    )
+    if any(joint.spring == "three-slope" for joint in study.joints):
+        values = search.values(np.zeros(len(search.unknowns)))
+        search = with_curves(search, study, gear_torques(records, values, study).tolist())
+    return search if options.settling is False else with_settling(search)
 
 
-def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
-    if name in VISCOUS and std > _TOLD * abs(value):
-        return Parameter(name, joint, None, None, unit, "tuned")
-    reach = _REACH * std
-    return Parameter(name, joint, value, std, unit, "tuned", (value - reach, value + reach))
+def gear_torques(
+    records: Sequence[Replayed], values: dict[tuple[str, int | None], float], study: Study
+) -> FloatArray:
+    """The largest torque that each gear carries, but for one sample in a thousand: (n_joints,)."""
+    largest = []
+    for record in records:
+        run = simulate_arms(
+            study,
+            [values],
+            record.drive,
+            sample_time=record.log.sample_time,
+            samples=len(record.log),
+            record=["gear_torque"],
+        )
+        largest.append(np.quantile(np.abs(run["gear_torque"][0]), 0.999, axis=0))
+    return np.asarray(np.max(largest, axis=0))
 
 
-def _coulomb(
-    search: Search, joint: JointModel, model: RigidModel | None, study: Study
-) -> Parameter:
-    """Taken over, with the name of the stage that found it."""
-    name, number = "motor_coulomb_friction", joint.joint
-    sources = [*(model.parameters if model is not None else ()), *joint.parameters]
-    for parameter in sources:
-        if (parameter.name, parameter.joint) == (name, number) and parameter.value is not None:
-            return parameter
-    value = search.fixed[name, number]
-    unit = unit_of(name, study.joints[number - 1])
-    return Parameter(name, number, value, None, unit, "decoupled")
+def _fit(misfit: Misfit, z: FloatArray, options: TuningOptions) -> Fit:
+    """Least squares and new weights in turn until the weights stay."""
+    reach = misfit.search.reach
+    iterations = 0
+    for number in range(_ROUNDS + 1):
+        found = minimise(
+            misfit.cost,
+            misfit.linearise,
+            z,
+            reach,
+            tolerance=_ROUGH if number == 0 else _FINE,
+            max_evaluations=max(2, options.max_iterations - iterations),
+        )
+        z, iterations = found.x, iterations + found.evaluations
+        if not np.isfinite(found.at.cost):
+            raise NotIdentifiable("tuning cannot simulate what the steps before found")
+        renewed = misfit.reweighted(z)
+        if number > 0 and (not found.converged or iterations >= options.max_iterations):
+            break
+        if number > 0 and _settled(misfit, renewed):
+            break
+        misfit = renewed
+    return Fit(misfit, z, confidence_of(misfit, z), iterations, found.converged)
 
 
-def _warnings(
-    search: Search, end: _End, parameters: Sequence[Parameter], study: Study
-) -> Iterator[Caution]:
-    values = search.parameters(end.z)
-    deviation = np.sqrt(np.diag(end.covariance))
-    for k, (unknown, at) in enumerate(zip(search.unknowns, _at_bounds(search, end), strict=True)):
-        if at:
-            text = (
-                f"tuning ended at the end of its range, {values[k]:.3g} {unknown.unit}: the steps"
-            )
-            text += " and the records before them do not agree on it"
-            yield Caution("at-bounds", str(unknown), text)
-        if parameters[k].value is None:
-            text = f"tuning tells it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
-            text += "; of the viscous frictions only the total is well known"
-            yield Caution("not-identifiable", str(unknown), text)
-    if not end.converged:
-        text = f"still moving after {end.iterations} iterations; allow more, or record longer steps"
-        yield Caution("iteration-limit", "tuning", text)
-    for number, joint in enumerate(study.joints, start=1):
-        if joint.spring == "three-slope":
-            text = "one slope for the whole curve, as twisted in the tuning records: between the"
-            text += " softest and the stiffest of the three"
-            yield Caution("equivalent-stiffness", f"gear_stiffness of joint {number}", text)
+def _settled(old: Misfit, new: Misfit) -> bool:
+    pairs = zip(old.deviations, new.deviations, strict=True)
+    return all(np.max(np.abs(np.log(b / a))) < _SETTLED for a, b in pairs)
+
+
+def _without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
+    """Again with friction that acts at once in the joints where nothing speaks for a delay."""
+    values = fit.misfit.search.values(fit.z)
+    deviation = np.sqrt(np.diag(fit.confidence.combined))
+    idle = {
+        key: 0.0
+        for key, std in zip(fit.misfit.search.keys, deviation, strict=True)
+        if key[0] == SETTLING and values[key] < _EVIDENT * std
+    }
+    if not idle:
+        return fit
+    search = fit.misfit.search.holding(idle)
+    again = _fit(fit.misfit.with_search(search), search.coordinates(values), options)
+    return replace(again, iterations=fit.iterations + again.iterations)
+
+
+def _fits(misfit: Misfit, z: FloatArray) -> dict[str, dict[str, float]]:
+    """By record and channel, 100 (1 - |difference| / |measured - its mean|)."""
+    found = {}
+    for record, rows, deviation in zip(
+        misfit.records, misfit.rows(z), misfit.deviation_of_rows(), strict=True
+    ):
+        difference = np.linalg.norm(rows.residual * deviation, axis=0)
+        spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
+        fits = 100.0 * (1.0 - difference / np.maximum(spread, 1e-300))
+        names = [c.name.replace("theta", "omega") for c in record.channels]
+        found[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
+    return found

@@ -1,125 +1,209 @@
-"""What records and prior say against parameters: rows, their derivatives, their weights."""
+"""What records and prior say against parameters: weighted residuals, record by record.
+
+Each record has unknowns of its own, the constants of its sensors and where it began, and is solved
+for them on its own: they lead the columns of its least squares problem, and what its triangular
+factor leaves below them is the problem of the parameters alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
-from strainwave.closed_loop import Observed
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.parameters import Values
-from strainwave.records import FloatArray, IntArray, Study
+from strainwave.records import FloatArray, IntArray
+from strainwave.tuning.replayed import Replayed
+from strainwave.tuning.trust_region import Linearised
 from strainwave.tuning.unknowns import Search
 
-_STEP = 1e-4  # of the coordinates: far above rounding, and good to about as much of itself
-_PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat each other
-_LEAST = 2e-3  # of a channel's own spread: no model is better than that
-_HUGE = 1e4  # a residual, in deviations, of parameters that no arm can have
-_BLOCKS = 10  # a record
+BLOCKS = 10
+"""Stretches of a record whose errors count as independent of one another."""
+
+_FIRST = 0.1  # of a channel's own spread: its errors' deviation before any is known
+_LEAST = 1e-3  # of it: no model is better than that
+_NOISE_REPEATS = 2.0  # rows of low-passed white noise that say the same, four to a period
+_ROBUST = 1.4826  # standard deviation of normal errors over their median magnitude
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
+class Rows:
+    """One record's weighted rows at one point."""
+
+    residual: FloatArray  # (n_rows, n_channels) in deviations
+    root: FloatArray  # (n_rows, n_channels) square roots of the robust weights
+    shared: FloatArray  # (n_rows, n_channels, n_unknowns)
+    local: FloatArray  # (n_rows, n_channels, n_own)
+
+    def factor(self) -> FloatArray:
+        """R of [local shared residual], weighted."""
+        parts = [self.local, self.shared, self.residual[..., None]]
+        table = np.concatenate(parts, axis=2) * self.root[..., None]
+        return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r"))
+
+
+@dataclass(frozen=True)
 class Misfit:
-    """Weighted differences between simulated and measured channels of all records."""
+    """Weighted differences between simulated and measured channels of all records.
 
-    study: Study  # with linear springs
+    What each record has of its own is found again at every point: `own` keeps where it was last.
+    """
+
     search: Search
-    records: tuple[Observed, ...]
-    # a record: (n_rows, n_channels), what the counts of the encoders change
-    counts: tuple[FloatArray, ...] = ()
-    weights: tuple[FloatArray, ...] = ()  # a record: (n_channels,), one over a row's deviation
+    records: tuple[Replayed, ...]
+    # a record: (n_channels,), deviation of its errors
+    deviations: tuple[FloatArray, ...] = ()
+    # and how many rows in succession say the same thing
+    repeats: tuple[FloatArray, ...] = ()
+    own: dict[int, FloatArray] = field(default_factory=dict)
 
-    def residual(self, z: FloatArray) -> FloatArray:
-        """All rows: (n_rows,), those of the prior last."""
-        try:
-            data = self._rows(self.differences(z))
-        except (InvalidInput, NumericalFailure):
-            data = np.full(len(self.block_of_rows()), _HUGE)
-        return np.concatenate([data, self.search.prior_residual(z)])
+    def cost(self, z: FloatArray) -> float:
+        """Robust sum of squares, without derivatives; infinite where no arm can be simulated.
 
-    def jacobian(self, z: FloatArray) -> FloatArray:
-        """By forward differences, all arms in one run a record: (n_rows, n_unknowns)."""
-        shifted = [self.search.values(one) for one in z + _STEP * np.eye(len(z))]
-        data = self._change(z, shifted) / _STEP
-        return np.concatenate([data, self.search.prior_jacobian(z)])
-
-    def friction_effect(self, z: FloatArray) -> FloatArray:
-        """What a deviation of each friction taken over does: (n_data_rows, n_frictions)."""
-        values = self.search.values(z)
-        deviations = self.search.fixed_deviation.items()
-        shifted = [values | {key: values[key] + step} for key, step in deviations]
-        return self._change(z, shifted)
-
-    def _change(self, z: FloatArray, arms: Sequence[Values]) -> FloatArray:
-        """Weighted differences of arms from the one at z: (n_data_rows, n_arms)."""
-        parts = []
-        for record, weight in zip(self.records, self.weights, strict=True):
-            both = [self.search.values(z), *arms]
-            seen = record.simulated(_countless(self.study), both)[:, :: decimation(record)]
-            parts.append((weight * (seen[1:] - seen[0])).reshape(len(arms), -1))
-        return np.concatenate(parts, axis=1).T
-
-    def differences(self, z: FloatArray) -> list[FloatArray]:
-        """Simulated less measured, a record: (n_rows, n_channels), unweighted."""
-        values = self.search.values(z)
-        found = [
-            (record.simulated(_countless(self.study), [values])[0] - record.measured)
-            for record in self.records
-        ]
-        return [
-            (difference + counts)[:: decimation(record)]
-            for difference, counts, record in zip(found, self.counts, self.records, strict=True)
-        ]
-
-    def around(self, z: FloatArray) -> Misfit:
-        """With the counts' effect and the weights for parameters near z.
-
-        The servo sees counts, and what they do to the motion is no smooth function of the
-        parameters; it is found once and held. A channel's rows are divided by the robust deviation
-        of its differences, and by the root of how many rows say the same thing, so that a coloured
-        residual does not outvote the prior.
+        The records' own unknowns are where the last linearisation left them, moved along with z.
         """
-        values = [self.search.values(z)]
-        effects = tuple(
-            record.simulated(self.study, values)[0]
-            - record.simulated(_countless(self.study), values)[0]
+        try:
+            parts = self._each(lambda k, record: self._cost_of(k, record, z))
+        except (InvalidInput, NumericalFailure):
+            return np.inf
+        prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
+        return float(sum(parts) + np.sum(prior**2))
+
+    def linearise(self, z: FloatArray) -> Linearised:
+        """The cost with its least squares problem in the unknowns alone."""
+        rows = self.rows(z)
+        factors = [record.factor() for record in rows]
+        costs = [self._robust(k, record.residual) for k, record in enumerate(rows)]
+        below = [
+            f[n:, n:] for f, n in zip(factors, map(self._n_own, range(len(rows))), strict=True)
+        ]
+        prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
+        prior_rows = np.column_stack([self.search.prior.rows @ self.search.slope(z), prior])
+        stacked = np.linalg.qr(np.concatenate([*below, prior_rows]), mode="r")
+        return Linearised(float(sum(costs) + np.sum(prior**2)), np.asarray(stacked))
+
+    def rows(self, z: FloatArray) -> list[Rows]:
+        """Every record's rows, its own unknowns at their best for z."""
+        return self._each(lambda k, record: self._rows_of(k, record, z))
+
+    def reweighted(self, z: FloatArray) -> Misfit:
+        """With deviations and repetitions as the residuals at z show them."""
+        deviations, repeats = [], []
+        for record, rows, old in zip(self.records, self.rows(z), self._deviations(), strict=True):
+            errors = rows.residual * old
+            size = _ROBUST * np.median(np.abs(errors), axis=0)
+            least = np.maximum(record.noise, _LEAST * np.std(record.measured, axis=0))
+            deviations.append(np.maximum(np.maximum(size, 0.5 * np.std(errors, axis=0)), least))
+            repeats.append(np.array([_repeats(column) for column in errors.T]))
+        return replace(self, deviations=tuple(deviations), repeats=tuple(repeats))
+
+    def with_search(self, search: Search) -> Misfit:
+        """The same records and weights for other unknowns."""
+        return replace(self, search=search)
+
+    def blocks(self) -> list[IntArray]:
+        """The stretch that each row of a record belongs to, counted through all records."""
+        found = []
+        for k, record in enumerate(self.records):
+            n = len(record.time)
+            found.append(k * BLOCKS + np.arange(n) * BLOCKS // n)
+        return found
+
+    def noise_shares(self) -> list[float]:
+        """Of each record, the share of its errors' variance that its sensors' noise makes.
+
+        Both behind the low-pass, whose rows repeat white noise by `_NOISE_REPEATS`.
+        """
+        found = []
+        for k, record in enumerate(self.records):
+            variance = self.deviation_of_rows()[k] ** 2 * self._repeated(k)
+            share = _NOISE_REPEATS * record.noise**2 / variance
+            found.append(float(np.clip(np.mean(share), 0.0, 1.0)))
+        return found
+
+    def _cost_of(self, k: int, record: Replayed, z: FloatArray) -> float:
+        seen = record.simulated(self.search.values(z), self._begun(k, record))
+        deviation = self._deviations()[k]
+        residual = (self._shifted(k, record, seen) - record.measured) / deviation
+        step = self._step(k, residual, _shifts(record) / deviation[:, None])
+        return self._robust(k, residual + _shifts(record)[0] @ step / deviation)
+
+    def _rows_of(self, k: int, record: Replayed, z: FloatArray) -> Rows:
+        values = self.search.values(z)
+        seen, tangent = record.linearised(values, self._begun(k, record), self.search.keys)
+        n = len(self.search.unknowns)
+        deviation = self._deviations()[k]
+        shared = tangent[..., :n] @ self.search.slope(z) / deviation[:, None]
+        local = np.concatenate([tangent[..., n:], _shifts(record)], axis=2) / deviation[:, None]
+        residual = (self._shifted(k, record, seen) - record.measured) / deviation
+        # the record's own unknowns are nearly linear: one step from where they were
+        step = self._step(k, residual, local)
+        self.own[k] = self._own(k, record) + step
+        residual = residual + local @ step
+        return Rows(residual, self._root(k, residual), shared, local)
+
+    def _step(self, k: int, residual: FloatArray, columns: FloatArray) -> FloatArray:
+        """Where a record's own unknowns go from where they are: (n_own,)."""
+        root = self._root(k, residual)
+        weighted = (columns * root[..., None]).reshape(residual.size, -1)
+        return np.asarray(np.linalg.lstsq(weighted, -(residual * root).ravel())[0])
+
+    def _own(self, k: int, record: Replayed) -> FloatArray:
+        if k not in self.own:
+            self.own[k] = np.concatenate([record.start(), np.zeros(_shifts(record).shape[2])])
+        return self.own[k]
+
+    def _n_own(self, k: int) -> int:
+        return len(self._own(k, self.records[k]))
+
+    def _begun(self, k: int, record: Replayed) -> FloatArray:
+        return self._own(k, record)[: len(record.local)]
+
+    def _shifted(self, k: int, record: Replayed, seen: FloatArray) -> FloatArray:
+        constants = self._own(k, record)[len(record.local) :]
+        return np.asarray(seen + _shifts(record)[0] @ constants)
+
+    def deviation_of_rows(self) -> Sequence[FloatArray]:
+        """What each channel of each record is divided by."""
+        return self._deviations()
+
+    def _deviations(self) -> Sequence[FloatArray]:
+        if self.deviations:
+            return self.deviations
+        return [
+            np.maximum(_FIRST * np.std(record.measured, axis=0), record.noise)
             for record in self.records
-        )
-        counted = replace(self, counts=effects)
-        weights = []
-        for record, difference in zip(self.records, counted.differences(z), strict=True):
-            spread = _LEAST * np.std(record.measured, axis=0)
-            least = np.maximum(np.maximum(record.noise, spread), 1e-12)
-            robust = 1.4826 * np.median(np.abs(difference), axis=0)
-            size = np.maximum(np.maximum(robust, least), 0.5 * np.std(difference, axis=0))
-            weights.append(1.0 / (size * np.sqrt([_repeats(column) for column in difference.T])))
-        return replace(counted, weights=tuple(weights))
+        ]
 
-    def _rows(self, differences: Sequence[FloatArray]) -> FloatArray:
-        pairs = zip(differences, self.weights, strict=True)
-        return np.concatenate([(weight * difference).ravel() for difference, weight in pairs])
+    def _root(self, k: int, residual: FloatArray) -> FloatArray:
+        """Roots of the weights (1 + r^2)^(-1/2) of the soft L1 loss, over the repetitions."""
+        return np.asarray((1.0 + residual**2) ** -0.25 / np.sqrt(self._repeated(k)))
 
-    def block_of_rows(self) -> IntArray:
-        """The stretch of a record that each row of the data belongs to."""
-        labels = []
-        for number, record in enumerate(self.records):
-            rows = len(range(0, len(record.time), decimation(record)))
-            block = number * _BLOCKS + np.arange(rows) * _BLOCKS // rows
-            labels.append(np.repeat(block, len(record.channels)))
-        return np.concatenate(labels)
+    def _robust(self, k: int, residual: FloatArray) -> float:
+        return float(np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0) / self._repeated(k)))
+
+    def _repeated(self, k: int) -> FloatArray | float:
+        return self.repeats[k] if self.repeats else 1.0
+
+    def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
+        """Work on every record, side by side: simulations run without the interpreter's lock."""
+        if len(self.records) == 1:
+            return [work(0, self.records[0])]
+        with ThreadPoolExecutor() as pool:
+            return list(pool.map(work, range(len(self.records)), self.records))
 
 
-def _countless(study: Study) -> Study:
-    """Encoders without counts: the simulation is then smooth in the parameters."""
-    joints = tuple(replace(joint, encoder_counts=None) for joint in study.joints)
-    return replace(study, joints=joints)
-
-
-def decimation(record: Observed) -> int:
-    """Samples between the rows that are used."""
-    return max(1, int(1.0 / (_PER_PERIOD * record.cutoff_hz * record.log.sample_time)))
+def _shifts(record: Replayed) -> FloatArray:
+    """Columns of the unknown constants: (1, n_channels, n_constants), the same in every row."""
+    own = [k for k, channel in enumerate(record.channels) if channel.shifted]
+    columns = np.zeros((len(record.channels), len(own)))
+    columns[own, range(len(own))] = 1.0
+    return np.broadcast_to(columns, (len(record.time), *columns.shape))
 
 
 def _repeats(column: FloatArray) -> float:
@@ -133,39 +217,3 @@ def _repeats(column: FloatArray) -> float:
     negative = np.flatnonzero(correlation < 0.0)
     until = negative[0] if negative.size else len(correlation)
     return float(1.0 + 2.0 * np.sum(correlation[1:until]))
-
-
-def covariance_of(
-    residual: FloatArray, jacobian: FloatArray, block: IntArray, friction: FloatArray
-) -> FloatArray:
-    """Covariance of the coordinates, counting what goes on for longer than one row.
-
-    The inverse of J'J, its deviations raised where the blocks' scores g_b = J_b' r_b scatter more
-    than independent rows would: (J'J)^-1 (sum g_b g_b' + P) (J'J)^-1, P from the prior. To this
-    comes what the uncertainty of the friction that was taken over makes.
-
-    Parameters
-    ----------
-    residual : (n_rows,)
-    jacobian : (n_rows, n_unknowns)
-    block : (n_data_rows,)
-        Of the data's rows, which come first.
-    friction : (n_data_rows, n_frictions)
-        From `Misfit.friction_effect`.
-
-    Returns
-    -------
-    (n_unknowns, n_unknowns)
-    """
-    n_data = len(block)
-    inverse = np.linalg.inv(jacobian.T @ jacobian)
-    products = jacobian[:n_data] * residual[:n_data, None]
-    labels, at = np.unique(block, return_inverse=True)
-    scores = np.zeros((len(labels), jacobian.shape[1]))
-    np.add.at(scores, at, products)
-    prior = jacobian[n_data:].T @ jacobian[n_data:]
-    meat = len(labels) / (len(labels) - 1.0) * scores.T @ scores + prior
-    sandwich = np.diag(inverse @ meat @ inverse)
-    raised = np.sqrt(np.maximum(1.0, sandwich / np.diag(inverse)))
-    moved = inverse @ jacobian[:n_data].T @ friction
-    return np.asarray(inverse * np.outer(raised, raised) + moved @ moved.T)

@@ -1,9 +1,9 @@
-"""What is searched for: unknowns, where they start, how far they may go, what is known of them."""
+"""What is searched for: parameters, their coordinates, where they start, what is known of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,28 +11,46 @@ from strainwave.errors import NotIdentifiable
 from strainwave.parameters import Values, unit_of
 from strainwave.records import FloatArray, JointModel, RigidModel, Study
 
+Key = tuple[str, int | None]
+
 VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
-_DAMPINGS = (*VISCOUS, "gear_damping")
-_GEAR = ("gear_stiffness", "gear_damping")
+COULOMB = "motor_coulomb_friction"
+OFFSET = "friction_offset"
+SETTLING = "friction_settling_time"
+LINEAR = ("gear_stiffness",)
+CURVE = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
+KNEES = ("gear_knee_t1", "gear_knee_t2")
+
 _BASE = ("alpha", "beta", "gamma")
 _LEAST_SHARE = 0.05  # of the total viscous friction, where a start would be negative
-_DAMPING_FACTOR = 3.0  # up and down
-_REACH = 4.0  # deviations
-_MOST = 0.9  # of its value, which a parameter may lose
-# Of its value: the stiffness that stands for a curve, and the damping found with it, depend on how
-# far the gear was twisted; between softest and stiffest slope lies about twice as much.
-_EQUIVALENT = 0.1
+_LEAST_COULOMB = 0.01  # of the torque of the largest voltage, where none was found
+_SETTLING = 1e-4  # [s]
+_SPREAD = (0.8, 1.0, 1.15)  # of the one stiffness found: the slopes of a curve to start from
+_KNEES = (0.2, 0.6)  # of the largest gear torque: its knees
+_FAR = np.log(3.0)  # how far an inertia or a slope may go
+_VERY_FAR = np.log(30.0)  # and a friction, damping or knee
 
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """One parameter that is searched for."""
+    """One parameter that is searched for, and its coordinate z, which is zero at the start.
+
+    A positive parameter is scale exp(z); one that may have either sign scale z + start; the second
+    knee lies scale exp(z) above the first.
+    """
 
     name: str
     joint: int | None
     unit: str
     start: float
-    reach: float  # how far its coordinate may go, up and down
+    scale: float
+    signed: bool
+    reach: float  # how far z may go, up and down
+
+    @property
+    def key(self) -> Key:
+        """What it is known by."""
+        return self.name, self.joint
 
     def __str__(self) -> str:
         return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
@@ -40,7 +58,7 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What earlier stages know: linear combinations of the unknowns, with correlated errors."""
+    """What the rigid step knows: linear combinations of the unknowns, with correlated errors."""
 
     rows: FloatArray  # (n_rows, n_unknowns), whitened
     target: FloatArray  # (n_rows,), whitened
@@ -48,15 +66,10 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The unknowns together, and what stays as it is.
-
-    Their coordinates z are zero at the start: a positive parameter is start exp(z), a gravity
-    torque start (1 + z).
-    """
+    """The unknowns together, and what stays as it is."""
 
     unknowns: tuple[Unknown, ...]
-    fixed: Mapping[tuple[str, int | None], float]
-    fixed_deviation: Mapping[tuple[str, int | None], float]
+    fixed: Mapping[Key, float]
     prior: Prior
 
     @property
@@ -65,53 +78,120 @@ class Search:
         return np.array([unknown.reach for unknown in self.unknowns])
 
     @property
-    def _start(self) -> FloatArray:
-        return np.array([unknown.start for unknown in self.unknowns])
-
-    @property
-    def _exponential(self) -> FloatArray:
-        return np.array([not u.name.startswith("gravity") for u in self.unknowns])
-
-    def index(self, name: str, joint: int | None) -> int:
-        """Where an unknown stands."""
-        return [(u.name, u.joint) for u in self.unknowns].index((name, joint))
+    def keys(self) -> list[Key]:
+        """What the unknowns are known by."""
+        return [unknown.key for unknown in self.unknowns]
 
     def parameters(self, z: FloatArray) -> FloatArray:
         """The unknowns' values, (n_unknowns,)."""
-        return np.asarray(self._start * np.where(self._exponential, np.exp(z), 1.0 + z))
+        found: FloatArray = np.array(
+            [
+                u.start + u.scale * at if u.signed else u.scale * np.exp(at)
+                for u, at in zip(self.unknowns, z, strict=True)
+            ]
+        )
+        for first, second in self._knees():
+            found[second] += found[first]
+        return found
 
     def slope(self, z: FloatArray) -> FloatArray:
-        """Derivative of each value with respect to its coordinate, (n_unknowns,)."""
-        return np.asarray(self._start * np.where(self._exponential, np.exp(z), 1.0))
+        """Derivatives of the values with respect to the coordinates, (n_unknowns, n_unknowns)."""
+        own = [
+            u.scale if u.signed else u.scale * np.exp(at)
+            for u, at in zip(self.unknowns, z, strict=True)
+        ]
+        found = np.diag(np.array(own))
+        for first, second in self._knees():
+            found[second, first] = found[first, first]
+        return np.asarray(found)
 
     def values(self, z: FloatArray) -> Values:
         """All that simulating the arm needs."""
-        found = dict(self.fixed)
-        for unknown, value in zip(self.unknowns, self.parameters(z).tolist(), strict=True):
-            found[unknown.name, unknown.joint] = value
-        return found
+        return {**self.fixed, **dict(zip(self.keys, self.parameters(z).tolist(), strict=True))}
 
-    def prior_residual(self, z: FloatArray) -> FloatArray:
-        """(n_rows,) of unit variance."""
-        return np.asarray(self.prior.rows @ self.parameters(z) - self.prior.target)
+    def coordinates(self, values: Values) -> FloatArray:
+        """Where given values lie, within the bounds: (n_unknowns,)."""
+        z = []
+        for unknown in self.unknowns:
+            value = values[unknown.key]
+            if unknown.name == KNEES[1]:
+                value -= values[KNEES[0], unknown.joint]
+            if unknown.signed:
+                z.append((value - unknown.start) / unknown.scale)
+            else:
+                z.append(np.log(max(value / unknown.scale, 1e-12)))
+        return np.clip(np.array(z), -self.reach, self.reach)
 
-    def prior_jacobian(self, z: FloatArray) -> FloatArray:
-        """(n_rows, n_unknowns)."""
-        return np.asarray(self.prior.rows * self.slope(z))
+    def holding(self, values: Mapping[Key, float]) -> Search:
+        """With some of the unknowns held at given values."""
+        kept = [k for k, unknown in enumerate(self.unknowns) if unknown.key not in values]
+        dropped = [k for k, unknown in enumerate(self.unknowns) if unknown.key in values]
+        known = np.array([values[self.unknowns[k].key] for k in dropped])
+        target = self.prior.target - self.prior.rows[:, dropped] @ known
+        return Search(
+            tuple(self.unknowns[k] for k in kept),
+            {**self.fixed, **values},
+            Prior(self.prior.rows[:, kept], target),
+        )
+
+    def _knees(self) -> list[tuple[int, int]]:
+        """Where pairs of knees stand of which both are searched for."""
+        at = {key: k for k, key in enumerate(self.keys)}
+        joints = [key[1] for key in at if key[0] == KNEES[0]]
+        return [(at[KNEES[0], j], at[KNEES[1], j]) for j in joints if (KNEES[1], j) in at]
 
 
-def link_inertias(study: Study, names: Sequence[tuple[str, int | None]]) -> FloatArray:
-    """m_L of each joint as a combination of the unknowns: (n_joints, n_unknowns).
+def combination(names: Sequence[Key], parts: Mapping[Key, float]) -> FloatArray:
+    """A weighted sum of the unknowns as a row: (n_unknowns,).
 
-    m_L1 = alpha + beta + 2 gamma, m_L2 = beta.
+    Parameters
+    ----------
+    names : sequence of (name, joint)
+    parts : dict
+        Weights; those of what is no unknown are left out.
+
+    Returns
+    -------
+    (n_unknowns,)
     """
-    weight = np.zeros((study.n_joints, len(names)))
+    return np.array([parts.get(name, 0.0) for name in names])
+
+
+def link_inertia(study: Study, joint: int) -> dict[Key, float]:
+    """m_L of a joint as a combination of parameters: alpha + beta + 2 gamma, or beta.
+
+    Parameters
+    ----------
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    dict
+    """
     if study.n_joints == 1:
-        weight[0, names.index(("link_inertia", 1))] = 1.0
-        return weight
-    weight[0, [names.index((name, None)) for name in _BASE]] = 1.0, 1.0, 2.0
-    weight[1, names.index(("beta", None))] = 1.0
-    return weight
+        return {("link_inertia", 1): 1.0}
+    if joint == 1:
+        return {("alpha", None): 1.0, ("beta", None): 1.0, ("gamma", None): 2.0}
+    return {("beta", None): 1.0}
+
+
+def total_viscous(study: Study, joint: int) -> dict[Key, float]:
+    """d_M + n^2 d_L of a joint as a combination of parameters.
+
+    Parameters
+    ----------
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    dict
+    """
+    ratio = study.joints[joint - 1].gear_ratio
+    return {(VISCOUS[0], joint): 1.0, (VISCOUS[1], joint): ratio**2}
 
 
 def search_of(
@@ -119,10 +199,12 @@ def search_of(
     joints: Sequence[JointModel],
     study: Study,
     *,
+    largest_voltage: Sequence[float],
     floor: float,
-    span: float,
 ) -> Search:
-    """Start, bounds and prior from what the earlier stages found.
+    """Unknowns with their starts from the decoupled models, and what the rigid model knows.
+
+    A three-slope gear starts as a linear one, all knees at `nan`: see `with_curves`.
 
     Parameters
     ----------
@@ -131,10 +213,10 @@ def search_of(
     joints : sequence of JointModel
         One a joint.
     study : Study
+    largest_voltage : sequence of float [V]
+        Applied to each joint, for the scale of its friction.
     floor : float
-        Least deviation of what is known, as a share of its value.
-    span : float
-        Least share by which a parameter may leave its start.
+        Least deviation of what the rigid model knows, as a share of its value.
 
     Returns
     -------
@@ -145,19 +227,78 @@ def search_of(
     NotIdentifiable
         A start is missing or impossible.
     """
-    by_joint = _by_joint(joints, study)
-    start = _starts(model, by_joint, study)
-    names = tuple(start)
-    prior = _prior(model, by_joint, study, start, floor)
-    leeway = _leeway(prior, np.array(list(start.values())))
+    start = _starts(model, _by_joint(joints, study), study)
     unknowns = []
-    for k, (name, joint) in enumerate(names):
-        reach = -np.log1p(-min(max(span, leeway[k]), _MOST))
-        if name in _DAMPINGS:
-            reach = max(reach, np.log(_DAMPING_FACTOR))
-        unit = unit_of(name, study.joints[(joint or 1) - 1]) if joint else _unit(name)
-        unknowns.append(Unknown(name, joint, unit, start[name, joint], float(reach)))
-    return Search(tuple(unknowns), *_fixed(model, by_joint), prior)
+    pairs = zip(study.joints, largest_voltage, strict=True)
+    for i, (joint, voltage) in enumerate(pairs, start=1):
+        torque = _LEAST_COULOMB * voltage * (joint.torque_per_volt or 1.0)
+        start[COULOMB, i] = max(start[COULOMB, i], torque)
+    for (name, number), value in start.items():
+        scale = value
+        if name == OFFSET:
+            scale = start[COULOMB, number]
+        signed = name == OFFSET or name.startswith("gravity")
+        if signed and scale == 0.0:
+            scale = 1.0
+        far = _FAR if "inertia" in name or name in (*_BASE, *LINEAR) else _VERY_FAR
+        unit = _unit(name) if number is None else unit_of(name, study.joints[number - 1])
+        unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
+    keys = [unknown.key for unknown in unknowns]
+    return Search(tuple(unknowns), {}, _prior(model, keys, study, floor))
+
+
+def with_curves(search: Search, study: Study, largest_torque: Sequence[float]) -> Search:
+    """Three slopes and two knees in place of the one stiffness of each three-slope gear.
+
+    Parameters
+    ----------
+    search : Search
+    study : Study
+    largest_torque : sequence of float [N m]
+        That each gear carries in the records.
+
+    Returns
+    -------
+    Search
+    """
+    unknowns: list[Unknown] = []
+    columns: list[FloatArray] = []
+    for k, unknown in enumerate(search.unknowns):
+        joint = study.joints[(unknown.joint or 1) - 1]
+        column = search.prior.rows[:, k]
+        if unknown.name not in LINEAR or joint.spring != "three-slope":
+            unknowns.append(unknown)
+            columns.append(column)
+            continue
+        for name, share in zip(CURVE, _SPREAD, strict=True):
+            start = share * unknown.start
+            unknowns.append(replace(unknown, name=name, start=start, scale=start))
+            columns.append(np.zeros_like(column))
+        low, high = (share * largest_torque[(unknown.joint or 1) - 1] for share in _KNEES)
+        unit = unit_of(KNEES[0], joint)
+        for name, start, scale in zip(KNEES, (low, high), (low, high - low), strict=True):
+            unknowns.append(Unknown(name, unknown.joint, unit, start, scale, False, _VERY_FAR))
+            columns.append(np.zeros_like(column))
+    return Search(
+        tuple(unknowns), search.fixed, Prior(np.column_stack(columns), search.prior.target)
+    )
+
+
+def with_settling(search: Search) -> Search:
+    """With a settling time of each joint's friction.
+
+    Parameters
+    ----------
+    search : Search
+
+    Returns
+    -------
+    Search
+    """
+    joints = [unknown.joint for unknown in search.unknowns if unknown.name == COULOMB]
+    more = [Unknown(SETTLING, j, "s", _SETTLING, _SETTLING, False, _VERY_FAR) for j in joints]
+    rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
+    return Search((*search.unknowns, *more), search.fixed, Prior(rows, search.prior.target))
 
 
 def _unit(name: str) -> str:
@@ -175,16 +316,8 @@ def _by_joint(joints: Sequence[JointModel], study: Study) -> dict[int, JointMode
     return found
 
 
-def _starts(
-    model: RigidModel | None, joints: Mapping[int, JointModel], study: Study
-) -> dict[tuple[str, int | None], float]:
-    start: dict[tuple[str, int | None], float] = {}
-    for number in sorted(joints):
-        values = _mended(joints[number].values, study.joints[number - 1].gear_ratio)
-        for name in ("motor_inertia", *VISCOUS, *_GEAR):
-            start[name, number] = values[name]
-        if study.n_joints == 1:
-            start["link_inertia", number] = values["link_inertia"]
+def _starts(model: RigidModel | None, joints: Mapping[int, JointModel], study: Study) -> Values:
+    start: Values = {}
     if study.n_joints == 2:
         beta, gamma = joints[2].values["link_inertia"], _rigid(model, "gamma")
         start["alpha", None] = joints[1].values["link_inertia"] - beta - 2.0 * gamma
@@ -192,14 +325,27 @@ def _starts(
     if study.arm.gravity is not None:
         for i in range(1, study.n_joints + 1):
             start[f"gravity_torque_{i}", None] = _rigid(model, f"gravity_torque_{i}")
-    for (name, joint), value in start.items():
-        if not np.isfinite(value) or (value <= 0.0 and not name.startswith("gravity")):
-            place = name if joint is None else f"{name} of joint {joint}"
+    for number in sorted(joints):
+        values = _mended(joints[number].values, study.joints[number - 1].gear_ratio)
+        start["motor_inertia", number] = values["motor_inertia"]
+        if study.n_joints == 1:
+            start["link_inertia", number] = values["link_inertia"]
+        for name in (*VISCOUS, COULOMB):
+            start[name, number] = values[name]
+        start[OFFSET, number] = _known(model, OFFSET, number) or 0.0
+        found = _known(model, COULOMB, number)
+        if found is not None:
+            start[COULOMB, number] = found
+        for name in ("gear_stiffness", "gear_damping"):
+            start[name, number] = values[name]
+    for (name, own), value in start.items():
+        signed = name in (OFFSET, COULOMB) or name.startswith("gravity")
+        if not np.isfinite(value) or (value <= 0.0 and not signed):
+            place = name if own is None else f"{name} of joint {own}"
             raise NotIdentifiable(
                 f"tuning cannot start from {place} = {value:.3g}; record more for the steps before"
             )
-    # a start of nothing has no coordinate
-    return {key: value for key, value in start.items() if value != 0.0}
+    return start
 
 
 def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
@@ -226,87 +372,40 @@ def _rigid(model: RigidModel | None, name: str) -> float:
     return value
 
 
-def _fixed(model: RigidModel | None, joints: Mapping[int, JointModel]) -> tuple[Values, Values]:
-    """Friction that is taken over, and its deviations."""
-    fixed: Values = {}
-    deviation: Values = {}
-    for number, joint in joints.items():
-        key = "motor_coulomb_friction", number
-        at = list(joint.values).index(key[0])
-        fixed[key] = joint.values[key[0]]
-        deviation[key] = float(np.sqrt(joint.covariance[at, at]))
-        fixed["friction_offset", number] = deviation["friction_offset", number] = 0.0
-        for k, p in enumerate(model.parameters if model is not None else ()):
-            if (p.name, p.joint) in fixed and p.joint == number and p.value is not None:
-                assert model is not None
-                fixed[p.name, number] = p.value
-                deviation[p.name, number] = float(np.sqrt(model.covariance[k, k]))
-        fixed[key] = max(fixed[key], 0.0)
-    return fixed, deviation
+def _known(model: RigidModel | None, name: str, joint: int) -> float | None:
+    for parameter in model.parameters if model is not None else ():
+        if (parameter.name, parameter.joint) == (name, joint):
+            return parameter.value
+    return None
 
 
-def _prior(
-    model: RigidModel | None,
-    joints: Mapping[int, JointModel],
-    study: Study,
-    start: Values,
-    floor: float,
-) -> Prior:
-    names = tuple(start)
-    rows: list[FloatArray] = []
-    target: list[FloatArray] = []
-    link = link_inertias(study, names)
-    for number, joint in joints.items():
-        known = [name for name in joint.values if name != "motor_coulomb_friction"]
-        at = [list(joint.values).index(name) for name in known]
-        weight = np.zeros((len(known), len(names)))
-        for row, name in zip(weight, known, strict=True):
-            row[:] = link[number - 1] if name == "link_inertia" else 0.0
-            if name != "link_inertia":
-                row[names.index((name, number))] = 1.0
-        mean = np.array([joint.values[name] for name in known])
-        least = np.full(len(known), floor)
-        if study.joints[number - 1].spring == "three-slope":
-            least[[known.index(name) for name in _GEAR]] = max(floor, _EQUIVALENT)
-        _append(rows, target, weight, mean, joint.covariance[np.ix_(at, at)], least)
-    if model is not None:
-        # inertias and friction of one joint's own have gone into its model already
-        shared = [
-            k
-            for k, p in enumerate(model.parameters)
-            if (p.name, p.joint) in start and p.joint is None and p.value is not None
-        ]
-        weight = np.zeros((len(shared), len(names)))
-        for row, k in zip(weight, shared, strict=True):
-            row[names.index((model.parameters[k].name, None))] = 1.0
-        covariance = model.covariance[np.ix_(shared, shared)]
-        least = np.full(len(shared), floor)
-        _append(rows, target, weight, model.solution[shared], covariance, least)
-    return Prior(np.concatenate(rows), np.concatenate(target))
+def _prior(model: RigidModel | None, keys: Sequence[Key], study: Study, floor: float) -> Prior:
+    """The rigid model's parameters as combinations of the unknowns, divided by their errors."""
+    told = [
+        k
+        for k, p in enumerate(model.parameters if model is not None else ())
+        if p.value is not None and np.isfinite(model.covariance[k, k] if model else np.nan)
+    ]
+    if model is None or not told:
+        return Prior(np.zeros((0, len(keys))), np.zeros(0))
+    names = [(model.parameters[k].name, model.parameters[k].joint) for k in told]
+    rows = np.array([combination(keys, _parts(name, study)) for name in names])
+    mean = model.solution[told]
+    covariance = model.covariance[np.ix_(told, told)] + np.diag((floor * np.abs(mean)) ** 2)
+    factor = np.linalg.cholesky(covariance)
+    return Prior(np.linalg.solve(factor, rows), np.linalg.solve(factor, mean))
 
 
-def _leeway(prior: Prior, start: FloatArray) -> FloatArray:
-    """Share by which each parameter may leave its start by what is known of it.
-
-    Four deviations from what all earlier stages say together, which is not quite the start where
-    two of them tell of one parameter.
-    """
-    mean = np.linalg.lstsq(prior.rows, prior.target)[0]
-    deviation = np.sqrt(np.diag(np.linalg.inv(prior.rows.T @ prior.rows)))
-    return np.asarray((np.abs(mean - start) + _REACH * deviation) / np.abs(start))
-
-
-def _append(
-    rows: list[FloatArray],
-    target: list[FloatArray],
-    weight: FloatArray,
-    mean: FloatArray,
-    covariance: FloatArray,
-    floor: FloatArray,
-) -> None:
-    """Rows divided by the Cholesky factor of their errors."""
-    if not len(mean):
-        return
-    factor = np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2))
-    rows.append(np.linalg.solve(factor, weight))
-    target.append(np.linalg.solve(factor, mean))
+def _parts(name: Key, study: Study) -> dict[Key, float]:
+    """What a parameter of the rigid model is made of."""
+    kind, joint = name
+    if joint is None:
+        return {name: 1.0}
+    ratio = study.joints[joint - 1].gear_ratio
+    if kind == "rigid_inertia":
+        return {("alpha", None): 1.0, ("motor_inertia", joint): ratio**-2}
+    if kind == "inertia":
+        return {("motor_inertia", joint): 1.0, ("link_inertia", joint): ratio**2}
+    if kind == "total_viscous_friction":
+        return total_viscous(study, joint)
+    return {name: 1.0}

@@ -1,0 +1,160 @@
+"""How sure a fit's parameters are: what its own noise, its stretches and its records say.
+
+Three covariances, of which each parameter gets the widest:
+
+- local, (J'J)^-1 of rows in deviations: right if the model is right and the noise as it looks;
+- sandwich, in which stretches of a record are as independent as they show themselves: right where
+  errors go on for longer than the rows' weights allow for;
+- jackknife over records, the scatter of what the fit would be without each of them: it sees what is
+  wrong with the model in different ways in different experiments.
+
+None of them sees what is wrong with the model in the same way everywhere. Its size shows all the
+same, as residuals larger than the sensors' own noise explains. Such an error does not average away
+with more rows; each deviation is raised by as much as the residuals exceed the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave.records import FloatArray
+from strainwave.tuning.misfit import Misfit
+
+_VAGUE = 0.1  # relative deviation from which a parameter is hardly told
+_SURER = 5.0  # times, that a sum must be surer than its parts to be named
+_TAKES_PART = 0.2  # share of the largest component from which a parameter takes part
+
+
+@dataclass(frozen=True, slots=True)
+class Confidence:
+    """Covariances of the parameters, each (n_unknowns, n_unknowns)."""
+
+    combined: FloatArray
+    local: FloatArray
+    sandwich: FloatArray
+    jackknife: FloatArray  # NaN with fewer than three records
+
+
+def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
+    """Covariances of the fitted parameters.
+
+    Parameters
+    ----------
+    misfit : Misfit
+        At its minimum in z.
+    z : (n_unknowns,)
+
+    Returns
+    -------
+    Confidence
+        Correlations are those of the local one. Deviations are the largest of the three.
+    """
+    scores, products = _scores(misfit, z)
+    prior = misfit.search.prior.rows @ misfit.search.slope(z)
+    known = prior.T @ prior
+    whole = np.sum(products, axis=0) + known
+    inverse = _inverse(whole)
+    blocks = np.concatenate(scores)
+    n = len(blocks)
+    sandwich = inverse @ (n / (n - 1.0) * blocks.T @ blocks + known) @ inverse
+    jackknife = _jackknife(whole, products, [block.sum(axis=0) for block in scores])
+    slope = misfit.search.slope(z)
+    parts = [slope @ part @ slope.T for part in (inverse, sandwich, jackknife)]
+    deviations = np.sqrt([np.diag(part) for part in parts])
+    largest = np.nanmax(deviations, axis=0) * _excess(misfit, products, inverse)
+    raised = np.divide(largest, deviations[0], out=np.ones_like(largest), where=deviations[0] > 0.0)
+    return Confidence(parts[0] * np.outer(raised, raised), *parts)
+
+
+def _scores(misfit: Misfit, z: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Each record's gradients, stretch by stretch, and its part of J'J."""
+    scores, products = [], []
+    for rows, block in zip(misfit.rows(z), misfit.blocks(), strict=True):
+        n = rows.shared.shape[2]
+        table = np.concatenate([rows.local, rows.shared], axis=2) * rows.root[..., None]
+        width = table.shape[1]
+        flat = table.reshape(-1, table.shape[2])
+        local, shared = flat[:, :-n], flat[:, -n:]
+        own = np.linalg.lstsq(local, shared)[0]
+        shared = shared - local @ own  # what the record's own unknowns cannot imitate
+        each = shared * (rows.residual * rows.root).reshape(-1, 1)
+        labels, at = np.unique(np.repeat(block, width), return_inverse=True)
+        sums = np.zeros((len(labels), n))
+        np.add.at(sums, at, each)
+        scores.append(sums)
+        products.append(shared.T @ shared)
+    return scores, products
+
+
+def _excess(misfit: Misfit, products: Sequence[FloatArray], inverse: FloatArray) -> FloatArray:
+    """Local deviations over those that the sensors' noise alone would make; at least one."""
+    noise = np.zeros_like(inverse)
+    for share, product in zip(misfit.noise_shares(), products, strict=True):
+        noise += share * product
+    return np.sqrt(np.maximum(1.0, np.diag(inverse) / np.diag(inverse @ noise @ inverse)))
+
+
+def _jackknife(
+    whole: FloatArray, products: Sequence[FloatArray], gradients: Sequence[FloatArray]
+) -> FloatArray:
+    """Scatter of the fits without each record, by one Newton step from the fit with all."""
+    n = len(products)
+    if n < 3:
+        return np.full_like(whole, np.nan)
+    moved = np.array(
+        [
+            _inverse(whole - own) @ gradient
+            for own, gradient in zip(products, gradients, strict=True)
+        ]
+    )
+    apart = moved - moved.mean(axis=0)
+    return np.asarray((n - 1.0) / n * apart.T @ apart)
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Inverse by the eigenvalues of the scaled matrix; what nothing tells of is very uncertain."""
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0.0] = 1e-150
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    values = np.maximum(values, 1e-13 * values[-1])
+    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
+
+
+def only_together(
+    names: Sequence[str], values: FloatArray, covariance: FloatArray
+) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Groups of parameters that the data tell only together.
+
+    Parameters
+    ----------
+    names : sequence of str
+    values : (n,)
+    covariance : (n, n)
+
+    Yields
+    ------
+    names : tuple of str
+        Of the parameters that trade off against each other.
+    deviation : float
+        Their relative standard deviation along that direction.
+    """
+    size = np.where(values == 0.0, 1.0, np.abs(values))
+    relative = covariance / np.outer(size, size)
+    spread, directions = np.linalg.eigh(relative)
+    for variance, direction in zip(spread[::-1], directions.T[::-1], strict=True):
+        deviation = float(np.sqrt(max(variance, 0.0)))
+        if deviation < _VAGUE:
+            return
+        takes_part = np.abs(direction) > _TAKES_PART * np.max(np.abs(direction))
+        part = np.flatnonzero(takes_part)
+        if len(part) < 2:
+            continue
+        # alone each must be much vaguer than with the others held
+        information = np.linalg.pinv(relative[np.ix_(part, part)], hermitian=True)
+        alone = np.sqrt(np.diag(relative)[part])
+        held = 1.0 / np.sqrt(np.diag(information))
+        if np.min(alone / held) > _SURER:
+            yield tuple(names[int(k)] for k in part), deviation

@@ -1,0 +1,131 @@
+"""A fit -> parameters with their intervals, and what must be said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave.parameters import unit_of
+from strainwave.records import Caution, FloatArray, Parameter, Study
+from strainwave.tuning.confidence import Confidence, only_together
+from strainwave.tuning.misfit import Misfit
+from strainwave.tuning.unknowns import (
+    CURVE,
+    KNEES,
+    SETTLING,
+    VISCOUS,
+    combination,
+    link_inertia,
+    total_viscous,
+)
+
+_TOLD = 0.3  # relative deviation up to which a parameter is worth printing
+_REACH = 1.96  # of a 95 % interval, in deviations
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Where the search ended, and how sure that is."""
+
+    misfit: Misfit
+    z: FloatArray  # (n_unknowns,)
+    confidence: Confidence
+    iterations: int
+    converged: bool
+
+
+def parameters_of(fit: Fit, study: Study) -> tuple[tuple[Parameter, ...], FloatArray]:
+    """The unknowns and what is derived from them, with their covariance.
+
+    Parameters
+    ----------
+    fit : Fit
+    study : Study
+
+    Returns
+    -------
+    tuple of Parameter, (n_parameters, n_parameters)
+    """
+    search = fit.misfit.search
+    keys = search.keys
+    names = list(keys)
+    units = [unknown.unit for unknown in search.unknowns]
+    weight = [*np.eye(len(keys))]
+    for number, joint in enumerate(study.joints, start=1):
+        derived = {"total_viscous_friction": total_viscous(study, number)}
+        if study.n_joints > 1:
+            derived["link_inertia"] = link_inertia(study, number)
+        for name, parts in derived.items():
+            names.append((name, number))
+            units.append(unit_of(name, joint))
+            weight.append(combination(keys, parts))
+    W = np.array(weight)
+    values = W @ search.parameters(fit.z)
+    covariance = W @ fit.confidence.combined @ W.T
+    deviation = np.sqrt(np.diag(covariance))
+    found = tuple(
+        _parameter(name, joint, unit, float(value), float(std))
+        for (name, joint), unit, value, std in zip(names, units, values, deviation, strict=True)
+    )
+    return found, covariance
+
+
+def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
+    vague = name in (*VISCOUS, *CURVE, *KNEES) and std > _TOLD * abs(value)
+    if vague or not np.isfinite(std):
+        return Parameter(name, joint, None, None, unit, "tuned")
+    reach = _REACH * std
+    return Parameter(name, joint, value, std, unit, "tuned", (value - reach, value + reach))
+
+
+def warnings_of(
+    fit: Fit, bounded: Sequence[bool], parameters: Sequence[Parameter], study: Study
+) -> Iterator[Caution]:
+    """What a reader of the parameters must know.
+
+    Parameters
+    ----------
+    fit : Fit
+    bounded : sequence of bool
+        Of each unknown, whether it ended at the end of its range.
+    parameters : sequence of Parameter
+    study : Study
+
+    Yields
+    ------
+    Caution
+    """
+    search = fit.misfit.search
+    values = search.parameters(fit.z)
+    deviation = np.sqrt(np.diag(fit.confidence.combined))
+    for k, (unknown, at) in enumerate(zip(search.unknowns, bounded, strict=True)):
+        if at and unknown.name != SETTLING:
+            text = f"the fit ended at the end of its range, {values[k]:.3g} {unknown.unit}: the"
+            text += " records do not agree on it"
+            yield Caution("at-bounds", str(unknown), text)
+        if parameters[k].value is not None:
+            continue
+        told = f"the records tell it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
+        if unknown.name in VISCOUS:
+            told += "; of the viscous frictions only the total is well known"
+            yield Caution("not-identifiable", str(unknown), told)
+        else:
+            told += "; twist the gear further, with a larger amplitude or by holding the link"
+            yield Caution("not-reached", str(unknown), told)
+        if unknown.name == SETTLING:
+            continue
+    for unknown, value in zip(search.unknowns, values, strict=True):
+        if unknown.name == SETTLING:
+            text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
+            text += " it changes sides that much before the motor does"
+            yield Caution("friction-settles", str(unknown), text)
+    names = [str(unknown) for unknown in search.unknowns]
+    for group, spread in only_together(names, values, fit.confidence.combined):
+        text = f"told only together, by {100.0 * spread:.2g} % apart; trust their combination, not"
+        text += " each value"
+        yield Caution("only-together", " and ".join(group), text)
+    if not fit.converged:
+        text = f"still moving after {fit.iterations} iterations; allow more, or record longer"
+        yield Caution("iteration-limit", "tuning", text)
