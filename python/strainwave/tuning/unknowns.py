@@ -120,7 +120,7 @@ class Search:
                 z.append((value - unknown.start) / unknown.scale)
             else:
                 z.append(np.log(max(value / unknown.scale, 1e-12)))
-        return np.clip(np.array(z), -self.reach, self.reach)
+        return np.asarray(np.clip(np.array(z), -self.reach, self.reach))
 
     def holding(self, values: Mapping[Key, float]) -> Search:
         """With some of the unknowns held at given values."""
