@@ -10,7 +10,8 @@ Three covariances, of which each parameter gets the widest:
 
 None of them sees what is wrong with the model in the same way everywhere. Its size shows all the
 same, as residuals larger than the sensors' own noise explains. Such an error does not average away
-with more rows; each deviation is raised by as much as the residuals exceed the noise.
+over the records: the part of the local covariance that the noise does not explain is counted once
+more as if all records had it in common, which is as often as there are records.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     slope = misfit.search.slope(z)
     parts = [slope @ part @ slope.T for part in (inverse, sandwich, jackknife)]
     deviations = np.sqrt([np.diag(part) for part in parts])
-    largest = np.nanmax(deviations, axis=0) * _excess(misfit, products, inverse)
+    common = np.diag(slope @ _beyond_noise(misfit, products, inverse) @ slope.T)
+    common = len(misfit.records) * np.maximum(common, 0.0)
+    largest = np.sqrt(np.nanmax(deviations, axis=0) ** 2 + common)
     raised = np.divide(largest, deviations[0], out=np.ones_like(largest), where=deviations[0] > 0.0)
     return Confidence(parts[0] * np.outer(raised, raised), *parts)
 
@@ -89,12 +92,14 @@ def _scores(misfit: Misfit, z: FloatArray) -> tuple[list[FloatArray], list[Float
     return scores, products
 
 
-def _excess(misfit: Misfit, products: Sequence[FloatArray], inverse: FloatArray) -> FloatArray:
-    """Local deviations over those that the sensors' noise alone would make; at least one."""
-    noise = np.zeros_like(inverse)
+def _beyond_noise(
+    misfit: Misfit, products: Sequence[FloatArray], inverse: FloatArray
+) -> FloatArray:
+    """The part of the local covariance that the sensors' noise does not explain."""
+    excess = np.zeros_like(inverse)
     for share, product in zip(misfit.noise_shares(), products, strict=True):
-        noise += share * product
-    return np.sqrt(np.maximum(1.0, np.diag(inverse) / np.diag(inverse @ noise @ inverse)))
+        excess += (1.0 - share) * product
+    return np.asarray(inverse @ excess @ inverse)
 
 
 def _jackknife(
