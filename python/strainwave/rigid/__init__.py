@@ -169,12 +169,14 @@ def _bandwidths(signals: Sequence[Signals], step: float) -> Iterator[float]:
 
 def _motion_band(signals: Signals) -> float:
     """Frequency below which nine tenths of the velocities' power lie [Hz]."""
-    from scipy.signal import periodogram
-
     highest = 0.0
+    count = len(signals.time)
+    frequency = np.fft.rfftfreq(count, signals.sample_time)
+    along = np.arange(count) - 0.5 * (count - 1)
     for velocity in signals.motor_velocity.T:
-        frequency, power = periodogram(velocity, 1.0 / signals.sample_time, detrend="linear")
-        share = np.cumsum(power)
+        steady = velocity - velocity.mean()
+        steady -= along * (along @ steady / (along @ along))
+        share = np.cumsum(np.abs(np.fft.rfft(steady)) ** 2)
         if share[-1] > 0.0:
             highest = max(highest, float(frequency[np.searchsorted(share, 0.9 * share[-1])]))
     return highest
