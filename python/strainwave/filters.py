@@ -282,9 +282,15 @@ def band_pass(
 
     def response(f: FloatArray) -> ComplexArray:
         gain = (2j * np.pi * f) ** -integrals
-        return np.asarray(gain / ((1.0 + (low_hz / f) ** 8) * (1.0 + (f / high_hz) ** 8)))
+        return np.asarray(
+            gain / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
+        )
 
     return by_spectrum(signal, response, sample_time, 3.0 / low_hz)
+
+
+def _eighth_power(x: FloatArray) -> FloatArray:
+    return np.asarray(np.square(np.square(np.square(x))))  # `**` takes logarithms
 
 
 def by_spectrum(
