@@ -189,7 +189,9 @@ def _in_other_bands(
     found = []
     for other in other_bands(band, [record]):
         try:
-            model = state_space_of(record, replace(options, band_hz=other))
+            model = replace(
+                state_space_of(record, replace(options, band_hz=other)), covariance=None
+            )
             if model.status == "converged" and modes_of(model).resonance:
                 found.append(model)
         except (StrainwaveError, np.linalg.LinAlgError):
