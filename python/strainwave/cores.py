@@ -1,0 +1,43 @@
+"""The computer's cores: one for many small systems, all of them for work that is independent."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from typing import TypeVar
+
+Result = TypeVar("Result")
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Limit BLAS to one thread for a while: threads that meet after each small product cost more.
+
+    Returns
+    -------
+    context manager
+    """
+    import scipy.linalg  # noqa: F401  # its BLAS is its own, and only what is loaded is limited
+    from threadpoolctl import threadpool_limits
+
+    limit: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    return limit
+
+
+def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Do independent jobs on all cores.
+
+    Threads, because NumPy and the core let go of the interpreter while they work.
+
+    Parameters
+    ----------
+    jobs : sequence of callable
+
+    Returns
+    -------
+    list
+        Their results, in order. The first exception among them is raised.
+    """
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return [done.result() for done in [pool.submit(job) for job in jobs]]
