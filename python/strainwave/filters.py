@@ -214,20 +214,31 @@ def lagged(
     """
     if not lags:
         return signal
-    numerator, denominator = _discrete(tuple(lags), sample_time, held)
-    slowest = float(np.abs(np.roots(denominator)).max())
-    # so many zeros behind that the answer has died away where the spectrum joins the ends
-    settled = int(np.ceil(np.log(np.finfo(float).eps) / np.log(max(slowest, 1e-3))))
     n = len(signal)
-    size = _fast_length(n + settled)
-    z = np.exp(-2j * np.pi * np.fft.rfftfreq(size))
-    response = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
+    response, size = _lag_response(tuple(lags), sample_time, held, n)
     spectrum = np.fft.rfft(signal - signal[:1], size, axis=0)
     spectrum *= response.reshape(-1, *(1,) * (signal.ndim - 1))
     return np.asarray(signal[:1] + np.fft.irfft(spectrum, size, axis=0)[:n])
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=32)
+def _lag_response(
+    lags: tuple[Lag, ...], sample_time: float, held: bool, n: int
+) -> tuple[ComplexArray, int]:
+    """Response of the cascade at the lines of a transform, and that one's length.
+
+    So many zeros stand behind n samples that the answer has died away where the ends meet. A
+    record's channels share it.
+    """
+    numerator, denominator = _discrete(lags, sample_time, held)
+    slowest = float(np.abs(np.roots(denominator)).max())
+    settled = int(np.ceil(np.log(np.finfo(float).eps) / np.log(max(slowest, 1e-3))))
+    size = _fast_length(n + settled)
+    z = np.exp(-2j * np.pi * np.fft.rfftfreq(size))
+    response = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
+    return np.asarray(response, dtype=np.complex128), size
+
+
 def _discrete(
     lags: tuple[Lag, ...], sample_time: float, held: bool
 ) -> tuple[FloatArray, FloatArray]:

@@ -144,7 +144,7 @@ def responses(
     ----------
     shapes : sequence of (first sample, shape)
     rows : (n_rows,)
-        Samples wanted.
+        Samples wanted, in rising order.
     kernel : (2 reach + 1,)
         The filter's answer to an impulse at its middle; it must have died away at both ends.
 
@@ -153,10 +153,10 @@ def responses(
     (n_rows, n_shapes)
     """
     reach = len(kernel) // 2
-    result = np.zeros((len(rows), len(shapes)))
-    for k, (first, shape) in enumerate(shapes):
+    result = np.zeros((len(shapes), len(rows)))
+    for column, (first, shape) in zip(result, shapes, strict=True):
         response = np.convolve(shape, kernel)
-        at = rows - (first - reach)
-        inside = (at >= 0) & (at < len(response))
-        result[inside, k] = response[at[inside]]
-    return result
+        start = first - reach
+        low, high = np.searchsorted(rows, (start, start + len(response)))
+        column[low:high] = response[rows[low:high] - start]
+    return np.ascontiguousarray(result.T)

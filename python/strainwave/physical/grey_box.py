@@ -139,13 +139,13 @@ def fit_grey_box(
                 "is not seen"
             )
     band = band_hz or _possible(*_FIRST_BAND_HZ, records)
-    equations = _equations(records, study, known, band, None)
+    equations = _equations(records, study, known, band)
     for _ in range(0 if band_hz else _BANDS - 1):
         equations = _settled(equations, known, _ROUGHLY)
         before, band = band, _band_around(_joint_of(equations), records, band)
         if all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(before, band, strict=True)):
             break
-        equations = _equations(records, study, known, band, equations.x)
+        equations = _equations(records, study, known, band, equations)
     equations = _settled(equations, known, _SETTLED)
     fit = _result(equations, known, band)
     if band_hz is not None:
@@ -156,7 +156,7 @@ def fit_grey_box(
         (band[0] * _OTHER_BAND, band[1] / _OTHER_BAND),
         (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
     ):
-        other = _equations(records, study, known, _possible(low, high, records), equations.x)
+        other = _equations(records, study, known, _possible(low, high, records), equations)
         moves.append(_physical(_settled(other, known, _NEARLY).x) - own)
     return replace(fit, covariance=fit.covariance + _model_error(moves))
 
@@ -280,13 +280,21 @@ def _equations(
     study: Study,
     known: RigidKnowledge,
     band: tuple[float, float],
-    start: FloatArray | None,
+    near: _Weighted | None = None,
 ) -> _Weighted:
-    """In one band, around a start, with first weights."""
+    """In one band: around the solution in another, where there is one, and weighted as there."""
     pieces = tuple(_piece(signals, joint, study, band) for signals, joint in records)
-    x = _start(pieces) if start is None else start
-    equations = _assemble(pieces, known, x)
-    return _Weighted(pieces, equations, ls.first_weights(equations.target, equations.group), x)
+    if near is None:
+        x = _start(pieces)
+        equations = _assemble(pieces, known, x)
+        root = ls.first_weights(equations.target, equations.group)
+        return _Weighted(pieces, equations, root, x)
+    equations = _assemble(pieces, known, near.x)
+    root = np.ones_like(equations.target)
+    for group in range(2 * len(pieces)):
+        usual = np.median(near.root[near.equations.group == group])
+        root[equations.group == group] = usual
+    return _Weighted(pieces, equations, root, near.x)
 
 
 def _settled(weighted: _Weighted, known: RigidKnowledge, within: float) -> _Weighted:
