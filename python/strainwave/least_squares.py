@@ -123,22 +123,35 @@ def _eliminated(Z: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArra
 
     An unknown occurs in a stretch of rows, so that few rows together have but a few unknowns.
     """
-    from scipy.linalg import cho_solve, lapack
-
     gram: FloatArray = np.eye(Z.shape[1])
     windows = list(_windows(Z))
     for rows, unknowns in windows:
         few = Z[rows, unknowns]
         gram[unknowns, unknowns] += few.T @ few
-    lower, _ = lapack.dpotrf(gram, lower=True, clean=True)
-    found = cho_solve((lower, True), Z.T @ right, check_finite=False)
-    inverse, _ = lapack.dpotri(lower, lower=True)  # its lower half, zeros above
+    inverse = _inverted(np.asarray(np.linalg.cholesky(gram)))
+    found = inverse.T @ (inverse @ (Z.T @ right))
     leverage = np.zeros(len(Z))
     for rows, unknowns in windows:
-        few = Z[rows, unknowns]
-        half = inverse[unknowns, unknowns]
-        leverage[rows] = np.sum(few * (2.0 * (few @ half) - few * np.diag(half)), axis=1)
+        inner = inverse[unknowns.start :, unknowns] @ Z[rows, unknowns].T
+        leverage[rows] = np.sum(inner**2, axis=0)
     return found, leverage
+
+
+def _inverted(lower: FloatArray) -> FloatArray:
+    """Inverse of a triangular matrix by halves.
+
+    Nearly all of it is matrix products, during which NumPy lets other threads run; SciPy's
+    triangular solvers do not.
+    """
+    n = len(lower)
+    if n <= _SIDE_BY_SIDE:
+        return np.asarray(np.linalg.inv(lower))
+    half = n // 2
+    found = np.zeros_like(lower)
+    found[:half, :half] = first = _inverted(lower[:half, :half])
+    found[half:, half:] = second = _inverted(lower[half:, half:])
+    found[half:, :half] = -second @ (lower[half:, :half] @ first)
+    return found
 
 
 def _windows(Z: FloatArray) -> Iterator[tuple[slice, slice]]:
