@@ -53,10 +53,12 @@ def low_pass(signal: FloatArray, cutoff_hz: float, sample_time: float) -> FloatA
     turns = np.tan(np.pi * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
     gain = np.zeros(size // 2 + 1)  # none at Nyquist
     gain[:-1] = 1.0 / (1.0 + turns ** (2 * BUTTERWORTH_ORDER))
-    spectrum = np.fft.rfft(longer - line, size, axis=0)
+    longer -= line
+    spectrum = np.fft.rfft(longer, size, axis=0)
     spectrum *= gain.reshape(-1, *(1,) * (signal.ndim - 1))
-    passed = np.fft.irfft(spectrum, size, axis=0)[pad : pad + n]
-    return np.asarray(passed + line[pad : pad + n])
+    passed: FloatArray = np.fft.irfft(spectrum, size, axis=0)[pad : pad + n]
+    passed += line[pad : pad + n]
+    return passed
 
 
 def _continued(signal: FloatArray, pad: int) -> FloatArray:
