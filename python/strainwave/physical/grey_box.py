@@ -49,9 +49,9 @@ _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
 _ROUNDS = 8  # of weights and linearisation at one band, at most
-# of a deviation, by which a round still moves the unknowns: in the end, where a difference between
-# bands is looked for, and where only the next band is
-_SETTLED, _NEARLY, _ROUGHLY = 0.01, 0.1, 1.0
+# of a deviation, by which a round still moves the unknowns: in an answer, and where all that is
+# looked for is the next band
+_SETTLED, _ROUGHLY = 0.01, 1.0
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
@@ -157,7 +157,7 @@ def fit_grey_box(
         (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
     ):
         other = _equations(records, study, known, _possible(low, high, records), equations)
-        moves.append(_physical(_settled(other, known, _NEARLY).x) - own)
+        moves.append(_physical(_settled(other, known, _SETTLED).x) - own)
     return replace(fit, covariance=fit.covariance + _model_error(moves))
 
 
