@@ -54,7 +54,9 @@ def identify(
 ) -> None:
     """Identify the arm: logs in, DIR/result.json and DIR/report.html out."""
     from strainwave import pipeline
+    from strainwave.cores import keep_memory
 
+    keep_memory()
     chosen = pipeline.STAGES if stages is None else tuple(s.strip() for s in stages.split(","))
     with _progress(quiet) as tell:
         identification = pipeline.identify(study, stages=chosen, progress=tell)

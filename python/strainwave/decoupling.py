@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.errors import NotIdentifiable
+from strainwave.filters import spectra
 from strainwave.interaction import (
     base_parameters,
     interaction_torques,
@@ -18,6 +19,7 @@ from strainwave.interaction import (
 from strainwave.records import (
     Caution,
     Check,
+    ComplexArray,
     Decoupled,
     FloatArray,
     LinkSignals,
@@ -146,16 +148,10 @@ def _band(signals: LinkSignals, i: int) -> tuple[float, float]:
     return lowest, max(4.0 * lowest, float(frequency[np.searchsorted(share, _SHARE * share[-1])]))
 
 
-def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
+def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
     """Cross-spectral density matrices by Welch's method: (n_frequencies, n, n), complex."""
-    from scipy.signal import csd
-
     segment = max(16, 2 * len(columns) // (_SEGMENTS + 1))
-    rows = np.ascontiguousarray(columns.T)
-    frequency, density = csd(
-        rows[:, None], rows[None], 1.0 / sample_time, nperseg=min(segment, len(columns))
-    )
-    return frequency, np.moveaxis(density, -1, 0)
+    return spectra(columns, sample_time, min(segment, len(columns)))
 
 
 def _richness(

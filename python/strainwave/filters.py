@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -23,7 +24,8 @@ _LEAST_SAMPLES = 32
 def low_pass(signal: FloatArray, cutoff_hz: float, sample_time: float) -> FloatArray:
     """Forward-backward Butterworth low-pass: no phase, squared magnitude of one pass.
 
-    |H|^2 = 1 / (1 + (f / cutoff_hz)^(2 order)), so that H = 1/2 at the cut-off.
+    |H|^2 = 1 / (1 + (tan(pi f T) / tan(pi cutoff_hz T))^(2 order)), so that H = 1/2 at the cut-off,
+    applied to the spectrum of the signal continued at both ends by its own point reflection.
 
     Parameters
     ----------
@@ -37,22 +39,40 @@ def low_pass(signal: FloatArray, cutoff_hz: float, sample_time: float) -> FloatA
     (n_samples, ...)
         The first and last 1/cutoff_hz seconds hold the filter's transients.
     """
-    if cutoff_hz * sample_time >= 0.45:
+    relative = cutoff_hz * sample_time
+    if relative >= 0.45:
         return signal
-    from scipy.signal import sosfiltfilt
+    n = len(signal)
+    pad = min(n - 1, int(4.0 / relative))
+    longer = _continued(signal, pad)
+    # a straight line passes as it is; without it, the ends meet where the spectrum joins them
+    whole = len(longer)
+    slope = (longer[-1] - longer[0]) / (whole - 1)
+    line = longer[0] + np.multiply.outer(np.arange(whole), slope)
+    size = _fast_length(whole)
+    turns = np.tan(np.pi * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
+    gain = np.zeros(size // 2 + 1)  # none at Nyquist
+    gain[:-1] = 1.0 / (1.0 + turns ** (2 * BUTTERWORTH_ORDER))
+    longer -= line
+    spectrum = np.fft.rfft(longer, size, axis=0)
+    spectrum *= gain.reshape(-1, *(1,) * (signal.ndim - 1))
+    passed: FloatArray = np.fft.irfft(spectrum, size, axis=0)[pad : pad + n]
+    passed += line[pad : pad + n]
+    return passed
 
-    sections = _sections(2.0 * cutoff_hz * sample_time)
-    pad = min(len(signal) - 1, int(3.0 / (cutoff_hz * sample_time)))
-    filtered: FloatArray = sosfiltfilt(sections, signal, axis=0, padlen=pad)
-    return filtered
+
+def _continued(signal: FloatArray, pad: int) -> FloatArray:
+    """A signal with its point reflections before and behind, `pad` samples each."""
+    before = 2.0 * signal[:1] - signal[pad:0:-1]
+    after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
+    return np.concatenate([before, signal, after])
 
 
-@lru_cache(maxsize=64)
-def _sections(relative_cutoff: float) -> FloatArray:
-    from scipy.signal import butter
-
-    sections: FloatArray = butter(BUTTERWORTH_ORDER, relative_cutoff, output="sos")
-    return sections
+@lru_cache(maxsize=256)
+def _fast_length(least: int) -> int:
+    """The next even length of small factors only, which the Fourier transform is quick at."""
+    odd: list[int] = [3**i * 5**j for i in range(8) for j in range(4)]
+    return min(each << max(1, (-(-least // each) - 1).bit_length()) for each in odd)
 
 
 def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
@@ -114,13 +134,12 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     float [Hz]
         At most a fifth of the sampling rate; a filter above this adds noise, not signal.
     """
-    from scipy.signal import welch
-
     rate = 1.0 / sample_time
     if len(angle) < _LEAST_SAMPLES:
         return 0.2 * rate
     segment = min(len(angle) // 4, max(256, round(2.0 * rate)))
-    frequency, power = welch(np.diff(angle), rate, nperseg=segment, detrend="linear")
+    frequency, density = spectra(np.diff(angle)[:, None], sample_time, segment, trend="line")
+    power = density[:, 0, 0].real
     # of the difference's spectrum back to the angle's, without the leakage of its trend
     power = power[1:] / (2.0 * np.sin(np.pi * frequency[1:] * sample_time)) ** 2
     frequency = frequency[1:]
@@ -133,6 +152,44 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     ends = np.flatnonzero(np.diff(above) > gap)
     last = above[ends[0]] if ends.size else above[-1]
     return float(min(frequency[last], 0.2 * rate))
+
+
+def spectra(
+    columns: FloatArray,
+    sample_time: float,
+    segment: int,
+    *,
+    trend: Literal["mean", "line"] = "mean",
+) -> tuple[FloatArray, ComplexArray]:
+    """Cross-spectral densities by Welch's method: Hann windows that half overlap.
+
+    Parameters
+    ----------
+    columns : (n_samples, n_columns)
+    sample_time : float [s]
+    segment : int
+        Samples in a window.
+    trend : "mean" or "line"
+        What is taken off each window first.
+
+    Returns
+    -------
+    frequencies : (n_frequencies,) [Hz]
+    densities : (n_frequencies, n_columns, n_columns) [1/Hz]
+        One-sided; conj(x_i) x_j in place (i, j).
+    """
+    step = segment - segment // 2
+    windows = np.lib.stride_tricks.sliding_window_view(columns, segment, axis=0)[::step]
+    windows = windows - windows.mean(axis=2, keepdims=True)
+    if trend == "line":
+        along = np.arange(segment) - 0.5 * (segment - 1)
+        windows -= (windows @ along)[:, :, None] * (along / (along @ along))
+    weight = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(segment) / segment)
+    lines = np.moveaxis(np.fft.rfft(windows * weight), 2, 0)  # (n_frequencies, n_windows, n)
+    density = np.swapaxes(lines, 1, 2).conj() @ lines
+    density *= sample_time / (len(windows) * (weight @ weight))
+    density[1 : (segment + 1) // 2] *= 2.0
+    return np.asarray(np.fft.rfftfreq(segment, sample_time)), np.asarray(density)
 
 
 def lagged(
@@ -159,31 +216,59 @@ def lagged(
     """
     if not lags:
         return signal
-    from scipy.signal import lfilter, lfilter_zi
-
-    numerator, denominator = _discrete(tuple(lags), sample_time, held)
-    at_rest = lfilter_zi(numerator, denominator)
-    at_rest = at_rest.reshape(-1, *(1,) * (signal.ndim - 1)) * signal[:1]
-    passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=at_rest)
-    return np.asarray(passed)
+    n = len(signal)
+    response, size = _lag_response(tuple(lags), sample_time, held, n)
+    spectrum = np.fft.rfft(signal - signal[:1], size, axis=0)
+    spectrum *= response.reshape(-1, *(1,) * (signal.ndim - 1))
+    return np.asarray(signal[:1] + np.fft.irfft(spectrum, size, axis=0)[:n])
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=32)
+def _lag_response(
+    lags: tuple[Lag, ...], sample_time: float, held: bool, n: int
+) -> tuple[ComplexArray, int]:
+    """Response of the cascade at the lines of a transform, and that one's length.
+
+    So many zeros stand behind n samples that the answer has died away where the ends meet. A
+    record's channels share it.
+    """
+    numerator, denominator = _discrete(lags, sample_time, held)
+    slowest = float(np.abs(np.roots(denominator)).max())
+    settled = int(np.ceil(np.log(np.finfo(float).eps) / np.log(max(slowest, 1e-3))))
+    size = _fast_length(n + settled)
+    z = np.exp(-2j * np.pi * np.fft.rfftfreq(size))
+    response = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
+    return np.asarray(response, dtype=np.complex128), size
+
+
 def _discrete(
     lags: tuple[Lag, ...], sample_time: float, held: bool
 ) -> tuple[FloatArray, FloatArray]:
-    from scipy.signal import cont2discrete
+    """Numerator and denominator in z, highest power first.
 
-    denominator = np.ones(1)
+    One matrix exponential solves x' = A x + B u between two samples (Van Loan, IEEE Trans. AC 23,
+    1978), with u constant or, by one more block, running straight from sample to sample.
+    """
+    from scipy.linalg import expm
+
+    denominator: FloatArray = np.ones(1)
     for lag in lags:
-        w = 2.0 * np.pi * lag.cutoff_hz
+        w = 2.0 * np.pi * lag.cutoff_hz * sample_time
         section = [1.0 / w, 1.0] if lag.order == 1 else [1.0 / w**2, np.sqrt(2.0) / w, 1.0]
-        denominator = np.polymul(denominator, section)
-    # in samples, so that the coefficients are of like size
-    scale = sample_time ** np.arange(len(denominator) - 1, -1, -1)
-    system = (np.ones(1), denominator / scale)
-    numerator, denominator, _ = cont2discrete(system, 1.0, method="zoh" if held else "foh")
-    return np.ravel(numerator), np.asarray(denominator)
+        denominator = np.asarray(np.polymul(denominator, section), dtype=np.float64)
+    n = len(denominator) - 1
+    whole = np.zeros((n + 2, n + 2))
+    whole[0, :n] = -denominator[1:] / denominator[0]
+    whole[np.arange(1, n), np.arange(n - 1)] = 1.0
+    whole[0, n] = whole[n, n + 1] = 1.0
+    top = expm(whole)[:n]
+    A, B, C, D = top[:, :n], top[:, n], np.zeros(n), 0.0
+    C[-1] = 1.0 / denominator[0]
+    if not held:
+        D = float(C @ top[:, n + 1])
+        B = B - top[:, n + 1] + A @ top[:, n + 1]
+    poles = np.poly(A)
+    return np.real(np.poly(A - np.outer(B, C)) + (D - 1.0) * poles), np.real(poles)
 
 
 def band_pass(
@@ -210,9 +295,15 @@ def band_pass(
 
     def response(f: FloatArray) -> ComplexArray:
         gain = (2j * np.pi * f) ** -integrals
-        return np.asarray(gain / ((1.0 + (low_hz / f) ** 8) * (1.0 + (f / high_hz) ** 8)))
+        return np.asarray(
+            gain / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
+        )
 
     return by_spectrum(signal, response, sample_time, 3.0 / low_hz)
+
+
+def _eighth_power(x: FloatArray) -> FloatArray:
+    return np.asarray(np.square(np.square(np.square(x))))  # `**` takes logarithms
 
 
 def by_spectrum(
@@ -237,21 +328,17 @@ def by_spectrum(
     -------
     (n_samples, ...)
     """
-    from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-
     n = len(signal)
     pad = min(n - 1, int(reach / sample_time))
-    before = 2.0 * signal[:1] - signal[pad:0:-1]
-    after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
-    longer = np.concatenate([before, signal, after])
-    size = next_fast_len(len(longer) + pad)
-    f = rfftfreq(size, sample_time)[1:]
-    spectrum = rfft(longer, size, axis=0)[1:]
+    longer = _continued(signal, pad)
+    size = _fast_length(len(longer) + pad)
+    f: FloatArray = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
+    spectrum = np.fft.rfft(longer, size, axis=0)[1:]
     gain = response(f)
     if gain.ndim == 3:
         spectrum = np.einsum("foi,fi->fo", gain, spectrum)
     else:
         spectrum = spectrum * gain.reshape(-1, *(1,) * (signal.ndim - 1))
     whole = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
-    passed: FloatArray = irfft(whole, size, axis=0)[pad : pad + n]
+    passed: FloatArray = np.fft.irfft(whole, size, axis=0)[pad : pad + n]
     return passed

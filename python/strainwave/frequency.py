@@ -303,14 +303,13 @@ def _dip_and_peak(
     frequency: FloatArray, response: ComplexArray, low: float, high: float
 ) -> tuple[float, float]:
     """Where a response divided by that of a mere inertia has its least, and then its largest."""
-    from scipy.signal import medfilt
-
     inside = np.flatnonzero((frequency >= low) & (frequency <= high))
     if inside.size < _FEW_LINES:
         raise NotIdentifiable("too few spectral lines in the band")
     rigid = np.abs(response[inside]) * frequency[inside]
-    smooth = medfilt(np.log(np.maximum(rigid, 1e-300)), _SMOOTH)[2:-2]
-    found = frequency[inside][2:-2]
+    lines = np.lib.stride_tricks.sliding_window_view(np.log(np.maximum(rigid, 1e-300)), _SMOOTH)
+    smooth = np.median(lines, axis=1)
+    found = frequency[inside][_SMOOTH // 2 : -(_SMOOTH // 2)]
     best, pair = 0.0, (0, 0)
     least = 0
     # the largest rise from a least value to a later one

@@ -19,6 +19,7 @@ KNOWN = -1
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
 _TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
+_SIDE_BY_SIDE = 64  # rows taken together: more have more unknowns, fewer are many products
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
 
 
@@ -87,8 +88,6 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     -------
     Factor
     """
-    from scipy.linalg import cho_factor, cho_solve, solve_triangular
-
     p = equations.shared.shape[1]
     X = equations.shared * root[:, None]
     scale = np.linalg.norm(X, axis=0)
@@ -98,13 +97,9 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     taken: list[FloatArray] = []
     for part, deviation in _parts(equations):
         Z = part.columns * (root[part.rows, None] * deviation)
-        gram = Z.T @ Z
-        gram[np.diag_indices_from(gram)] += 1.0
-        lower, _ = chol = cho_factor(gram, lower=True)
-        taken.append(cho_solve(chol, Z.T @ Xy[part.rows]))
-        Xy[part.rows] -= Z @ taken[-1]
-        inner = solve_triangular(lower, Z.T, lower=True, check_finite=False)
-        lent[part.rows] = np.sum(inner**2, axis=0)
+        found, lent[part.rows] = _eliminated(Z, Xy[part.rows])
+        taken.append(found)
+        Xy[part.rows] -= Z @ found
     below = np.concatenate([np.zeros((0, p + 1)), *taken])
     Q, R = np.linalg.qr(np.vstack([Xy, -below]))
     U, s, Vt = np.linalg.svd(R[:p, :p])
@@ -121,6 +116,51 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
         seen=seen,
         leverage=np.sum(Q[: len(root), :p] ** 2, axis=1) + lent,
     )
+
+
+def _eliminated(Z: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(Z'Z + I)^-1 Z' right, and the diagonal of Z (Z'Z + I)^-1 Z'.
+
+    An unknown occurs in a stretch of rows, so that few rows together have but a few unknowns.
+    """
+    gram: FloatArray = np.eye(Z.shape[1])
+    windows = list(_windows(Z))
+    for rows, unknowns in windows:
+        few = Z[rows, unknowns]
+        gram[unknowns, unknowns] += few.T @ few
+    inverse = _inverted(np.asarray(np.linalg.cholesky(gram)))
+    found = inverse.T @ (inverse @ (Z.T @ right))
+    leverage = np.zeros(len(Z))
+    for rows, unknowns in windows:
+        inner = inverse[unknowns.start :, unknowns] @ Z[rows, unknowns].T
+        leverage[rows] = np.sum(inner**2, axis=0)
+    return found, leverage
+
+
+def _inverted(lower: FloatArray) -> FloatArray:
+    """Inverse of a triangular matrix by halves.
+
+    Nearly all of it is matrix products, during which NumPy lets other threads run; SciPy's
+    triangular solvers do not.
+    """
+    n = len(lower)
+    if n <= _SIDE_BY_SIDE:
+        return np.asarray(np.linalg.inv(lower))
+    half = n // 2
+    found = np.zeros_like(lower)
+    found[:half, :half] = first = _inverted(lower[:half, :half])
+    found[half:, half:] = second = _inverted(lower[half:, half:])
+    found[half:, :half] = -second @ (lower[half:, :half] @ first)
+    return found
+
+
+def _windows(Z: FloatArray) -> Iterator[tuple[slice, slice]]:
+    """Rows side by side, and the unknowns from the first to the last that they have."""
+    for start in range(0, len(Z), _SIDE_BY_SIDE):
+        rows = slice(start, start + _SIDE_BY_SIDE)
+        used = np.flatnonzero(Z[rows].any(axis=0))
+        if len(used):
+            yield rows, slice(int(used[0]), int(used[-1]) + 1)
 
 
 def _parts(equations: Equations) -> Iterator[tuple[Local, FloatArray]]:

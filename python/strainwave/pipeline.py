@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from strainwave import (
@@ -28,6 +29,7 @@ from strainwave import (
     tuning,
     validation,
 )
+from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.files import write_whole
 from strainwave.records import (
@@ -49,6 +51,8 @@ from strainwave.replay import missing_for_replay
 
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
+
+_Found = RecordModel | JointModel | Caution
 
 Progress = Callable[[str], None]
 """Called with what is being done, at the start of each part."""
@@ -104,7 +108,11 @@ def identify(
     InvalidInput
         The study, a log or an argument is at fault.
     """
-    run = _Run(check_stages(stages), progress)
+    with one_blas_thread():  # once for all: threads must not set it for one another
+        return _identify(study_path, _Run(check_stages(stages), progress))
+
+
+def _identify(study_path: Path, run: _Run) -> Identification:
     with run.timed("read", "reading the logs"):
         the_study = study.read_study(study_path)
         all_logs = logs.read_logs(the_study)
@@ -193,38 +201,58 @@ def _decoupled(
         return (), (), {}
     if model is None and not _alone(the_study):
         return (), (), {}  # why there is none has been said
-    records = []
-    together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
-    at_full: list[tuple[Decoupled, ...]] = []
+    seen: list[tuple[Log, LinkSignals, tuple[Decoupled, ...]]] = []
     with run.timed("decoupled", "decoupling the joints"):
         try:
             for log in excited:
                 run.progress(f"decoupling the joints: {log.name}")
-                seen = links.link_side(log, the_study)
-                run.warnings.extend(seen.warnings)
-                parts = decoupling.decouple(seen, model, the_study)
-                at_once = log.experiment.use == "frequency"
-                how = physical.RecordOptions(state_space=at_once)
-                if at_once:
-                    at_full.append(parts)
-                for part in _excited_joints(parts, log):
-                    run.warnings.extend(part.warnings)
-                    records.append(physical.identify_record(seen, part, model, the_study, how))
-                    if at_once:
-                        together.setdefault(part.joint, []).append((seen, part))
+                both_sides = links.link_side(log, the_study)
+                run.warnings.extend(both_sides.warnings)
+                parts = decoupling.decouple(both_sides, model, the_study)
+                run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
+                seen.append((log, both_sides, parts))
         except NotIdentifiable as failure:
             run.reasons.append(str(failure))
             return (), (), {}
-        joints = []
-        for joint in sorted(together):
-            try:
-                joints.append(physical.identify_joint(together[joint], model, the_study))
-            except NotIdentifiable as failure:
-                run.warnings.append(Caution("not-identifiable", f"joint {joint}", str(failure)))
+        records, joints, together = _physical(run, the_study, model, seen)
     for found in joints:
         run.warnings.extend(found.warnings)
+    at_full = [parts for log, _, parts in seen if log.experiment.use == "frequency"]
     responses = {joint: _response([parts[joint - 1] for parts in at_full]) for joint in together}
     return tuple(records), tuple(joints), {j: r for j, r in responses.items() if r is not None}
+
+
+def _physical(
+    run: _Run,
+    the_study: Study,
+    model: RigidModel | None,
+    seen: Sequence[tuple[Log, LinkSignals, tuple[Decoupled, ...]]],
+) -> tuple[list[RecordModel], list[JointModel], list[int]]:
+    """Models of each record and, for each joint excited at full amplitude, of all at once."""
+    one_by_one: list[Callable[[], _Found]] = []
+    together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
+    for log, both_sides, parts in seen:
+        at_once = log.experiment.use == "frequency"
+        how = physical.RecordOptions(state_space=at_once)
+        for part in _excited_joints(parts, log):
+            one_by_one.append(
+                partial(physical.identify_record, both_sides, part, model, the_study, how)
+            )
+            if at_once:
+                together.setdefault(part.joint, []).append((both_sides, part))
+
+    def all_at_once(joint: int) -> JointModel | Caution:
+        try:
+            return physical.identify_joint(together[joint], model, the_study)
+        except NotIdentifiable as failure:
+            return Caution("not-identifiable", f"joint {joint}", str(failure))
+
+    numbers = sorted(together)
+    at_once_first: list[Callable[[], _Found]] = [partial(all_at_once, n) for n in numbers]
+    found = side_by_side(at_once_first + one_by_one)  # the longest jobs first
+    records = [each for each in found if isinstance(each, RecordModel)]
+    run.warnings.extend(each for each in found if isinstance(each, Caution))
+    return records, [each for each in found if isinstance(each, JointModel)], numbers
 
 
 def _tuned(

@@ -8,8 +8,8 @@ import numpy as np
 
 from strainwave.channels import channel_of, directions, saturation, torque_channel
 from strainwave.errors import InvalidInput
-from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
-from strainwave.records import FloatArray, Joint, Log, Signals, Study
+from strainwave.filters import differentiate, lagged, low_pass, noise_deviation, signal_band
+from strainwave.records import FloatArray, Joint, Lag, Log, Signals, Study
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +114,7 @@ def drive_torque(voltage: FloatArray, joint: Joint, sample_time: float) -> Float
     wanted = joint.torque_per_volt * 0.5 * (voltage + np.r_[voltage[:1], voltage[:-1]])
     if joint.current_loop_hz is None:
         return np.asarray(wanted)
-    from scipy.signal import lfilter
-
-    x = 2.0 * np.pi * joint.current_loop_hz * sample_time
-    pole = np.exp(-x)
-    before = (1.0 - pole) / x - pole
-    now = 1.0 - (1.0 - pole) / x
-    lagged, _ = lfilter([now, before], [1.0, -pole], wanted, zi=wanted[:1] * (1.0 - now))
-    return np.asarray(lagged)
+    return lagged(wanted, [Lag(1, joint.current_loop_hz)], sample_time)
 
 
 def _torque(log: Log, joint: Joint, channel: str) -> FloatArray:

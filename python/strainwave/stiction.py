@@ -7,10 +7,14 @@ stands, the friction torque is anywhere in [-f, f]: there it is an unknown of it
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from strainwave.records import BoolArray, FloatArray, IntArray
+
+Value = TypeVar("Value", np.bool_, np.float64)
 
 
 def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> FloatArray:
@@ -68,12 +72,33 @@ def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int,
 
 def _stands(angle: FloatArray, resolution: float, standing: int) -> BoolArray:
     """Samples inside a window of `standing` ones over which the angle keeps within resolution."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
     width = max(2, standing)
-    spread = maximum_filter1d(angle, width) - minimum_filter1d(angle, width)
-    quiet = (spread <= resolution).astype(np.int8)
-    return np.asarray(maximum_filter1d(quiet, width) > 0)
+    spread = running(np.maximum, angle, width) - running(np.minimum, angle, width)
+    return running(np.logical_or, spread <= resolution, width)
+
+
+def running(extreme: np.ufunc, values: NDArray[Value], width: int) -> NDArray[Value]:
+    """The largest, or the least, of `width` values about each one.
+
+    Parameters
+    ----------
+    extreme : ufunc
+        `np.maximum`, `np.minimum`, `np.logical_or` or `np.logical_and`.
+    values : (n,)
+    width : int
+        Of an even number, one more lies before than behind; at the ends there are fewer.
+
+    Returns
+    -------
+    (n,)
+    """
+    found = np.pad(values, (width // 2, (width - 1) // 2), mode="edge")
+    reach = 1  # of each value found so far; two of them make one of up to twice the reach
+    while reach < width:
+        step = min(reach, width - reach)
+        found = extreme(found[:-step], found[step:])
+        reach += step
+    return found
 
 
 def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatArray]]:
@@ -119,7 +144,7 @@ def responses(
     ----------
     shapes : sequence of (first sample, shape)
     rows : (n_rows,)
-        Samples wanted.
+        Samples wanted, in rising order.
     kernel : (2 reach + 1,)
         The filter's answer to an impulse at its middle; it must have died away at both ends.
 
@@ -128,10 +153,10 @@ def responses(
     (n_rows, n_shapes)
     """
     reach = len(kernel) // 2
-    result = np.zeros((len(rows), len(shapes)))
-    for k, (first, shape) in enumerate(shapes):
+    result = np.zeros((len(shapes), len(rows)))
+    for column, (first, shape) in zip(result, shapes, strict=True):
         response = np.convolve(shape, kernel)
-        at = rows - (first - reach)
-        inside = (at >= 0) & (at < len(response))
-        result[inside, k] = response[at[inside]]
-    return result
+        start = first - reach
+        low, high = np.searchsorted(rows, (start, start + len(response)))
+        column[low:high] = response[rows[low:high] - start]
+    return np.ascontiguousarray(result.T)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.records import FloatArray, Fusion
+from strainwave.filters import lagged
+from strainwave.records import FloatArray, Fusion, Lag
 
 
 def fuse(rate: FloatArray, slow: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
@@ -34,7 +35,7 @@ def fuse(rate: FloatArray, slow: FloatArray, fusion: Fusion, sample_time: float)
 
 
 def complement(signal: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
-    """The low-pass F of the fusion, from rest at zero.
+    """The low-pass F of the fusion, from rest at the first sample.
 
     Parameters
     ----------
@@ -46,12 +47,8 @@ def complement(signal: FloatArray, fusion: Fusion, sample_time: float) -> FloatA
     -------
     (n_samples,)
     """
-    from scipy.signal import cont2discrete, lfilter
-
-    T = fusion.time_constant / sample_time
-    denominator = [T, 1.0] if fusion.order == 1 else [T**2, np.sqrt(2.0) * T, 1.0]
-    b, a, _ = cont2discrete(([1.0], denominator), 1.0, method="foh")
-    return np.asarray(lfilter(np.ravel(b), a, signal))
+    low_pass = Lag(fusion.order, 1.0 / (2.0 * np.pi * fusion.time_constant))
+    return lagged(signal, [low_pass], sample_time)
 
 
 def bias_of(acceleration: FloatArray, velocity: FloatArray, sample_time: float, edge: int) -> float:

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from strainwave.cores import one_blas_thread
 from strainwave.errors import StrainwaveError
 from strainwave.physical.grey_box import GreyBoxFit, RigidKnowledge, fit_grey_box
 from strainwave.physical.linear import (
@@ -94,15 +95,13 @@ def identify_joint(
         A parameter that the records hardly tell has the value None, and a warning says so; an
         impossible one is reported as it came, with a warning.
     """
-    from threadpoolctl import threadpool_limits
-
     chosen = options or PhysicalOptions()
     number = records[0][1].joint
     joint = study.joints[number - 1]
     known = rigid_knowledge(model, study, number, [signals for signals, _ in records])
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
-    with threadpool_limits(limits=1, user_api="blas"):  # many small systems, as in the rigid step
+    with one_blas_thread():  # many small systems, as in the rigid step
         fit = fit_grey_box(records, study, known, chosen.band_hz)
     names = tuple(signals.experiment.name for signals, _ in records)
     values = _values(fit)
@@ -189,7 +188,9 @@ def _in_other_bands(
     found = []
     for other in other_bands(band, [record]):
         try:
-            model = state_space_of(record, replace(options, band_hz=other))
+            model = replace(
+                state_space_of(record, replace(options, band_hz=other)), covariance=None
+            )
             if model.status == "converged" and modes_of(model).resonance:
                 found.append(model)
         except (StrainwaveError, np.linalg.LinAlgError):

@@ -49,7 +49,9 @@ _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
 _ROUNDS = 8  # of weights and linearisation at one band, at most
-_SETTLED = 0.01  # of a deviation, by which a round still moves the unknowns
+# of a deviation, by which a round still moves the unknowns: in an answer, and where all that is
+# looked for is the next band
+_SETTLED, _ROUGHLY = 0.01, 1.0
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
@@ -137,23 +139,25 @@ def fit_grey_box(
                 "is not seen"
             )
     band = band_hz or _possible(*_FIRST_BAND_HZ, records)
-    solved = _solve(records, study, known, band, None)
+    equations = _equations(records, study, known, band)
     for _ in range(0 if band_hz else _BANDS - 1):
-        before, band = band, _band_around(_joint_of(solved), records, band)
+        equations = _settled(equations, known, _ROUGHLY)
+        before, band = band, _band_around(_joint_of(equations), records, band)
         if all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(before, band, strict=True)):
             break
-        solved = _solve(records, study, known, band, solved.x)
-    fit = _result(solved, known, band)
+        equations = _equations(records, study, known, band, equations)
+    equations = _settled(equations, known, _SETTLED)
+    fit = _result(equations, known, band)
     if band_hz is not None:
         return fit
-    own = _physical(solved.x)
-    moves = [
-        _physical(_solve(records, study, known, _possible(low, high, records), solved.x).x) - own
-        for low, high in (
-            (band[0] * _OTHER_BAND, band[1] / _OTHER_BAND),
-            (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
-        )
-    ]
+    own = _physical(equations.x)
+    moves = []
+    for low, high in (
+        (band[0] * _OTHER_BAND, band[1] / _OTHER_BAND),
+        (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
+    ):
+        other = _equations(records, study, known, _possible(low, high, records), equations)
+        moves.append(_physical(_settled(other, known, _SETTLED).x) - own)
     return replace(fit, covariance=fit.covariance + _model_error(moves))
 
 
@@ -187,12 +191,12 @@ class _Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class _Solved:
-    """Weighted equations in one band, and their solution."""
+class _Weighted:
+    """Equations in one band, with the weights that their last solution gives."""
 
     pieces: tuple[_Piece, ...]
     equations: ls.Equations
-    factor: ls.Factor
+    root: FloatArray  # (n_rows,) square roots of the weights
     x: FloatArray  # around which they are linear
 
 
@@ -231,16 +235,25 @@ def _piece(
         return band_pass(x, low, high, T, integrals=integrals)
 
     acceleration = signals.link_acceleration[:, i]
-    link_acceleration = passed(acceleration)
-    if signals.sources[i] in ("encoder", "deflection"):
-        link_velocity = passed(signals.link_velocity[:, i])
-        link_angle = passed(signals.link_angle[:, i])
-    else:
-        link_velocity, link_angle = passed(acceleration, 1), passed(acceleration, 2)
-    motor_velocity = passed(signals.motor_velocity[:, i])
     tau = decoupled.inputs[:, 1] if decoupled.inputs.shape[1] > 1 else np.zeros(len(signals.time))
     direction = signals.sliding[:, i]
-    slid = passed(lagged(direction, signals.shared, T))
+    columns = [
+        signals.motor_torque[:, i],
+        tau,
+        signals.motor_velocity[:, i],
+        signals.motor_angle[:, i],
+        lagged(direction, signals.shared, T),
+        acceleration,
+    ]
+    if signals.sources[i] in ("encoder", "deflection"):
+        columns += [signals.link_velocity[:, i], signals.link_angle[:, i]]
+        torque, tau, *motor, link_acceleration, link_velocity, link_angle = passed(
+            np.column_stack(columns)
+        ).T
+    else:
+        torque, tau, *motor, link_acceleration = passed(np.column_stack(columns)).T
+        link_velocity, link_angle = passed(acceleration, 1), passed(acceleration, 2)
+    motor_velocity, motor_angle, slid = motor
     around = int(2.0 / (low * T))  # the band-pass's answer has then fallen below 1e-5
     impulse = np.zeros(2 * around + 1)
     impulse[around] = 1.0
@@ -251,47 +264,60 @@ def _piece(
         band=band,
         sample_time=T,
         rows=rows,
-        torque=(passed(signals.motor_torque[:, i]) + n * passed(tau))[rows],
-        tau=passed(tau)[rows],
+        torque=(torque + n * tau)[rows],
+        tau=tau[rows],
         motor=np.column_stack([differentiate(motor_velocity, T), motor_velocity, slid])[rows],
         link=np.column_stack([link_acceleration, link_velocity])[rows],
-        twist=np.column_stack(
-            [n * passed(signals.motor_angle[:, i]) - link_angle, n * motor_velocity - link_velocity]
-        )[rows],
+        twist=np.column_stack([n * motor_angle - link_angle, n * motor_velocity - link_velocity])[
+            rows
+        ],
         free=responses(shapes, rows, kernel),
     )
 
 
-def _solve(
+def _equations(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     study: Study,
     known: RigidKnowledge,
     band: tuple[float, float],
-    start: FloatArray | None,
-) -> _Solved:
-    """Weights and linearisation in turn."""
+    near: _Weighted | None = None,
+) -> _Weighted:
+    """In one band: around the solution in another, where there is one, and weighted as there."""
     pieces = tuple(_piece(signals, joint, study, band) for signals, joint in records)
-    x = _start(pieces) if start is None else start
-    equations = _assemble(pieces, known, x)
-    root = ls.first_weights(equations.target, equations.group)
+    if near is None:
+        x = _start(pieces)
+        equations = _assemble(pieces, known, x)
+        root = ls.first_weights(equations.target, equations.group)
+        return _Weighted(pieces, equations, root, x)
+    equations = _assemble(pieces, known, near.x)
+    root = np.ones_like(equations.target)
+    for group in range(2 * len(pieces)):
+        usual = np.median(near.root[near.equations.group == group])
+        root[equations.group == group] = usual
+    return _Weighted(pieces, equations, root, near.x)
+
+
+def _settled(weighted: _Weighted, known: RigidKnowledge, within: float) -> _Weighted:
+    """Weights and linearisation in turn, until a round moves no unknown by `within` deviations."""
+    pieces, equations, root, x = weighted.pieces, weighted.equations, weighted.root, weighted.x
     for _ in range(_ROUNDS):
         factor = ls.factorise(equations, root)
-        settled = bool(np.all(np.abs(factor.value - x) <= _SETTLED * factor.deviation))
+        settled = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
         x = factor.value
         equations = _assemble(pieces, known, x)
         root = ls.root_weights(equations, factor)
         if settled:
             break
-    return _Solved(pieces, equations, ls.factorise(equations, root), x)
+    return _Weighted(pieces, equations, root, x)
 
 
-def _rigid_errors(solved: _Solved, known: RigidKnowledge) -> FloatArray:
+def _rigid_errors(weighted: _Weighted, factor: ls.Factor, known: RigidKnowledge) -> FloatArray:
     """Columns: how far each of the rigid model's errors moves the unknowns."""
     columns = []
     for error in known.errors:
-        pieces = [p.with_more(tau) for p, tau in zip(solved.pieces, error.tau, strict=True)]
-        equations = _assemble(pieces, known.moved(error), solved.x)
-        columns.append(ls.factorise(equations, solved.factor.root).value - solved.factor.value)
+        pieces = [p.with_more(tau) for p, tau in zip(weighted.pieces, error.tau, strict=True)]
+        equations = _assemble(pieces, known.moved(error), weighted.x)
+        columns.append(ls.factorise(equations, factor.root).value - factor.value)
     return np.reshape(columns, (-1, len(COLUMNS))).T
 
 
@@ -364,8 +390,8 @@ def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]
     return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
 
 
-def _joint_of(solved: _Solved) -> TwoInertia:
-    return joint_of(_physical(solved.x)[:6], solved.pieces[0].ratio)
+def _joint_of(weighted: _Weighted) -> TwoInertia:
+    return joint_of(_physical(weighted.x)[:6], weighted.pieces[0].ratio)
 
 
 def _physical(x: FloatArray) -> FloatArray:
@@ -376,23 +402,24 @@ def _physical(x: FloatArray) -> FloatArray:
     return np.concatenate([first, gear, x[[_COULOMB]]])
 
 
-def _result(solved: _Solved, known: RigidKnowledge, band: tuple[float, float]) -> GreyBoxFit:
-    equations, factor, x = solved.equations, solved.factor, solved.x
+def _result(weighted: _Weighted, known: RigidKnowledge, band: tuple[float, float]) -> GreyBoxFit:
+    equations, x = weighted.equations, weighted.x
+    factor = ls.factorise(equations, weighted.root)
     covariance, _ = ls.jackknife(equations, factor)
     told = ls.determined(equations, factor, covariance)
     # tau came from the rigid model, whose errors no row of the data shows
-    errors = _rigid_errors(solved, known)
+    errors = _rigid_errors(weighted, factor, known)
     covariance = covariance + errors @ errors.T
     J = jacobian(_physical, x)
     residual = ls.residual_of(equations, factor)
     fits = []
     for parity in (0, 1):
         rows = (equations.group != ls.KNOWN) & (equations.group % 2 == parity)
-        size = _size(solved.pieces, parity)
+        size = _size(weighted.pieces, parity)
         fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / size))
     order = [_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION, _COULOMB]
     return GreyBoxFit(
-        joint=_joint_of(solved),
+        joint=_joint_of(weighted),
         coulomb_friction=float(x[_COULOMB]),
         covariance=J @ covariance @ J.T,
         determined=tuple(bool(told[k]) for k in order),

@@ -97,7 +97,7 @@ def state_space_of(
         return _model(joint, chosen.band_hz, chosen)
     band = _search(joint)
     model = _model(joint, band, chosen)
-    found = modes_of(model)
+    found = modes_of(replace(model, covariance=None))
     # a part of the signals may show other modes than the joint's, and the band would run off
     whole = chosen.inputs == chosen.outputs == "both"
     if not (whole and found.anti_resonance and found.resonance):

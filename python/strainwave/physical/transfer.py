@@ -8,7 +8,7 @@ show, is the rigid model's: (18) puts c_0 + c_1 s in its place. What follows is 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -147,7 +147,7 @@ def from_state_space(
 
 def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
     """The least damped pairs; of a model near another, those that moved least."""
-    reduced = without_alternating(model)
+    reduced = without_alternating(replace(model, covariance=None))
     found = modes_of(reduced)
     zeros, poles = ([m.value for m in ms if m.oscillates] for ms in (found.zeros, found.poles))
     if not zeros or not poles:
@@ -236,7 +236,7 @@ def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | No
     if min(len(model.C), model.B.shape[1]) < 2:
         return None
     f = np.geomspace(0.7 * low_hz, 1.3 * high_hz, _LINES)
-    G = _response(to_continuous(without_alternating(model)), _s(f))
+    G = _response(to_continuous(without_alternating(replace(model, covariance=None))), _s(f))
     apart, mean = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
     return float(100.0 * (1.0 - np.linalg.norm(apart) / np.linalg.norm(mean)))
 

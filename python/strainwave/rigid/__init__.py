@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from strainwave import least_squares as ls
+from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.errors import NotIdentifiable
 from strainwave.prediction import band_prediction
 from strainwave.records import BoolArray, Caution, FloatArray, Parameter, RigidModel, Signals, Study
@@ -102,14 +104,11 @@ def fit(
     NotIdentifiable
         There is no record, or no sample of any that may be used.
     """
-    from threadpoolctl import threadpool_limits
-
     if not signals:
         raise NotIdentifiable(
             'the rigid step needs a record with use = "motion": slow, smooth motion of all joints'
         )
-    # hundreds of small factorisations: threads would cost more in meeting than they save
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():  # hundreds of small factorisations
         return _fit(signals, study, options or RigidOptions())
 
 
@@ -169,12 +168,14 @@ def _bandwidths(signals: Sequence[Signals], step: float) -> Iterator[float]:
 
 def _motion_band(signals: Signals) -> float:
     """Frequency below which nine tenths of the velocities' power lie [Hz]."""
-    from scipy.signal import periodogram
-
     highest = 0.0
+    count = len(signals.time)
+    frequency = np.fft.rfftfreq(count, signals.sample_time)
+    along = np.arange(count) - 0.5 * (count - 1)
     for velocity in signals.motor_velocity.T:
-        frequency, power = periodogram(velocity, 1.0 / signals.sample_time, detrend="linear")
-        share = np.cumsum(power)
+        steady = velocity - velocity.mean()
+        steady -= along * (along @ steady / (along @ along))
+        share = np.cumsum(np.abs(np.fft.rfft(steady)) ** 2)
         if share[-1] > 0.0:
             highest = max(highest, float(frequency[np.searchsorted(share, 0.9 * share[-1])]))
     return highest
@@ -256,8 +257,12 @@ def _elastic_remainder(signals: Sequence[Signals], study: Study, best: _Trial) -
         return np.zeros(len(best.covariance))
     here = best.estimate.solution
     stiff = replace(study, joints=tuple(replace(j, spring="rigid") for j in study.joints))
-    rigid = _trial(signals, stiff, best.bandwidth_hz, best.estimate)
-    other = _trial(signals, study, best.bandwidth_hz, best.estimate, OTHER_SHARE)
+    rigid, other = side_by_side(
+        [
+            partial(_trial, signals, stiff, best.bandwidth_hz, best.estimate),
+            partial(_trial, signals, study, best.bandwidth_hz, best.estimate, OTHER_SHARE),
+        ]
+    )
     next_order = (here - rigid.estimate.solution) * ratio**2
     return np.asarray(next_order**2 + (here - other.estimate.solution) ** 2)
 

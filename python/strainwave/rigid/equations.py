@@ -23,7 +23,7 @@ from strainwave.regressor import (
     gear_ratios,
     n_body,
 )
-from strainwave.stiction import free_friction, responses
+from strainwave.stiction import free_friction, responses, running
 
 MOTOR_SHARE = 0.5
 """Share of joint 1's rigid inertia (a single joint's inertia) taken for its motor's.
@@ -351,7 +351,4 @@ def _column_noise(study: Study, stretch: Stretch) -> FloatArray:
 
 def _clear_of(bad: BoolArray, reach: int) -> BoolArray:
     """Samples at least `reach` away from every bad one."""
-    from scipy.ndimage import maximum_filter1d
-
-    near = maximum_filter1d(bad.astype(np.int8), 2 * max(1, reach) + 1)
-    return np.asarray(near == 0)
+    return ~running(np.logical_or, bad, 2 * max(1, reach) + 1)

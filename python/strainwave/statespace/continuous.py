@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import factorial
 
 import numpy as np
 
@@ -13,9 +14,13 @@ from strainwave.statespace.propagation import propagate
 # Share of the Nyquist frequency beyond which a pole may be the alias of a faster one.
 NEAR_NYQUIST = 0.8
 
-# Condition of the eigenvectors up to which the logarithm is taken on the eigenvalues; beyond, poles
-# all but coincide and the slower inverse scaling and squaring is used.
+# Condition of the eigenvectors up to which functions of A are taken on its eigenvalues; beyond,
+# poles all but coincide and the slower scaling and squaring is used.
 WELL_CONDITIONED = 1e6
+
+# (e^x - 1 - x)/x^2 = sum of x^k / (k + 2)!, highest power first; enough terms up to that size of x.
+_SERIES = [1.0 / factorial(k + 2) for k in range(14, -1, -1)]
+_SMALL = 0.5
 
 
 def to_continuous(model: StateSpace) -> ContinuousStateSpace:
@@ -54,8 +59,7 @@ def _entries(model: ContinuousStateSpace) -> FloatArray:
 
 def _convert(model: StateSpace) -> ContinuousStateSpace:
     T = model.sample_time
-    A = _logarithm(model.A) / T
-    P1, P2 = _hold_integrals(A, T)
+    A, P1, P2 = _between_samples(model.A, T)
     first = np.array([hold == "first" for hold in model.hold])
     B = np.asarray(np.linalg.solve(P1, model.B), dtype=np.float64)
     D = model.D.copy()
@@ -74,8 +78,8 @@ def _convert(model: StateSpace) -> ContinuousStateSpace:
     )
 
 
-def _logarithm(A: FloatArray) -> FloatArray:
-    """The real logarithm whose eigenvalues have the least imaginary parts."""
+def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The real logarithm over T whose eigenvalues have the least imaginary parts, P1 and P2."""
     values, vectors = np.linalg.eig(A)
     bad = values[(values.imag == 0.0) & (values.real <= 0.0)]
     if len(bad):
@@ -83,13 +87,21 @@ def _logarithm(A: FloatArray) -> FloatArray:
             f"the sampled model has a pole at {bad[0].real:.3g}, which no continuous-time model of "
             "the same order has: lower the order"
         )
-    if np.linalg.cond(vectors) < WELL_CONDITIONED:
-        logarithm = (vectors * np.log(values.astype(complex))) @ np.linalg.inv(vectors)
-    else:
+    if np.linalg.cond(vectors) >= WELL_CONDITIONED:
         from scipy.linalg import logm
 
-        logarithm = logm(A)
-    return np.ascontiguousarray(np.real(logarithm), dtype=np.float64)
+        logarithm = np.ascontiguousarray(np.real(logm(A)), dtype=np.float64) / T
+        return logarithm, *_hold_integrals(logarithm, T)
+    x = np.log(values.astype(complex))
+    # (e^x - 1 - x)/x^2 cancels where x is small; its series ends below rounding up to there
+    small = np.abs(x) < _SMALL
+    series = np.polyval(_SERIES, x)
+    away = np.where(small, 1.0, x)
+    second = np.where(small, series, (np.exp(away) - 1.0 - away) / away**2)
+    inverse = np.linalg.inv(vectors)
+    shapes = np.stack([x / T, T * (1.0 + x * second), T * second])
+    found = np.real((vectors * shapes[:, None, :]) @ inverse)
+    return found[0], found[1], found[2]
 
 
 def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:

@@ -67,8 +67,10 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
         )
         return np.concatenate([_frequency_hz(values), _damping(values)])
 
-    values, covariance = propagate(found, shapes)
-    std = None if covariance is None else np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    values, std = np.concatenate([_frequency_hz(known), _damping(known)]), None
+    if found.covariance is not None:
+        _, covariance = propagate(found, shapes)
+        std = np.sqrt(np.maximum(np.diagonal(np.asarray(covariance)), 0.0))
     count = len(known)
     each = tuple(
         Mode(
