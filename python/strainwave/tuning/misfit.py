@@ -8,12 +8,13 @@ factor leaves below them is the problem of the parameters alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
+from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.records import FloatArray, IntArray
 from strainwave.tuning.replayed import Replayed
@@ -192,10 +193,7 @@ class Misfit:
 
     def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""
-        if len(self.records) == 1:
-            return [work(0, self.records[0])]
-        with ThreadPoolExecutor() as pool:
-            return list(pool.map(work, range(len(self.records)), self.records))
+        return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
 
 
 def _shifts(record: Replayed) -> FloatArray:
