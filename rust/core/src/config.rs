@@ -87,6 +87,12 @@ const DRIVE: [&str; 5] = [
 ];
 
 impl GearKind {
+    /// How many parameters it has.
+    #[inline(always)]
+    pub(crate) fn parameters(self) -> usize {
+        self.names().len()
+    }
+
     fn names(self) -> &'static [&'static str] {
         match self {
             GearKind::Linear => &["gear_stiffness", "gear_damping"],
