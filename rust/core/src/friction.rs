@@ -114,21 +114,56 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         margin
     }
 
-    /// Advances one trajectory by `h` [s] through whatever events the time holds.
+    /// Advances one trajectory by `h` [s] through whatever events the time holds; adds them to
+    /// `events`.
     pub fn advance(
         &self,
         motion: &Motion<R, N>,
         target: &[R; N],
         current: &CurrentLoop<R, N>,
         h: f64,
+        events: &mut Vec<Event>,
+    ) -> Motion<R, N> {
+        self.walk(motion, target, current, h, |leg| {
+            let (end, margins) = leg.end(R::splat(1.0));
+            let event = leg.first_event(&margins).ok_or(end)?;
+            events.push(event);
+            Ok(event)
+        })
+    }
+
+    /// Advances as another trajectory did that went through these events.
+    pub fn follow(
+        &self,
+        motion: &Motion<R, N>,
+        target: &[R; N],
+        current: &CurrentLoop<R, N>,
+        h: f64,
+        events: &[Event],
+    ) -> Motion<R, N> {
+        let mut events = events.iter();
+        self.walk(motion, target, current, h, |leg| {
+            let end = || leg.end(R::splat(1.0)).0;
+            events.next().copied().ok_or_else(end)
+        })
+    }
+
+    /// From event to event, each of which `next` finds, until it says where the step ends.
+    fn walk(
+        &self,
+        motion: &Motion<R, N>,
+        target: &[R; N],
+        current: &CurrentLoop<R, N>,
+        h: f64,
+        mut next: impl FnMut(&Leg<'_, A, R, N, ELASTIC>) -> Result<Event, Motion<R, N>>,
     ) -> Motion<R, N> {
         let mut now = *motion;
         let mut left = R::splat(h);
         for _ in 0..MOST_EVENTS {
             let leg = Leg::new(self, &now, target, current, left);
-            let (end, margins) = leg.end(R::splat(1.0));
-            let Some((part, joint)) = leg.first_event(&margins) else {
-                return end;
+            let (part, joint) = match next(&leg) {
+                Ok(event) => event,
+                Err(end) => return end,
             };
             // what begins in another mode than the leg's does so at a fixed time
             let part = if part > 0.0 {
@@ -181,6 +216,9 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         }
     }
 }
+
+/// Where the modes change: which part of the leg that begins at the last event, and whose joint.
+pub type Event = (f64, usize);
 
 /// A stretch of time with fixed modes, and the integrator's step over any part of it.
 struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
@@ -252,9 +290,9 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
         let t = part * self.length;
         let torque = self.current.over(&self.from.torque, self.target, t);
         let modes = &self.from.modes;
-        let state = self
-            .plant
-            .runge_kutta(&self.from.state, &self.begin, &torque, modes, t);
+        let state =
+            self.plant
+                .runge_kutta(&self.from.state, &self.begin, &torque, modes, t, &mut ());
         let margins = self
             .plant
             .margins(&state, &torque.end, modes, self.standing);
@@ -266,8 +304,8 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
         (motion, margins)
     }
 
-    /// The earliest event: which part of the leg, and whose.
-    fn first_event(&self, margins_at_end: &[R; N]) -> Option<(f64, usize)> {
+    /// The earliest event.
+    fn first_event(&self, margins_at_end: &[R; N]) -> Option<Event> {
         let at_begin = self.plant.margins(
             &self.from.state,
             &self.from.torque,

@@ -60,6 +60,34 @@ pub trait Real:
     /// Replaces what stands in one lane, with its derivatives.
     fn set_one(&mut self, index: usize, one: Self::One);
 
+    /// The first numbers of a list, one a lane.
+    #[inline(always)]
+    fn load(from: &[f64]) -> Self {
+        let mut all = Self::splat(0.0);
+        for lane in 0..Self::LANES {
+            all.set_lane(lane, from[lane]);
+        }
+        all
+    }
+    /// The lanes' numbers to the beginning of a list.
+    #[inline(always)]
+    fn store(self, to: &mut [f64]) {
+        for lane in 0..Self::LANES {
+            to[lane] = self.lane(lane);
+        }
+    }
+    /// Four numbers, of which lane `l` holds those of `rows[pick[l]]`.
+    #[inline(always)]
+    fn transposed(rows: &[[f64; 4]], pick: &[usize]) -> [Self; 4] {
+        std::array::from_fn(|k| {
+            let mut all = Self::splat(0.0);
+            for lane in 0..Self::LANES {
+                all.set_lane(lane, rows[pick[lane]][k]);
+            }
+            all
+        })
+    }
+
     /// The root of a function whose value is known, as a function of all that the function holds.
     ///
     /// Only a scalar with derivatives has something to do here: they follow from the function's
