@@ -10,8 +10,8 @@ Three covariances, of which each parameter gets the widest:
 
 None of them sees what is wrong with the model in the same way everywhere. Its size shows all the
 same, as residuals larger than the sensors' own noise explains. Such an error does not average away
-over the records: the part of the local covariance that the noise does not explain is counted once
-more as if all records had it in common, which is as often as there are records.
+over the records: the share of a variance that the noise does not explain is counted once more as if
+all records had it in common, which is as often as there are records.
 """
 
 from __future__ import annotations
@@ -65,9 +65,8 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     slope = misfit.search.slope(z)
     parts = [slope @ part @ slope.T for part in (inverse, sandwich, jackknife)]
     deviations = np.sqrt([np.diag(part) for part in parts])
-    common = np.diag(slope @ _beyond_noise(misfit, products, inverse) @ slope.T)
-    common = len(misfit.records) * np.maximum(common, 0.0)
-    largest = np.sqrt(np.nanmax(deviations, axis=0) ** 2 + common)
+    share = _beyond_noise(misfit, products, inverse)
+    largest = np.nanmax(deviations, axis=0) * np.sqrt(1.0 + len(misfit.records) * share)
     raised = np.divide(largest, deviations[0], out=np.ones_like(largest), where=deviations[0] > 0.0)
     return Confidence(parts[0] * np.outer(raised, raised), *parts)
 
@@ -95,11 +94,11 @@ def _scores(misfit: Misfit, z: FloatArray) -> tuple[list[FloatArray], list[Float
 def _beyond_noise(
     misfit: Misfit, products: Sequence[FloatArray], inverse: FloatArray
 ) -> FloatArray:
-    """The part of the local covariance that the sensors' noise does not explain."""
+    """The share of each local variance that the sensors' noise does not explain."""
     excess = np.zeros_like(inverse)
     for share, product in zip(misfit.noise_shares(), products, strict=True):
         excess += (1.0 - share) * product
-    return np.asarray(inverse @ excess @ inverse)
+    return np.asarray(np.diag(inverse @ excess @ inverse) / np.diag(inverse))
 
 
 def _jackknife(
