@@ -98,8 +98,12 @@ def tune(
     cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
     records = tuple(replayed(log, study, cutoff) for log in used)
     search = _search(records, model, joints, study, chosen)
-    start = search.values(np.zeros(len(search.unknowns)))
-    fit = _fit(Misfit(search, records), np.zeros(len(search.unknowns)), chosen)
+    start = np.zeros(len(search.unknowns))
+    misfit = Misfit.of(search, records)
+    if misfit.linearise(start) is None:
+        raise NotIdentifiable("tuning cannot simulate what the steps before found")
+    before = misfit.fits(start)
+    fit = _fit(misfit, start, chosen)
     if chosen.settling is None:
         fit = _without_idle_settling(fit, chosen)
     values = fit.misfit.search.values(fit.z)
@@ -114,10 +118,10 @@ def tune(
         parameters=parameters,
         values=values,
         covariance=covariance,
-        fit_percent=_fits(fit.misfit, fit.z),
-        initial_fit_percent=_fits(Misfit(search, records), np.zeros(len(search.unknowns))),
+        fit_percent=fit.misfit.fits(fit.z),
+        initial_fit_percent=before,
         simulated=tuple(predict_closed_loop(values, log, study) for log in tuning_logs),
-        initial=tuple(predict_closed_loop(start, log, study) for log in tuning_logs),
+        initial=tuple(predict_closed_loop(search.values(start), log, study) for log in tuning_logs),
         iterations=fit.iterations,
         status=status,
         warnings=tuple(warnings_of(fit, at_bounds(fit), parameters, study)),
@@ -176,31 +180,32 @@ def gear_torques(
 def _fit(misfit: Misfit, z: FloatArray, options: TuningOptions) -> Fit:
     """Least squares and new weights in turn until the weights stay."""
     reach = misfit.search.reach
-    iterations = 0
+    iterations, converged = 0, False
     for number in range(_ROUNDS + 1):
         found = minimise(
-            misfit.cost,
             misfit.linearise,
             z,
             reach,
             tolerance=_ROUGH if number == 0 else _FINE,
             max_evaluations=max(2, options.max_iterations - iterations),
         )
-        z, iterations = found.x, iterations + found.evaluations
-        if not np.isfinite(found.at.cost):
+        if found is None:
             raise NotIdentifiable("tuning cannot simulate what the steps before found")
+        z, iterations, converged = found.x, iterations + found.evaluations, found.converged
+        if any(record.moving for record in misfit.records):
+            misfit.settle_own(z)
         renewed = misfit.reweighted(z)
-        if number > 0 and (not found.converged or iterations >= options.max_iterations):
+        if number > 0 and (not converged or iterations >= options.max_iterations):
             break
         if number > 0 and _settled(misfit, renewed):
             break
         misfit = renewed
-    return Fit(misfit, z, confidence_of(misfit, z), iterations, found.converged)
+    return Fit(misfit, z, confidence_of(misfit, z), iterations, converged)
 
 
 def _settled(old: Misfit, new: Misfit) -> bool:
-    pairs = zip(old.deviations, new.deviations, strict=True)
-    return all(np.max(np.abs(np.log(b / a))) < _SETTLED for a, b in pairs)
+    pairs = zip(old.weights, new.weights, strict=True)
+    return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
 
 
 def _without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
@@ -215,19 +220,5 @@ def _without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
     if not idle:
         return fit
     search = fit.misfit.search.holding(idle)
-    again = _fit(fit.misfit.with_search(search), search.coordinates(values), options)
+    again = _fit(fit.misfit.for_unknowns(search), search.coordinates(values), options)
     return replace(again, iterations=fit.iterations + again.iterations)
-
-
-def _fits(misfit: Misfit, z: FloatArray) -> dict[str, dict[str, float]]:
-    """By record and channel, 100 (1 - |difference| / |measured - its mean|)."""
-    found = {}
-    for record, rows, deviation in zip(
-        misfit.records, misfit.rows(z), misfit.deviation_of_rows(), strict=True
-    ):
-        difference = np.linalg.norm(rows.residual * deviation, axis=0)
-        spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
-        fits = 100.0 * (1.0 - difference / np.maximum(spread, 1e-300))
-        names = [c.name.replace("theta", "omega") for c in record.channels]
-        found[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
-    return found

@@ -1,9 +1,9 @@
 """Least squares in a trust region, for problems of many rows and few unknowns.
 
 Each evaluation hands over the triangular factor of its weighted Jacobian with its residual, R of
-[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns; steps that
-are refused cost no second factorisation. SciPy's `least_squares` would take a singular value
-decomposition of all rows at every step: ten times what the simulation of them costs.
+[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns; a
+refused step costs no second factorisation. SciPy's `least_squares` would take a singular value
+decomposition of all rows at every step, which costs more than to simulate them.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ import numpy as np
 from strainwave.records import FloatArray
 
 _GOOD, _POOR = 0.75, 0.25  # share of the foretold gain from which the region grows, or shrinks
+_STUCK = 100.0  # tolerances of gain that an end without a step that helps may leave
+_HELPS = 1e-4  # share from which a step is taken
+_LEAST_DAMPING = 1e-9
 _SMALLEST = 1e-12  # of the largest singular value: directions below it are not stepped along
 
 
@@ -38,22 +41,19 @@ class Found:
 
 
 def minimise(
-    cost: Callable[[FloatArray], float],
-    linearise: Callable[[FloatArray], Linearised],
+    linearise: Callable[[FloatArray], Linearised | None],
     start: FloatArray,
     reach: FloatArray,
     *,
     tolerance: float,
     max_evaluations: int,
-) -> Found:
+) -> Found | None:
     """Levenberg and Marquardt's method in scaled coordinates, with bounds on each.
 
     Parameters
     ----------
-    cost : callable
-        (n,) -> cost, infinite where there is none.
     linearise : callable
-        (n,) -> the cost and its least squares problem.
+        (n,) -> the cost and its least squares problem, or None where there is none.
     start : (n,)
     reach : (n,)
         Bounds are minus and plus this.
@@ -66,9 +66,13 @@ def minimise(
     Returns
     -------
     Found
-        Not converged if the evaluations ran out, or no step helps although one should.
+        Not converged if the evaluations ran out, or no step helps although one should. None if
+        there is no problem at the start.
     """
-    x, at = start, linearise(start)
+    x, first = start, linearise(start)
+    if first is None:
+        return None
+    at = first
     damping, growth = 1e-3, 2.0
     evaluations = 1
     while True:
@@ -78,23 +82,22 @@ def minimise(
             return Found(x, at, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
-        for _ in range(20):
-            foretold, step = _step(at.factor, damping, bounded)
-            trial = np.clip(x + step, -reach, reach)
-            achieved = at.cost - cost(trial)
-            quality = achieved / max(foretold, 1e-300)
-            if achieved > 0.0 and quality > 1e-4:
-                break
+        foretold, step = _step(at.factor, damping, bounded)
+        trial = np.asarray(np.clip(x + step, -reach, reach))
+        there = linearise(trial)
+        evaluations += 1
+        quality = (at.cost - there.cost) / max(foretold, 1e-300) if there else -np.inf
+        if there is None or quality < _HELPS:
             damping, growth = damping * growth, growth * 2.0
-        else:
-            return Found(x, at, evaluations, False)
+            if foretold < tolerance:  # no step helps
+                return Found(x, at, evaluations, gain < _STUCK * tolerance)
+            continue
         if quality > _GOOD:
-            damping = max(damping / 5.0, 1e-9)
+            damping = max(damping / 5.0, _LEAST_DAMPING)
         elif quality < _POOR:
             damping *= 2.0
         growth = 2.0
-        x, at = trial, linearise(trial)
-        evaluations += 1
+        x, at = trial, there
 
 
 def _step(factor: FloatArray, damping: float, bounded: FloatArray) -> tuple[float, FloatArray]:
