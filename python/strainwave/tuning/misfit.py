@@ -75,7 +75,7 @@ class Rows:
         parts = [self.local, self.shared, self.residual[..., None]]
         table = np.concatenate(parts, axis=2) * self.root[..., None]
         n = len(self.step)
-        return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r")[n:, n:])
+        return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r"))[n:, n:]
 
     def cost(self, weights: Weights) -> float:
         """The soft L1 loss, sum of 2 (sqrt(1 + r^2) - 1), over the repetitions."""
