@@ -1,15 +1,16 @@
 //! One plain simulation, and derivatives that follow it in columns of directions.
 //!
-//! Smooth steps go through [`crate::variation`]; where friction changes its mode within a step, and
-//! where the servo commands, a column becomes numbers with derivatives for as long as that takes.
+//! Smooth steps go through [`crate::variation`]; so do the stretches of a step
+//! between events of friction, with what the events' instants do. Where the servo commands, and to
+//! see how an event's margin moves, a column becomes numbers with derivatives for that moment.
 
 use std::marker::PhantomData;
 
 use crate::arm::{Arm, Slopes};
 use crate::drive::CurrentLoop;
 use crate::dual::Dual;
-use crate::friction::Motion;
-use crate::plant::{Instant, State, Watch};
+use crate::friction::{Motion, Stretch};
+use crate::plant::{Instant, Modes, Plant, State, StepTorque, Watch};
 use crate::real::{Real, Work};
 use crate::sensitivity::{Sensitivities, seeded};
 use crate::sensors::LowPass;
@@ -53,6 +54,7 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
 struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> {
     task: &'a Task<A, N>,
     nominal: Group<'a, A, S, N, true>,
+    moving: Moving<A, S, N>,
     trace: Trace<N>,
     linear: Linearised<A, L, N>,
     followers: Vec<Follower<'a, A, S, V, N>>,
@@ -68,6 +70,13 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
         Self {
             task,
             nominal: Group::new(task, std::slice::from_ref(of.member), &plain),
+            moving: Moving {
+                plant: task
+                    .config
+                    .plant_of(|k| Dual::splat(of.member.parameters[k])),
+                current: task.config.current_loop(task.clock.step),
+                ratio: task.config.joints.map(|joint| joint.ratio),
+            },
             trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
             linear: Linearised::new(&task.config, of.member.parameters),
             followers: (0..width)
@@ -119,6 +128,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
             .record
             .contains(&Quantity::Accelerometer)
             .then(|| Readings::new(self.task, &before.state, now));
+        let smooth = !event.last && self.nominal.stretches.is_empty();
         let mut first = 0;
         for follower in &mut self.followers {
             follower.column.force(&self.linear);
@@ -130,17 +140,136 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
                 let tangents = &mut self.tangents;
                 follower.record(self.task, tangents, (self.sampled, first), &response);
             }
-            if !event.last {
-                if self.nominal.events.is_empty() {
-                    follower.advance(&self.linear, &response, self.task.clock.step);
-                } else {
-                    follower.redo(before, &self.nominal, self.task.clock.step);
-                }
+            if smooth {
+                follower.advance(&self.linear, &response, self.task.clock.step);
             }
             first += V::LANES;
         }
         self.sampled += usize::from(event.samples);
+        if !event.last && !smooth {
+            V::scope(Redo(self));
+        }
     }
+
+    /// A step in which friction changed its mode: from stretch to stretch.
+    #[inline(always)]
+    fn redo(&mut self) {
+        let (nominal, moving) = (&self.nominal, &self.moving);
+        let target = nominal.target;
+        for follower in &mut self.followers {
+            follower.left = V::splat(0.0);
+        }
+        let (one, zero) = ([S::splat(1.0); N], [S::splat(0.0); N]);
+        for stretch in &nominal.stretches {
+            let Stretch {
+                from,
+                length,
+                event,
+            } = stretch;
+            let part = event.map_or(1.0, |event| event.0);
+            let current = &nominal.single_current;
+            let whole = (S::splat(*length), S::splat(part));
+            let (end, _) = nominal
+                .plant
+                .retrace(from, &target, current, whole, &mut self.trace);
+            self.linear.update(&self.trace, &from.modes);
+            let rates = moving.rates(stretch, &target, part);
+            let through = Through {
+                rests: from.modes.free.map(|free| free.lane(0) == 0.0),
+                slides: from.modes.free.map(|free| free.lane(0) != 0.0),
+                decay: current.over(&one, &zero, S::splat(part * length)),
+                duration: part * length,
+                end,
+                joint: event.map(|event| event.1),
+                rates,
+            };
+            for follower in &mut self.followers {
+                follower.pass(&self.linear, &through);
+            }
+        }
+        for follower in &mut self.followers {
+            if !follower.driven {
+                follower.torque = [V::splat(0.0); N];
+            }
+        }
+    }
+}
+
+/// [`Chain::redo`] in a scope of its own: it is rare, and long.
+struct Redo<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize>(
+    &'c mut Chain<'a, A, S, V, L, N>,
+);
+
+impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
+    for Redo<'_, '_, A, S, V, L, N>
+{
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.redo();
+    }
+}
+
+/// The arm as it depends on nothing but time.
+struct Moving<A: Arm<N>, S: Real<One = S>, const N: usize> {
+    plant: Plant<A, Dual<S, S>, N, true>,
+    current: CurrentLoop<Dual<S, S>, N>,
+    ratio: [f64; N],
+}
+
+impl<A: Arm<N>, S: Real<One = S>, const N: usize> Moving<A, S, N> {
+    /// How fast the end of a stretch moves as the stretch gets longer.
+    #[inline(always)]
+    fn rates(&self, stretch: &Stretch<S, N>, target: &[S; N], part: f64) -> Rates<S, N> {
+        let still = [S::splat(0.0); N];
+        let nothing = Tangent {
+            twist: still,
+            rate: still,
+            angle: still,
+            velocity: still,
+        };
+        let from = lifted(&stretch.from, &nothing, &still, &self.ratio);
+        let longer = Dual {
+            value: S::splat(part),
+            tangent: S::splat(1.0 / stretch.length),
+        };
+        let length = Dual::splat(stretch.length);
+        let (end, margins) = self.plant.retrace(
+            &from,
+            &target.map(Dual::constant),
+            &self.current,
+            (length, longer),
+            &mut (),
+        );
+        Rates {
+            tangent: tangent_of(&end, &self.ratio),
+            torque: end.torque.map(|number| number.tangent),
+            margins: margins.map(|number| number.tangent),
+        }
+    }
+}
+
+/// Derivatives by time.
+struct Rates<S, const N: usize> {
+    tangent: Tangent<S, N>,
+    torque: [S; N],
+    margins: [S; N],
+}
+
+/// A stretch between events, as every column goes through it.
+struct Through<S, const N: usize> {
+    /// Motors that stand, as those do that are held after too many events.
+    rests: [bool; N],
+    /// Motors that come to rest where they have an event.
+    slides: [bool; N],
+    /// What is left of the torques' distances to their targets.
+    decay: StepTorque<S, N>,
+    /// How long it takes [s].
+    duration: f64,
+    end: Motion<S, N>,
+    /// Whose event ends it.
+    joint: Option<usize>,
+    rates: Rates<S, N>,
 }
 
 /// How the accelerometers' readings depend on the motion.
@@ -194,6 +323,8 @@ struct Follower<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> {
     accelerometer: [Option<LowPass<V, 2>>; N],
     gyro: [Option<LowPass<V, 1>>; N],
     readings: [[V; N]; 2],
+    /// How what is left of a step moves, between its events.
+    left: V,
     ratio: [f64; N],
     lanes: usize,
 }
@@ -215,6 +346,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S
             accelerometer: [const { None }; N],
             gyro: [const { None }; N],
             readings: [zero; 2],
+            left: V::splat(0.0),
             ratio,
             lanes: V::LANES.min(directions.len()),
             dual,
@@ -235,38 +367,9 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S
     }
 
     /// The motion with this column's derivatives.
-    fn lifted(&self, nominal: &Motion<S, N>) -> Motion<Dual<S, V>, N> {
-        let pair = |values: &[S; N], tangents: [V; N]| -> [Dual<S, V>; N] {
-            std::array::from_fn(|i| Dual {
-                value: values[i],
-                tangent: tangents[i],
-            })
-        };
-        let x = &self.column.tangent;
-        let state = &nominal.state;
-        Motion {
-            state: State {
-                motor_angle: pair(&state.motor_angle, self.motor(&x.twist, &x.angle)),
-                motor_velocity: pair(&state.motor_velocity, self.motor(&x.rate, &x.velocity)),
-                link_angle: pair(&state.link_angle, x.angle),
-                link_velocity: pair(&state.link_velocity, x.velocity),
-            },
-            torque: pair(&nominal.torque, self.torque),
-            modes: crate::plant::Modes {
-                direction: nominal.modes.direction.map(Dual::constant),
-                free: nominal.modes.free.map(Dual::constant),
-            },
-        }
-    }
-
-    /// A motor's derivative from the gear's and the link's.
     #[inline(always)]
-    fn motor(&self, gear: &[V; N], link: &[V; N]) -> [V; N] {
-        let mut motor = *gear;
-        for i in 0..N {
-            motor[i] = (gear[i] + link[i]) * V::splat(1.0 / self.ratio[i]);
-        }
-        motor
+    fn lifted(&self, nominal: &Motion<S, N>) -> Motion<Dual<S, V>, N> {
+        lifted(nominal, &self.column.tangent, &self.torque, &self.ratio)
     }
 
     /// What the servo makes of the motion's derivatives.
@@ -289,21 +392,66 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S
         }
     }
 
-    /// A step in which friction changed its mode.
-    #[inline(never)]
-    fn redo(&mut self, before: &Motion<S, N>, nominal: &Group<'_, A, S, N, true>, h: f64) {
-        let from = self.lifted(before);
-        let target = std::array::from_fn(|i| Dual {
-            value: nominal.target[i],
-            tangent: self.target[i],
-        });
-        let (plant, current) = (&self.dual.single[0], &self.dual.single_current);
-
-        let to = plant.follow(&from, &target, current, h, &nominal.events);
-        self.column.tangent = tangent_of(&to, &self.ratio);
-        if self.driven {
-            self.torque = to.torque.map(|number| number.tangent);
+    /// A stretch between two events.
+    ///
+    /// With its length fixed it is a step like any other. The event's instant moves by what holds
+    /// its margin at zero; what was left of the step, by the opposite.
+    #[inline(always)]
+    fn pass<L: Real>(&mut self, linear: &Linearised<A, L, N>, through: &Through<S, N>) {
+        for i in 0..N {
+            if through.rests[i] {
+                self.rest(i);
+            }
         }
+        self.column.force(linear);
+        let torque = self.torques(&through.decay);
+        let x = self.column.tangent;
+        let first = self.column.respond(linear, 0, &x, Some(&torque.begin));
+        self.column
+            .advance(linear, &first, Some(&torque), through.duration);
+        self.torque = torque.end;
+        let rates = &through.rates;
+        let mut later = self.left;
+        if let Some(joint) = through.joint {
+            let end = self.lifted(&through.end);
+            let margins = self
+                .dual
+                .plant
+                .margins(&end.state, &end.torque, &end.modes, true);
+            later = margins[joint].tangent * V::splat(-1.0 / rates.margins[joint].lane(0));
+            self.left = self.left - later;
+        }
+        self.column.tangent.add(&rates.tangent, later);
+        for i in 0..N {
+            self.torque[i] = V::splat(rates.torque[i].lane(0)).mul_add(later, self.torque[i]);
+        }
+        let joint = through.joint.filter(|&joint| through.slides[joint]);
+        if let Some(joint) = joint {
+            self.rest(joint);
+        }
+    }
+
+    /// The motor does not move.
+    #[inline(always)]
+    fn rest(&mut self, joint: usize) {
+        self.column.tangent.rate[joint] = -self.column.tangent.velocity[joint];
+    }
+
+    /// The torques' derivatives over a stretch, of which `decay` of each distance to the target is
+    /// left. Even open-loop torques have some between events: an event's instant moves along them.
+    #[inline(always)]
+    fn torques(&self, decay: &StepTorque<S, N>) -> StepTorque<V, N> {
+        let mut torque = StepTorque {
+            begin: self.torque,
+            middle: self.target,
+            end: self.target,
+        };
+        for i in 0..N {
+            let distance = self.torque[i] - self.target[i];
+            torque.middle[i] = V::splat(decay.middle[i].lane(0)).mul_add(distance, self.target[i]);
+            torque.end[i] = V::splat(decay.end[i].lane(0)).mul_add(distance, self.target[i]);
+        }
+        torque
     }
 
     /// The sensors' readings and what their filters make of them.
@@ -340,8 +488,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S
             let row = match quantity {
                 Quantity::Voltage => self.dual.voltage[0].map(|number| number.tangent),
                 Quantity::MotorTorque => self.torque,
-                Quantity::MotorAngle | Quantity::Encoder => self.motor(&x.twist, &x.angle),
-                Quantity::MotorVelocity => self.motor(&x.rate, &x.velocity),
+                Quantity::MotorAngle | Quantity::Encoder => motor(&self.ratio, &x.twist, &x.angle),
+                Quantity::MotorVelocity => motor(&self.ratio, &x.rate, &x.velocity),
                 Quantity::LinkAngle => x.angle,
                 Quantity::LinkVelocity => x.velocity,
                 Quantity::LinkAcceleration => response.link,
@@ -361,6 +509,48 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S
             }
         }
     }
+}
+
+/// Motors' derivatives from the gears' and the links'.
+#[inline(always)]
+fn motor<V: Real, const N: usize>(ratio: &[f64; N], gear: &[V; N], link: &[V; N]) -> [V; N] {
+    let mut motor = *gear;
+    for i in 0..N {
+        motor[i] = (gear[i] + link[i]) * V::splat(1.0 / ratio[i]);
+    }
+    motor
+}
+
+/// A motion with derivatives.
+#[inline(always)]
+fn lifted<S: Real, V: Real, const N: usize>(
+    nominal: &Motion<S, N>,
+    x: &Tangent<V, N>,
+    torque: &[V; N],
+    ratio: &[f64; N],
+) -> Motion<Dual<S, V>, N> {
+    let state = &nominal.state;
+    Motion {
+        state: State {
+            motor_angle: pair(&state.motor_angle, &motor(ratio, &x.twist, &x.angle)),
+            motor_velocity: pair(&state.motor_velocity, &motor(ratio, &x.rate, &x.velocity)),
+            link_angle: pair(&state.link_angle, &x.angle),
+            link_velocity: pair(&state.link_velocity, &x.velocity),
+        },
+        torque: pair(&nominal.torque, torque),
+        modes: Modes {
+            direction: nominal.modes.direction.map(Dual::constant),
+            free: nominal.modes.free.map(Dual::constant),
+        },
+    }
+}
+
+#[inline(always)]
+fn pair<S: Real, V: Real, const N: usize>(values: &[S; N], tangents: &[V; N]) -> [Dual<S, V>; N] {
+    std::array::from_fn(|i| Dual {
+        value: values[i],
+        tangent: tangents[i],
+    })
 }
 
 /// A motion's derivatives in the coordinates of the variational equations.

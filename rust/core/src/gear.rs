@@ -101,10 +101,10 @@ impl<R: Real> Spring<R> {
     pub fn by_parameters(&self, delta: R, per: &PerSlope<R>) -> [R; 5] {
         let one = R::splat(1.0).copysign(delta);
         let twist = delta.abs();
-        let [first, second] = self.knees.map(|knee| knee.ramp(twist));
+        let (first, second) = (self.knees[0].ramp(twist), self.knees[1].ramp(twist));
         // How the torque falls where a knee moves out.
-        let [one_out, two_out] = self.knees.map(|knee| one * knee.slope(twist));
-        let both_out = one_out + two_out;
+        let two_out = one * self.knees[1].slope(twist);
+        let both_out = one.mul_add(self.knees[0].slope(twist), two_out);
         let k1 = one.mul_add(twist - first, both_out * per.first_knee_by_k1);
         let k2 = one.mul_add(first - second, two_out * per.second_knee_by_k2);
         let t1 = two_out.mul_add(per.k2, -(both_out * per.k1));

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use crate::arm::Arm;
 use crate::config::{Config, gather};
 use crate::drive::{CurrentLoop, Servo, ServoState, encoder_angle};
-use crate::friction::{self, Motion, sign};
+use crate::friction::{Motion, Stretch, sign};
 use crate::plant::{Instant, Plant, State, Watch};
 use crate::real::{Real, Work};
 use crate::sensors::LowPass;
@@ -262,8 +262,8 @@ pub(crate) struct Group<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: b
     pub(crate) voltage: Vec<[R::One; N]>,
     servo: Vec<ServoState<R::One, N>>,
     pub(crate) sensors: Option<Sensors<R, N>>,
-    /// Friction's events in the last step, of the last lane that had any.
-    pub(crate) events: Vec<friction::Event>,
+    /// What friction's events cut the last step into, for the last lane that had any.
+    pub(crate) stretches: Vec<Stretch<R::One, N>>,
     records: Vec<RecordOf<R::One, N>>,
     diverged: Vec<Option<Diverged>>,
 }
@@ -314,7 +314,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
                 .map(|(member, start)| member.servo_at_rest(task, &start.state.motor_angle))
                 .collect(),
             sensors: None,
-            events: Vec::new(),
+            stretches: Vec::new(),
             records: vec![
                 vec![Vec::with_capacity(task.clock.samples); task.record.len()];
                 R::LANES
@@ -418,7 +418,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
             least = least.min(*margin);
         }
         let before = self.motion;
-        self.events.clear();
+        self.stretches.clear();
         self.motion.state = state;
         self.motion.torque = torque.end;
         if least.any_negative() {
@@ -433,13 +433,13 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
                 let from = one_of(before, lane);
                 let target = self.target.map(|target| target.one(lane));
                 let h = self.task.clock.step;
-                self.events.clear();
+                self.stretches.clear();
                 let to = self.single[lane].advance(
                     &from,
                     &target,
                     &self.single_current,
                     h,
-                    &mut self.events,
+                    &mut self.stretches,
                 );
                 self.set_lane(lane, &to);
             }

@@ -200,10 +200,10 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
             for j in 0..N {
                 columns[j][i].store(&mut self.inverse[i][j][first..]);
                 if A::FELT[j] {
-                    let force = slopes.angle.map(|row| row[j]);
+                    let force = column(&slopes.angle, j);
                     resisted(&columns, &force, i).store(&mut self.by_angle[i][j][first..]);
                 }
-                let force = slopes.velocity.map(|row| row[j]);
+                let force = column(&slopes.velocity, j);
                 resisted(&columns, &force, i).store(&mut self.by_velocity[i][j][first..]);
             }
         }
@@ -270,6 +270,15 @@ fn loaded<L: Real, const N: usize>(lists: &[Stages; N], first: usize) -> [L; N] 
         all[i] = L::load(&lists[i][first..]);
     }
     all
+}
+
+#[inline(always)]
+fn column<L: Copy, const N: usize>(matrix: &[[L; N]; N], j: usize) -> [L; N] {
+    let mut column = matrix[0];
+    for i in 0..N {
+        column[i] = matrix[i][j];
+    }
+    column
 }
 
 /// What a torque that a link's row has on its left side takes from the acceleration of link `i`.
@@ -469,6 +478,18 @@ impl<V: Real, const N: usize> Column<V, N> {
 }
 
 impl<V: Real, const N: usize> Tangent<V, N> {
+    /// Moves on by `time` at the given rates.
+    #[inline(always)]
+    pub(crate) fn add<S: Real>(&mut self, rates: &Tangent<S, N>, time: V) {
+        let c = |rate: S| V::splat(rate.lane(0));
+        for i in 0..N {
+            self.twist[i] = c(rates.twist[i]).mul_add(time, self.twist[i]);
+            self.rate[i] = c(rates.rate[i]).mul_add(time, self.rate[i]);
+            self.angle[i] = c(rates.angle[i]).mul_add(time, self.angle[i]);
+            self.velocity[i] = c(rates.velocity[i]).mul_add(time, self.velocity[i]);
+        }
+    }
+
     /// As [`State`]'s of the same name, for the link angles that are felt.
     #[inline(always)]
     fn drifted<A: Arm<N>>(&self, t: f64, a: &Response<V, N>) -> Self {
