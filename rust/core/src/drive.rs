@@ -19,7 +19,10 @@ impl<R: Real, const N: usize> CurrentLoop<R, N> {
     /// Loops with given bandwidths [rad/s] for an integrator of step `h` [s].
     pub fn new(torque_per_volt: [f64; N], bandwidth: [f64; N], h: f64) -> Self {
         let h = R::splat(h);
-        let decay = [bandwidth.map(|w| mean(w, h)), bandwidth.map(|w| decay(w, h))];
+        let decay = [
+            bandwidth.map(|w| mean(w, h)),
+            bandwidth.map(|w| decay(w, h)),
+        ];
         Self {
             torque_per_volt,
             bandwidth,

@@ -172,11 +172,14 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
             let (end, _) = nominal
                 .plant
                 .retrace(from, &target, current, whole, &mut self.trace);
-            self.linear.update(&self.trace, &from.modes);
+            self.linear.update(&self.trace, &from.modes, part * length);
             let rates = moving.rates(stretch, &target, part);
+            let at_once = |i: usize| nominal.plant.joints[i].settling_time.lane(0) == 0.0;
+            let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
             let through = Through {
-                rests: from.modes.free.map(|free| free.lane(0) == 0.0),
-                slides: from.modes.free.map(|free| free.lane(0) != 0.0),
+                rests: std::array::from_fn(|i| at_once(i) && !slides(i)),
+                slides: std::array::from_fn(|i| at_once(i) && slides(i)),
+                moves: part > 0.0,
                 decay: current.over(&one, &zero, S::splat(part * length)),
                 duration: part * length,
                 end,
@@ -262,6 +265,8 @@ struct Through<S, const N: usize> {
     rests: [bool; N],
     /// Motors that come to rest where they have an event.
     slides: [bool; N],
+    /// Whether the event's instant depends on anything: not where the modes never fitted.
+    moves: bool,
     /// What is left of the torques' distances to their targets.
     decay: StepTorque<S, N>,
     /// How long it takes [s].
@@ -418,7 +423,9 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S
                 .dual
                 .plant
                 .margins(&end.state, &end.torque, &end.modes, true);
-            later = margins[joint].tangent * V::splat(-1.0 / rates.margins[joint].lane(0));
+            if through.moves {
+                later = margins[joint].tangent * V::splat(-1.0 / rates.margins[joint].lane(0));
+            }
             self.left = self.left - later;
         }
         self.column.tangent.add(&rates.tangent, later);
