@@ -94,7 +94,11 @@ impl<A: Arm<N>, const N: usize> Case<A, N> {
 
     /// All parameters and all initial states.
     fn directions(&self) -> Vec<Source> {
-        let parameters = (0..self.parameters.len()).map(Source::Parameter);
+        // a motor that stops at once does so for good: its time has no derivative
+        let names = self.task.config.parameter_names();
+        let stops = |k: &usize| names[*k].0 == "friction_settling_time";
+        let varied = |k: &usize| !stops(k) || self.parameters[*k] > 0.0;
+        let parameters = (0..names.len()).filter(varied).map(Source::Parameter);
         let states = (0..N).flat_map(|i| {
             [
                 Source::MotorAngle(i),
@@ -152,6 +156,7 @@ impl<A: Arm<N>, const N: usize> Case<A, N> {
 }
 
 fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut Draw) -> Vec<f64> {
+    let settling = f64::from(u8::from(draw.next() > 0.0));
     let mut around = |value: f64| value * (1.0 + 0.3 * draw.next());
     config
         .parameter_names()
@@ -178,6 +183,7 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "gear_knee_t1" => either(7.0, 2.0),
                 "gear_knee_t2" => either(25.0, 6.9),
                 "gear_damping" => either(20.0, 4.0),
+                "friction_settling_time" => settling * either(1.5e-4, 4e-4),
                 _ => unreachable!("{name}"),
             })
         })
