@@ -6,7 +6,7 @@
 
 use std::arch::x86_64::*;
 
-use crate::real::{Fused, Real, Work, operators};
+use crate::real::{Fused, MOST_LANES, Real, Work, operators};
 
 /// Runs work compiled for AVX2 and fused multiply-add.
 ///
@@ -132,7 +132,7 @@ vector!(
     },
     {
         #[inline(always)]
-        fn transposed(rows: &[[f64; 4]], pick: &[usize]) -> [Self; 4] {
+        fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
             let (a, b) = (Self::load(&rows[pick[0]]).0, Self::load(&rows[pick[1]]).0);
             let (c, d) = (Self::load(&rows[pick[2]]).0, Self::load(&rows[pick[3]]).0);
             // SAFETY: the processor has the feature, as the top of this file says.

@@ -15,6 +15,9 @@ pub trait Work {
     fn run(self) -> Self::Output;
 }
 
+/// Most lanes that any scalar has.
+pub const MOST_LANES: usize = 8;
+
 /// A real number, or several side by side.
 pub trait Real:
     Copy
@@ -78,7 +81,7 @@ pub trait Real:
     }
     /// Four numbers, of which lane `l` holds those of `rows[pick[l]]`.
     #[inline(always)]
-    fn transposed(rows: &[[f64; 4]], pick: &[usize]) -> [Self; 4] {
+    fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
         std::array::from_fn(|k| {
             let mut all = Self::splat(0.0);
             for lane in 0..Self::LANES {

@@ -647,10 +647,17 @@ fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
         }
     }
     let torque = std::array::from_fn(|i| S::splat(current.torque_per_volt[i] * initial.voltage[i]));
+    let modes = plant.modes_at(&state, &torque);
+    for i in 0..N {
+        // Friction stops a standing motor however it is nudged: no derivative either.
+        if modes.free[i].lane(0) == 0.0 {
+            state.motor_velocity[i] = S::splat(0.0);
+        }
+    }
     Motion {
-        modes: plant.modes_at(&state, &torque),
         state,
         torque,
+        modes,
     }
 }
 

@@ -16,7 +16,7 @@ use crate::arm::{Arm, MOST_BASE};
 use crate::config::{Config, GearKind, SETTLING};
 use crate::gear::PerSlope;
 use crate::plant::{Acceleration, Modes, Plant, State, StepTorque, Watch, solve};
-use crate::real::Real;
+use crate::real::{MOST_LANES, Real};
 use crate::simulate::Source;
 
 /// A number at each of the four stages.
@@ -317,7 +317,7 @@ pub(crate) struct Column<V, const N: usize> {
     /// What this column's parameters add to the gears', motors' and links' rows at each stage.
     forcing: [[[V; 4]; N]; 3],
     /// The rows of these that are not zero always, and whose entries they hold.
-    plan: Vec<(Row, usize, Vec<usize>)>,
+    plan: Vec<(Row, usize, [usize; MOST_LANES])>,
     /// One where a direction is the joint's settling time.
     settling: [V; N],
 }
@@ -329,7 +329,7 @@ impl<V: Real, const N: usize> Column<V, N> {
         tangent: Tangent<V, N>,
     ) -> Self {
         let rows = rows(config);
-        let mut plan: Vec<(Row, usize, Vec<usize>)> = Vec::new();
+        let mut plan: Vec<(Row, usize, [usize; MOST_LANES])> = Vec::new();
         let mut settling = [V::splat(0.0); N];
         let names = config.parameter_names();
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
@@ -350,7 +350,7 @@ impl<V: Real, const N: usize> Column<V, N> {
                     .iter()
                     .position(|known| (known.0, known.1) == (row, place));
                 let at = known.unwrap_or_else(|| {
-                    plan.push((row, place, vec![0; V::LANES]));
+                    plan.push((row, place, [0; MOST_LANES]));
                     plan.len() - 1
                 });
                 plan[at].2[lane] = 1 + k * N + own;
