@@ -412,13 +412,15 @@ def test_refusals() -> None:
 @pytest.mark.xfail(
     reason="what nothing depends on makes its covariance overflow", raises=RuntimeWarning
 )
-def test_a_joint_that_rests_is_told_as_such() -> None:
-    """At 1 V joint 2 never comes loose: nothing depends on how fast its friction acts."""
-    study, known, records = shaken("linear", 1.0)
-    assert np.ptp(records[0].channels["theta_m2"]) < 4.0 * np.pi / 8192
-    model = from_wrong_starts(records[:1], study, known)
-    assert model.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.02)
-    assert np.all(np.isfinite([p.std for p in model.parameters if p.std is not None]))
+def test_a_motor_that_has_not_moved_yet_is_no_obstacle() -> None:
+    """Of the first 37 ms on joint 1, nothing depends on how friction acts on motor 2."""
+    study, known, records = rig_records()
+    brief = {name: channel[:150] for name, channel in records[0].channels.items()}
+    model = from_wrong_starts(
+        [replace(records[0], time=records[0].time[:150], channels=brief)], study, known
+    )
+    for parameter in model.parameters:
+        assert parameter.std is None or np.isfinite(parameter.std)
 
 
 @pytest.mark.xfail(
