@@ -103,12 +103,13 @@ def tune(
     if misfit.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     before = misfit.fits(start)
-    fit = _fit(misfit, start, chosen)
+    fit = _fit(misfit, start, chosen.max_iterations)
     if chosen.settling is None:
         fit = _without_idle_settling(fit, chosen)
     values = fit.misfit.search.values(fit.z)
     tuning_logs = [log for log in used if log.experiment.use == "tuning"]
-    parameters, covariance = parameters_of(fit, study)
+    largest = gear_torques(records, values, study).tolist()
+    parameters, covariance = parameters_of(fit, study, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
         status = "at-bounds"
@@ -177,7 +178,7 @@ def gear_torques(
     return np.asarray(np.max(largest, axis=0))
 
 
-def _fit(misfit: Misfit, z: FloatArray, options: TuningOptions) -> Fit:
+def _fit(misfit: Misfit, z: FloatArray, allowed: int) -> Fit:
     """Least squares and new weights in turn until the weights stay."""
     reach = misfit.search.reach
     iterations, converged = 0, False
@@ -187,7 +188,7 @@ def _fit(misfit: Misfit, z: FloatArray, options: TuningOptions) -> Fit:
             z,
             reach,
             tolerance=_ROUGH if number == 0 else _FINE,
-            max_evaluations=max(2, options.max_iterations - iterations),
+            max_evaluations=allowed - iterations,
         )
         if found is None:
             raise NotIdentifiable("tuning cannot simulate what the steps before found")
@@ -195,7 +196,8 @@ def _fit(misfit: Misfit, z: FloatArray, options: TuningOptions) -> Fit:
         if any(record.moving for record in misfit.records):
             misfit.settle_own(z)
         renewed = misfit.reweighted(z)
-        if number > 0 and (not converged or iterations >= options.max_iterations):
+        if iterations >= allowed or (number > 0 and not converged):
+            converged = converged and number > 0
             break
         if number > 0 and _settled(misfit, renewed):
             break
@@ -220,5 +222,6 @@ def _without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
     if not idle:
         return fit
     search = fit.misfit.search.holding(idle)
-    again = _fit(fit.misfit.for_unknowns(search), search.coordinates(values), options)
+    left = max(1, options.max_iterations - fit.iterations)
+    again = _fit(fit.misfit.for_unknowns(search), search.coordinates(values), left)
     return replace(again, iterations=fit.iterations + again.iterations)

@@ -24,6 +24,7 @@ import numpy as np
 from strainwave.records import FloatArray
 from strainwave.tuning.misfit import Misfit
 
+_NOTHING = 1e-30  # information of what no record tells of
 _VAGUE = 0.1  # relative deviation from which a parameter is hardly told
 _SURER = 5.0  # times, that a sum must be surer than its parts to be named
 _TAKES_PART = 0.2  # share of the largest component from which a parameter takes part
@@ -53,15 +54,16 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     Confidence
         Correlations are those of the local one. Deviations are the largest of the three.
     """
-    scores, products = _scores(misfit, z)
+    scores, products, curvatures = _scores(misfit, z)
     prior = misfit.search.prior.rows @ misfit.search.slope(z)
     known = prior.T @ prior
     whole = np.sum(products, axis=0) + known
     inverse = _inverse(whole)
     blocks = np.concatenate(scores)
     n = len(blocks)
-    sandwich = inverse @ (n / (n - 1.0) * blocks.T @ blocks + known) @ inverse
-    jackknife = _jackknife(whole, products, [block.sum(axis=0) for block in scores])
+    bread = np.sum(curvatures, axis=0) + known
+    sandwich = _inverse(bread) @ (n / (n - 1.0) * blocks.T @ blocks + known) @ _inverse(bread)
+    jackknife = _jackknife(bread, curvatures, [block.sum(axis=0) for block in scores])
     slope = misfit.search.slope(z)
     parts = [slope @ part @ slope.T for part in (inverse, sandwich, jackknife)]
     deviations = np.sqrt([np.diag(part) for part in parts])
@@ -71,9 +73,14 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     return Confidence(parts[0] * np.outer(raised, raised), *parts)
 
 
-def _scores(misfit: Misfit, z: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Each record's gradients, stretch by stretch, and its part of J'J."""
-    scores, products = [], []
+def _scores(
+    misfit: Misfit, z: FloatArray
+) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
+    """Each record's gradients, stretch by stretch, its part of J'J, and the loss's curvature.
+
+    Weights (1 + r^2)^(-1/2) give the gradient of the soft L1 loss; it bends as (1 + r^2)^(-3/2).
+    """
+    scores, products, curvatures = [], [], []
     for rows, block in zip(misfit.rows(z), misfit.blocks(), strict=True):
         n = rows.shared.shape[2]
         table = np.concatenate([rows.local, rows.shared], axis=2) * rows.root[..., None]
@@ -88,7 +95,9 @@ def _scores(misfit: Misfit, z: FloatArray) -> tuple[list[FloatArray], list[Float
         np.add.at(sums, at, each)
         scores.append(sums)
         products.append(shared.T @ shared)
-    return scores, products
+        bent = shared / np.sqrt(1.0 + rows.residual.reshape(-1, 1) ** 2)
+        curvatures.append(bent.T @ bent)
+    return scores, products, curvatures
 
 
 def _beyond_noise(
@@ -121,7 +130,7 @@ def _jackknife(
 def _inverse(information: FloatArray) -> FloatArray:
     """Inverse by the eigenvalues of the scaled matrix; what nothing tells of is very uncertain."""
     scale = np.sqrt(np.diag(information))
-    scale[scale == 0.0] = 1e-150
+    scale[scale == 0.0] = _NOTHING
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     values = np.maximum(values, 1e-13 * values[-1])
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))

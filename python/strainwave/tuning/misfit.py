@@ -24,6 +24,7 @@ from strainwave.tuning.unknowns import Search
 BLOCKS = 10
 """Stretches of a record whose errors count as independent of one another."""
 
+_MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
 _FIRST = 0.1  # of a channel's own spread: its errors' deviation before any is known
 _LEAST = 1e-3  # of it: no model is better than that
 _NOISE_REPEATS = 2.0  # rows of low-passed white noise that say the same, four to a period
@@ -191,12 +192,13 @@ class Misfit:
         return found
 
     def fits(self, z: FloatArray) -> dict[str, dict[str, float]]:
-        """By record and channel, 100 (1 - |difference| / |measured - its mean|)."""
+        """By record and channel, 100 (1 - |difference| / |measured - its mean|); NaN if it rests."""
         found = {}
         for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
             difference = np.linalg.norm(rows.residual * weights.deviation, axis=0)
             spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
-            fits = 100.0 * (1.0 - difference / np.maximum(spread, 1e-300))
+            still = spread < _MOVES * record.noise * np.sqrt(len(record.time))
+            fits = 100.0 * (1.0 - difference / np.where(still, np.nan, spread))
             names = [channel.name.replace("theta", "omega") for channel in record.channels]
             found[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
         return found
