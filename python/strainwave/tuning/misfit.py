@@ -55,7 +55,7 @@ class Evaluated:
         local = self.local / weights.deviation[:, None]
         root = _root(residual, weights)
         columns = (local * root[..., None]).reshape(residual.size, -1)
-        step = np.linalg.lstsq(columns, -(residual * root).ravel())[0]
+        step = np.asarray(np.linalg.lstsq(columns, -(residual * root).ravel())[0], dtype=float)
         residual = residual + local @ step
         shared = self.shared / weights.deviation[:, None]
         return Rows(residual, _root(residual, weights), shared, local, step)
@@ -192,7 +192,7 @@ class Misfit:
         return found
 
     def fits(self, z: FloatArray) -> dict[str, dict[str, float]]:
-        """By record and channel, 100 (1 - |difference| / |measured - its mean|); NaN if it rests."""
+        """By record and channel, 100 (1 - |difference| / |measured - mean|); NaN if it rests."""
         found = {}
         for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
             difference = np.linalg.norm(rows.residual * weights.deviation, axis=0)
