@@ -23,6 +23,7 @@ from strainwave.tuning.told import Fit, parameters_of, warnings_of
 from strainwave.tuning.trust_region import minimise
 from strainwave.tuning.unknowns import (
     SETTLING,
+    SETTLING_START,
     Search,
     search_of,
     with_curves,
@@ -35,9 +36,11 @@ _BAND = 5.0  # times the highest resonance: beyond, little is left of what the g
 _LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
 _ROUNDS = 4  # of new weights; the third seldom moves anything
 _SETTLED = 0.2  # relative change of the weights
-_ROUGH, _FINE = 1.0, 1e-2  # gain still foretold, in units of the cost
+_FINE, _SOON = 1e-2, 1.0  # gain still foretold, in units of the cost
+_ROUGH = 0.02  # the same as a share of it, as long as the weights are guesses
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
 _EVIDENT = 3.0  # deviations from zero that a settling time must have
+_TRIAL = 10  # evaluations in which it must show
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +107,8 @@ def tune(
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     before = misfit.fits(start)
     fit = _fit(misfit, start, chosen.max_iterations)
-    if chosen.settling is None:
-        fit = _without_idle_settling(fit, chosen)
+    if chosen.settling is not False:
+        fit = _settling(fit, chosen)
     values = fit.misfit.search.values(fit.z)
     tuning_logs = [log for log in used if log.experiment.use == "tuning"]
     largest = gear_torques(records, values, study).tolist()
@@ -157,7 +160,7 @@ def _search(
     if any(joint.spring == "three-slope" for joint in study.joints):
         values = search.values(np.zeros(len(search.unknowns)))
         search = with_curves(search, study, gear_torques(records, values, study).tolist())
-    return search if options.settling is False else with_settling(search)
+    return search
 
 
 def gear_torques(
@@ -187,7 +190,8 @@ def _fit(misfit: Misfit, z: FloatArray, allowed: int) -> Fit:
             misfit.linearise,
             z,
             reach,
-            tolerance=_ROUGH if number == 0 else _FINE,
+            tolerance=_FINE,
+            relative=_ROUGH if number == 0 else 0.0,
             max_evaluations=allowed - iterations,
         )
         if found is None:
@@ -210,7 +214,32 @@ def _settled(old: Misfit, new: Misfit) -> bool:
     return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
 
 
-def _without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
+def _settling(fit: Fit, options: TuningOptions) -> Fit:
+    """With friction that takes its time, if that is asked for or explains much more."""
+    values = fit.misfit.search.values(fit.z)
+    search = with_settling(fit.misfit.search)
+    begin = search.coordinates(dict.fromkeys(search.keys, SETTLING_START) | values)
+    misfit = fit.misfit.for_unknowns(search)
+    left = options.max_iterations - fit.iterations
+    found = minimise(
+        misfit.linearise,
+        begin,
+        search.reach,
+        tolerance=_SOON,
+        max_evaluations=max(1, left if options.settling else min(left, _TRIAL)),
+    )
+    before = fit.misfit.linearise(fit.z)
+    if found is None or before is None:
+        return fit
+    if options.settling is None and before.cost - found.at.cost < _EVIDENT**2:
+        return replace(fit, iterations=fit.iterations + found.evaluations)
+    spent = fit.iterations + found.evaluations
+    richer = _fit(misfit, found.x, max(1, options.max_iterations - spent))
+    richer = replace(richer, iterations=spent + richer.iterations)
+    return richer if options.settling else _without_idle(richer, options)
+
+
+def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
     """Again with friction that acts at once in the joints where nothing speaks for a delay."""
     values = fit.misfit.search.values(fit.z)
     deviation = np.sqrt(np.diag(fit.confidence.combined))

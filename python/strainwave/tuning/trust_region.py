@@ -17,6 +17,7 @@ from strainwave.records import FloatArray
 
 _GOOD, _POOR = 0.75, 0.25  # share of the foretold gain from which the region grows, or shrinks
 _STUCK = 100.0  # tolerances of gain that an end without a step that helps may leave
+_FARTHEST = 1.0  # step of a coordinate, beyond which nothing linear is to be trusted
 _HELPS = 1e-4  # share from which a step is taken
 _LEAST_DAMPING = 1e-9
 _SMALLEST = 1e-12  # of the largest singular value: directions below it are not stepped along
@@ -46,6 +47,7 @@ def minimise(
     reach: FloatArray,
     *,
     tolerance: float,
+    relative: float = 0.0,
     max_evaluations: int,
 ) -> Found | None:
     """Levenberg and Marquardt's method in scaled coordinates, with bounds on each.
@@ -60,6 +62,8 @@ def minimise(
     tolerance : float
         The search has converged when the foretold gain is below this, in units of the cost: where
         residuals are in deviations, a hundredth is a tenth of a parameter's standard deviation.
+    relative : float
+        The same as a share of the cost, to be added.
     max_evaluations : int
         Of the least squares problem.
 
@@ -78,11 +82,15 @@ def minimise(
     while True:
         bounded = _pushed_out(x, reach, at.factor)
         gain, _ = _step(at.factor, 0.0, bounded)
-        if gain < tolerance:
+        enough = tolerance + relative * at.cost
+        if gain < enough:
             return Found(x, at, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
         foretold, step = _step(at.factor, damping, bounded)
+        if np.max(np.abs(step)) > _FARTHEST:
+            damping *= 4.0
+            continue
         trial = np.asarray(np.clip(x + step, -reach, reach))
         there = linearise(trial)
         evaluations += 1
@@ -90,7 +98,7 @@ def minimise(
         if there is None or quality < _HELPS:
             damping, growth = damping * growth, growth * 2.0
             if foretold < tolerance:  # no step helps
-                return Found(x, at, evaluations, gain < _STUCK * tolerance)
+                return Found(x, at, evaluations, gain < _STUCK * enough)
             continue
         if quality > _GOOD:
             damping = max(damping / 5.0, _LEAST_DAMPING)
