@@ -274,7 +274,7 @@ def test_records_that_cannot_be_gone_through_again() -> None:
     with pytest.raises(InvalidInput, match="theta_m2 is not there"):
         replayed(replace(log, channels=deaf), study, CUTOFF)
     mute = {name: x for name, x in log.channels.items() if name != "u2"}
-    with pytest.raises(InvalidInput, match="neither torque2 nor u2 is there"):
+    with pytest.raises(InvalidInput, match="neither u2 nor torque2 is there"):
         replayed(replace(log, channels=mute), study, CUTOFF)
     short = {name: x[:200] for name, x in log.channels.items()}
     with pytest.raises(InvalidInput, match="record at least"):
