@@ -220,8 +220,21 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
     )
     loud = confidence_of(unexplained, z)
     raised = np.sqrt(np.diag(loud.combined) / np.diag(quiet.combined))
-    # 0.1 where noise makes sqrt(2) / 80
-    np.testing.assert_allclose(raised, 0.1 * 80.0 / np.sqrt(2.0), rtol=1e-6)
+    # a variance of 0.1^2, of which noise makes 2 / 80^2; the rest counts once more
+    share = 1.0 - 2.0 / 80.0**2 / 0.1**2
+    np.testing.assert_allclose(raised, np.sqrt(1.0 + share), rtol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 4, 9])
+def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
+    """Twice the records make noise matter half as much, and a wrong model as much as before."""
+    rng = np.random.default_rng(12)
+    tables, errors = [table_of(12, 200)] * n, [rng.normal(0.0, 0.1, (200, 1))] * n
+    found = [
+        confidence_of(misfit_of(tables, errors, 0.1, noise=noise), TRUTH) for noise in (1e9, 1e-9)
+    ]
+    raised = np.diag(found[1].combined) / np.diag(found[0].combined)
+    np.testing.assert_allclose(raised, 1.0 + n, rtol=1e-9)
 
 
 def test_what_nothing_tells_of_is_very_uncertain() -> None:

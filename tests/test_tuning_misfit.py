@@ -160,7 +160,8 @@ def test_an_added_constant_is_found_and_costs_nothing() -> None:
 
 
 def test_only_settling_moves_what_is_a_records_own() -> None:
-    misfit, z = near_truth("linear")
+    both, z = near_truth("linear")
+    misfit = with_records(both, both.records[0])
     before = [own.copy() for own in misfit.memory.own]
     steps = [rows.step for rows in misfit.rows(z)]
     cost = cost_of(misfit, z)
@@ -169,8 +170,8 @@ def test_only_settling_moves_what_is_a_records_own() -> None:
     misfit.settle_own(z)
     for own, old, step in zip(misfit.memory.own, before, steps, strict=True):
         np.testing.assert_array_equal(own, old + step)
-    # where they are at their best already, next to nothing is left to gain
-    assert cost_of(misfit, z) == pytest.approx(cost, rel=0.02)
+    # the cost was that of the best constants but for the robust weights, which are new now
+    assert 0.9 * cost < cost_of(misfit, z) <= cost
 
 
 RUNS_AWAY = pytest.mark.xfail(
