@@ -106,9 +106,7 @@ def tune(
     if misfit.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     before = misfit.fits(start)
-    fit = _fit(misfit, start, chosen.max_iterations)
-    if chosen.settling is not False:
-        fit = _settling(fit, chosen)
+    fit = _whole_fit(misfit, start, chosen)
     values = fit.misfit.search.values(fit.z)
     tuning_logs = [log for log in used if log.experiment.use == "tuning"]
     largest = gear_torques(records, values, study).tolist()
@@ -181,7 +179,15 @@ def gear_torques(
     return np.asarray(np.max(largest, axis=0))
 
 
-def _fit(misfit: Misfit, z: FloatArray, allowed: int) -> Fit:
+def _whole_fit(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
+    """With friction that takes its time, if that is asked for or explains much more."""
+    if options.settling is False:
+        return _fit(misfit, start, options.max_iterations, _FINE)
+    plain = _fit(misfit, start, options.max_iterations, _SOON)
+    return _settling(plain, options)
+
+
+def _fit(misfit: Misfit, z: FloatArray, allowed: int, tolerance: float) -> Fit:
     """Least squares and new weights in turn until the weights stay."""
     reach = misfit.search.reach
     iterations, converged = 0, False
@@ -190,7 +196,7 @@ def _fit(misfit: Misfit, z: FloatArray, allowed: int) -> Fit:
             misfit.linearise,
             z,
             reach,
-            tolerance=_FINE,
+            tolerance=tolerance,
             relative=_ROUGH if number == 0 else 0.0,
             max_evaluations=allowed - iterations,
         )
@@ -215,7 +221,7 @@ def _settled(old: Misfit, new: Misfit) -> bool:
 
 
 def _settling(fit: Fit, options: TuningOptions) -> Fit:
-    """With friction that takes its time, if that is asked for or explains much more."""
+    """From a rough fit without to the final one, with or without a settling time."""
     values = fit.misfit.search.values(fit.z)
     search = with_settling(fit.misfit.search)
     begin = search.coordinates(dict.fromkeys(search.keys, SETTLING_START) | values)
@@ -230,19 +236,24 @@ def _settling(fit: Fit, options: TuningOptions) -> Fit:
     )
     before = fit.misfit.linearise(fit.z)
     if found is None or before is None:
-        return fit
-    if options.settling is None and before.cost - found.at.cost < _EVIDENT**2:
-        return replace(fit, iterations=fit.iterations + found.evaluations)
+        raise NotIdentifiable("tuning cannot simulate what the steps before found")
     spent = fit.iterations + found.evaluations
-    richer = _fit(misfit, found.x, max(1, options.max_iterations - spent))
-    richer = replace(richer, iterations=spent + richer.iterations)
+    if options.settling is None and before.cost - found.at.cost < _EVIDENT**2:
+        return _last(fit.misfit, fit.z, spent, options)
+    richer = _last(misfit, found.x, spent, options)
     return richer if options.settling else _without_idle(richer, options)
+
+
+def _last(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
+    """A fine fit after as many evaluations."""
+    fit = _fit(misfit, z, max(1, options.max_iterations - spent), _FINE)
+    return replace(fit, iterations=spent + fit.iterations)
 
 
 def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
     """Again with friction that acts at once in the joints where nothing speaks for a delay."""
     values = fit.misfit.search.values(fit.z)
-    deviation = np.sqrt(np.diag(fit.confidence.combined))
+    deviation = np.sqrt(np.diag(fit.confidence.local))
     idle = {
         key: 0.0
         for key, std in zip(fit.misfit.search.keys, deviation, strict=True)
@@ -251,6 +262,5 @@ def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
     if not idle:
         return fit
     search = fit.misfit.search.holding(idle)
-    left = max(1, options.max_iterations - fit.iterations)
-    again = _fit(fit.misfit.for_unknowns(search), search.coordinates(values), left)
-    return replace(again, iterations=fit.iterations + again.iterations)
+    begin = search.coordinates(values)
+    return _last(fit.misfit.for_unknowns(search), begin, fit.iterations, options)

@@ -16,7 +16,10 @@ import numpy as np
 from strainwave.records import FloatArray
 
 _GOOD, _POOR = 0.75, 0.25  # share of the foretold gain from which the region grows, or shrinks
-_STUCK = 100.0  # tolerances of gain that an end without a step that helps may leave
+# Friction's events make a cost rough: below some roughness no foretold gain is to be had.
+_PATIENCE = 4  # evaluations without
+_STUCK = 30.0  # tolerances of gain, after which the search ends
+_HOPE = 1000.0  # unless as many are foretold still
 _FARTHEST = 1.0  # step of a coordinate, beyond which nothing linear is to be trusted
 _HELPS = 1e-4  # share from which a step is taken
 _LEAST_DAMPING = 1e-9
@@ -70,8 +73,8 @@ def minimise(
     Returns
     -------
     Found
-        Not converged if the evaluations ran out, or no step helps although one should. None if
-        there is no problem at the start.
+        Not converged if the evaluations ran out, or no step helps although much is foretold. None
+        if there is no problem at the start.
     """
     x, first = start, linearise(start)
     if first is None:
@@ -79,11 +82,16 @@ def minimise(
     at = first
     damping, growth = 1e-3, 2.0
     evaluations = 1
+    costs: list[float] = []
     while True:
         bounded = _pushed_out(x, reach, at.factor)
         gain, _ = _step(at.factor, 0.0, bounded)
+        costs.append(at.cost)
         enough = tolerance + relative * at.cost
         if gain < enough:
+            return Found(x, at, evaluations, True)
+        stalled = len(costs) > _PATIENCE and costs[-_PATIENCE - 1] - at.cost < _STUCK * enough
+        if stalled and gain < _HOPE * enough:
             return Found(x, at, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
@@ -98,7 +106,7 @@ def minimise(
         if there is None or quality < _HELPS:
             damping, growth = damping * growth, growth * 2.0
             if foretold < tolerance:  # no step helps
-                return Found(x, at, evaluations, gain < _STUCK * enough)
+                return Found(x, at, evaluations, gain < _HOPE * enough)
             continue
         if quality > _GOOD:
             damping = max(damping / 5.0, _LEAST_DAMPING)
