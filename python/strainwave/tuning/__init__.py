@@ -107,7 +107,8 @@ def tune(
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     before = misfit.fits(start)
     fit = _whole_fit(misfit, start, chosen)
-    values = fit.misfit.search.values(fit.z)
+    at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
+    values = at_once | fit.misfit.search.values(fit.z)
     tuning_logs = [log for log in used if log.experiment.use == "tuning"]
     largest = gear_torques(records, values, study).tolist()
     parameters, covariance = parameters_of(fit, study, largest)
@@ -184,6 +185,8 @@ def _whole_fit(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit
     if options.settling is False:
         return _fit(misfit, start, options.max_iterations, _FINE)
     plain = _fit(misfit, start, options.max_iterations, _SOON)
+    if plain.iterations >= options.max_iterations:
+        return replace(plain, converged=False)
     return _settling(plain, options)
 
 
@@ -246,7 +249,10 @@ def _settling(fit: Fit, options: TuningOptions) -> Fit:
 
 def _last(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
     """A fine fit after as many evaluations."""
-    fit = _fit(misfit, z, max(1, options.max_iterations - spent), _FINE)
+    left = options.max_iterations - spent
+    if left < 1:
+        return Fit(misfit, z, confidence_of(misfit, z), spent, False)
+    fit = _fit(misfit, z, left, _FINE)
     return replace(fit, iterations=spent + fit.iterations)
 
 

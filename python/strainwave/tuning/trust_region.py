@@ -96,9 +96,7 @@ def minimise(
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
         foretold, step = _step(at.factor, damping, bounded)
-        if np.max(np.abs(step)) > _FARTHEST:
-            damping *= 4.0
-            continue
+        step = np.clip(step, -_FARTHEST, _FARTHEST)
         trial = np.asarray(np.clip(x + step, -reach, reach))
         there = linearise(trial)
         evaluations += 1
