@@ -37,6 +37,7 @@ _LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
 _ROUNDS = 4  # of new weights; the third seldom moves anything
 _SETTLED = 0.2  # relative change of the weights
 _FINE, _SOON = 1e-2, 1.0  # gain still foretold, in units of the cost
+_FARTHEST = 1.0  # step of a logarithm
 _ROUGH = 0.02  # the same as a share of it, as long as the weights are guesses
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
 _EVIDENT = 3.0  # deviations from zero that a settling time must have
@@ -201,6 +202,7 @@ def _fit(misfit: Misfit, z: FloatArray, allowed: int, tolerance: float) -> Fit:
             reach,
             tolerance=tolerance,
             relative=_ROUGH if number == 0 else 0.0,
+            farthest=_FARTHEST,
             max_evaluations=allowed - iterations,
         )
         if found is None:
@@ -235,6 +237,7 @@ def _settling(fit: Fit, options: TuningOptions) -> Fit:
         begin,
         search.reach,
         tolerance=_SOON,
+        farthest=_FARTHEST,
         max_evaluations=max(1, left if options.settling else min(left, _TRIAL)),
     )
     before = fit.misfit.linearise(fit.z)

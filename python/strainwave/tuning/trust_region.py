@@ -20,7 +20,6 @@ _GOOD, _POOR = 0.75, 0.25  # share of the foretold gain from which the region gr
 _PATIENCE = 4  # evaluations without
 _STUCK = 30.0  # tolerances of gain, after which the search ends
 _HOPE = 1000.0  # unless as many are foretold still
-_FARTHEST = 1.0  # step of a coordinate, beyond which nothing linear is to be trusted
 _HELPS = 1e-4  # share from which a step is taken
 _LEAST_DAMPING = 1e-9
 _SMALLEST = 1e-12  # of the largest singular value: directions below it are not stepped along
@@ -51,6 +50,7 @@ def minimise(
     *,
     tolerance: float,
     relative: float = 0.0,
+    farthest: float = np.inf,
     max_evaluations: int,
 ) -> Found | None:
     """Levenberg and Marquardt's method in scaled coordinates, with bounds on each.
@@ -67,6 +67,8 @@ def minimise(
         residuals are in deviations, a hundredth is a tenth of a parameter's standard deviation.
     relative : float
         The same as a share of the cost, to be added.
+    farthest : float
+        Step of a coordinate beyond which nothing linear is to be trusted.
     max_evaluations : int
         Of the least squares problem.
 
@@ -96,7 +98,7 @@ def minimise(
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
         foretold, step = _step(at.factor, damping, bounded)
-        step = np.clip(step, -_FARTHEST, _FARTHEST)
+        step = np.clip(step, -farthest, farthest)
         trial = np.asarray(np.clip(x + step, -reach, reach))
         there = linearise(trial)
         evaluations += 1
