@@ -6,6 +6,7 @@ use std::time::Instant;
 use strainwave_core::arm::TwoLink;
 use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::{Width, sensitivities, simulate};
+use strainwave_core::effects::EffectKinds;
 use strainwave_core::gear::CORNER;
 use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Source, Task};
 
@@ -29,6 +30,7 @@ fn task(record: Vec<Quantity>) -> Task<TwoLink<false>, 2> {
         accelerometer_distance,
         accelerometer_hz: Some(300.0),
         gyro_hz: Some(5.0),
+        effects: EffectKinds::default(),
     };
     Task {
         config: Config {

@@ -5,6 +5,7 @@ use std::marker::PhantomData;
 
 use crate::arm::{Accelerometers, Arm};
 use crate::drive::CurrentLoop;
+use crate::effects::{EffectKinds, Effects};
 use crate::gear::Spring;
 use crate::plant::{Joint, Plant};
 use crate::real::Real;
@@ -39,6 +40,9 @@ pub struct JointConfig {
     pub accelerometer_hz: Option<f64>,
     /// Bandwidth [Hz]; `None`: the rate itself.
     pub gyro_hz: Option<f64>,
+    /// What the joint has beyond spring and dry friction; a rigid gear has Stribeck's friction at
+    /// most.
+    pub effects: EffectKinds,
 }
 
 /// An arm with all its known constants.
@@ -118,7 +122,10 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     pub fn parameter_names(&self) -> Vec<Name> {
         let mut names = A::NAMES.to_vec();
         for (i, joint) in self.joints.iter().enumerate() {
-            let own = DRIVE.iter().chain(joint.gear.names());
+            let own = DRIVE
+                .iter()
+                .chain(joint.gear.names())
+                .chain(joint.effects.names());
             names.extend(own.map(|name| (*name, Some(i + 1))));
         }
         names
@@ -133,13 +140,18 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         assert_eq!(values.len(), names.len());
         for (&name, &value) in names.iter().zip(values) {
             let (ok, must) = match name.0 {
-                "gamma" | "friction_offset" | "gravity_torque_1" | "gravity_torque_2" => {
-                    (true, "finite")
-                }
+                "gamma"
+                | "friction_offset"
+                | "gravity_torque_1"
+                | "gravity_torque_2"
+                | "kinematic_error_cos"
+                | "kinematic_error_sin" => (true, "finite"),
                 "motor_viscous_friction"
                 | "motor_coulomb_friction"
                 | "link_viscous_friction"
                 | "gear_damping"
+                | "stribeck_friction"
+                | "hysteresis_torque"
                 | SETTLING => (value >= 0.0, "zero or positive"),
                 // A rigid gear's link may have its inertia counted with the motor's.
                 "link_inertia" if self.joints[0].gear == GearKind::Rigid => {
@@ -204,20 +216,22 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     }
 
     /// The arm with given parameter values: lane `l` gets those of `values[l]`.
-    pub fn plant<R: Real, const ELASTIC: bool>(
+    pub fn plant<R: Real, const ELASTIC: bool, const EFFECTS: bool>(
         &self,
         values: &[&[f64]],
-    ) -> Plant<A, R, N, ELASTIC> {
+    ) -> Plant<A, R, N, ELASTIC, EFFECTS> {
         assert_eq!(values.len(), R::LANES);
         self.plant_of(|k| gather(|lane| R::One::splat(values[lane][k])))
     }
 
     /// The arm whose `k`-th parameter is `value(k)`.
-    pub fn plant_of<R: Real, const ELASTIC: bool>(
+    pub fn plant_of<R: Real, const ELASTIC: bool, const EFFECTS: bool>(
         &self,
         value: impl Fn(usize) -> R,
-    ) -> Plant<A, R, N, ELASTIC> {
+    ) -> Plant<A, R, N, ELASTIC, EFFECTS> {
         assert!(!ELASTIC || self.is_elastic());
+        assert!(EFFECTS || !self.has_effects());
+        assert!(!EFFECTS || R::LANES == 1);
         let mut next = 0;
         let mut take = || {
             next += 1;
@@ -251,6 +265,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 rigid: joint.gear == GearKind::Rigid,
                 spring,
                 gear_damping,
+                effects: Effects::of(joint.effects, &mut take),
             }
         });
         let settles = |joint: &Joint<R>| (-joint.settling_time).any_negative();
@@ -266,6 +281,11 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         self.joints
             .iter()
             .all(|joint| joint.gear != GearKind::Rigid)
+    }
+
+    /// Whether any joint has one of [`crate::effects`].
+    pub fn has_effects(&self) -> bool {
+        self.joints.iter().any(|joint| joint.effects.any())
     }
 
     /// The current loops for an integrator of step `h` [s].

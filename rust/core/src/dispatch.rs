@@ -71,7 +71,9 @@ pub fn simulate<A: Arm<N>, const N: usize>(
     width: Width,
 ) -> Results<N> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
-    if task.config.is_elastic() {
+    if task.config.has_effects() {
+        one_by_one(task, members, width)
+    } else if task.config.is_elastic() {
         simulate_arms::<A, N, true>(task, members, width)
     } else {
         simulate_arms::<A, N, false>(task, members, width)
@@ -84,7 +86,7 @@ fn simulate_arms<A: Arm<N>, const N: usize, const ELASTIC: bool>(
     width: Width,
 ) -> Results<N> {
     if let [only] = members {
-        return single::<A, N, ELASTIC>(task, std::slice::from_ref(only), width);
+        return single::<A, N, ELASTIC, false>(task, std::slice::from_ref(only), width);
     }
     let lanes = width.lanes();
     members
@@ -101,15 +103,29 @@ fn simulate_arms<A: Arm<N>, const N: usize, const ELASTIC: bool>(
         .collect()
 }
 
-fn single<A: Arm<N>, const N: usize, const ELASTIC: bool>(
+/// Arms with effects, whose equations are written for one lane.
+fn one_by_one<A: Arm<N>, const N: usize>(
+    task: &Task<A, N>,
+    members: &[Member<'_, N>],
+    width: Width,
+) -> Results<N> {
+    members
+        .par_iter()
+        .flat_map_iter(|member| {
+            single::<A, N, false, true>(task, std::slice::from_ref(member), width)
+        })
+        .collect()
+}
+
+fn single<A: Arm<N>, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
     task: &Task<A, N>,
     member: &[Member<'_, N>],
     width: Width,
 ) -> Results<N> {
     match width {
-        Width::Portable => side_by_side::<A, f64, N, ELASTIC>(task, member),
+        Width::Portable => side_by_side::<A, f64, N, ELASTIC, EFFECTS>(task, member),
         #[cfg(target_arch = "x86_64")]
-        _ => side_by_side::<A, Fused, N, ELASTIC>(task, member),
+        _ => side_by_side::<A, Fused, N, ELASTIC, EFFECTS>(task, member),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }
@@ -121,25 +137,27 @@ fn group<A: Arm<N>, const N: usize, const ELASTIC: bool>(
     width: Width,
 ) -> Results<N> {
     match width {
-        Width::Portable => side_by_side::<A, f64, N, ELASTIC>(task, members),
+        Width::Portable => side_by_side::<A, f64, N, ELASTIC, false>(task, members),
         #[cfg(target_arch = "x86_64")]
-        Width::Avx2 => side_by_side::<A, F64x4, N, ELASTIC>(task, members),
+        Width::Avx2 => side_by_side::<A, F64x4, N, ELASTIC, false>(task, members),
         #[cfg(target_arch = "x86_64")]
-        Width::Avx512 => side_by_side::<A, F64x8, N, ELASTIC>(task, members),
+        Width::Avx512 => side_by_side::<A, F64x8, N, ELASTIC, false>(task, members),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }
 }
 
-fn side_by_side<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool>(
+fn side_by_side<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
     task: &Task<A, N>,
     members: &[Member<'_, N>],
 ) -> Results<N> {
     let given = |_, value| R::One::splat(value);
-    R::scope(SideBySide::<A, R, _, N, ELASTIC>::new(task, members, given))
-        .into_iter()
-        .map(|record| record.map(|record| values(&record)))
-        .collect()
+    R::scope(SideBySide::<A, R, _, N, ELASTIC, EFFECTS>::new(
+        task, members, given,
+    ))
+    .into_iter()
+    .map(|record| record.map(|record| values(&record)))
+    .collect()
 }
 
 /// One arm in one experiment, with the derivatives of all that is recorded.
@@ -156,14 +174,14 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
-    if task.config.is_elastic() {
+    if task.config.is_elastic() && !task.config.has_effects() {
         return followed(task, member, directions, width);
     }
     by_duals_at(task, member, directions, width)
 }
 
 /// What [`sensitivities`] gives, by the chain over numbers with derivatives alone: slower, for
-/// rigid gears too, and what the faster way is checked against.
+/// rigid gears and effects too, and what the faster way is checked against.
 ///
 /// # Errors
 /// The motion diverged.
@@ -174,10 +192,23 @@ pub fn by_duals_at<A: Arm<N>, const N: usize>(
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
+    if task.config.has_effects() {
+        duals::<A, N, true>(task, member, directions, width)
+    } else {
+        duals::<A, N, false>(task, member, directions, width)
+    }
+}
+
+fn duals<A: Arm<N>, const N: usize, const EFFECTS: bool>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    directions: &[Source],
+    width: Width,
+) -> Result<Sensitivities<N>, Diverged> {
     match width {
-        Width::Portable => by_duals::<A, f64, f64, N, false>(task, member, directions),
+        Width::Portable => by_duals::<A, f64, f64, N, false, EFFECTS>(task, member, directions),
         #[cfg(target_arch = "x86_64")]
-        _ => by_duals::<A, Fused, F64x4, N, false>(task, member, directions),
+        _ => by_duals::<A, Fused, F64x4, N, false, EFFECTS>(task, member, directions),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }

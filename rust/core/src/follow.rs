@@ -543,6 +543,7 @@ fn lifted<S: Real, V: Real, const N: usize>(
             motor_velocity: pair(&state.motor_velocity, &motor(ratio, &x.rate, &x.velocity)),
             link_angle: pair(&state.link_angle, &x.angle),
             link_velocity: pair(&state.link_velocity, &x.velocity),
+            hysteresis: state.hysteresis.map(Dual::constant),
         },
         torque: pair(&nominal.torque, torque),
         modes: Modes {

@@ -1,6 +1,7 @@
 //! Coulomb friction as the set-valued law it is: sliding, standing, and the events between.
 //!
-//! The friction torque on a motor is `f_M Sgn(dtheta_M)` with `Sgn(0) = [-1, 1]`. Within a part of a
+//! The friction torque on a motor is `f_M Sgn(dtheta_M)` with `Sgn(0) = [-1, 1]`; where the motor has
+//! Stribeck's friction, `f_M` is [`Plant::dry_friction`] here and in what follows. Within a part of a
 //! step every motor either slides one way or stands, so the equations are smooth there and the
 //! integrator keeps its order. The step is cut
 //!
@@ -46,7 +47,9 @@ pub struct Motion<R, const N: usize> {
     pub modes: Modes<R, N>,
 }
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELASTIC> {
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
+    Plant<A, R, N, ELASTIC, EFFECTS>
+{
     /// Modes that fit a state: moving motors slide, resting ones stand if friction can hold them.
     pub fn modes_at(&self, x: &State<R, N>, torque: &[R; N]) -> Modes<R, N> {
         const { assert!(R::LANES == 1) };
@@ -55,7 +58,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
             free: [R::splat(1.0); N],
         };
         for i in 0..N {
-            if self.joints[i].coulomb.lane(0) == 0.0 {
+            if self.dry_friction(R::splat(0.0), i).lane(0) == 0.0 {
                 modes.direction[i] = R::splat(0.0);
             } else if x.motor_velocity[i].lane(0) == 0.0 {
                 modes.free[i] = R::splat(0.0);
@@ -71,7 +74,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         for i in 0..N {
             if modes.free[i].lane(0) == 0.0 {
                 let holding = self.holding_torques(x, torque, modes)[i].lane(0);
-                if holding.abs() > self.joints[i].coulomb.lane(0) {
+                if holding.abs() > self.dry_friction(x.motor_velocity[i], i).lane(0) {
                     modes.direction[i] = sign(holding);
                     modes.free[i] = R::splat(1.0);
                     any = true;
@@ -102,11 +105,12 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
             let holding = self.holding_torques(x, torque, modes);
             for i in 0..N {
                 let joint = &self.joints[i];
-                let left = joint.coulomb - holding[i].abs();
+                let most = self.dry_friction(x.motor_velocity[i], i);
+                let left = most - holding[i].abs();
                 let held = (R::splat(1.0) - modes.free[i]) * left;
                 // 1 where it stops at once, 0 where it settles
                 let at_once = R::splat(1.0) - joint.settling_time * joint.settling_rate;
-                let beyond = modes.direction[i] * holding[i] - joint.coulomb;
+                let beyond = modes.direction[i] * holding[i] - most;
                 let lever = joint.settling_time * joint.motor_mobility * modes.free[i];
                 margin[i] = at_once.mul_add(margin[i], lever.mul_add(beyond, held));
             }
@@ -192,7 +196,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
     fn hold_restless(&self, motion: &mut Motion<R, N>) {
         for i in 0..N {
             let rests = motion.state.motor_velocity[i].lane(0).abs() < 1e-9;
-            if rests && self.joints[i].coulomb.lane(0) > 0.0 {
+            if rests && self.dry_friction(R::splat(0.0), i).lane(0) > 0.0 {
                 motion.state.motor_velocity[i] = R::splat(0.0);
                 motion.modes.direction[i] = R::splat(0.0);
                 motion.modes.free[i] = R::splat(0.0);
@@ -226,8 +230,8 @@ impl<R: Real, const N: usize> Stretch<R, N> {
 }
 
 /// A stretch of time with fixed modes, and the integrator's step over any part of it.
-struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
-    plant: &'a Plant<A, R, N, ELASTIC>,
+struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> {
+    plant: &'a Plant<A, R, N, ELASTIC, EFFECTS>,
     from: &'a Motion<R, N>,
     target: &'a [R; N],
     current: &'a CurrentLoop<R, N>,
@@ -236,13 +240,13 @@ struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
     standing: bool,
 }
 
-struct BeginOf<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool>(
-    &'a Plant<A, R, N, ELASTIC>,
+struct BeginOf<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    &'a Plant<A, R, N, ELASTIC, EFFECTS>,
     &'a Motion<R, N>,
 );
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
-    for BeginOf<'_, A, R, N, ELASTIC>
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for BeginOf<'_, A, R, N, ELASTIC, EFFECTS>
 {
     type Output = Instant<A, R, N>;
     #[inline(always)]
@@ -251,13 +255,13 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
     }
 }
 
-struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool>(
-    &'l Leg<'a, A, R, N, ELASTIC>,
+struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    &'l Leg<'a, A, R, N, ELASTIC, EFFECTS>,
     R,
 );
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
-    for EndOf<'_, '_, A, R, N, ELASTIC>
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for EndOf<'_, '_, A, R, N, ELASTIC, EFFECTS>
 {
     type Output = (Motion<R, N>, [R; N]);
     #[inline(always)]
@@ -266,9 +270,11 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
     }
 }
 
-impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, N, ELASTIC> {
+impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
+    Leg<'a, A, R, N, ELASTIC, EFFECTS>
+{
     fn new(
-        plant: &'a Plant<A, R, N, ELASTIC>,
+        plant: &'a Plant<A, R, N, ELASTIC, EFFECTS>,
         from: &'a Motion<R, N>,
         target: &'a [R; N],
         current: &'a CurrentLoop<R, N>,

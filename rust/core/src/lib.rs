@@ -3,7 +3,7 @@
 //! Pure numerics: no files, no printing, no Python. Equation numbers are those of Oaki and Adachi
 //! (IFAC SYSID 2009); symbols and units are in docs/notation.md.
 //!
-//! [`arm`] and [`gear`] hold the physics, [`plant`] puts them together, [`friction`] cuts time where
+//! [`arm`], [`gear`] and [`effects`] hold the physics, [`plant`] puts them together, [`friction`] cuts time where
 //! Coulomb friction changes its mode, [`simulate`] runs whole experiments over any [`real::Real`],
 //! and [`dispatch`] chooses which. Over [`dual`] numbers the same chain gives its derivatives,
 //! [`sensitivity`].
@@ -13,6 +13,7 @@ pub mod config;
 pub mod dispatch;
 pub mod drive;
 pub mod dual;
+pub mod effects;
 mod follow;
 pub mod friction;
 pub mod gear;

@@ -1,6 +1,7 @@
 //! Motors, gears and links together: (1) and (2) for given friction modes, and the Runge-Kutta step.
 
 use crate::arm::Arm;
+use crate::effects::{Effects, Twist};
 use crate::gear::Spring;
 use crate::real::Real;
 
@@ -31,9 +32,11 @@ pub struct Joint<R> {
     pub spring: Spring<R>,
     /// d_G [N m s/rad].
     pub gear_damping: R,
+    /// What it has beyond these.
+    pub effects: Effects<R>,
 }
 
-/// Angles [rad] and velocities [rad/s] of motors and links.
+/// Angles [rad] and velocities [rad/s] of motors and links, and what the gears remember.
 #[derive(Clone, Copy, Debug)]
 pub struct State<R, const N: usize> {
     /// theta_M.
@@ -44,6 +47,8 @@ pub struct State<R, const N: usize> {
     pub link_angle: [R; N],
     /// dtheta_L.
     pub link_velocity: [R; N],
+    /// z, the gear's hysteresis torque over its largest, within [-1, 1]; zero where it has none.
+    pub hysteresis: [R; N],
 }
 
 /// Accelerations [rad/s^2] of motors and links.
@@ -110,9 +115,16 @@ pub struct Instant<A: Arm<N>, R: Real, const N: usize> {
 }
 
 /// An arm with its joints. `ELASTIC` says at compile time that no gear is rigid, which takes a
-/// branch out of the innermost loop.
+/// branch out of the innermost loop; `EFFECTS` says whether any joint has one of
+/// [`crate::effects`], which takes a scalar of one lane.
 #[derive(Clone, Copy)]
-pub struct Plant<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
+pub struct Plant<
+    A: Arm<N>,
+    R: Real,
+    const N: usize,
+    const ELASTIC: bool,
+    const EFFECTS: bool = false,
+> {
     /// Its inertial and gravity parameters.
     pub base: A::Base<R>,
     /// Its drive trains.
@@ -121,7 +133,9 @@ pub struct Plant<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
     pub settles: bool,
 }
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELASTIC> {
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
+    Plant<A, R, N, ELASTIC, EFFECTS>
+{
     /// Whether a joint's gear is rigid.
     #[inline(always)]
     pub fn is_rigid(&self, joint: usize) -> bool {
@@ -162,7 +176,9 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         let mut force = [R::splat(0.0); N];
         for i in 0..N {
             let joint = &self.joints[i];
-            let dry = joint.coulomb.mul_add(modes.direction[i], joint.offset);
+            let dry = self
+                .dry_friction(x.motor_velocity[i], i)
+                .mul_add(modes.direction[i], joint.offset);
             let drive = (-joint.motor_viscous).mul_add(x.motor_velocity[i], torque[i] - dry);
             let load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
             if self.is_rigid(i) {
@@ -176,8 +192,9 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
                     }
                 }
             } else {
-                let transmitted = joint.transmitted(x, i);
-                let net = (-joint.ratio).mul_add(transmitted, drive);
+                let gear = self.gear(x, i);
+                let transmitted = self.transmitted(x, i, &gear.twist);
+                let net = (-gear.lever).mul_add(transmitted, drive);
                 let settling = (modes.free[i] - R::splat(1.0)) * joint.settling_rate;
                 motor[i] = settling.mul_add(
                     x.motor_velocity[i],
@@ -198,7 +215,8 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
     /// Torque [N m] that friction must take up at each motor to hold it, offset apart: to keep it
     /// at rest, or to let it settle.
     ///
-    /// The motor is held while this stays within +-f_M: Sgn(0) is the whole interval [-1, 1].
+    /// The motor is held while this stays within +-[`Plant::dry_friction`]: Sgn(0) is the whole
+    /// interval [-1, 1].
     #[inline(always)]
     pub fn holding_torques(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> [R; N] {
         let mut holding = [R::splat(0.0); N];
@@ -207,7 +225,9 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
             holding[i] = torque[i] - joint.offset;
             if !self.is_rigid(i) {
                 let brake = joint.motor_inertia * joint.settling_rate - joint.motor_viscous;
-                holding[i] = (-joint.ratio).mul_add(joint.transmitted(x, i), holding[i]);
+                let gear = self.gear(x, i);
+                let transmitted = self.transmitted(x, i, &gear.twist);
+                holding[i] = (-gear.lever).mul_add(transmitted, holding[i]);
                 holding[i] = brake.mul_add(x.motor_velocity[i], holding[i]);
             }
         }
@@ -265,21 +285,24 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         let a1 = &now.acceleration;
         watch.stage(0, x, a1);
         let half = R::splat(0.5) * h;
-        let held = |stage: Stage<R, N>, t: R| (self.held(x, stage.0, modes, t), stage.1);
-        let second = held(x.drifted(half, a1), half);
+        let reached = |(stage, turned): Stage<R, N>, t: R| {
+            let held = self.held(x, stage, modes, t);
+            (self.twisted(x, held, t), turned)
+        };
+        let second = reached(x.drifted(half, a1), half);
         let a2 = self.after(now, &second, &torque.middle, modes);
         watch.stage(1, &second.0, &a2);
-        let third = held(x.moved(half, half * half, a1, half, &a2), half);
+        let third = reached(x.moved(half, half * half, a1, half, &a2), half);
         let a3 = self.after(now, &third, &torque.middle, modes);
         watch.stage(2, &third.0, &a3);
-        let fourth = held(x.moved(h, h * half, &a2, h, &a3), h);
+        let fourth = reached(x.moved(h, h * half, &a2, h, &a3), h);
         let a4 = self.after(now, &fourth, &torque.end, modes);
         watch.stage(3, &fourth.0, &a4);
         let sixth = h * R::splat(1.0 / 6.0);
         let inner = a2.plus(&a3);
         let for_angle = a1.plus(&inner);
         let for_velocity = for_angle.plus(&inner).plus(&a4);
-        held(x.moved(h, h * sixth, &for_angle, sixth, &for_velocity), h).0
+        reached(x.moved(h, h * sixth, &for_angle, sixth, &for_velocity), h).0
     }
 
     /// A stage `t` after the beginning in which the held motors are where they settle:
@@ -313,6 +336,21 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         stage
     }
 
+    /// A stage `t` after the beginning with the hysteresis that its twists bring about.
+    #[inline(always)]
+    fn twisted(&self, begin: &State<R, N>, mut stage: State<R, N>, t: R) -> State<R, N> {
+        if !EFFECTS {
+            return stage;
+        }
+        for i in 0..N {
+            if let Some(hysteresis) = &self.joints[i].effects.hysteresis {
+                let [from, to] = [begin, &stage].map(|x| self.gear(x, i).twist);
+                stage.hysteresis[i] = hysteresis.after(begin.hysteresis[i], &from, &to, t);
+            }
+        }
+        stage
+    }
+
     /// Accelerations at a later stage, whose links have turned a little since `now`.
     #[inline(always)]
     fn after(
@@ -339,8 +377,10 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
                 energy = energy + half * inertia[i][j] * x.link_velocity[i] * x.link_velocity[j];
             }
             if !self.is_rigid(i) {
-                let twist = joint.ratio * x.motor_angle[i] - x.link_angle[i];
-                energy = energy + joint.spring.energy(twist);
+                energy = energy + joint.spring.energy(self.gear(x, i).twist.angle);
+                if let Some(hysteresis) = &joint.effects.hysteresis {
+                    energy = energy + hysteresis.energy(x.hysteresis[i]);
+                }
             }
         }
         energy
@@ -353,10 +393,13 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
             let v = x.motor_velocity[i];
             let w = x.link_velocity[i];
             power = power + joint.motor_viscous * v * v + joint.link_viscous * w * w;
-            power = power + (joint.coulomb * modes.direction[i] + joint.offset) * v;
+            power = power + (self.dry_friction(v, i) * modes.direction[i] + joint.offset) * v;
             if !self.is_rigid(i) {
-                let rate = joint.ratio * v - w;
+                let rate = self.gear(x, i).twist.rate;
                 power = power + joint.gear_damping * rate * rate;
+                if let Some(hysteresis) = &joint.effects.hysteresis {
+                    power = power + hysteresis.loss(x.hysteresis[i], rate);
+                }
             }
         }
         power
@@ -368,20 +411,66 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
             if self.is_rigid(i) {
                 R::splat(0.0)
             } else {
-                self.joints[i].transmitted(x, i)
+                self.transmitted(x, i, &self.gear(x, i).twist)
             }
         })
     }
+
+    /// What dry friction can take up at most [N m] at a velocity of the motor [rad/s], and does
+    /// take up while the motor slides: f_M + f_S exp(-(dtheta_M/w_s)^2).
+    #[inline(always)]
+    pub fn dry_friction(&self, velocity: R, joint: usize) -> R {
+        let coulomb = self.joints[joint].coulomb;
+        match &self.joints[joint].effects.stribeck {
+            Some(stribeck) if EFFECTS => coulomb + stribeck.at(velocity),
+            _ => coulomb,
+        }
+    }
+
+    /// Link angle [rad] at which an elastic gear is not twisted: n theta_M + e(theta_M).
+    pub fn untwisted(&self, motor_angle: R, joint: usize) -> R {
+        let angle = self.joints[joint].ratio * motor_angle;
+        match &self.joints[joint].effects.kinematic_error {
+            Some(error) if EFFECTS => angle + error.at(motor_angle)[0],
+            _ => angle,
+        }
+    }
+
+    /// delta = n theta_M + e(theta_M) - theta_L, its rate, and n + e'(theta_M).
+    #[inline(always)]
+    fn gear(&self, x: &State<R, N>, i: usize) -> Gear<R> {
+        let mut lever = self.joints[i].ratio;
+        let mut angle = lever.mul_add(x.motor_angle[i], -x.link_angle[i]);
+        if EFFECTS && let Some(error) = &self.joints[i].effects.kinematic_error {
+            let [off, slope] = error.at(x.motor_angle[i]);
+            (angle, lever) = (angle + off, lever + slope);
+        }
+        let rate = lever.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
+        Gear {
+            twist: Twist { angle, rate },
+            lever,
+        }
+    }
+
+    /// T(delta) + d_G ddelta + T_h z of the `i`-th joint.
+    #[inline(always)]
+    fn transmitted(&self, x: &State<R, N>, i: usize, twist: &Twist<R>) -> R {
+        let joint = &self.joints[i];
+        let torque = joint
+            .gear_damping
+            .mul_add(twist.rate, joint.spring.torque(twist.angle));
+        match &joint.effects.hysteresis {
+            Some(hysteresis) if EFFECTS => hysteresis.torque.mul_add(x.hysteresis[i], torque),
+            _ => torque,
+        }
+    }
 }
 
-impl<R: Real> Joint<R> {
-    /// T(delta) + d_G ddelta of this joint, the `i`-th.
-    #[inline(always)]
-    fn transmitted<const N: usize>(&self, x: &State<R, N>, i: usize) -> R {
-        let twist = self.ratio.mul_add(x.motor_angle[i], -x.link_angle[i]);
-        let rate = self.ratio.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
-        self.gear_damping.mul_add(rate, self.spring.torque(twist))
-    }
+/// One gear at one instant.
+struct Gear<R> {
+    twist: Twist<R>,
+    /// Link turns per motor turn just there: torque at the motor per torque at the link.
+    lever: R,
 }
 
 /// A state within a step, and by how much its links have turned since the step began.

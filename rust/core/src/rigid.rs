@@ -43,7 +43,7 @@ fn link_torques<A: Arm<N>, const N: usize>(
 ///
 /// A resting joint is taken to need no Coulomb torque: anything within +-f_M would do.
 pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
-    plant: &Plant<A, f64, N, false>,
+    plant: &Plant<A, f64, N, false, true>,
     q: &[f64; N],
     dq: &[f64; N],
     ddq: &[f64; N],
@@ -52,7 +52,9 @@ pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
     for (i, joint) in plant.joints.iter().enumerate() {
         let n = joint.ratio;
         let direction = if dq[i] == 0.0 { 0.0 } else { dq[i].signum() };
-        let friction = joint.motor_viscous * dq[i] / n + joint.coulomb * direction + joint.offset;
+        let friction = joint.motor_viscous * dq[i] / n
+            + plant.dry_friction(dq[i] / n, i) * direction
+            + joint.offset;
         torque[i] = n * (torque[i] + joint.link_viscous * dq[i])
             + joint.motor_inertia * ddq[i] / n
             + friction;

@@ -24,7 +24,14 @@ pub struct Sensitivities<const N: usize> {
 ///
 /// # Errors
 /// The motion diverged.
-pub(crate) fn by_duals<A: Arm<N>, S: Real, V: Real, const N: usize, const ELASTIC: bool>(
+pub(crate) fn by_duals<
+    A: Arm<N>,
+    S: Real,
+    V: Real,
+    const N: usize,
+    const ELASTIC: bool,
+    const EFFECTS: bool,
+>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     directions: &[Source],
@@ -36,7 +43,7 @@ pub(crate) fn by_duals<A: Arm<N>, S: Real, V: Real, const N: usize, const ELASTI
     let members = std::slice::from_ref(member);
     for first in (0..directions.len().max(1)).step_by(V::LANES) {
         let given = |source, value| seeded(source, value, &directions[first..]);
-        let chain = SideBySide::<A, Dual<S, V>, _, N, ELASTIC>::new(task, members, given);
+        let chain = SideBySide::<A, Dual<S, V>, _, N, ELASTIC, EFFECTS>::new(task, members, given);
         for record in Dual::<S, V>::scope(chain) {
             all.take(&record?, first, directions.len());
         }

@@ -193,15 +193,16 @@ pub struct Diverged {
 ///
 /// Groups of `R::LANES` take turns at every step: while one waits for its own last result, the
 /// processor is already at the next one's operations.
-pub struct SideBySide<'a, A, R, G, const N: usize, const ELASTIC: bool> {
+pub struct SideBySide<'a, A, R, G, const N: usize, const ELASTIC: bool, const EFFECTS: bool = false>
+{
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
     given: G,
     scalar: PhantomData<R>,
 }
 
-impl<'a, A: Arm<N>, R: Real, G, const N: usize, const ELASTIC: bool>
-    SideBySide<'a, A, R, G, N, ELASTIC>
+impl<'a, A: Arm<N>, R: Real, G, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
+    SideBySide<'a, A, R, G, N, ELASTIC, EFFECTS>
 where
     G: Fn(Source, f64) -> R::One,
 {
@@ -217,8 +218,8 @@ where
     }
 }
 
-impl<A: Arm<N>, R: Real, G, const N: usize, const ELASTIC: bool> Work
-    for SideBySide<'_, A, R, G, N, ELASTIC>
+impl<A: Arm<N>, R: Real, G, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for SideBySide<'_, A, R, G, N, ELASTIC, EFFECTS>
 where
     G: Fn(Source, f64) -> R::One,
 {
@@ -226,7 +227,7 @@ where
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut groups: Vec<Group<'_, A, R, N, ELASTIC>> = self
+        let mut groups: Vec<Group<'_, A, R, N, ELASTIC, EFFECTS>> = self
             .members
             .chunks(R::LANES)
             .map(|members| Group::new(self.task, members, &self.given))
@@ -249,12 +250,19 @@ pub(crate) struct Event {
 }
 
 /// Arms that run side by side.
-pub(crate) struct Group<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
+pub(crate) struct Group<
+    'a,
+    A: Arm<N>,
+    R: Real,
+    const N: usize,
+    const ELASTIC: bool,
+    const EFFECTS: bool = false,
+> {
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
-    pub(crate) plant: Plant<A, R, N, ELASTIC>,
+    pub(crate) plant: Plant<A, R, N, ELASTIC, EFFECTS>,
     current: CurrentLoop<R, N>,
-    pub(crate) single: Vec<Plant<A, R::One, N, ELASTIC>>,
+    pub(crate) single: Vec<Plant<A, R::One, N, ELASTIC, EFFECTS>>,
     pub(crate) single_current: CurrentLoop<R::One, N>,
     pub(crate) motion: Motion<R, N>,
     standing: bool,
@@ -275,7 +283,9 @@ pub(crate) struct Sensors<R, const N: usize> {
     readings: [[R; N]; 2],
 }
 
-impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R, N, ELASTIC> {
+impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
+    Group<'a, A, R, N, ELASTIC, EFFECTS>
+{
     pub(crate) fn new(
         task: &'a Task<A, N>,
         members: &'a [Member<'a, N>],
@@ -284,7 +294,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
         assert_eq!(members.len(), R::LANES);
         let step = task.clock.step;
         let parameter = |lane: usize, k| given(Source::Parameter(k), members[lane].parameters[k]);
-        let single: Vec<Plant<A, R::One, N, ELASTIC>> = (0..R::LANES)
+        let single: Vec<Plant<A, R::One, N, ELASTIC, EFFECTS>> = (0..R::LANES)
             .map(|lane| task.config.plant_of(|k| parameter(lane, k)))
             .collect();
         let single_current = task.config.current_loop(step);
@@ -463,6 +473,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
             &mut self.motion.state.link_velocity,
             &one.state.link_velocity,
         );
+        put(&mut self.motion.state.hysteresis, &one.state.hysteresis);
         put(&mut self.motion.torque, &one.torque);
         put(&mut self.motion.modes.direction, &one.modes.direction);
         put(&mut self.motion.modes.free, &one.modes.free);
@@ -619,8 +630,8 @@ impl<const N: usize> Member<'_, N> {
 }
 
 /// The motion an experiment begins with.
-fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
-    plant: &Plant<A, S, N, ELASTIC>,
+fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    plant: &Plant<A, S, N, ELASTIC, EFFECTS>,
     current: &CurrentLoop<S, N>,
     initial: &Initial<N>,
     given: &impl Fn(Source, f64) -> S,
@@ -633,6 +644,7 @@ fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
         motor_velocity: each(Source::MotorVelocity, &initial.motor_velocity),
         link_angle: each(Source::LinkAngle, &initial.link_angle.unwrap_or([0.0; N])),
         link_velocity: each(Source::LinkVelocity, &initial.link_velocity),
+        hysteresis: [S::splat(0.0); N],
     };
     if initial.link_angle.is_none() {
         let hanging = hanging(plant, &state.motor_angle);
@@ -666,12 +678,12 @@ fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
 /// Each round takes gravity at the last angles and twists the gears by what holds it. Gravity's own
 /// stiffness is some thousandth of theirs, so a round gains three digits. Once the angles have
 /// settled it goes on as long again: a derivative that they carry settles as fast, but begins late.
-fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
-    plant: &Plant<A, S, N, ELASTIC>,
+fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    plant: &Plant<A, S, N, ELASTIC, EFFECTS>,
     motor_angle: &[S; N],
 ) -> [S; N] {
-    let rigid: [S; N] = std::array::from_fn(|i| plant.joints[i].ratio * motor_angle[i]);
-    let mut angle = rigid;
+    let untwisted: [S; N] = std::array::from_fn(|i| plant.untwisted(motor_angle[i], i));
+    let mut angle = untwisted;
     let mut settled = None;
     for round in 0..400 {
         let at = A::posture(&angle);
@@ -679,7 +691,7 @@ fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
         let mut change = 0.0f64;
         for i in 0..N {
             if !plant.is_rigid(i) {
-                let next = rigid[i] - plant.joints[i].spring.twist(gravity[i]);
+                let next = untwisted[i] - plant.joints[i].spring.twist(gravity[i]);
                 change = change.max((next - angle[i]).lane(0).abs());
                 angle[i] = next;
             }
@@ -711,6 +723,7 @@ fn one_of<R: Real, const N: usize>(all: &Motion<R, N>, lane: usize) -> Motion<R:
             motor_velocity: own(&all.state.motor_velocity),
             link_angle: own(&all.state.link_angle),
             link_velocity: own(&all.state.link_velocity),
+            hysteresis: own(&all.state.hysteresis),
         },
         torque: own(&all.torque),
         modes: crate::plant::Modes {
@@ -730,6 +743,7 @@ fn side_by_side<R: Real, const N: usize>(ones: &[Motion<R::One, N>]) -> Motion<R
             motor_velocity: all(|one| &one.state.motor_velocity),
             link_angle: all(|one| &one.state.link_angle),
             link_velocity: all(|one| &one.state.link_velocity),
+            hysteresis: all(|one| &one.state.hysteresis),
         },
         torque: all(|one| &one.torque),
         modes: crate::plant::Modes {

@@ -9,6 +9,7 @@ use strainwave_core::config::Config;
 use strainwave_core::config::GearKind::{self, Linear, Rigid, ThreeSlope};
 use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
 use strainwave_core::drive::Servo;
+use strainwave_core::effects::EffectKinds;
 use strainwave_core::sensitivity::Sensitivities;
 use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Record, Source, Task};
 
@@ -41,9 +42,26 @@ impl<A: Arm<N>, const N: usize> Case<A, N> {
     /// A drawn arm: a two-link or one-link arm of the built-in one's size, off by some tens of
     /// percent, under random telegraph voltages or a servo.
     fn drawn(gears: [GearKind; N], seed: u64, servo: bool, steps: usize) -> Self {
+        Self::drawn_with(EffectKinds::default(), gears, seed, servo, steps)
+    }
+
+    /// The same with effects, but for those that a rigid gear cannot have.
+    fn drawn_with(
+        effects: EffectKinds,
+        gears: [GearKind; N],
+        seed: u64,
+        servo: bool,
+        steps: usize,
+    ) -> Self {
         let mut draw = Draw(seed);
         let mut config: Config<A, N> = config(gears);
         for joint in &mut config.joints {
+            let elastic = joint.gear != Rigid;
+            joint.effects = EffectKinds {
+                stribeck: effects.stribeck,
+                hysteresis: effects.hysteresis && elastic,
+                kinematic_error: effects.kinematic_error && elastic,
+            };
             joint.current_loop_hz = Some(800.0 + 200.0 * draw.next());
             joint.accelerometer_hz = Some(300.0);
             joint.gyro_hz = Some(5.0);
@@ -184,6 +202,12 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "gear_knee_t2" => either(25.0, 6.9),
                 "gear_damping" => either(20.0, 4.0),
                 "friction_settling_time" => settling * either(1.5e-4, 4e-4),
+                "stribeck_friction" => either(0.02, 0.01),
+                "stribeck_velocity" => 3.0,
+                "hysteresis_torque" => either(2.5, 0.6),
+                "hysteresis_twist" => 1.5e-4,
+                "kinematic_error_cos" => 1e-4,
+                "kinematic_error_sin" => -5e-5,
                 _ => unreachable!("{name}"),
             })
         })
@@ -349,6 +373,20 @@ proptest! {
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, Rigid], seed, servo, 240)));
         shares.push(check(&Case::<OneLink<true>, 1>::drawn([one], seed, servo, 240)));
         // Most draws leave the events where they are.
+        prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
+    }
+
+    #[test]
+    fn so_are_those_of_arms_with_effects(seed in any::<u64>(), servo in any::<bool>()) {
+        let mut shares = Vec::new();
+        let gears = [ThreeSlope, Linear, Rigid];
+        let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
+        let all = EffectKinds { stribeck: true, hysteresis: true, kinematic_error: true };
+        let some = EffectKinds { hysteresis: seed % 3 == 0, ..all };
+        shares.push(check(&Case::<TwoLink<false>, 2>::drawn_with(all, [one, other], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(all, [other, Rigid], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(some, [other, one], seed, servo, 240)));
+        shares.push(check(&Case::<OneLink<true>, 1>::drawn_with(all, [one], seed, servo, 240)));
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
     }
 

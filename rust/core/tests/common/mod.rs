@@ -6,6 +6,7 @@ use std::marker::PhantomData;
 use strainwave_core::arm::Arm;
 use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::{Width, simulate};
+use strainwave_core::effects::EffectKinds;
 use strainwave_core::gear::CORNER;
 use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Record, Task};
 
@@ -20,6 +21,7 @@ pub fn joint(gear: GearKind) -> JointConfig {
         accelerometer_distance: 0.3,
         accelerometer_hz: None,
         gyro_hz: None,
+        effects: EffectKinds::default(),
     }
 }
 
@@ -107,4 +109,19 @@ pub fn scara(coulomb: f64, gravity: f64) -> Vec<f64> {
     values.extend([1.5e-4, 2e-4, 0.06 * coulomb, 0.0, 0.5, 25e3, 20.0, 0.0]);
     values.extend([0.5e-4, 0.8e-4, 0.03 * coulomb, 0.0, 0.15, 6.1e3, 4.0, 0.0]);
     values
+}
+
+/// Values of a size 20 gear for the effects that each joint of an arm has, put behind its own.
+pub fn with_effects<A: Arm<N>, const N: usize>(plain: &[f64], config: &Config<A, N>) -> Vec<f64> {
+    let mut plain = plain.iter();
+    let value = |(name, _): &(&'static str, Option<usize>)| match *name {
+        "stribeck_friction" => 0.02,
+        "stribeck_velocity" => 3.0,
+        "hysteresis_torque" => 2.5,
+        "hysteresis_twist" => 1.5e-4,
+        "kinematic_error_cos" => 1e-4,
+        "kinematic_error_sin" => -5e-5,
+        _ => *plain.next().expect("a value for every other name"),
+    };
+    config.parameter_names().iter().map(value).collect()
 }

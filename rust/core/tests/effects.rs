@@ -1,0 +1,336 @@
+//! What real gears and motors add, against what is known of it in closed form.
+
+mod common;
+
+use common::{Draw, Run, at_rest, config, scara, with_effects};
+use proptest::prelude::*;
+use strainwave_core::arm::{OneLink, TwoLink};
+use strainwave_core::config::{Config, GearKind};
+use strainwave_core::dispatch::{Width, simulate};
+use strainwave_core::effects::EffectKinds;
+use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Task};
+
+const N: f64 = 0.01;
+const NONE: EffectKinds = EffectKinds {
+    stribeck: false,
+    hysteresis: false,
+    kinematic_error: false,
+};
+const ALL: EffectKinds = EffectKinds {
+    stribeck: true,
+    hysteresis: true,
+    kinematic_error: true,
+};
+
+fn one_link(gear: GearKind, effects: EffectKinds) -> Config<OneLink<false>, 1> {
+    let mut config = config([gear]);
+    config.joints[0].effects = effects;
+    config
+}
+
+/// A link so heavy that it is a wall, no damping: the motor alone moves, on its gear's spring.
+fn against_a_wall(effect: [f64; 2]) -> Vec<f64> {
+    let (motor, k) = (1.5e-4, 20e3);
+    [
+        &[1e12, 0.0, motor, 0.0, 0.0, 0.0, 0.0, k, 0.0, 0.0][..],
+        &effect,
+    ]
+    .concat()
+}
+
+/// The first torque [N m] that breaks a motor away, raised by tenths of a percent.
+fn break_away(gear: GearKind, effects: EffectKinds, friction: [f64; 2]) -> f64 {
+    let spring: &[f64] = match gear {
+        GearKind::Rigid => &[],
+        _ => &[20e3, 5.0, 0.0],
+    };
+    let extra: &[f64] = if effects.stribeck {
+        &[friction[1], 3.0]
+    } else {
+        &[]
+    };
+    let drive = [1.5, 0.0, 1.5e-4, 1e-4, friction[0], 0.0, 0.5];
+    let parameters = [&drive[..], spring, extra].concat();
+    let level = |k: usize| (friction[0] + friction[1]) * (0.98 + 1e-3 * k as f64);
+    (0..40)
+        .map(level)
+        .find(|torque| {
+            let run = Run {
+                config: one_link(gear, effects),
+                parameters: &parameters,
+                voltage: &[[torque / 0.1]],
+                steps_per_tick: 1,
+                initial: at_rest([0.0]),
+                step: 1.25e-4,
+                steps: 80,
+            };
+            run.record(&[Quantity::MotorVelocity])[0][80][0] != 0.0
+        })
+        .expect("a torque that moves it")
+}
+
+#[test]
+fn a_motor_breaks_away_beyond_both_frictions_together() {
+    let stribeck = EffectKinds {
+        stribeck: true,
+        ..NONE
+    };
+    for gear in [GearKind::Linear, GearKind::Rigid] {
+        let found = break_away(gear, stribeck, [0.06, 0.02]);
+        assert!((found - 0.08).abs() < 1.1e-3 * 0.08, "{gear:?} {found}");
+        let plain = break_away(gear, NONE, [0.06, 0.0]);
+        assert!((plain - 0.06).abs() < 1.1e-3 * 0.06, "{gear:?} {plain}");
+        // with no Coulomb friction at all it is the motor's only hold
+        let alone = break_away(gear, stribeck, [0.0, 0.02]);
+        assert!((alone - 0.02).abs() < 1.1e-3 * 0.02, "{gear:?} {alone}");
+    }
+}
+
+#[test]
+fn a_sliding_motor_feels_what_its_speed_leaves_of_stribecks_friction() {
+    let effects = EffectKinds {
+        stribeck: true,
+        ..NONE
+    };
+    let (viscous, coulomb, more, speed) = (1e-2, 0.06, 0.02, 3.0);
+    // enough viscous friction for the whole to rise with speed, so that one speed balances
+    let parameters = [1.5, 0.0, 1.5e-4, viscous, coulomb, 0.0, 0.0, more, speed];
+    for torque in [0.085, 0.09, 0.12] {
+        let run = Run {
+            config: one_link(GearKind::Rigid, effects),
+            parameters: &parameters,
+            voltage: &[[torque / 0.1]],
+            steps_per_tick: 1,
+            initial: at_rest([0.0]),
+            step: 1.25e-4,
+            steps: 16_000,
+        };
+        let v = run.record(&[Quantity::MotorVelocity])[0][run.steps][0];
+        let felt = coulomb + more * (-(v / speed) * (v / speed)).exp() + viscous * v;
+        assert!(
+            (felt - torque).abs() < 1e-9 * torque,
+            "{torque}: {felt} at {v}"
+        );
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 16,
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    /// Between two reversals z(delta) = s - (s - z0) exp(-|delta - delta0| / delta_h).
+    #[test]
+    fn the_gear_draws_dahls_loop(largest in 0.5..4.0f64, width in 0.3e-4..5e-4f64, twist in 0.5e-3..2e-3f64) {
+        let effects = EffectKinds { hysteresis: true, ..NONE };
+        let parameters = against_a_wall([largest, width]);
+        let run = Run {
+            config: one_link(GearKind::Linear, effects),
+            parameters: &parameters,
+            voltage: &[[0.0]],
+            steps_per_tick: 1,
+            initial: Initial { link_angle: Some([-twist]), ..at_rest([0.0]) },
+            step: 6.25e-5,
+            steps: 6400,
+        };
+        let record = run.record(&[Quantity::MotorAngle, Quantity::MotorVelocity, Quantity::GearTorque]);
+        let delta = |k: usize| N * record[0][k][0] + twist;
+        let z = |k: usize| (record[2][k][0] - 20e3 * delta(k)) / largest;
+        let (mut branch, mut reversals) = ((delta(0), z(0)), 0);
+        prop_assert!(branch.1.abs() < 1e-12);
+        for k in 1..=run.steps {
+            let ends = [record[1][k - 1][0], record[1][k][0]];
+            if ends[0] * ends[1] < 0.0 {
+                // The motion turned in between: a parabola tells where.
+                let part = ends[0] / (ends[0] - ends[1]);
+                let top = delta(k - 1) + 0.5 * N * ends[0] * part * run.step;
+                let sign = ends[0].signum();
+                let there = sign - (sign - branch.1) * (-(top - branch.0).abs() / width).exp();
+                (branch, reversals) = ((top, there), reversals + 1);
+            }
+            let sign = ends[1].signum();
+            let closed = sign - (sign - branch.1) * (-(delta(k) - branch.0).abs() / width).exp();
+            // The parabola is off by h^3 / 12 of the twist's third derivative, 1e-10 rad: 3e-6 of
+            // the least width, for a gear that hysteresis stiffens a little.
+            prop_assert!((z(k) - closed).abs() < 1e-5, "{k}: {} {closed}", z(k));
+        }
+        prop_assert!(reversals >= 10, "{reversals}");
+    }
+
+    #[test]
+    fn the_kinematic_error_pulls_at_link_and_motor(theta in -30.0..30.0f64, cos in -2e-4..2e-4f64, sin in -2e-4..2e-4f64) {
+        let effects = EffectKinds { kinematic_error: true, ..NONE };
+        let parameters = against_a_wall([cos, sin]);
+        let (off, slope) = (
+            cos * (2.0 * theta).cos() + sin * (2.0 * theta).sin(),
+            2.0 * (sin * (2.0 * theta).cos() - cos * (2.0 * theta).sin()),
+        );
+        let twist = 1e-3;
+        let start = |link: Option<[f64; 1]>| {
+            let run = Run {
+                config: one_link(GearKind::Linear, effects),
+                parameters: &parameters,
+                voltage: &[[0.0]],
+                steps_per_tick: 1,
+                initial: Initial { link_angle: link, ..at_rest([theta]) },
+                step: 1e-7,
+                steps: 1,
+            };
+            run.record(&[Quantity::GearTorque, Quantity::MotorVelocity, Quantity::LinkAngle])
+        };
+        let twisted = start(Some([N * theta + off - twist]));
+        prop_assert!((twisted[0][0][0] - 20e3 * twist).abs() < 1e-8);
+        let acceleration = twisted[1][1][0] / 1e-7;
+        let expected = -(N + slope) * 20e3 * twist / 1.5e-4;
+        prop_assert!((acceleration - expected).abs() < 1e-6 * expected.abs());
+        // left to itself the link lies where the gear is not twisted, and nothing moves
+        let left = start(None);
+        prop_assert!((left[2][0][0] - N * theta - off).abs() < 1e-15);
+        prop_assert!(left[1][1][0].abs() < 1e-12);
+    }
+}
+
+fn two_links(effects: EffectKinds) -> (Config<TwoLink<false>, 2>, Vec<f64>) {
+    let mut config = config([GearKind::Linear; 2]);
+    config
+        .joints
+        .iter_mut()
+        .for_each(|joint| joint.effects = effects);
+    let values = with_effects(&scara(1.0, 0.0), &config);
+    (config, values)
+}
+
+fn telegraph(seed: u64, ticks: usize) -> Vec<[f64; 2]> {
+    let mut draw = Draw(seed);
+    (0..ticks)
+        .map(|_| std::array::from_fn(|_| 8.0 * draw.next().signum()))
+        .collect()
+}
+
+/// Slope of the last state's error against step size, from 0.5 ms to 0.125 ms.
+fn order(effects: EffectKinds) -> f64 {
+    let (config, parameters) = two_links(effects);
+    let last = |steps_per_tick: usize| {
+        let run = Run {
+            config,
+            parameters: &parameters,
+            voltage: &telegraph(7, 40),
+            steps_per_tick,
+            initial: at_rest([0.0; 2]),
+            step: 2e-3 / steps_per_tick as f64,
+            steps: 40 * steps_per_tick,
+        };
+        let record = run.record(&[Quantity::MotorVelocity, Quantity::LinkVelocity]);
+        [record[0][run.steps], record[1][run.steps]].concat()
+    };
+    let fine = last(256);
+    let error = |steps_per_tick: usize| {
+        let found = last(steps_per_tick);
+        let relative = |(a, b): (&f64, &f64)| (a - b).abs() / (1e-3 + b.abs());
+        found.iter().zip(&fine).map(relative).fold(0.0, f64::max)
+    };
+    let (coarse, finer) = (error(4), error(16));
+    println!("errors {coarse:e} {finer:e}");
+    (coarse / finer).log2() / 2.0
+}
+
+#[test]
+fn the_order_stays_four_but_for_the_hysteresis_reversals() {
+    let smooth = EffectKinds {
+        hysteresis: false,
+        ..ALL
+    };
+    assert!(order(smooth) > 3.7, "{}", order(smooth));
+    // The stages within a step see a reversal at the accuracy of a stage: order three.
+    assert!(order(ALL) > 2.7, "{}", order(ALL));
+}
+
+#[test]
+fn effects_of_no_size_change_nothing() {
+    let plain = scara(1.0, 0.0);
+    let (config, with) = two_links(ALL);
+    let mut without = with.clone();
+    for (k, (name, _)) in config.parameter_names().iter().enumerate() {
+        if ["stribeck_friction", "hysteresis_torque"].contains(name) || name.starts_with("kin") {
+            without[k] = 0.0;
+        }
+    }
+    let run = |config, parameters: &[f64]| {
+        let run = Run {
+            config,
+            parameters,
+            voltage: &telegraph(3, 50),
+            steps_per_tick: 16,
+            initial: at_rest([0.0; 2]),
+            step: 1.25e-4,
+            steps: 800,
+        };
+        run.record(&[Quantity::MotorVelocity, Quantity::GearTorque])
+    };
+    let expected = run(two_links(NONE).0, &plain);
+    assert_eq!(run(config, &without), expected);
+    assert_ne!(run(config, &with), expected);
+}
+
+#[test]
+fn a_batch_of_arms_with_effects_is_each_of_them() {
+    let (config, first) = two_links(ALL);
+    let other: Vec<f64> = first.iter().map(|value| 1.02 * value).collect();
+    let voltage = telegraph(5, 101);
+    let reference = vec![[0.0; 2]; 101];
+    let task = Task {
+        config,
+        clock: Clock {
+            step: 1.25e-4,
+            steps_per_tick: 8,
+            steps_per_servo: 8,
+            steps_per_sample: 8,
+            samples: 101,
+        },
+        servo: None,
+        record: vec![Quantity::MotorVelocity],
+    };
+    let members = [&first, &other].map(|parameters| Member {
+        parameters,
+        feed_forward: &voltage,
+        reference: &reference,
+        initial: at_rest([0.0; 2]),
+    });
+    let together = simulate(&task, &members, Width::detect());
+    assert_ne!(together[0], together[1]);
+    for (k, member) in members.iter().enumerate() {
+        let alone = simulate(&task, std::slice::from_ref(member), Width::detect());
+        assert_eq!(alone[0], together[k]);
+        let portable = simulate(&task, std::slice::from_ref(member), Width::Portable);
+        let [fused, portable] = [&alone[0], &portable[0]].map(|all| all.as_ref().unwrap());
+        for (a, b) in fused[0]
+            .as_flattened()
+            .iter()
+            .zip(portable[0].as_flattened())
+        {
+            assert!((a - b).abs() < 1e-8 * (1.0 + a.abs())); // rounding, grown over 0.1 s
+        }
+    }
+}
+
+#[test]
+fn impossible_effects_are_refused() {
+    let (config, values) = two_links(ALL);
+    config.check(&values).expect("a possible arm");
+    for (name, bad) in [
+        ("stribeck_friction", -1e-3),
+        ("stribeck_velocity", 0.0),
+        ("hysteresis_torque", -1.0),
+        ("hysteresis_twist", 0.0),
+        ("kinematic_error_cos", f64::NAN),
+    ] {
+        let mut broken = values.clone();
+        let names = config.parameter_names();
+        let at = names.iter().position(|known| *known == (name, Some(2)));
+        broken[at.expect("a known name")] = bad;
+        let said = config.check(&broken).expect_err("an impossible arm");
+        assert_eq!(said.name, (name, Some(2)));
+    }
+}
