@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from strainwave.closed_loop import predict_closed_loop, velocity_band
+from strainwave.cores import side_by_side
 from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, FloatArray, JointModel, Log, RigidModel, Study
-from strainwave.simulation import simulate_arms
+from strainwave.replay import missing_for_replay
 from strainwave.tuning.confidence import confidence_of
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import Replayed, replayed, usable
@@ -110,25 +112,30 @@ def tune(
     fit = _whole_fit(misfit, start, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
-    tuning_logs = [log for log in used if log.experiment.use == "tuning"]
-    largest = gear_torques(records, values, study).tolist()
-    parameters, covariance = parameters_of(fit, study, largest)
+    confidence = confidence_of(fit.misfit, fit.z)
+    largest = gear_torques(records, values).tolist()
+    parameters, covariance = parameters_of(fit, confidence, study, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
         status = "at-bounds"
     if not fit.converged:
         status = "iteration-limit"
+    repeated = [
+        log
+        for log in used
+        if log.experiment.use == "tuning" and missing_for_replay(study, log) is None
+    ]
     return ArmModel(
         parameters=parameters,
         values=values,
         covariance=covariance,
         fit_percent=fit.misfit.fits(fit.z),
         initial_fit_percent=before,
-        simulated=tuple(predict_closed_loop(values, log, study) for log in tuning_logs),
-        initial=tuple(predict_closed_loop(search.values(start), log, study) for log in tuning_logs),
+        simulated=tuple(predict_closed_loop(values, log, study) for log in repeated),
+        initial=tuple(predict_closed_loop(search.values(start), log, study) for log in repeated),
         iterations=fit.iterations,
         status=status,
-        warnings=tuple(warnings_of(fit, at_bounds(fit), parameters, study)),
+        warnings=tuple(warnings_of(fit, confidence, at_bounds(fit), parameters)),
     )
 
 
@@ -159,26 +166,20 @@ def _search(
     )
     if any(joint.spring == "three-slope" for joint in study.joints):
         values = search.values(np.zeros(len(search.unknowns)))
-        search = with_curves(search, study, gear_torques(records, values, study).tolist())
+        search = with_curves(search, study, gear_torques(records, values).tolist())
     return search
 
 
 def gear_torques(
-    records: Sequence[Replayed], values: dict[tuple[str, int | None], float], study: Study
+    records: Sequence[Replayed], values: dict[tuple[str, int | None], float]
 ) -> FloatArray:
     """The largest torque that each gear carries, but for one sample in a thousand: (n_joints,)."""
-    largest = []
-    for record in records:
-        run = simulate_arms(
-            study,
-            [values],
-            record.drive,
-            sample_time=record.log.sample_time,
-            samples=len(record.log),
-            record=["gear_torque"],
-        )
-        largest.append(np.quantile(np.abs(run["gear_torque"][0]), 0.999, axis=0))
-    return np.asarray(np.max(largest, axis=0))
+
+    def largest(record: Replayed) -> FloatArray:
+        torque = record.run(values, record.start(), ["gear_torque"])["gear_torque"]
+        return np.asarray(np.quantile(np.abs(torque), 0.999, axis=0))
+
+    return np.asarray(np.max(side_by_side([partial(largest, r) for r in records]), axis=0))
 
 
 def _whole_fit(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
@@ -208,8 +209,6 @@ def _fit(misfit: Misfit, z: FloatArray, allowed: int, tolerance: float) -> Fit:
         if found is None:
             raise NotIdentifiable("tuning cannot simulate what the steps before found")
         z, iterations, converged = found.x, iterations + found.evaluations, found.converged
-        if any(record.moving for record in misfit.records):
-            misfit.settle_own(z)
         renewed = misfit.reweighted(z)
         if iterations >= allowed or (number > 0 and not converged):
             converged = converged and number > 0
@@ -217,7 +216,7 @@ def _fit(misfit: Misfit, z: FloatArray, allowed: int, tolerance: float) -> Fit:
         if number > 0 and _settled(misfit, renewed):
             break
         misfit = renewed
-    return Fit(misfit, z, confidence_of(misfit, z), iterations, converged)
+    return Fit(misfit, z, iterations, converged)
 
 
 def _settled(old: Misfit, new: Misfit) -> bool:
@@ -254,7 +253,7 @@ def _last(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> 
     """A fine fit after as many evaluations."""
     left = options.max_iterations - spent
     if left < 1:
-        return Fit(misfit, z, confidence_of(misfit, z), spent, False)
+        return Fit(misfit, z, spent, False)
     fit = _fit(misfit, z, left, _FINE)
     return replace(fit, iterations=spent + fit.iterations)
 
@@ -262,7 +261,7 @@ def _last(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> 
 def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
     """Again with friction that acts at once in the joints where nothing speaks for a delay."""
     values = fit.misfit.search.values(fit.z)
-    deviation = np.sqrt(np.diag(fit.confidence.local))
+    deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).local))
     idle = {
         key: 0.0
         for key, std in zip(fit.misfit.search.keys, deviation, strict=True)

@@ -18,7 +18,7 @@ from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.records import FloatArray, IntArray
 from strainwave.tuning.replayed import Replayed
-from strainwave.tuning.trust_region import Linearised
+from strainwave.tuning.trust_region import Linearised, minimise
 from strainwave.tuning.unknowns import Search
 
 BLOCKS = 10
@@ -29,6 +29,10 @@ _FIRST = 0.1  # of a channel's own spread: its errors' deviation before any is k
 _LEAST = 1e-3  # of it: no model is better than that
 _NOISE_REPEATS = 2.0  # rows of low-passed white noise that say the same, four to a period
 _ROBUST = 1.4826  # standard deviation of normal errors over their median magnitude
+
+_ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
+_BEGUN = 0.1  # gain still foretold of moving a beginning, in units of the cost
+_BEGINNINGS = 12  # of a record that are tried for one point
 
 T = TypeVar("T")
 
@@ -49,14 +53,27 @@ class Evaluated:
     shared: FloatArray  # (n_rows, n_channels, n_unknowns) by the coordinates
     local: FloatArray  # (n_rows, n_channels, n_own) by the record's own unknowns
 
+    def beginning(self, weights: Weights) -> Linearised:
+        """The cost with its least squares problem in the record's own unknowns alone."""
+        residual = self.difference / weights.deviation
+        root = _root(residual, weights)
+        table = np.concatenate(
+            [self.local / weights.deviation[:, None], residual[..., None]], axis=2
+        )
+        table = table * root[..., None]
+        factor = np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r")
+        return Linearised(_loss(residual, weights), np.asarray(factor))
+
     def weighted(self, weights: Weights) -> Rows:
         """Divided by their deviations, the record's own unknowns at their best."""
-        residual = self.difference / weights.deviation
+        begun = self.difference / weights.deviation
         local = self.local / weights.deviation[:, None]
-        root = _root(residual, weights)
-        columns = (local * root[..., None]).reshape(residual.size, -1)
-        step = np.asarray(np.linalg.lstsq(columns, -(residual * root).ravel())[0], dtype=float)
-        residual = residual + local @ step
+        residual, step = begun, np.zeros(local.shape[2])
+        for _ in range(_ROUNDS if local.shape[2] else 0):
+            root = _root(residual, weights)
+            columns = (local * root[..., None]).reshape(begun.size, -1)
+            step = np.asarray(np.linalg.lstsq(columns, -(begun * root).ravel())[0], dtype=float)
+            residual = begun + local @ step
         shared = self.shared / weights.deviation[:, None]
         return Rows(residual, _root(residual, weights), shared, local, step)
 
@@ -79,9 +96,8 @@ class Rows:
         return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r"))[n:, n:]
 
     def cost(self, weights: Weights) -> float:
-        """The soft L1 loss, sum of 2 (sqrt(1 + r^2) - 1), over the repetitions."""
-        loss = np.sum(2.0 * (np.sqrt(1.0 + self.residual**2) - 1.0), axis=0)
-        return float(np.sum(loss / weights.repeats))
+        """The soft L1 loss."""
+        return _loss(self.residual, weights)
 
 
 @dataclass
@@ -150,12 +166,6 @@ class Misfit:
             self.memory.last = at, found
         return self.memory.last[1]
 
-    def settle_own(self, z: FloatArray) -> None:
-        """Moves the records' own unknowns to where they are best for z."""
-        for k, rows in enumerate(self.rows(z)):
-            self.memory.own[k] = self.memory.own[k] + rows.step
-        self.memory.last = None
-
     def reweighted(self, z: FloatArray) -> Misfit:
         """With deviations and repetitions as the residuals at z show them."""
         weights = []
@@ -204,7 +214,32 @@ class Misfit:
         return found
 
     def _evaluated(self, k: int, record: Replayed, z: FloatArray) -> Evaluated:
+        """A record at z; if it begins in motion, begun where it fits best."""
+        if not record.moving:
+            return self._begun(record, z, self.memory.own[k])
+        seen: dict[bytes, Evaluated] = {}
+
+        def linearise(own: FloatArray) -> Linearised | None:
+            try:
+                seen[own.tobytes()] = self._begun(record, z, own)
+            except (InvalidInput, NumericalFailure):
+                return None
+            return seen[own.tobytes()].beginning(self.weights[k])
+
         own = self.memory.own[k]
+        found = minimise(
+            linearise,
+            own,
+            np.full(len(own), np.inf),
+            tolerance=_BEGUN,
+            max_evaluations=_BEGINNINGS,
+        )
+        if found is None:
+            raise NumericalFailure(f"{record.log.name} cannot be simulated from where it begins")
+        self.memory.own[k] = found.x
+        return seen[found.x.tobytes()]
+
+    def _begun(self, record: Replayed, z: FloatArray, own: FloatArray) -> Evaluated:
         n_begin, n = len(record.local), len(self.search.unknowns)
         values = self.search.values(z)
         seen, tangent = record.linearised(values, own[:n_begin], self.search.keys)
@@ -218,6 +253,12 @@ class Misfit:
     def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""
         return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
+
+
+def _loss(residual: FloatArray, weights: Weights) -> float:
+    """Sum of 2 (sqrt(1 + r^2) - 1), over the repetitions."""
+    loss = np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0), axis=0)
+    return float(np.sum(loss / weights.repeats))
 
 
 def _root(residual: FloatArray, weights: Weights) -> FloatArray:

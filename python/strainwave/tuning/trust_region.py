@@ -1,9 +1,9 @@
 """Least squares in a trust region, for problems of many rows and few unknowns.
 
 Each evaluation hands over the triangular factor of its weighted Jacobian with its residual, R of
-[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns; a
-refused step costs no second factorisation. SciPy's `least_squares` would take a singular value
-decomposition of all rows at every step, which costs more than to simulate them.
+[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns. SciPy's
+`least_squares` would take a singular value decomposition of all rows at every step, which costs
+more than to simulate them.
 """
 
 from __future__ import annotations
