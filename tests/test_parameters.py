@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from strainwave import scara, virtual
 from strainwave.errors import InvalidInput
-from strainwave.parameters import completed, read_parameters
+from strainwave.parameters import completed, read_parameters, unit_of
+from strainwave.records import Joint
 
 
 def _write(tmp_path: Path, document: Any) -> Path:
@@ -133,3 +134,21 @@ def test_one_stiffness_stands_for_three_slopes() -> None:
     slopes = {made[f"gear_stiffness_{k}", 1] for k in ("k1", "k2", "k3")}
     assert slopes == {scara.parameters(5, "linear")["gear_stiffness", 1]}
     assert made["gear_knee_t1", 1] < made["gear_knee_t2", 1]
+
+
+@pytest.mark.parametrize(
+    ("name", "revolute", "prismatic"),
+    [
+        ("stribeck_friction", "N m", "N"),
+        ("stribeck_velocity", "rad/s", "m/s"),
+        ("hysteresis_torque", "N m", "N"),
+        ("hysteresis_twist", "rad", "m"),
+        ("kinematic_error_cos", "rad", "m"),
+        ("kinematic_error_sin", "rad", "m"),
+        ("friction_settling_time", "s", "s"),
+        ("gear_damping", "N m s/rad", "N s/m"),
+    ],
+)
+def test_every_parameter_has_its_unit(name: str, revolute: str, prismatic: str) -> None:
+    assert unit_of(name, Joint("linear", 0.01)) == revolute
+    assert unit_of(name, Joint("linear", 0.01, motion="prismatic")) == prismatic

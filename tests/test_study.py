@@ -157,6 +157,18 @@ FAULTS = {
         1,
         r"'periods' is 4.5, but it should be a valid integer",
     ),
+    "no such effect": (
+        'spring = "linear"',
+        'spring = "linear"\neffects = ["stribek"]',
+        1,
+        r"'effects' is \['stribek'\], but it should be 'stribeck', 'hysteresis' or",
+    ),
+    "effect of a rigid gear": (
+        'spring = "linear"',
+        'spring = "rigid"\neffects = ["stribeck", "kinematic-error"]',
+        1,
+        r"line 7, \[\[joint\]\] 1: a rigid gear has no kinematic error",
+    ),
     "prbs unknown": ("periods = 4", "period = 4", 1, r"'period' is not known.*mean 'periods'"),
 }
 
@@ -226,6 +238,7 @@ joint = st.builds(
     encoder_counts=st.none() | st.floats(100.0, 1e5),
     accelerometer_distance=st.none() | sizes,
     gyro_hz=st.none() | st.floats(1.0, 100.0),
+    effects=st.sampled_from([(), ("stribeck",)]),
 )
 experiment = st.builds(
     Experiment,

@@ -31,14 +31,18 @@ def unit_of(name: str, joint: Joint) -> str:
     """
     if name.endswith("time"):
         return "s"
-    revolute = joint.motion == "revolute"
+    units = ("N m s/rad", "N s/m")
     if "inertia" in name:
-        return "kg m^2" if revolute else "kg"
-    if "coulomb" in name or "offset" in name or "knee" in name:
-        return "N m" if revolute else "N"
-    if "stiffness" in name:
-        return "N m/rad" if revolute else "N/m"
-    return "N m s/rad" if revolute else "N s/m"
+        units = ("kg m^2", "kg")
+    elif name == "stribeck_velocity":
+        units = ("rad/s", "m/s")
+    elif name == "hysteresis_twist" or name.startswith("kinematic_error"):
+        units = ("rad", "m")
+    elif any(part in name for part in ("coulomb", "offset", "knee", "stribeck", "hysteresis")):
+        units = ("N m", "N")
+    elif "stiffness" in name:
+        units = ("N m/rad", "N/m")
+    return units[joint.motion == "prismatic"]
 
 
 def read_parameters(path: Path) -> Values:

@@ -28,6 +28,7 @@ NonNegative = Annotated[float, Ge(0.0)]
 ArmKind = Literal["planar-two-link", "single-joint"]
 Motion = Literal["revolute", "prismatic"]
 Spring = Literal["linear", "three-slope", "rigid"]
+Effect = Literal["stribeck", "hysteresis", "kinematic-error"]
 Use = Literal["motion", "frequency", "sweep", "tuning", "check"]
 Control = Literal["open", "servo"]
 
@@ -57,6 +58,7 @@ class Joint:
     accelerometer_distance: Positive | None = None  # l_a [m]
     accelerometer_hz: Positive | None = None  # second-order Butterworth
     gyro_hz: Positive | None = None  # first order
+    effects: tuple[Effect, ...] = ()  # that its friction and gear may have
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,7 +79,7 @@ class SensorNoise:
 
 
 def build_arm(study: Study) -> _core.Arm:
-    """The core's arm for a study: kind, gears, electronics, sensors.
+    """The core's arm for a study: kind, gears and effects, electronics, sensors.
 
     Parameters
     ----------
@@ -103,6 +103,7 @@ def build_arm(study: Study) -> _core.Arm:
         accelerometer_distance=distance,
         accelerometer_hz=[joint.accelerometer_hz for joint in joints],
         gyro_hz=[joint.gyro_hz for joint in joints],
+        effects=[joint.effects for joint in joints],
     )
 
 

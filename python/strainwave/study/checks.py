@@ -57,6 +57,7 @@ def check_fit(study: Study, reader: Reader) -> None:
     if study.servo is not None:
         for key in ("kp", "ki"):
             _check_count(getattr(study.servo, key), count, reader.place("servo", None, key), key)
+    _check_effects(study, reader)
     _check_channels(study, reader)
     _check_experiments(study, reader, count)
 
@@ -68,6 +69,17 @@ def _check_count(values: tuple[Any, ...], count: int, place: str, key: str) -> N
             where=place,
             remedy="give one value for each joint",
         )
+
+
+def _check_effects(study: Study, reader: Reader) -> None:
+    for index, joint in enumerate(study.joints):
+        of_a_gear = [effect for effect in joint.effects if effect != "stribeck"]
+        if joint.spring == "rigid" and of_a_gear:
+            raise InvalidInput(
+                f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",
+                where=reader.place("joint", index, "effects"),
+                remedy=f"leave '{of_a_gear[0]}' out, or give the gear a spring",
+            )
 
 
 def _check_channels(study: Study, reader: Reader) -> None:

@@ -10,6 +10,7 @@ use strainwave_core::arm::{OneLink, TwoLink};
 use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::{self, Width};
 use strainwave_core::drive::Servo;
+use strainwave_core::effects::EffectKinds;
 use strainwave_core::sensitivity::Sensitivities;
 use strainwave_core::simulate::{Clock, Diverged, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::{arm, gear, rigid};
@@ -67,7 +68,7 @@ impl Arm {
     #[new]
     #[pyo3(signature = (kind, springs, gear_ratio, *, torque_per_volt=None, link_length=0.0,
         gravity=0.0, current_loop_hz=None, encoder_counts=None, accelerometer_distance=None,
-        accelerometer_hz=None, gyro_hz=None, gear_corner=gear::CORNER))]
+        accelerometer_hz=None, gyro_hz=None, effects=None, gear_corner=gear::CORNER))]
     fn new(
         kind: &str,
         springs: Vec<String>,
@@ -80,6 +81,7 @@ impl Arm {
         accelerometer_distance: Option<Vec<f64>>,
         accelerometer_hz: Option<Vec<Option<f64>>>,
         gyro_hz: Option<Vec<Option<f64>>>,
+        effects: Option<Vec<Vec<String>>>,
         gear_corner: f64,
     ) -> PyResult<Self> {
         let count = springs.len();
@@ -89,11 +91,13 @@ impl Arm {
         let encoder_counts = given(encoder_counts, None, count, "encoder_counts")?;
         let accelerometer_hz = given(accelerometer_hz, None, count, "accelerometer_hz")?;
         let gyro_hz = given(gyro_hz, None, count, "gyro_hz")?;
+        let effects = given(effects, Vec::new(), count, "effects")?;
         let gear_ratio = given(Some(gear_ratio), 1.0, count, "gear_ratio")?;
         let mut joints = Vec::new();
         for i in 0..count {
+            let gear = gear_kind(&springs[i])?;
             joints.push(JointConfig {
-                gear: gear_kind(&springs[i])?,
+                gear,
                 ratio: gear_ratio[i],
                 torque_per_volt: torque_per_volt[i],
                 current_loop_hz: current_loop_hz[i],
@@ -101,6 +105,7 @@ impl Arm {
                 accelerometer_distance: distance[i],
                 accelerometer_hz: accelerometer_hz[i],
                 gyro_hz: gyro_hz[i],
+                effects: effect_kinds(&effects[i], gear)?,
             });
         }
         if gear_corner <= 0.0 || gear_corner.is_nan() {
@@ -522,6 +527,23 @@ fn gear_kind(name: &str) -> PyResult<GearKind> {
         "rigid" => Ok(GearKind::Rigid),
         _ => Err(PyValueError::new_err(format!("no gear spring {name:?}"))),
     }
+}
+
+fn effect_kinds(names: &[String], gear: GearKind) -> PyResult<EffectKinds> {
+    let mut kinds = EffectKinds::default();
+    for name in names {
+        match name.as_str() {
+            "stribeck" => kinds.stribeck = true,
+            "hysteresis" => kinds.hysteresis = true,
+            "kinematic-error" => kinds.kinematic_error = true,
+            _ => return Err(PyValueError::new_err(format!("no effect {name:?}"))),
+        }
+    }
+    if gear == GearKind::Rigid && (kinds.hysteresis || kinds.kinematic_error) {
+        let text = "a rigid gear has neither hysteresis nor a kinematic error";
+        return Err(PyValueError::new_err(text));
+    }
+    Ok(kinds)
 }
 
 fn quantities(names: &[String]) -> PyResult<Vec<Quantity>> {
