@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from strainwave.closed_loop import linearised, observe, predict_closed_loop
+from strainwave.closed_loop import as_known, observe, predict_closed_loop
 from strainwave.errors import InvalidInput
 from strainwave.records import Control, Log, Prbs
 from strainwave.replay import missing_for_replay, replay
@@ -103,6 +103,6 @@ def test_the_cutoff_is_from_the_record_or_as_asked() -> None:
 
 def test_one_stiffness_makes_a_three_slope_spring_linear() -> None:
     study, values = truth("three-slope")
-    assert linearised(study, values) == study
+    assert as_known(study, values) == study
     one = {key: v for key, v in values.items() if not key[0].startswith("gear_")}
-    assert [joint.spring for joint in linearised(study, one).joints] == ["linear", "linear"]
+    assert [joint.spring for joint in as_known(study, one).joints] == ["linear", "linear"]

@@ -7,13 +7,13 @@ low-pass.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
-from strainwave.parameters import Values
+from strainwave.parameters import EFFECT_PARAMETERS, Values
 from strainwave.prediction import fit_percent
 from strainwave.records import Caution, FloatArray, Log, Prediction, Study
 from strainwave.replay import check_replay, replay
@@ -22,8 +22,34 @@ from strainwave.simulation import Drive, Quantity, simulate_arms
 _MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
 
 
-def linearised(study: Study, values: Mapping[tuple[str, int | None], float]) -> Study:
-    """The study with linear springs where the values know only one stiffness.
+def with_known_effects(study: Study, known: Collection[tuple[str, int | None]]) -> Study:
+    """The study with only those effects whose parameters are known.
+
+    Parameters
+    ----------
+    study : Study
+    known : collection of (name, joint)
+
+    Returns
+    -------
+    Study
+    """
+    joints = tuple(
+        replace(
+            joint,
+            effects=tuple(
+                effect
+                for effect in joint.effects
+                if all((name, number) in known for name in EFFECT_PARAMETERS[effect])
+            ),
+        )
+        for number, joint in enumerate(study.joints, start=1)
+    )
+    return replace(study, joints=joints)
+
+
+def as_known(study: Study, values: Mapping[tuple[str, int | None], float]) -> Study:
+    """The study with linear springs where the values know only one stiffness, and known effects.
 
     Parameters
     ----------
@@ -41,7 +67,7 @@ def linearised(study: Study, values: Mapping[tuple[str, int | None], float]) -> 
         else joint
         for number, joint in enumerate(study.joints, start=1)
     )
-    return replace(study, joints=joints)
+    return with_known_effects(replace(study, joints=joints), values.keys())
 
 
 def velocity_band(log: Log, study: Study) -> float:
@@ -87,7 +113,7 @@ class Observed:
         Parameters
         ----------
         study : Study
-            With springs that fit the values.
+            With springs and effects that fit the values.
         values : dict
             (name, joint) -> value.
 
@@ -185,7 +211,7 @@ def predict_closed_loop(
         The motion left the finite numbers.
     """
     seen = observe(log, study, cutoff_hz)
-    return prediction_of(seen, seen.simulated(linearised(study, values), values))
+    return prediction_of(seen, seen.simulated(as_known(study, values), values))
 
 
 def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:

@@ -10,10 +10,17 @@ from typing import Any
 
 from strainwave.errors import InvalidInput
 from strainwave.files import decode, read_bytes
-from strainwave.records import Joint, Study
+from strainwave.records import Effect, Joint, Study
 
 Values = dict[tuple[str, int | None], float]
 """Parameter values by (name, joint), joint from 1 or None for the arm's own."""
+
+EFFECT_PARAMETERS: Mapping[Effect, tuple[str, str]] = {
+    "stribeck": ("stribeck_friction", "stribeck_velocity"),
+    "hysteresis": ("hysteresis_torque", "hysteresis_twist"),
+    "kinematic-error": ("kinematic_error_cos", "kinematic_error_sin"),
+}
+"""The two parameters of each effect, its size first."""
 
 
 def unit_of(name: str, joint: Joint) -> str:

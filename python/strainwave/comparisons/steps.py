@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.closed_loop import linearised
+from strainwave.closed_loop import as_known
 from strainwave.comparisons.rig import Rig, ideal_log, run_steps
 from strainwave.filters import band_pass, low_pass
 from strainwave.links import link_side
@@ -94,7 +94,7 @@ def _answers(
     """Link velocity of the arm and of the model, both from the same sensors by the same way."""
     joint = 1
     log = rig.steps(levels, joint, number)
-    own = run_steps(linearised(rig.study, values), values, levels, joint)
+    own = run_steps(as_known(rig.study, values), values, levels, joint)
     velocities = []
     for record in (log, ideal_log(own, joint)):
         velocity = link_side(record, rig.study).link_velocity[:, joint - 1]

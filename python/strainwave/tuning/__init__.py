@@ -13,12 +13,13 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.closed_loop import predict_closed_loop, velocity_band
+from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
 from strainwave.cores import side_by_side
 from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
 from strainwave.tuning.confidence import confidence_of
+from strainwave.tuning.effects import Tried, idle, records_with, tried, with_effects, without
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import Replayed, replayed, usable
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
@@ -44,6 +45,7 @@ _ROUGH = 0.02  # the same as a share of it, as long as the weights are guesses
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
 _EVIDENT = 3.0  # deviations from zero that a settling time must have
 _TRIAL = 10  # evaluations in which it must show
+_TRIAL_OF_EFFECTS = 30  # and in which the effects must, with several parameters each
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,9 @@ def tune(
     accelerations, through one low-pass, count in robust deviations that the records show.
     The rigid model joins as rows of its own: motion tells most of friction and gravity. Sensors'
     constants, and how a record began that begins in motion, are unknowns of that record.
+
+    The effects that the study names are left out at first, then fitted with the rest; those stay
+    that the records show, and a warning names the others.
 
     Parameters
     ----------
@@ -102,7 +107,8 @@ def tune(
             " angle and the voltage of every motor"
         )
     cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
-    records = tuple(replayed(log, study, cutoff) for log in used)
+    plain = with_known_effects(study, ())
+    records = tuple(replayed(log, plain, cutoff) for log in used)
     search = _search(records, model, joints, study, chosen)
     start = np.zeros(len(search.unknowns))
     misfit = Misfit.of(search, records)
@@ -110,6 +116,8 @@ def tune(
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     before = misfit.fits(start)
     fit = _whole_fit(misfit, start, chosen)
+    if tried(study):
+        fit = _effects(fit, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
     confidence = confidence_of(fit.misfit, fit.z)
@@ -272,3 +280,52 @@ def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
     search = fit.misfit.search.holding(idle)
     begin = search.coordinates(values)
     return _last(fit.misfit.for_unknowns(search), begin, fit.iterations, options)
+
+
+def _effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
+    """From the fit without effects to one with those that the records show."""
+    plain = fit.misfit
+    values = plain.search.values(fit.z)
+    largest = gear_torques(plain.records, values).tolist()
+    search, begin = with_effects(plain.search, study, values, largest)
+    misfit = _on(plain, search, study)
+    found = minimise(
+        misfit.linearise,
+        begin,
+        search.reach,
+        tolerance=_SOON,
+        farthest=_FARTHEST,
+        max_evaluations=min(options.max_iterations, _TRIAL_OF_EFFECTS),
+    )
+    before = plain.linearise(fit.z)
+    if found is None or before is None:
+        raise NotIdentifiable("tuning cannot simulate the effects that the study names")
+    spent = fit.iterations + found.evaluations
+    if before.cost - found.at.cost < _EVIDENT**2:
+        return replace(fit, iterations=spent, left_out=tuple(tried(study)))
+    # the effects have evaluations of their own, as many as the fit without them
+    allowed = replace(options, max_iterations=fit.iterations + options.max_iterations)
+    richer = _last(misfit, found.x, spent, allowed)
+    gone: set[Tried] = set()
+    while more := _idle(richer):
+        gone |= more
+        if len(gone) == len(tried(study)):
+            richer = replace(fit, iterations=richer.iterations)
+            break
+        values = richer.misfit.search.values(richer.z)
+        search = without(search, gone)
+        misfit = _on(richer.misfit, search, study)
+        richer = _last(misfit, search.coordinates(values), richer.iterations, allowed)
+    return replace(richer, left_out=tuple(one for one in tried(study) if one in gone))
+
+
+def _idle(fit: Fit) -> set[Tried]:
+    """The effects among the unknowns that the records do not show."""
+    covariance = confidence_of(fit.misfit, fit.z).combined
+    return set(idle(fit.misfit.search, fit.z, covariance))
+
+
+def _on(misfit: Misfit, search: Search, study: Study) -> Misfit:
+    """The same records and weights for other unknowns, the effects among them in the arm."""
+    records = records_with(misfit.records, study, search.keys)
+    return replace(misfit.for_unknowns(search), records=records)

@@ -3,7 +3,7 @@
 use crate::arm::Arm;
 use crate::effects::{Effects, Twist};
 use crate::gear::Spring;
-use crate::real::Real;
+use crate::real::{Real, Work};
 
 /// One joint's drive train.
 #[derive(Clone, Copy, Debug)]
@@ -153,7 +153,23 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         let posture = A::posture(&x.link_angle);
         Instant {
             posture,
-            acceleration: self.accelerations(x, &posture, torque, modes),
+            acceleration: self.accelerations_at(x, &posture, torque, modes),
+        }
+    }
+
+    /// Accelerations; where there are effects, in a function of their own.
+    #[inline(always)]
+    fn accelerations_at(
+        &self,
+        x: &State<R, N>,
+        at: &A::Posture<R>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> Acceleration<R, N> {
+        if EFFECTS {
+            apart::<R, _>(Accelerating(self, x, at, torque, modes))
+        } else {
+            self.accelerations(x, at, torque, modes)
         }
     }
 
@@ -255,7 +271,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
             let mut held = *modes;
             held.direction[i] = R::splat(0.0);
             held.free[i] = R::splat(0.0);
-            let others = self.accelerations(x, &at, torque, &held).link;
+            let others = self.accelerations_at(x, &at, torque, &held).link;
             let mut load = bias[i];
             for j in 0..N {
                 if j != i {
@@ -286,8 +302,11 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         watch.stage(0, x, a1);
         let half = R::splat(0.5) * h;
         let reached = |(stage, turned): Stage<R, N>, t: R| {
-            let held = self.held(x, stage, modes, t);
-            (self.twisted(x, held, t), turned)
+            let mut held = self.held(x, stage, modes, t);
+            if EFFECTS {
+                held.hysteresis = apart::<R, _>(Twisting(self, x, &held, t));
+            }
+            (held, turned)
         };
         let second = reached(x.drifted(half, a1), half);
         let a2 = self.after(now, &second, &torque.middle, modes);
@@ -336,19 +355,17 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         stage
     }
 
-    /// A stage `t` after the beginning with the hysteresis that its twists bring about.
+    /// z of each gear at a stage `t` after the beginning.
     #[inline(always)]
-    fn twisted(&self, begin: &State<R, N>, mut stage: State<R, N>, t: R) -> State<R, N> {
-        if !EFFECTS {
-            return stage;
-        }
+    fn twisted(&self, begin: &State<R, N>, stage: &State<R, N>, t: R) -> [R; N] {
+        let mut z = begin.hysteresis;
         for i in 0..N {
             if let Some(hysteresis) = &self.joints[i].effects.hysteresis {
-                let [from, to] = [begin, &stage].map(|x| self.gear(x, i).twist);
-                stage.hysteresis[i] = hysteresis.after(begin.hysteresis[i], &from, &to, t);
+                let (from, to) = (self.gear(begin, i).twist, self.gear(stage, i).twist);
+                z[i] = hysteresis.after(z[i], &from, &to, t);
             }
         }
-        stage
+        z
     }
 
     /// Accelerations at a later stage, whose links have turned a little since `now`.
@@ -360,7 +377,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        self.accelerations(x, &A::near(&now.posture, turned), torque, modes)
+        self.accelerations_at(x, &A::near(&now.posture, turned), torque, modes)
     }
 
     /// Kinetic, elastic and gravitational energy [J].
@@ -463,6 +480,57 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
             Some(hysteresis) if EFFECTS => hysteresis.torque.mul_add(x.hysteresis[i], torque),
             _ => torque,
         }
+    }
+}
+
+/// Work in a function of its own: the exponentials and sines of effects in every stage of every step
+/// would be half of the program.
+#[inline(never)]
+fn apart<R: Real, W: Work>(work: W) -> W::Output {
+    R::scope(work)
+}
+
+/// [`Plant::accelerations`].
+struct Accelerating<
+    'p,
+    A: Arm<N>,
+    R: Real,
+    const N: usize,
+    const ELASTIC: bool,
+    const EFFECTS: bool,
+>(
+    &'p Plant<A, R, N, ELASTIC, EFFECTS>,
+    &'p State<R, N>,
+    &'p A::Posture<R>,
+    &'p [R; N],
+    &'p Modes<R, N>,
+);
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for Accelerating<'_, A, R, N, ELASTIC, EFFECTS>
+{
+    type Output = Acceleration<R, N>;
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.accelerations(self.1, self.2, self.3, self.4)
+    }
+}
+
+/// [`Plant::twisted`].
+struct Twisting<'p, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    &'p Plant<A, R, N, ELASTIC, EFFECTS>,
+    &'p State<R, N>,
+    &'p State<R, N>,
+    R,
+);
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for Twisting<'_, A, R, N, ELASTIC, EFFECTS>
+{
+    type Output = [R; N];
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.twisted(self.1, self.2, self.3)
     }
 }
 
