@@ -25,4 +25,5 @@ pub mod rigid;
 pub mod sensitivity;
 pub mod sensors;
 pub mod simulate;
+mod transmission;
 mod variation;
