@@ -159,8 +159,8 @@ def test_a_study_with_effects_is_simulated_from_its_files(tmp_path: Path) -> Non
     virtual.simulate_study(plain, scara.parameters(), tmp_path / "without")
     back = read_study(tmp_path / "with" / "study.toml")
     assert back.joints == study.joints
-    angles = [
+    with_them, without = (
         logs.read_logs(read_study(tmp_path / name / "study.toml"))[0].channels["theta_m1"]
         for name in ("with", "without")
-    ]
-    assert not np.array_equal(*angles)
+    )
+    assert not np.array_equal(with_them, without)

@@ -48,14 +48,14 @@ def records(effects: tuple[Effect, ...]) -> tuple[Study, Values, tuple[Log, ...]
     return study, known, logs
 
 
-def tuned(
-    has: tuple[Effect, ...], asked: tuple[Effect, ...], options: TuningOptions | None = None
-) -> ArmModel:
+def tuned(has: tuple[Effect, ...], asked: tuple[Effect, ...], most: int = 60) -> ArmModel:
     """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
     study, known, logs = records(has)
     asks = replace(study, joints=rig(asked).joints)
     joints = joint_models(asks, known, 0.05, FACTORS)
-    return tune(logs, rigid_model(asks, known, 0.01, 1.0), joints, asks, options)
+    return tune(
+        logs, rigid_model(asks, known, 0.01, 1.0), joints, asks, TuningOptions(max_iterations=most)
+    )
 
 
 def left_out(model: ArmModel) -> list[str]:
@@ -94,6 +94,12 @@ def test_an_arm_without_effects_gets_none() -> None:
     assert not any(key in model.values for key in SIZES)
     assert model.values == plain.values
     assert model.iterations > plain.iterations  # they were tried
+
+
+def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
+    model = tuned(ALL, ALL, most=15)
+    assert model.status == "iteration-limit"
+    assert 15 < model.iterations <= 2 * 15
 
 
 def test_only_what_is_there_stays() -> None:
