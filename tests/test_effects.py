@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from strainwave import logs, scara, virtual
+from strainwave import logs, pipeline, scara, virtual
 from strainwave.errors import InvalidInput
 from strainwave.parameters import Values
 from strainwave.records import Arm, Effect, FloatArray, Joint, Study
@@ -164,3 +164,17 @@ def test_a_study_with_effects_is_simulated_from_its_files(tmp_path: Path) -> Non
         for name in ("with", "without")
     )
     assert not np.array_equal(with_them, without)
+
+
+def test_the_rigid_step_takes_an_arm_whose_gears_have_effects(tmp_path: Path) -> None:
+    study = scara.study(tmp_path)
+    first = replace(study.joints[0], effects=ALL)
+    motion = tuple(e for e in study.experiments if e.use == "motion")
+    study = replace(study, joints=(first, study.joints[1]), experiments=motion)
+    virtual.simulate_study(study, scara.parameters() | EFFECTS, tmp_path)
+    found = pipeline.identify(tmp_path / "study.toml", stages=pipeline.STAGES[:1])
+    assert found.rigid is not None
+    true = virtual.derived(scara.parameters(), study)
+    for name, joint in (("rigid_inertia", 1), ("beta", None), ("gamma", None)):
+        # a few parts in a thousand, as without effects: slow motion hardly sees them
+        assert found.rigid.value(name, joint) == pytest.approx(true[name, joint], rel=0.01)

@@ -256,7 +256,9 @@ def _elastic_remainder(signals: Sequence[Signals], study: Study, best: _Trial) -
     if ratio == 0.0:
         return np.zeros(len(best.covariance))
     here = best.estimate.solution
-    stiff = replace(study, joints=tuple(replace(j, spring="rigid") for j in study.joints))
+    stiff = replace(
+        study, joints=tuple(replace(j, spring="rigid", effects=()) for j in study.joints)
+    )
     rigid, other = side_by_side(
         [
             partial(_trial, signals, stiff, best.bandwidth_hz, best.estimate),
