@@ -37,6 +37,11 @@ class Fit:
     iterations: int
     converged: bool
 
+    def cost(self) -> float:
+        """What is left there."""
+        at = self.misfit.linearise(self.z)
+        return at.cost if at is not None else np.inf
+
 
 def parameters_of(
     fit: Fit, confidence: Confidence, study: Study, largest_torque: Sequence[float]
