@@ -113,7 +113,8 @@ def test_rows_are_differences_in_deviations(spring: str) -> None:
 
 def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
     """Gains and steps of the reduced problem are those of the whole one."""
-    misfit, z = near_truth("linear")
+    known, z = near_truth("linear")
+    misfit = replace(known, guessed=True)
     rows = misfit.rows(z)
     factor = factor_of(misfit, z)
     n = len(z)
@@ -348,3 +349,20 @@ def test_other_unknowns_leave_records_and_weights() -> None:
     # they have own unknowns of their own from here on
     assert held.memory.own is not misfit.memory.own
     np.testing.assert_array_equal(held.memory.own, misfit.memory.own)
+
+
+def test_known_weights_foretell_how_the_cost_bends() -> None:
+    """R'R is half the second derivative of the cost, here to a few per cent; guessed, far above."""
+    rng = np.random.default_rng(4)
+    table, errors = rng.normal(size=(4000, 1, 2)), rng.normal(size=(4000, 1))
+    record = linear_record(table, table @ np.array([1.0, -2.0]) + errors)
+    z = np.array([1.0, -2.0])
+    known = Misfit.of(linear_search(2), [record]).reweighted(z)
+    deviation, repeats = known.weights[0].deviation[0], known.weights[0].repeats[0]
+    slope = table[:, 0] / deviation
+    bend = (1.0 + (errors / deviation) ** 2) ** -1.5 / repeats
+    second = slope.T @ (bend * slope)
+    foretold = factor_of(known, z)[:, :-1]
+    np.testing.assert_allclose(foretold.T @ foretold, second, atol=0.05 * np.max(second))
+    guess = factor_of(replace(known, guessed=True), z)[:, :-1]
+    assert np.all(np.diag(guess.T @ guess) > 1.3 * np.diag(second))

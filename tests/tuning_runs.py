@@ -246,6 +246,7 @@ def linear_record(
     return LinearRecord(
         log=Log(experiment, time, 1e-3, {}),
         study=study,
+        cutoff_hz=100.0,
         drive=Drive(1e-3, still, still, (False, False), (0.0, 0.0), (0.0, 0.0)),
         channels=tuple(channels),
         kernels=Kernels(np.ones(1), np.ones(1), 1),
@@ -253,5 +254,6 @@ def linear_record(
         measured=measured,
         noise=np.full(n_channels, noise),
         moving=False,
+        longest_step=1e-3,
         table=table,
     )

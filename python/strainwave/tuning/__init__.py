@@ -21,7 +21,7 @@ from strainwave.replay import missing_for_replay
 from strainwave.tuning.confidence import confidence_of
 from strainwave.tuning.effects import Tried, idle, records_with, tried, with_effects, without
 from strainwave.tuning.misfit import Misfit
-from strainwave.tuning.replayed import Replayed, replayed, usable
+from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
 from strainwave.tuning.trust_region import minimise
 from strainwave.tuning.unknowns import (
@@ -37,11 +37,13 @@ __all__ = ["TuningOptions", "tune"]
 
 _BAND = 5.0  # times the highest resonance: beyond, little is left of what the gears do
 _LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
+_STEPS = 8.0  # in a period of the cut-off, of the first search; the fit itself takes more
 _ROUNDS = 4  # of new weights; the third seldom moves anything
 _SETTLED = 0.2  # relative change of the weights
 _FINE, _SOON = 1e-2, 1.0  # gain still foretold, in units of the cost
 _FARTHEST = 1.0  # step of a logarithm
-_ROUGH = 0.02  # the same as a share of it, as long as the weights are guesses
+_ROUGH, _ROUGHLY = 2e-2, 2e-3  # the same as a share of it: by guessed weights, in long steps
+_NEAR = 1e-8  # damping of a search that is close
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
 _EVIDENT = 3.0  # deviations from zero that a settling time must have
 _TRIAL = 10  # evaluations in which it must show
@@ -111,17 +113,17 @@ def tune(
     records = tuple(replayed(log, plain, cutoff) for log in used)
     search = _search(records, model, joints, study, chosen)
     start = np.zeros(len(search.unknowns))
-    misfit = Misfit.of(search, records)
-    if misfit.linearise(start) is None:
+    coarse = Misfit.of(search, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records])
+    if coarse.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
-    before = misfit.fits(start)
-    fit = _whole_fit(misfit, start, chosen)
+    before = coarse.fits(start)
+    fit = _whole_fit(coarse, records, start, chosen)
     if tried(study):
-        fit = _effects(fit, study, chosen)
+        fit = _with_effects(fit, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
     confidence = confidence_of(fit.misfit, fit.z)
-    largest = gear_torques(records, values).tolist()
+    largest = gear_torques(fit.misfit.records, values).tolist()
     parameters, covariance = parameters_of(fit, confidence, study, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
@@ -190,41 +192,76 @@ def gear_torques(
     return np.asarray(np.max(side_by_side([partial(largest, r) for r in records]), axis=0))
 
 
-def _whole_fit(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
-    """With friction that takes its time, if that is asked for or explains much more."""
-    if options.settling is False:
-        return _fit(misfit, start, options.max_iterations, _FINE)
-    plain = _fit(misfit, start, options.max_iterations, _SOON)
-    if plain.iterations >= options.max_iterations:
-        return replace(plain, converged=False)
-    return _settling(plain, options)
+def _whole_fit(
+    coarse: Misfit, records: Sequence[Replayed], start: FloatArray, options: TuningOptions
+) -> Fit:
+    """In long steps to near the minimum, and from there in short ones.
+
+    With friction that takes its time, if that is asked for or explains much more.
+    """
+    rough = _rough(coarse, start, options)
+    if options.settling is not False and rough.iterations < options.max_iterations:
+        rough = _with_settling(rough, options)
+    misfit = rough.misfit.seen_by(records).reweighted(rough.z)
+    fine = _fine(misfit, rough.z, rough.iterations, options)
+    return fine if options.settling else _without_idle(fine, options)
 
 
-def _fit(misfit: Misfit, z: FloatArray, allowed: int, tolerance: float) -> Fit:
+def _rough(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
+    """By weights that are guessed, and again by those that the first search shows."""
+    first = _search_from(misfit, start, 0, options, tolerance=_SOON, relative=_ROUGH)
+    if not first.converged or first.iterations >= options.max_iterations:
+        return replace(first, converged=False)
+    renewed = misfit.reweighted(first.z)
+    return _search_from(
+        renewed, first.z, first.iterations, options, tolerance=_SOON, relative=_ROUGHLY
+    )
+
+
+def _fine(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
     """Least squares and new weights in turn until the weights stay."""
-    reach = misfit.search.reach
-    iterations, converged = 0, False
-    for number in range(_ROUNDS + 1):
-        found = minimise(
-            misfit.linearise,
-            z,
-            reach,
-            tolerance=tolerance,
-            relative=_ROUGH if number == 0 else 0.0,
-            farthest=_FARTHEST,
-            max_evaluations=allowed - iterations,
-        )
-        if found is None:
-            raise NotIdentifiable("tuning cannot simulate what the steps before found")
-        z, iterations, converged = found.x, iterations + found.evaluations, found.converged
-        renewed = misfit.reweighted(z)
-        if iterations >= allowed or (number > 0 and not converged):
-            converged = converged and number > 0
+    search = partial(_search_from, options=options, tolerance=_FINE)
+    fit = Fit(misfit, z, spent, False)
+    if spent < options.max_iterations:
+        fit = search(misfit, z, spent, relative=_ROUGH)
+        fit = replace(fit, misfit=fit.misfit.reweighted(fit.z))
+    for _ in range(_ROUNDS):
+        if fit.iterations >= options.max_iterations:
+            return replace(fit, converged=False)
+        fit = search(fit.misfit, fit.z, fit.iterations, damping=_NEAR)
+        renewed = fit.misfit.reweighted(fit.z)
+        if not fit.converged or _settled(fit.misfit, renewed):
             break
-        if number > 0 and _settled(misfit, renewed):
-            break
-        misfit = renewed
-    return Fit(misfit, z, iterations, converged)
+        fit = replace(fit, misfit=renewed)
+    return fit
+
+
+def _search_from(
+    misfit: Misfit,
+    z: FloatArray,
+    spent: int,
+    options: TuningOptions,
+    *,
+    tolerance: float,
+    relative: float = 0.0,
+    damping: float = 1e-3,
+    most: int | None = None,
+) -> Fit:
+    """The minimum by given weights, in as many evaluations as are left, but `most` at most."""
+    left = options.max_iterations - spent
+    found = minimise(
+        misfit.linearise,
+        z,
+        misfit.search.reach,
+        tolerance=tolerance,
+        relative=relative,
+        farthest=_FARTHEST,
+        damping=damping,
+        max_evaluations=max(1, left if most is None else min(left, most)),
+    )
+    if found is None:
+        raise NotIdentifiable("tuning cannot simulate what the steps before found")
+    return Fit(misfit, found.x, spent + found.evaluations, found.converged)
 
 
 def _settled(old: Misfit, new: Misfit) -> bool:
@@ -232,38 +269,25 @@ def _settled(old: Misfit, new: Misfit) -> bool:
     return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
 
 
-def _settling(fit: Fit, options: TuningOptions) -> Fit:
-    """From a rough fit without to the final one, with or without a settling time."""
+def _with_settling(fit: Fit, options: TuningOptions) -> Fit:
+    """A rough fit with settling times, or the one without where they explain nothing."""
     values = fit.misfit.search.values(fit.z)
     search = with_settling(fit.misfit.search)
     begin = search.coordinates(dict.fromkeys(search.keys, SETTLING_START) | values)
     misfit = fit.misfit.for_unknowns(search)
-    left = options.max_iterations - fit.iterations
-    found = minimise(
-        misfit.linearise,
+    most = None if options.settling else _TRIAL
+    richer = _search_from(
+        misfit,
         begin,
-        search.reach,
+        fit.iterations,
+        options,
         tolerance=_SOON,
-        farthest=_FARTHEST,
-        max_evaluations=max(1, left if options.settling else min(left, _TRIAL)),
+        relative=_ROUGHLY,
+        most=most,
     )
-    before = fit.misfit.linearise(fit.z)
-    if found is None or before is None:
-        raise NotIdentifiable("tuning cannot simulate what the steps before found")
-    spent = fit.iterations + found.evaluations
-    if options.settling is None and before.cost - found.at.cost < _EVIDENT**2:
-        return _last(fit.misfit, fit.z, spent, options)
-    richer = _last(misfit, found.x, spent, options)
-    return richer if options.settling else _without_idle(richer, options)
-
-
-def _last(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
-    """A fine fit after as many evaluations."""
-    left = options.max_iterations - spent
-    if left < 1:
-        return Fit(misfit, z, spent, False)
-    fit = _fit(misfit, z, left, _FINE)
-    return replace(fit, iterations=spent + fit.iterations)
+    if options.settling is None and fit.cost() - richer.cost() < _EVIDENT**2:
+        return replace(fit, iterations=richer.iterations)
+    return richer
 
 
 def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
@@ -279,33 +303,27 @@ def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
         return fit
     search = fit.misfit.search.holding(idle)
     begin = search.coordinates(values)
-    return _last(fit.misfit.for_unknowns(search), begin, fit.iterations, options)
+    return _fine(fit.misfit.for_unknowns(search), begin, fit.iterations, options)
 
 
-def _effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
+def _with_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     """From the fit without effects to one with those that the records show."""
-    plain = fit.misfit
-    values = plain.search.values(fit.z)
-    largest = gear_torques(plain.records, values).tolist()
-    search, begin = with_effects(plain.search, study, values, largest)
-    misfit = _on(plain, search, study)
-    found = minimise(
-        misfit.linearise,
-        begin,
-        search.reach,
-        tolerance=_SOON,
-        farthest=_FARTHEST,
-        max_evaluations=min(options.max_iterations, _TRIAL_OF_EFFECTS),
-    )
-    before = plain.linearise(fit.z)
-    if found is None or before is None:
-        raise NotIdentifiable("tuning cannot simulate the effects that the study names")
-    spent = fit.iterations + found.evaluations
-    if before.cost - found.at.cost < _EVIDENT**2:
-        return replace(fit, iterations=spent, left_out=tuple(tried(study)))
+    values = fit.misfit.search.values(fit.z)
+    largest = gear_torques(fit.misfit.records, values).tolist()
+    search, begin = with_effects(fit.misfit.search, study, values, largest)
     # the effects have evaluations of their own, as many as the fit without them
     allowed = replace(options, max_iterations=fit.iterations + options.max_iterations)
-    richer = _last(misfit, found.x, spent, allowed)
+    trial = _search_from(
+        _on(fit.misfit, search, study),
+        begin,
+        fit.iterations,
+        allowed,
+        tolerance=_SOON,
+        most=_TRIAL_OF_EFFECTS,
+    )
+    if fit.cost() - trial.cost() < _EVIDENT**2:
+        return replace(fit, iterations=trial.iterations, left_out=tuple(tried(study)))
+    richer = _fine(trial.misfit, trial.z, trial.iterations, allowed)
     gone: set[Tried] = set()
     while more := _idle(richer):
         gone |= more
@@ -315,7 +333,7 @@ def _effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
         values = richer.misfit.search.values(richer.z)
         search = without(search, gone)
         misfit = _on(richer.misfit, search, study)
-        richer = _last(misfit, search.coordinates(values), richer.iterations, allowed)
+        richer = _fine(misfit, search.coordinates(values), richer.iterations, allowed)
     return replace(richer, left_out=tuple(one for one in tried(study) if one in gone))
 
 

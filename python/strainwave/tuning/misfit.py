@@ -34,6 +34,8 @@ _ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
 _BEGUN = 0.1  # gain still foretold of moving a beginning, in units of the cost
 _BEGINNINGS = 12  # of a record that are tried for one point
 
+_LEAST_BEND = 0.5  # of the loss beside its weights: far from a minimum it hardly bends at all
+
 T = TypeVar("T")
 
 
@@ -88,10 +90,17 @@ class Rows:
     local: FloatArray  # (n_rows, n_channels, n_own)
     step: FloatArray  # (n_own,) by which the record's own unknowns have moved
 
-    def factor(self) -> FloatArray:
-        """R of [shared residual], weighted, in what the record's own unknowns cannot imitate."""
-        parts = [self.local, self.shared, self.residual[..., None]]
-        table = np.concatenate(parts, axis=2) * self.root[..., None]
+    def factor(self, least_bend: float) -> FloatArray:
+        """R of [shared residual] in what the record's own unknowns cannot imitate.
+
+        R stands for the loss's slope and for how it bends on the whole: by less than the weights
+        (1 + r^2)^(-1/2) that give its slope, with which steps would be a third too short.
+        """
+        square = self.root**2
+        bend = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
+        bend = np.maximum(bend, least_bend)[:, None]
+        parts = [bend * self.local, bend * self.shared, self.residual[..., None]]
+        table = np.concatenate(parts, axis=2) * (self.root[..., None] / np.sqrt(bend))
         n = len(self.step)
         return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r"))[n:, n:]
 
@@ -116,6 +125,7 @@ class Misfit:
     records: tuple[Replayed, ...]
     weights: tuple[Weights, ...]
     memory: _Memory = field(repr=False)
+    guessed: bool = False  # whether the weights know nothing of the errors yet
 
     @classmethod
     def of(cls, search: Search, records: Sequence[Replayed]) -> Misfit:
@@ -136,7 +146,7 @@ class Misfit:
             size = np.maximum(spread, record.noise)
             weights.append(Weights(size, np.ones(len(size))))
         own = [np.concatenate([r.start(), np.zeros(_shifts(r).shape[2])]) for r in records]
-        return cls(search, tuple(records), tuple(weights), _Memory(own))
+        return cls(search, tuple(records), tuple(weights), _Memory(own), guessed=True)
 
     def linearise(self, z: FloatArray) -> Linearised | None:
         """The cost with its least squares problem in the unknowns; None where no arm can be."""
@@ -144,7 +154,8 @@ class Misfit:
             rows = self.rows(z)
         except (InvalidInput, NumericalFailure):
             return None
-        factors = side_by_side([one.factor for one in rows])
+        least = 1.0 if self.guessed else _LEAST_BEND
+        factors = side_by_side([partial(one.factor, least) for one in rows])
         cost = sum(one.cost(w) for one, w in zip(rows, self.weights, strict=True))
         prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
         slope = self.search.prior.rows @ self.search.slope(z)
@@ -175,11 +186,15 @@ class Misfit:
             least = np.maximum(record.noise, _LEAST * np.std(record.measured, axis=0))
             size = np.maximum(np.maximum(size, 0.5 * np.std(errors, axis=0)), least)
             weights.append(Weights(size, np.array([_repeats(column) for column in errors.T])))
-        return replace(self, weights=tuple(weights))
+        return replace(self, weights=tuple(weights), guessed=False)
 
     def for_unknowns(self, search: Search) -> Misfit:
         """The same records and weights for other unknowns."""
         return replace(self, search=search, memory=_Memory(list(self.memory.own)))
+
+    def seen_by(self, records: Sequence[Replayed]) -> Misfit:
+        """The same weights and beginnings for other rows of the same records."""
+        return replace(self, records=tuple(records), memory=_Memory(list(self.memory.own)))
 
     def blocks(self) -> list[IntArray]:
         """The stretch that each row of a record belongs to, counted through all records."""

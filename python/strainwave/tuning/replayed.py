@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from strainwave.closed_loop import has_accelerometer
 from strainwave.errors import InvalidInput
@@ -25,6 +26,7 @@ INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocit
 _STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
 _PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat each other
 _REACH = 1.5  # periods of the cut-off that the low-pass reaches to either side
+_BAND = 8  # rows of the low-pass that share a matrix product
 _SHAPE = 5.0  # of its Kaiser window: 50 dB outside its band
 _REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at rest
 _BEGINNING = 0.02  # [s] that are looked at for it
@@ -53,19 +55,23 @@ class Kernels:
     def rows(self, samples: FloatArray, *, rate: bool) -> FloatArray:
         """(n_samples, ...) -> (n_rows, ...), without the edges that the low-pass cannot reach.
 
-        Sums of products block by block: a block of `step` samples meets every part of the kernel in
-        one matrix product, whose shifted sums are the rows.
+        Some rows at a time are one product of a banded matrix with the samples that they reach.
         """
-        taps = self.slope if rate else self.smooth
-        parts = taps.reshape(-1, self.step)
-        n_blocks = len(samples) // self.step
-        flat = samples[: n_blocks * self.step].reshape(n_blocks, self.step, -1)
-        products = np.matmul(parts, flat)  # (n_blocks, n_parts, columns)
-        n_rows = n_blocks - len(parts) + 1
-        rows = products[:n_rows, 0].copy()
-        for part in range(1, len(parts)):
-            rows += products[part : part + n_rows, part]
-        return np.asarray(rows.reshape(n_rows, *samples.shape[1:]))
+        taps, step = self.slope if rate else self.smooth, self.step
+        n_rows = (len(samples) - len(taps)) // step + 1
+        band = np.zeros((_BAND, (_BAND - 1) * step + len(taps)))
+        for k in range(_BAND):
+            band[k, k * step : k * step + len(taps)] = taps
+        flat = samples.reshape(len(samples), -1)
+        rows = np.empty((n_rows, flat.shape[1]))
+        whole = n_rows // _BAND * _BAND
+        reached = sliding_window_view(flat, band.shape[1], axis=0) if whole else None
+        if reached is not None:
+            blocks = reached[: whole * step : _BAND * step].transpose(0, 2, 1)
+            rows[:whole] = np.matmul(band, blocks).reshape(whole, -1)
+        rest = flat[whole * step : (n_rows - 1) * step + len(taps)]
+        rows[whole:] = band[: n_rows - whole, : len(rest)] @ rest
+        return rows.reshape(n_rows, *samples.shape[1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +80,7 @@ class Replayed:
 
     log: Log
     study: Study  # as it was driven; without counts, to be smooth in the parameters
+    cutoff_hz: float
     drive: Drive
     channels: tuple[Channel, ...]
     kernels: Kernels
@@ -81,6 +88,7 @@ class Replayed:
     measured: FloatArray  # (n_rows, n_channels)
     noise: FloatArray  # (n_channels,) standard deviation of the sensors' own noise behind it
     moving: bool  # whether it begins in motion
+    longest_step: float  # [s] of the integrator
 
     @property
     def local(self) -> tuple[tuple[str, int], ...]:
@@ -114,7 +122,7 @@ class Replayed:
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
-            longest_step=_STEP,
+            longest_step=self.longest_step,
         )
         return {name: run[0] for name, run in runs.items()}
 
@@ -140,7 +148,7 @@ class Replayed:
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=self.quantities(),
-            longest_step=_STEP,
+            longest_step=self.longest_step,
         )
         seen = self.seen({name: run[0] for name, run in runs.items()})
         return seen, self.seen({name: run[1] for name, run in runs.items()})
@@ -210,6 +218,7 @@ def replayed(log: Log, study: Study, cutoff_hz: float) -> Replayed:
     return Replayed(
         log=log,
         study=_as_driven(log, study),
+        cutoff_hz=cutoff_hz,
         drive=_drive(log, study),
         channels=channels,
         kernels=kernels,
@@ -217,7 +226,42 @@ def replayed(log: Log, study: Study, cutoff_hz: float) -> Replayed:
         measured=np.column_stack(rows),
         noise=np.asarray(noise),
         moving=_begins_in_motion(log, study),
+        longest_step=_STEP,
     )
+
+
+def coarser(record: Replayed, longest_step: float) -> Replayed:
+    """The same record in longer steps, for a search that is still far off.
+
+    Parameters
+    ----------
+    record : Replayed
+    longest_step : float [s]
+        Of the integrator; samples that lie closer are thinned, and voltages become their means.
+
+    Returns
+    -------
+    Replayed
+        Its rows lie as far apart, about.
+    """
+    log = record.log
+    every = max(1, int(longest_step / log.sample_time))
+    n = len(log) // every
+    channels = {
+        name: x[: n * every].reshape(n, every).mean(axis=1)
+        if name.startswith(("u", "torque"))
+        else x[: n * every : every]
+        for name, x in log.channels.items()
+    }
+    thinned = replace(
+        log,
+        sample_time=every * log.sample_time,
+        time=log.time[: n * every : every],
+        channels=channels,
+    )
+    coarse = replayed(thinned, record.study, record.cutoff_hz)
+    step = max(longest_step, _STEP)
+    return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
 
 
 def low_pass_kernels(cutoff_hz: float, sample_time: float) -> Kernels:

@@ -39,6 +39,11 @@ class Fit:
     converged: bool
     left_out: tuple[Tried, ...] = ()  # effects that the records do not show
 
+    def cost(self) -> float:
+        """What is left there."""
+        at = self.misfit.linearise(self.z)
+        return at.cost if at is not None else np.inf
+
 
 def parameters_of(
     fit: Fit, confidence: Confidence, study: Study, largest_torque: Sequence[float]
