@@ -6,7 +6,7 @@ the earlier stages found.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -26,6 +26,7 @@ from strainwave.tuning.trust_region import minimise
 from strainwave.tuning.unknowns import (
     SETTLING,
     SETTLING_START,
+    Key,
     Search,
     search_of,
     with_curves,
@@ -54,6 +55,7 @@ class TuningOptions:
 
     cutoff_hz: float | None = None  # of what is compared; None: from the resonances
     settling: bool | None = None  # whether friction takes its time; None: if the data say so
+    start: Mapping[Key, float] | None = None  # values in place of those of the steps before
     least_deviation: float = 0.002  # of what the rigid step knows, as a share of each value
     max_iterations: int = 60
 
@@ -107,6 +109,8 @@ def tune(
     records = tuple(replayed(log, study, cutoff) for log in used)
     search = _search(records, model, joints, study, chosen)
     start = np.zeros(len(search.unknowns))
+    if chosen.start is not None:
+        start = search.coordinates({**search.values(start), **chosen.start})
     coarse = Misfit.of(search, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records])
     if coarse.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")

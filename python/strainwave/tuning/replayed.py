@@ -52,12 +52,16 @@ class Kernels:
     slope: FloatArray  # (n_taps,) [1/s]
     step: int  # samples from row to row
 
+    def taps(self, *, rate: bool) -> FloatArray:
+        """Those of the slope, or of the low-pass itself: (n_taps,)."""
+        return self.slope if rate else self.smooth
+
     def rows(self, samples: FloatArray, *, rate: bool) -> FloatArray:
         """(n_samples, ...) -> (n_rows, ...), without the edges that the low-pass cannot reach.
 
         Some rows at a time are one product of a banded matrix with the samples that they reach.
         """
-        taps, step = self.slope if rate else self.smooth, self.step
+        taps, step = self.taps(rate=rate), self.step
         n_rows = (len(samples) - len(taps)) // step + 1
         band = np.zeros((_BAND, (_BAND - 1) * step + len(taps)))
         for k in range(_BAND):
