@@ -19,11 +19,13 @@ from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
 from strainwave.tuning.confidence import confidence_of
+from strainwave.tuning.curves import other_starts
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
 from strainwave.tuning.trust_region import minimise
 from strainwave.tuning.unknowns import (
+    CURVE,
     SETTLING,
     SETTLING_START,
     Key,
@@ -45,7 +47,7 @@ _FARTHEST = 1.0  # step of a logarithm
 _ROUGH, _ROUGHLY = 2e-2, 2e-3  # the same as a share of it: by guessed weights, in long steps
 _NEAR = 1e-8  # damping of a search that is close
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
-_EVIDENT = 3.0  # deviations from zero that a settling time must have
+_EVIDENT = 3.0  # deviations that speak for a settling time, or for another curve
 _TRIAL = 10  # evaluations in which it must show
 
 
@@ -57,7 +59,7 @@ class TuningOptions:
     settling: bool | None = None  # whether friction takes its time; None: if the data say so
     start: Mapping[Key, float] | None = None  # values in place of those of the steps before
     least_deviation: float = 0.002  # of what the rigid step knows, as a share of each value
-    max_iterations: int = 60
+    max_iterations: int = 100
 
 
 def tune(
@@ -195,7 +197,7 @@ def _whole_fit(
 
     With friction that takes its time, if that is asked for or explains much more.
     """
-    rough = _rough(coarse, start, options)
+    rough = _bent(_rough(coarse, start, options), options)
     if options.settling is not False and rough.iterations < options.max_iterations:
         rough = _with_settling(rough, options)
     misfit = rough.misfit.seen_by(records).reweighted(rough.z)
@@ -214,10 +216,35 @@ def _rough(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
     )
 
 
+def _bent(fit: Fit, options: TuningOptions) -> Fit:
+    """The best of a fit and those from other curves, for each gear whose curve lost a bend."""
+    for unknown in fit.misfit.search.unknowns:
+        if unknown.name != CURVE[0] or unknown.joint is None:
+            continue
+        values = fit.misfit.search.values(fit.z)
+        largest = gear_torques(fit.misfit.records, values)[unknown.joint - 1]
+        for start in other_starts(values, unknown.joint, largest):
+            if fit.iterations >= options.max_iterations:
+                return replace(fit, converged=False)
+            z = fit.misfit.search.coordinates(start)
+            other = _search_from(
+                fit.misfit,
+                z,
+                fit.iterations,
+                options,
+                tolerance=_SOON,
+                relative=_ROUGHLY,
+                most=_TRIAL,
+            )
+            better = other if fit.cost - other.cost > _EVIDENT**2 else fit
+            fit = replace(better, iterations=other.iterations)
+    return fit
+
+
 def _fine(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
     """Least squares and new weights in turn until the weights stay."""
     search = partial(_search_from, options=options, tolerance=_FINE)
-    fit = Fit(misfit, z, spent, False)
+    fit = Fit(misfit, z, np.inf, spent, False)
     if spent < options.max_iterations:
         fit = search(misfit, z, spent, relative=_ROUGH)
         fit = replace(fit, misfit=fit.misfit.reweighted(fit.z))
@@ -257,7 +284,7 @@ def _search_from(
     )
     if found is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
-    return Fit(misfit, found.x, spent + found.evaluations, found.converged)
+    return Fit(misfit, found.x, found.at.cost, spent + found.evaluations, found.converged)
 
 
 def _settled(old: Misfit, new: Misfit) -> bool:
@@ -281,7 +308,7 @@ def _with_settling(fit: Fit, options: TuningOptions) -> Fit:
         relative=_ROUGHLY,
         most=most,
     )
-    if options.settling is None and fit.cost() - richer.cost() < _EVIDENT**2:
+    if options.settling is None and fit.cost - richer.cost < _EVIDENT**2:
         return replace(fit, iterations=richer.iterations)
     return richer
 

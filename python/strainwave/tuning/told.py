@@ -34,13 +34,9 @@ class Fit:
 
     misfit: Misfit
     z: FloatArray  # (n_unknowns,)
+    cost: float  # by the weights of the search; infinite before any
     iterations: int
     converged: bool
-
-    def cost(self) -> float:
-        """What is left there."""
-        at = self.misfit.linearise(self.z)
-        return at.cost if at is not None else np.inf
 
 
 def parameters_of(
