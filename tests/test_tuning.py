@@ -479,3 +479,24 @@ def test_a_lab_arm(arm: str, inertia: float, damping: float, shared_data: Path) 
 @pytest.mark.parametrize("arm", ["scara-linear-5kg", "vertical-linear-0kg"])
 def test_a_lab_arm_is_searched_to_the_end(arm: str, shared_data: Path) -> None:
     assert lab_model(shared_data / "lab" / arm)[2].status == "converged"
+
+
+def test_a_curve_whose_knee_starts_out_of_reach_is_found() -> None:
+    """Twice the largest torque: no derivative brings that knee back."""
+    study, known, records = shaken("three-slope", 10.0)
+    far: Values = {(KNEES[1], joint): 8.0 * known[KNEES[1], joint] for joint in (1, 2)}
+    model = from_wrong_starts(records, study, known, TuningOptions(start=far))
+    errors = errors_of(model, known)
+    for joint in (1, 2):
+        for name in (*CURVE[:2], KNEES[0]):
+            assert abs(errors[name, joint][0]) < 0.02, (name, joint)
+
+
+def test_a_start_may_be_given() -> None:
+    """From the truth, with nothing left to search for but weights."""
+    study, known, records = rig_records()
+    model = from_wrong_starts(records, study, known, TuningOptions(start=known), 0.2)
+    for p, q in zip(model.parameters, standard().parameters, strict=True):
+        if p.value is not None and q.value is not None and q.std:
+            assert abs(p.value - q.value) < 0.5 * q.std, p.name
+    assert model.iterations < standard().iterations

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from strainwave.records import FloatArray
 from strainwave.tuning.misfit import BLOCKS, Misfit, Weights
-from strainwave.tuning.replayed import Replayed, replayed
+from strainwave.tuning.replayed import Kernels, Replayed, replayed
 from strainwave.tuning.unknowns import Prior, Search, search_of, with_curves, with_settling
 from tuning_runs import (
     beginning,
@@ -331,10 +331,16 @@ def test_the_share_of_the_noise() -> None:
     # behind a low-pass whose rows repeat white noise twice
     pole = 1.0 / 3.0
     noise = coloured(rng, (6000, 1), pole)
-    alone = linear_misfit([noise], noise=WHITE).reweighted(TRUTH)
+    taps: FloatArray = np.power(pole, np.arange(30, dtype=np.float64))
+
+    def behind(misfit: Misfit) -> Misfit:
+        records = [replace(r, kernels=Kernels(taps, taps, 1)) for r in misfit.records]
+        return misfit.seen_by(records).reweighted(TRUTH)
+
+    alone = behind(linear_misfit([noise], noise=WHITE))
     assert alone.noise_shares()[0] == pytest.approx(1.0, abs=0.15)
     model = coloured(rng, (6000, 1), 0.9, 3.0 * WHITE)
-    wrong = linear_misfit([noise + model], noise=WHITE).reweighted(TRUTH)
+    wrong = behind(linear_misfit([noise + model], noise=WHITE))
     # variances and their repetitions, 2 and 19
     expected = 2.0 / (2.0 + 9.0 * 19.0)
     assert wrong.noise_shares()[0] == pytest.approx(expected, rel=0.5)

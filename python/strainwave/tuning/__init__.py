@@ -7,30 +7,26 @@ the earlier stages found.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
-from strainwave.cores import side_by_side
 from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
 from strainwave.tuning.confidence import confidence_of
-from strainwave.tuning.effects import Tried, idle, records_with, tried, with_effects, without
+from strainwave.tuning.effects import tried
 from strainwave.tuning.misfit import Misfit
-from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
+from strainwave.tuning.replayed import Replayed, coarser, gear_torques, replayed, usable
+from strainwave.tuning.searching import TuningOptions, finely, roughly
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
-from strainwave.tuning.trust_region import minimise
-from strainwave.tuning.unknowns import (
-    SETTLING,
-    SETTLING_START,
-    Search,
-    search_of,
-    with_curves,
-    with_settling,
+from strainwave.tuning.unknowns import SETTLING, Search, search_of, with_curves
+from strainwave.tuning.variants import (
+    bent,
+    with_named_effects,
+    with_settling_times,
+    without_idle_settling,
 )
 
 __all__ = ["TuningOptions", "tune"]
@@ -38,26 +34,7 @@ __all__ = ["TuningOptions", "tune"]
 _BAND = 5.0  # times the highest resonance: beyond, little is left of what the gears do
 _LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
 _STEPS = 8.0  # in a period of the cut-off, of the first search; the fit itself takes more
-_ROUNDS = 4  # of new weights; the third seldom moves anything
-_SETTLED = 0.2  # relative change of the weights
-_FINE, _SOON = 1e-2, 1.0  # gain still foretold, in units of the cost
-_FARTHEST = 1.0  # step of a logarithm
-_ROUGH, _ROUGHLY = 2e-2, 2e-3  # the same as a share of it: by guessed weights, in long steps
-_NEAR = 1e-8  # damping of a search that is close
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
-_EVIDENT = 3.0  # deviations from zero that a settling time must have
-_TRIAL = 10  # evaluations in which it must show
-_TRIAL_OF_EFFECTS = 30  # and in which the effects must, with several parameters each
-
-
-@dataclass(frozen=True, slots=True)
-class TuningOptions:
-    """What may be set by hand."""
-
-    cutoff_hz: float | None = None  # of what is compared; None: from the resonances
-    settling: bool | None = None  # whether friction takes its time; None: if the data say so
-    least_deviation: float = 0.002  # of what the rigid step knows, as a share of each value
-    max_iterations: int = 60
 
 
 def tune(
@@ -113,13 +90,15 @@ def tune(
     records = tuple(replayed(log, plain, cutoff) for log in used)
     search = _search(records, model, joints, study, chosen)
     start = np.zeros(len(search.unknowns))
+    if chosen.start is not None:
+        start = search.coordinates({**search.values(start), **chosen.start})
     coarse = Misfit.of(search, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records])
     if coarse.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     before = coarse.fits(start)
     fit = _whole_fit(coarse, records, start, chosen)
     if tried(study):
-        fit = _with_effects(fit, study, chosen)
+        fit = with_named_effects(fit, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
     confidence = confidence_of(fit.misfit, fit.z)
@@ -149,12 +128,6 @@ def tune(
     )
 
 
-def at_bounds(fit: Fit) -> list[bool]:
-    """Which unknowns ended at the end of their range."""
-    near: list[bool] = (np.abs(fit.z) > (1.0 - _EDGE) * fit.misfit.search.reach).tolist()
-    return near
-
-
 def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], study: Study) -> float:
     """Some way above the highest resonance, but no higher than the motors show motion."""
     shown = min(velocity_band(log, study) for log in used)
@@ -180,18 +153,6 @@ def _search(
     return search
 
 
-def gear_torques(
-    records: Sequence[Replayed], values: dict[tuple[str, int | None], float]
-) -> FloatArray:
-    """The largest torque that each gear carries, but for one sample in a thousand: (n_joints,)."""
-
-    def largest(record: Replayed) -> FloatArray:
-        torque = record.run(values, record.start(), ["gear_torque"])["gear_torque"]
-        return np.asarray(np.quantile(np.abs(torque), 0.999, axis=0))
-
-    return np.asarray(np.max(side_by_side([partial(largest, r) for r in records]), axis=0))
-
-
 def _whole_fit(
     coarse: Misfit, records: Sequence[Replayed], start: FloatArray, options: TuningOptions
 ) -> Fit:
@@ -199,151 +160,15 @@ def _whole_fit(
 
     With friction that takes its time, if that is asked for or explains much more.
     """
-    rough = _rough(coarse, start, options)
+    rough = bent(roughly(coarse, start, options), options)
     if options.settling is not False and rough.iterations < options.max_iterations:
-        rough = _with_settling(rough, options)
+        rough = with_settling_times(rough, options)
     misfit = rough.misfit.seen_by(records).reweighted(rough.z)
-    fine = _fine(misfit, rough.z, rough.iterations, options)
-    return fine if options.settling else _without_idle(fine, options)
+    fine = finely(misfit, rough.z, rough.iterations, options)
+    return fine if options.settling else without_idle_settling(fine, options)
 
 
-def _rough(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
-    """By weights that are guessed, and again by those that the first search shows."""
-    first = _search_from(misfit, start, 0, options, tolerance=_SOON, relative=_ROUGH)
-    if not first.converged or first.iterations >= options.max_iterations:
-        return replace(first, converged=False)
-    renewed = misfit.reweighted(first.z)
-    return _search_from(
-        renewed, first.z, first.iterations, options, tolerance=_SOON, relative=_ROUGHLY
-    )
-
-
-def _fine(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
-    """Least squares and new weights in turn until the weights stay."""
-    search = partial(_search_from, options=options, tolerance=_FINE)
-    fit = Fit(misfit, z, spent, False)
-    if spent < options.max_iterations:
-        fit = search(misfit, z, spent, relative=_ROUGH)
-        fit = replace(fit, misfit=fit.misfit.reweighted(fit.z))
-    for _ in range(_ROUNDS):
-        if fit.iterations >= options.max_iterations:
-            return replace(fit, converged=False)
-        fit = search(fit.misfit, fit.z, fit.iterations, damping=_NEAR)
-        renewed = fit.misfit.reweighted(fit.z)
-        if not fit.converged or _settled(fit.misfit, renewed):
-            break
-        fit = replace(fit, misfit=renewed)
-    return fit
-
-
-def _search_from(
-    misfit: Misfit,
-    z: FloatArray,
-    spent: int,
-    options: TuningOptions,
-    *,
-    tolerance: float,
-    relative: float = 0.0,
-    damping: float = 1e-3,
-    most: int | None = None,
-) -> Fit:
-    """The minimum by given weights, in as many evaluations as are left, but `most` at most."""
-    left = options.max_iterations - spent
-    found = minimise(
-        misfit.linearise,
-        z,
-        misfit.search.reach,
-        tolerance=tolerance,
-        relative=relative,
-        farthest=_FARTHEST,
-        damping=damping,
-        max_evaluations=max(1, left if most is None else min(left, most)),
-    )
-    if found is None:
-        raise NotIdentifiable("tuning cannot simulate what the steps before found")
-    return Fit(misfit, found.x, spent + found.evaluations, found.converged)
-
-
-def _settled(old: Misfit, new: Misfit) -> bool:
-    pairs = zip(old.weights, new.weights, strict=True)
-    return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
-
-
-def _with_settling(fit: Fit, options: TuningOptions) -> Fit:
-    """A rough fit with settling times, or the one without where they explain nothing."""
-    values = fit.misfit.search.values(fit.z)
-    search = with_settling(fit.misfit.search)
-    begin = search.coordinates(dict.fromkeys(search.keys, SETTLING_START) | values)
-    misfit = fit.misfit.for_unknowns(search)
-    most = None if options.settling else _TRIAL
-    richer = _search_from(
-        misfit,
-        begin,
-        fit.iterations,
-        options,
-        tolerance=_SOON,
-        relative=_ROUGHLY,
-        most=most,
-    )
-    if options.settling is None and fit.cost() - richer.cost() < _EVIDENT**2:
-        return replace(fit, iterations=richer.iterations)
-    return richer
-
-
-def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
-    """Again with friction that acts at once in the joints where nothing speaks for a delay."""
-    values = fit.misfit.search.values(fit.z)
-    deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).local))
-    idle = {
-        key: 0.0
-        for key, std in zip(fit.misfit.search.keys, deviation, strict=True)
-        if key[0] == SETTLING and values[key] < _EVIDENT * std
-    }
-    if not idle:
-        return fit
-    search = fit.misfit.search.holding(idle)
-    begin = search.coordinates(values)
-    return _fine(fit.misfit.for_unknowns(search), begin, fit.iterations, options)
-
-
-def _with_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
-    """From the fit without effects to one with those that the records show."""
-    values = fit.misfit.search.values(fit.z)
-    largest = gear_torques(fit.misfit.records, values).tolist()
-    search, begin = with_effects(fit.misfit.search, study, values, largest)
-    # the effects have evaluations of their own, as many as the fit without them
-    allowed = replace(options, max_iterations=fit.iterations + options.max_iterations)
-    trial = _search_from(
-        _on(fit.misfit, search, study),
-        begin,
-        fit.iterations,
-        allowed,
-        tolerance=_SOON,
-        most=_TRIAL_OF_EFFECTS,
-    )
-    if fit.cost() - trial.cost() < _EVIDENT**2:
-        return replace(fit, iterations=trial.iterations, left_out=tuple(tried(study)))
-    richer = _fine(trial.misfit, trial.z, trial.iterations, allowed)
-    gone: set[Tried] = set()
-    while more := _idle(richer):
-        gone |= more
-        if len(gone) == len(tried(study)):
-            richer = replace(fit, iterations=richer.iterations)
-            break
-        values = richer.misfit.search.values(richer.z)
-        search = without(search, gone)
-        misfit = _on(richer.misfit, search, study)
-        richer = _fine(misfit, search.coordinates(values), richer.iterations, allowed)
-    return replace(richer, left_out=tuple(one for one in tried(study) if one in gone))
-
-
-def _idle(fit: Fit) -> set[Tried]:
-    """The effects among the unknowns that the records do not show."""
-    covariance = confidence_of(fit.misfit, fit.z).combined
-    return set(idle(fit.misfit.search, fit.z, covariance))
-
-
-def _on(misfit: Misfit, search: Search, study: Study) -> Misfit:
-    """The same records and weights for other unknowns, the effects among them in the arm."""
-    records = records_with(misfit.records, study, search.keys)
-    return replace(misfit.for_unknowns(search), records=records)
+def at_bounds(fit: Fit) -> list[bool]:
+    """Which unknowns ended at the end of their range."""
+    near: list[bool] = (np.abs(fit.z) > (1.0 - _EDGE) * fit.misfit.search.reach).tolist()
+    return near

@@ -27,7 +27,6 @@ BLOCKS = 10
 _MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
 _FIRST = 0.1  # of a channel's own spread: its errors' deviation before any is known
 _LEAST = 1e-3  # of it: no model is better than that
-_NOISE_REPEATS = 2.0  # rows of low-passed white noise that say the same, four to a period
 _ROBUST = 1.4826  # standard deviation of normal errors over their median magnitude
 
 _ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
@@ -205,14 +204,13 @@ class Misfit:
         return found
 
     def noise_shares(self) -> list[float]:
-        """Of each record, the share of its errors' variance that its sensors' noise makes.
-
-        Both behind the low-pass, whose rows repeat white noise by `_NOISE_REPEATS`.
-        """
+        """Of each record, the share of its errors' variance that its sensors' noise makes."""
         found = []
         for record, weights in zip(self.records, self.weights, strict=True):
             variance = weights.deviation**2 * weights.repeats
-            share = _NOISE_REPEATS * record.noise**2 / variance
+            kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
+            repeats = np.array([repetitions(_lagged(k, record.kernels.step)) for k in kernels])
+            share = repeats * record.noise**2 / variance
             found.append(float(np.clip(np.mean(share), 0.0, 1.0)))
         return found
 
@@ -290,13 +288,32 @@ def _shifts(record: Replayed) -> FloatArray:
 
 
 def _repeats(column: FloatArray) -> float:
-    """1 + 2 sum of the autocorrelations up to the first negative one."""
+    """How many errors in succession say the same thing."""
     n = len(column)
     spectrum = np.fft.rfft(column - column.mean(), 2 * n)
-    correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: n // 2]
-    if correlation[0] <= 0.0:
+    return repetitions(np.fft.irfft(np.abs(spectrum) ** 2)[: n // 2])
+
+
+def _lagged(taps: FloatArray, step: int) -> FloatArray:
+    """Autocovariances, row by row, of white noise behind a filter."""
+    return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
+
+
+def repetitions(covariance: FloatArray) -> float:
+    """1 + 2 sum of the autocorrelations up to the first negative one.
+
+    Parameters
+    ----------
+    covariance : (n_lags,)
+        From lag zero on.
+
+    Returns
+    -------
+    float
+    """
+    if covariance[0] <= 0.0:
         return 1.0
-    correlation /= correlation[0]
+    correlation = covariance / covariance[0]
     negative = np.flatnonzero(correlation < 0.0)
     until = negative[0] if negative.size else len(correlation)
     return float(1.0 + 2.0 * np.sum(correlation[1:until]))

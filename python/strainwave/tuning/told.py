@@ -35,14 +35,10 @@ class Fit:
 
     misfit: Misfit
     z: FloatArray  # (n_unknowns,)
+    cost: float  # by the weights of the search; infinite before any
     iterations: int
     converged: bool
     left_out: tuple[Tried, ...] = ()  # effects that the records do not show
-
-    def cost(self) -> float:
-        """What is left there."""
-        at = self.misfit.linearise(self.z)
-        return at.cost if at is not None else np.inf
 
 
 def parameters_of(

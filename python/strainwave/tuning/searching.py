@@ -1,0 +1,144 @@
+"""From a start to the minimum: rounds of robust weights, first roughly and then finely."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from strainwave.errors import NotIdentifiable
+from strainwave.records import FloatArray
+from strainwave.tuning.misfit import Misfit
+from strainwave.tuning.told import Fit
+from strainwave.tuning.trust_region import minimise
+from strainwave.tuning.unknowns import Key
+
+SOON, ROUGHLY = 1.0, 2e-3  # gain still foretold at a rough end, in units of the cost and as a share
+_FINE, _GUESSED = 1e-2, 2e-2  # the same of the fit itself, and by weights that are guessed
+_ROUNDS = 4  # of new weights; the third seldom moves anything
+_SETTLED = 0.2  # relative change of the weights
+_FARTHEST = 1.0  # step of a logarithm
+_NEAR = 1e-8  # damping of a search that is close
+
+
+@dataclass(frozen=True, slots=True)
+class TuningOptions:
+    """What may be set by hand."""
+
+    cutoff_hz: float | None = None  # of what is compared; None: from the resonances
+    settling: bool | None = None  # whether friction takes its time; None: if the data say so
+    start: Mapping[Key, float] | None = None  # values in place of those of the steps before
+    least_deviation: float = 0.002  # of what the rigid step knows, as a share of each value
+    max_iterations: int = 100
+
+
+def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
+    """By weights that are guessed, and again by those that the first search shows.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    start : (n_unknowns,)
+    options : TuningOptions
+
+    Returns
+    -------
+    Fit
+    """
+    first = search_from(misfit, start, 0, options, tolerance=SOON, relative=_GUESSED)
+    if not first.converged or first.iterations >= options.max_iterations:
+        return replace(first, converged=False)
+    renewed = misfit.reweighted(first.z)
+    return search_from(
+        renewed, first.z, first.iterations, options, tolerance=SOON, relative=ROUGHLY
+    )
+
+
+def finely(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
+    """Least squares and new weights in turn until the weights stay.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    z : (n_unknowns,)
+        Near the minimum.
+    spent : int
+        Evaluations so far.
+    options : TuningOptions
+
+    Returns
+    -------
+    Fit
+    """
+    search = partial(search_from, options=options, tolerance=_FINE)
+    fit = Fit(misfit, z, np.inf, spent, False)
+    if spent < options.max_iterations:
+        fit = search(misfit, z, spent, relative=_GUESSED)
+        fit = replace(fit, misfit=fit.misfit.reweighted(fit.z))
+    for _ in range(_ROUNDS):
+        if fit.iterations >= options.max_iterations:
+            return replace(fit, converged=False)
+        fit = search(fit.misfit, fit.z, fit.iterations, damping=_NEAR)
+        renewed = fit.misfit.reweighted(fit.z)
+        if not fit.converged or _settled(fit.misfit, renewed):
+            break
+        fit = replace(fit, misfit=renewed)
+    return fit
+
+
+def search_from(
+    misfit: Misfit,
+    z: FloatArray,
+    spent: int,
+    options: TuningOptions,
+    *,
+    tolerance: float,
+    relative: float = 0.0,
+    damping: float = 1e-3,
+    most: int | None = None,
+) -> Fit:
+    """The minimum by given weights.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    z : (n_unknowns,)
+        To start from.
+    spent : int
+        Evaluations so far.
+    options : TuningOptions
+    tolerance, relative, damping : float
+        See `minimise`.
+    most : int, optional
+        Evaluations, if fewer than are left.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    NotIdentifiable
+        The arm cannot be simulated there.
+    """
+    left = options.max_iterations - spent
+    found = minimise(
+        misfit.linearise,
+        z,
+        misfit.search.reach,
+        tolerance=tolerance,
+        relative=relative,
+        farthest=_FARTHEST,
+        damping=damping,
+        max_evaluations=max(1, left if most is None else min(left, most)),
+    )
+    if found is None:
+        raise NotIdentifiable("tuning cannot simulate what the steps before found")
+    return Fit(misfit, found.x, found.at.cost, spent + found.evaluations, found.converged)
+
+
+def _settled(old: Misfit, new: Misfit) -> bool:
+    pairs = zip(old.weights, new.weights, strict=True)
+    return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
