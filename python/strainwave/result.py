@@ -12,6 +12,7 @@ import numpy as np
 from strainwave.records import (
     ArmModel,
     Caution,
+    Criticism,
     Identification,
     JointModel,
     Mode,
@@ -191,7 +192,31 @@ def _tuned(model: ArmModel) -> dict[str, Any]:
         "initial_fit_percent": {
             name: dict(fits) for name, fits in model.initial_fit_percent.items()
         },
+        "criticism": model.criticism and _criticism(model.criticism),
         "warnings": [_warning(w) for w in model.warnings],
+    }
+
+
+def _criticism(criticism: Criticism) -> dict[str, Any]:
+    plain = ("experiment", "channel", "deviation", "noise", "worst_hz", "whiteness")
+    inputs = ("input_joint", "input_correlation", "input_delay", "input_probability")
+    return {
+        "residuals": [
+            {name: getattr(test, name) for name in (*plain, *inputs)}
+            for test in criticism.residuals
+        ],
+        "richer": [
+            {
+                "joint": one.joint,
+                "effect": one.effect,
+                "sizes": dict(one.sizes),
+                "stds": dict(one.stds),
+                "gain": one.gain,
+                "share": one.share,
+                "evident": one.evident,
+            }
+            for one in criticism.richer
+        ],
     }
 
 

@@ -13,12 +13,14 @@ import numpy as np
 
 from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
 from strainwave.errors import NotIdentifiable
-from strainwave.records import ArmModel, FloatArray, JointModel, Log, RigidModel, Study
+from strainwave.records import ArmModel, Criticism, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
 from strainwave.tuning.confidence import confidence_of
 from strainwave.tuning.effects import tried
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import Replayed, coarser, gear_torques, replayed, usable
+from strainwave.tuning.residuals import residual_cautions, residual_tests
+from strainwave.tuning.richer import effect_cautions, richer_models
 from strainwave.tuning.searching import TuningOptions, finely, roughly
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
 from strainwave.tuning.unknowns import SETTLING, Search, search_of, with_curves
@@ -109,6 +111,8 @@ def tune(
         status = "at-bounds"
     if not fit.converged:
         status = "iteration-limit"
+    residuals = tuple(residual_tests(fit.misfit, fit.z))
+    criticism = Criticism(residuals, tuple(richer_models(fit, study)))
     repeated = [
         log
         for log in used
@@ -124,7 +128,12 @@ def tune(
         initial=tuple(predict_closed_loop(search.values(start), log, study) for log in repeated),
         iterations=fit.iterations,
         status=status,
-        warnings=tuple(warnings_of(fit, confidence, at_bounds(fit), parameters)),
+        warnings=(
+            *warnings_of(fit, confidence, at_bounds(fit), parameters),
+            *residual_cautions(criticism.residuals),
+            *effect_cautions(criticism.richer),
+        ),
+        criticism=criticism,
     )
 
 

@@ -19,9 +19,11 @@ Tried = tuple[int, Effect]
 _EVIDENT = 3.0  # deviations from nothing that an effect must have
 _FAR = float(np.log(30.0))  # how far a parameter may go from its start
 _STRIBECK_SHARE = 0.2  # of Coulomb's friction, to start from
-_STRIBECK_VELOCITY = 3.0  # [rad/s]
+STRIBECK_VELOCITY = 3.0
+"""[rad/s] at the motor, to start from."""
 _HYSTERESIS_SHARE = 0.02  # of the largest gear torque
-_HYSTERESIS_TWIST = 1.5e-4  # [rad]
+HYSTERESIS_TWIST = 1.5e-4
+"""[rad] to start from."""
 _KINEMATIC_ERROR = 1e-4  # [rad] that count as much as a factor e elsewhere
 
 
@@ -62,8 +64,8 @@ def with_effects(
     starts: Values = {}
     for number, effect in tried(study):
         sizes = {
-            "stribeck": (_STRIBECK_SHARE * values[COULOMB, number], _STRIBECK_VELOCITY),
-            "hysteresis": (_HYSTERESIS_SHARE * largest_torque[number - 1], _HYSTERESIS_TWIST),
+            "stribeck": (_STRIBECK_SHARE * values[COULOMB, number], STRIBECK_VELOCITY),
+            "hysteresis": (_HYSTERESIS_SHARE * largest_torque[number - 1], HYSTERESIS_TWIST),
             "kinematic-error": (0.0, 0.0),
         }[effect]
         starts |= {

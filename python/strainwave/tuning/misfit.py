@@ -33,7 +33,8 @@ _ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
 _BEGUN = 0.1  # gain still foretold of moving a beginning, in units of the cost
 _BEGINNINGS = 12  # of a record that are tried for one point
 
-_LEAST_BEND = 0.5  # of the loss beside its weights: far from a minimum it hardly bends at all
+LEAST_BEND = 0.5
+"""Of the loss beside its weights: far from a minimum it hardly bends at all."""
 
 T = TypeVar("T")
 
@@ -153,7 +154,7 @@ class Misfit:
             rows = self.rows(z)
         except (InvalidInput, NumericalFailure):
             return None
-        least = 1.0 if self.guessed else _LEAST_BEND
+        least = 1.0 if self.guessed else LEAST_BEND
         factors = side_by_side([partial(one.factor, least) for one in rows])
         cost = sum(one.cost(w) for one, w in zip(rows, self.weights, strict=True))
         prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
