@@ -7,10 +7,13 @@ import numpy as np
 from strainwave.records import (
     ArmModel,
     Caution,
+    Criticism,
     FloatArray,
     Identification,
     Parameter,
     Prediction,
+    ResidualTest,
+    RicherModel,
     RigidModel,
 )
 from virtual_arms import rigid_two_link
@@ -37,7 +40,31 @@ def arm_model(parameters: tuple[Parameter, ...], covariance: FloatArray) -> ArmM
         initial=(),
         iterations=7,
         status="converged",
+        criticism=criticism(),
     )
+
+
+def criticism() -> Criticism:
+    """One channel that leaves more than noise, and an effect that would explain it."""
+    frequency = np.linspace(0.0, 100.0, 51)
+    left = ResidualTest(
+        "prbs-j1",
+        "a1",
+        deviation=0.3,
+        noise=0.1,
+        frequency_hz=frequency,
+        density=1e-3 / (1.0 + frequency),
+        noise_density=np.full(51, 1e-5),
+        worst_hz=22.0,
+        whiteness=1e-9,
+        input_joint=1,
+        input_correlation=-0.4,
+        input_delay=0.006,
+        input_probability=1e-20,
+    )
+    sizes = {"hysteresis_torque": 2.1}
+    likely = RicherModel(1, "hysteresis", sizes, {"hysteresis_torque": 0.1}, 441.0, 0.3, True)
+    return Criticism((left,), (likely,))
 
 
 def identification(name: str = "inertia") -> Identification:

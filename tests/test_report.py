@@ -9,7 +9,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from results import identification, prediction
+from results import arm_model, identification, prediction
+from strainwave.records import Parameter
 from strainwave.report import figures, render
 from strainwave.summary import print_summary
 
@@ -75,6 +76,19 @@ def test_a_figure_for_each_channel() -> None:
     assert len(drawn) == 3
     names = [[trace["name"] for trace in figure["data"]] for figure in drawn.values()]
     assert names == [["measured", "model", "difference"]] * 3
+
+
+def test_what_a_fit_leaves_is_shown_and_what_might_explain_it() -> None:
+    parameters = (Parameter("motor_inertia", 1, 1e-4, 1e-6, "kg m^2", "tuned", (0.9e-4, 1.1e-4)),)
+    tuned = arm_model(parameters, np.array([[1e-12]]))
+    page = render(replace(identification(), tuned=tuned))
+    for text in ("22 Hz", "p &lt; 0.001", "6 ms behind", "hysteresis_torque", "30 %", "likely"):
+        assert text in page, text
+    drawn = [f for f in figures_of(page).values() if f["data"][0]["name"] == "left"]
+    assert len(drawn) == 1
+    # no frequency is zero on a logarithmic axis
+    assert min(drawn[0]["data"][0]["x"]) > 0.0
+    assert "What the fit leaves" not in render(identification())
 
 
 def test_thinning_keeps_every_peak() -> None:

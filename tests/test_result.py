@@ -131,3 +131,15 @@ def test_what_nothing_tells_of_has_no_correlation() -> None:
     vague = arm_model(parameters, np.array([[4.0, 0.0], [0.0, np.inf]]))
     document = json.loads(result.to_json(replace(identification(), tuned=vague)))
     assert document["stages"]["tuned"]["correlations"][0][0] == 1.0
+
+
+def test_a_criticism_is_told_without_its_spectra() -> None:
+    tuned = arm_model((told("a", 1.0, 2.0),), np.array([[4.0]]))
+    document = json.loads(result.to_json(replace(identification(), tuned=tuned)))
+    criticism = document["stages"]["tuned"]["criticism"]
+    (left,), (likely,) = criticism["residuals"], criticism["richer"]
+    assert (left["channel"], left["noise"], left["input_delay"]) == ("a1", 0.1, 0.006)
+    assert "density" not in left
+    assert likely["effect"] == "hysteresis"
+    assert likely["sizes"] == {"hysteresis_torque": 2.1}
+    assert likely["evident"] is True

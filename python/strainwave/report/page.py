@@ -9,6 +9,7 @@ from html import escape
 from strainwave.formatting import percent, plus_minus
 from strainwave.records import Caution, Identification, Parameter, Prediction
 from strainwave.report import elastic, figures
+from strainwave.report.criticism import criticised
 from strainwave.report.html import document, figure, table
 
 
@@ -165,11 +166,15 @@ def _tuned(identification: Identification, plots: dict[str, figures.Figure]) -> 
             for channel, fit in fits.items()
         ]
     fits_of_records = table(
-        f"Fine tuning on closed-loop records: {tuned.status} after {tuned.iterations} iterations",
+        f"The whole arm at once: {tuned.status} after {tuned.iterations} evaluations",
         ("record", "channel", "#fit before", "#fit after"),
         "".join(rows),
     )
-    return fits_of_records + _predictions("The tuned arm under its servo", tuned.simulated, plots)
+    parts = [fits_of_records]
+    if tuned.criticism is not None:
+        parts.append(criticised(tuned.criticism, plots))
+    parts.append(_predictions("The tuned arm under its servo", tuned.simulated, plots))
+    return "".join(parts)
 
 
 def _predictions(

@@ -1,0 +1,115 @@
+"""What the report shows of what a fit leaves, and of what might explain it."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from strainwave.formatting import plus_minus
+from strainwave.records import Criticism, ResidualTest, RicherModel
+from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, rounded
+from strainwave.report.html import figure, table
+
+_CHANCE = 1e-3  # probabilities below are not told apart
+
+
+def criticised(criticism: Criticism, plots: dict[str, Figure]) -> str:
+    """Tables of the tests, and the spectrum of the worst record of each channel.
+
+    Parameters
+    ----------
+    criticism : Criticism
+    plots : dict
+        The figures join it.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    parts = [
+        table(
+            "What the fit leaves, beside the sensors' own noise",
+            (
+                "record",
+                "channel",
+                "#times its noise",
+                "#most at",
+                "#like noise",
+                "follows an input",
+            ),
+            "".join(_row(test) for test in criticism.residuals),
+        ),
+        table(
+            "What a richer model would explain of it",
+            ("effect", "joint", "of the size", "#deviations", "#share of the cost", "in the data"),
+            "".join(_richer(one) for one in criticism.richer),
+        ),
+    ]
+    for channel in dict.fromkeys(test.channel for test in criticism.residuals):
+        own = [test for test in criticism.residuals if test.channel == channel]
+        worst = max(own, key=_loudness)
+        label = f"{worst.experiment}, {channel}: what is left, over frequency"
+        parts.append(figure(label, spectrum(worst), plots))
+    return "".join(parts)
+
+
+def spectrum(test: ResidualTest) -> Figure:
+    """The density of what is left and of the sensor's noise.
+
+    Parameters
+    ----------
+    test : ResidualTest
+
+    Returns
+    -------
+    dict
+        A plotly figure.
+    """
+    seen = test.frequency_hz > 0.0
+    at = rounded(test.frequency_hz[seen])
+    densities = [np.sqrt(d[seen]) for d in (test.density, test.noise_density)]
+    return {
+        "data": [
+            line(at, densities[0], "left", MEASURED),
+            line(at, densities[1], "noise of the sensor", RESIDUAL, dash="4px,2px"),
+        ],
+        "layout": {
+            "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}},
+            "yaxis": {"type": "log", "title": {"text": f"{test.channel} [unit/sqrt(Hz)]"}},
+        },
+    }
+
+
+def _loudness(test: ResidualTest) -> float:
+    return test.deviation / test.noise if test.noise > 0.0 else 0.0
+
+
+def _row(test: ResidualTest) -> str:
+    follows = "no"
+    if test.input_probability < _CHANCE:
+        follows = f"joint {test.input_joint}'s, r = {test.input_correlation:.2f},"
+        follows += f" {1e3 * test.input_delay:.3g} ms behind"
+    cells = (f"{_loudness(test):.2g}", f"{test.worst_hz:.3g} Hz", _odds(test.whiteness))
+    numbers = "".join(f'<td class="number">{cell}</td>' for cell in cells)
+    return (
+        f"<tr><td>{escape(test.experiment)}</td><td>{escape(test.channel)}</td>{numbers}"
+        f"<td>{escape(follows)}</td></tr>"
+    )
+
+
+def _richer(one: RicherModel) -> str:
+    sizes = ", ".join(
+        f"{name} {plus_minus(size, one.stds[name])}" for name, size in one.sizes.items()
+    )
+    return (
+        f"<tr><td>{escape(one.effect)}</td><td>{one.joint}</td><td>{escape(sizes)}</td>"
+        f'<td class="number">{np.sqrt(max(one.gain, 0.0)):.2g}</td>'
+        f'<td class="number">{100.0 * one.share:.2g} %</td>'
+        f"<td>{'likely' if one.evident else 'no sign of it'}</td></tr>"
+    )
+
+
+def _odds(probability: float) -> str:
+    return f"p = {probability:.2g}" if probability >= _CHANCE else f"p &lt; {_CHANCE:g}"
