@@ -48,6 +48,7 @@ def records(effects: tuple[Effect, ...]) -> tuple[Study, Values, tuple[Log, ...]
     return study, known, logs
 
 
+@cache
 def tuned(has: tuple[Effect, ...], asked: tuple[Effect, ...], most: int = 60) -> ArmModel:
     """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
     study, known, logs = records(has)

@@ -117,9 +117,7 @@ def tune(
     if coarse.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     before = coarse.fits(start)
-    fit = _whole_fit(coarse, records, start, chosen)
-    if tried(study):
-        fit = _with_effects(fit, study, chosen)
+    fit = _whole_fit(coarse, records, start, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
     confidence = confidence_of(fit.misfit, fit.z)
@@ -193,17 +191,28 @@ def gear_torques(
 
 
 def _whole_fit(
-    coarse: Misfit, records: Sequence[Replayed], start: FloatArray, options: TuningOptions
+    coarse: Misfit,
+    records: Sequence[Replayed],
+    start: FloatArray,
+    study: Study,
+    options: TuningOptions,
 ) -> Fit:
     """In long steps to near the minimum, and from there in short ones.
 
-    With friction that takes its time, if that is asked for or explains much more.
+    With friction that takes its time, if that is asked for or explains much more, and with those
+    effects that the study names and the records show.
     """
     rough = _rough(coarse, start, options)
     if options.settling is not False and rough.iterations < options.max_iterations:
         rough = _with_settling(rough, options)
-    misfit = rough.misfit.seen_by(records).reweighted(rough.z)
-    fine = _fine(misfit, rough.z, rough.iterations, options)
+    if tried(study):
+        # the effects have evaluations of their own, as many as the fit without them
+        options = replace(options, max_iterations=2 * options.max_iterations)
+        rough = _with_effects(rough, study, options)
+    misfit = rough.misfit.seen_by(records_with(records, study, rough.misfit.search.keys))
+    fine = _fine(misfit.reweighted(rough.z), rough.z, rough.iterations, options)
+    if tried(study):
+        fine = _without_idle_effects(fine, study, options)
     return fine if options.settling else _without_idle(fine, options)
 
 
@@ -307,34 +316,32 @@ def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
 
 
 def _with_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
-    """From the fit without effects to one with those that the records show."""
+    """A rough fit with the effects that the study names, or the one without if they gain little."""
     values = fit.misfit.search.values(fit.z)
     largest = gear_torques(fit.misfit.records, values).tolist()
     search, begin = with_effects(fit.misfit.search, study, values, largest)
-    # the effects have evaluations of their own, as many as the fit without them
-    allowed = replace(options, max_iterations=fit.iterations + options.max_iterations)
-    trial = _search_from(
+    richer = _search_from(
         _on(fit.misfit, search, study),
         begin,
         fit.iterations,
-        allowed,
+        options,
         tolerance=_SOON,
         most=_TRIAL_OF_EFFECTS,
     )
-    if fit.cost() - trial.cost() < _EVIDENT**2:
-        return replace(fit, iterations=trial.iterations, left_out=tuple(tried(study)))
-    richer = _fine(trial.misfit, trial.z, trial.iterations, allowed)
-    gone: set[Tried] = set()
-    while more := _idle(richer):
-        gone |= more
-        if len(gone) == len(tried(study)):
-            richer = replace(fit, iterations=richer.iterations)
-            break
-        values = richer.misfit.search.values(richer.z)
-        search = without(search, gone)
-        misfit = _on(richer.misfit, search, study)
-        richer = _fine(misfit, search.coordinates(values), richer.iterations, allowed)
-    return replace(richer, left_out=tuple(one for one in tried(study) if one in gone))
+    if fit.cost() - richer.cost() < _EVIDENT**2:
+        return replace(fit, iterations=richer.iterations)
+    return richer
+
+
+def _without_idle_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
+    """Again without the effects that the records do not show, until all that are left are told."""
+    while gone := _idle(fit):
+        values = fit.misfit.search.values(fit.z)
+        search = without(fit.misfit.search, gone)
+        misfit = _on(fit.misfit, search, study)
+        fit = _fine(misfit, search.coordinates(values), fit.iterations, options)
+    known = set(tried(with_known_effects(study, fit.misfit.search.keys)))
+    return replace(fit, left_out=tuple(one for one in tried(study) if one not in known))
 
 
 def _idle(fit: Fit) -> set[Tried]:
