@@ -19,7 +19,15 @@ from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
 from strainwave.tuning.confidence import confidence_of
-from strainwave.tuning.effects import Tried, idle, records_with, tried, with_effects, without
+from strainwave.tuning.effects import (
+    Tried,
+    idle,
+    left_out,
+    records_with,
+    tried,
+    with_effects,
+    without,
+)
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
@@ -143,7 +151,10 @@ def tune(
         initial=tuple(predict_closed_loop(search.values(start), log, study) for log in repeated),
         iterations=fit.iterations,
         status=status,
-        warnings=tuple(warnings_of(fit, confidence, at_bounds(fit), parameters)),
+        warnings=(
+            *warnings_of(fit, confidence, at_bounds(fit), parameters),
+            *left_out(fit.misfit.search, study),
+        ),
     )
 
 
@@ -340,8 +351,7 @@ def _without_idle_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit
         search = without(fit.misfit.search, gone)
         misfit = _on(fit.misfit, search, study)
         fit = _fine(misfit, search.coordinates(values), fit.iterations, options)
-    known = set(tried(with_known_effects(study, fit.misfit.search.keys)))
-    return replace(fit, left_out=tuple(one for one in tried(study) if one not in known))
+    return fit
 
 
 def _idle(fit: Fit) -> set[Tried]:
