@@ -48,6 +48,7 @@ def records(effects: tuple[Effect, ...]) -> tuple[Study, Values, tuple[Log, ...]
     return study, known, logs
 
 
+@cache
 def tuned(has: tuple[Effect, ...], asked: tuple[Effect, ...], most: int = 60) -> ArmModel:
     """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
     study, known, logs = records(has)
@@ -58,14 +59,14 @@ def tuned(has: tuple[Effect, ...], asked: tuple[Effect, ...], most: int = 60) ->
     )
 
 
-def left_out(model: ArmModel) -> list[str]:
+def told_out(model: ArmModel) -> list[str]:
     return [c.message.split()[0] for c in model.warnings if c.code == "effect-left-out"]
 
 
 def test_effects_that_are_there_come_back() -> None:
     model = tuned(ALL, ALL)
     assert model.status == "converged"
-    assert left_out(model) == []
+    assert told_out(model) == []
     told = {(p.name, p.joint): p for p in model.parameters}
     for key, true in SIZES.items():
         parameter = told[key]
@@ -90,7 +91,7 @@ def test_without_them_other_parameters_take_their_place() -> None:
 
 def test_an_arm_without_effects_gets_none() -> None:
     model, plain = tuned((), ALL), tuned((), ())
-    assert left_out(model) == list(ALL)
+    assert told_out(model) == list(ALL)
     assert not any(key in model.values for key in SIZES)
     assert model.values == plain.values
     assert model.iterations > plain.iterations  # they were tried
@@ -104,7 +105,7 @@ def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
 
 def test_only_what_is_there_stays() -> None:
     model = tuned(("hysteresis",), ALL)
-    assert left_out(model) == ["stribeck", "kinematic-error"]
+    assert told_out(model) == ["stribeck", "kinematic-error"]
     for name in EFFECT_PARAMETERS["hysteresis"]:
         assert model.values[name, 1] == pytest.approx(SIZES[name, 1], rel=0.05)
     assert ("stribeck_friction", 1) not in model.values

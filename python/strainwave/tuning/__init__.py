@@ -7,6 +7,7 @@ the earlier stages found.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, Criticism, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
 from strainwave.tuning.confidence import confidence_of
-from strainwave.tuning.effects import tried
+from strainwave.tuning.effects import left_out, records_with, tried
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import Replayed, coarser, gear_torques, replayed, usable
 from strainwave.tuning.residuals import residual_cautions, residual_tests
@@ -28,6 +29,7 @@ from strainwave.tuning.variants import (
     bent,
     with_named_effects,
     with_settling_times,
+    without_idle_effects,
     without_idle_settling,
 )
 
@@ -98,9 +100,7 @@ def tune(
     if coarse.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     before = coarse.fits(start)
-    fit = _whole_fit(coarse, records, start, chosen)
-    if tried(study):
-        fit = with_named_effects(fit, study, chosen)
+    fit = _whole_fit(coarse, records, start, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
     confidence = confidence_of(fit.misfit, fit.z)
@@ -130,6 +130,7 @@ def tune(
         status=status,
         warnings=(
             *warnings_of(fit, confidence, at_bounds(fit), parameters),
+            *left_out(fit.misfit.search, study),
             *residual_cautions(criticism.residuals),
             *effect_cautions(criticism.richer),
         ),
@@ -163,17 +164,28 @@ def _search(
 
 
 def _whole_fit(
-    coarse: Misfit, records: Sequence[Replayed], start: FloatArray, options: TuningOptions
+    coarse: Misfit,
+    records: Sequence[Replayed],
+    start: FloatArray,
+    study: Study,
+    options: TuningOptions,
 ) -> Fit:
     """In long steps to near the minimum, and from there in short ones.
 
-    With friction that takes its time, if that is asked for or explains much more.
+    With friction that takes its time, if that is asked for or explains much more, and with those
+    effects that the study names and the records show.
     """
     rough = bent(roughly(coarse, start, options), options)
     if options.settling is not False and rough.iterations < options.max_iterations:
         rough = with_settling_times(rough, options)
-    misfit = rough.misfit.seen_by(records).reweighted(rough.z)
-    fine = finely(misfit, rough.z, rough.iterations, options)
+    if tried(study):
+        # the effects have evaluations of their own, as many as the fit without them
+        options = replace(options, max_iterations=2 * options.max_iterations)
+        rough = with_named_effects(rough, study, options)
+    misfit = rough.misfit.seen_by(records_with(records, study, rough.misfit.search.keys))
+    fine = finely(misfit.reweighted(rough.z), rough.z, rough.iterations, options)
+    if tried(study):
+        fine = without_idle_effects(fine, study, options)
     return fine if options.settling else without_idle_settling(fine, options)
 
 

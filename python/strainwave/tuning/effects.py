@@ -9,7 +9,7 @@ import numpy as np
 
 from strainwave.closed_loop import with_known_effects
 from strainwave.parameters import EFFECT_PARAMETERS, Values, unit_of
-from strainwave.records import Effect, FloatArray, Study
+from strainwave.records import Caution, Effect, FloatArray, Study
 from strainwave.tuning.replayed import Replayed
 from strainwave.tuning.unknowns import COULOMB, Key, Prior, Search, Unknown
 
@@ -126,6 +126,27 @@ def idle(search: Search, z: FloatArray, covariance: FloatArray) -> Iterator[Trie
                 size = values[own]
                 if size @ np.linalg.solve(covariance[np.ix_(own, own)], size) < _EVIDENT**2:
                     yield joint, effect
+
+
+def left_out(search: Search, study: Study) -> Iterator[Caution]:
+    """What a reader must know of the effects that a study names and a fit does without.
+
+    Parameters
+    ----------
+    search : Search
+        Of the fit.
+    study : Study
+
+    Yields
+    ------
+    Caution
+    """
+    known = set(tried(with_known_effects(study, search.keys)))
+    for joint, effect in tried(study):
+        if (joint, effect) not in known:
+            text = f"{effect} was tried and left out: the records do not show it; take it out of"
+            text += " this joint's effects, or record slow motions and reversals"
+            yield Caution("effect-left-out", f"joint {joint}", text)
 
 
 def records_with(

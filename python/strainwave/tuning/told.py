@@ -10,7 +10,6 @@ import numpy as np
 from strainwave.parameters import unit_of
 from strainwave.records import Caution, FloatArray, Parameter, Study
 from strainwave.tuning.confidence import Confidence, only_together
-from strainwave.tuning.effects import Tried
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.unknowns import (
     CURVE,
@@ -38,7 +37,6 @@ class Fit:
     cost: float  # by the weights of the search; infinite before any
     iterations: int
     converged: bool
-    left_out: tuple[Tried, ...] = ()  # effects that the records do not show
 
 
 def parameters_of(
@@ -164,10 +162,6 @@ def warnings_of(
             text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
             text += " it changes sides that much before the motor does"
             yield Caution("friction-settles", str(unknown), text)
-    for joint, effect in fit.left_out:
-        text = f"{effect} was tried and left out: the records do not show it; take it out of this"
-        text += " joint's effects, or record slow motions and reversals"
-        yield Caution("effect-left-out", f"joint {joint}", text)
     names = [str(unknown) for unknown in search.unknowns]
     for group, spread in only_together(names, values, confidence.combined):
         text = f"told only together, by {100.0 * spread:.2g} % apart; trust their combination, not"

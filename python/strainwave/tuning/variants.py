@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.records import Study
 from strainwave.tuning.confidence import confidence_of
 from strainwave.tuning.curves import other_starts
-from strainwave.tuning.effects import Tried, idle, records_with, tried, with_effects, without
+from strainwave.tuning.effects import Tried, idle, records_with, with_effects, without
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import gear_torques
 from strainwave.tuning.searching import ROUGHLY, SOON, TuningOptions, finely, search_from
@@ -114,7 +114,7 @@ def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
 
 
 def with_named_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
-    """From the fit without effects to one with those that the records show.
+    """A rough fit with the effects that the study names, or the one without if they gain little.
 
     Parameters
     ----------
@@ -126,36 +126,42 @@ def with_named_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     Returns
     -------
     Fit
-        Its `left_out` names the others.
     """
     values = fit.misfit.search.values(fit.z)
     largest = gear_torques(fit.misfit.records, values).tolist()
     search, begin = with_effects(fit.misfit.search, study, values, largest)
-    # the effects have evaluations of their own, as many as the fit without them
-    allowed = replace(options, max_iterations=fit.iterations + options.max_iterations)
-    trial = search_from(
+    richer = search_from(
         _on(fit.misfit, search, study),
         begin,
         fit.iterations,
-        allowed,
+        options,
         tolerance=SOON,
         most=_TRIAL_OF_EFFECTS,
     )
-    before = fit.misfit.linearise(fit.z)
-    if before is None or before.cost - trial.cost < _EVIDENT**2:
-        return replace(fit, iterations=trial.iterations, left_out=tuple(tried(study)))
-    richer = finely(trial.misfit, trial.z, trial.iterations, allowed)
-    gone: set[Tried] = set()
-    while more := _idle(richer):
-        gone |= more
-        if len(gone) == len(tried(study)):
-            richer = replace(fit, iterations=richer.iterations)
-            break
-        values = richer.misfit.search.values(richer.z)
-        search = without(search, gone)
-        misfit = _on(richer.misfit, search, study)
-        richer = finely(misfit, search.coordinates(values), richer.iterations, allowed)
-    return replace(richer, left_out=tuple(one for one in tried(study) if one in gone))
+    if fit.cost - richer.cost < _EVIDENT**2:
+        return replace(fit, iterations=richer.iterations)
+    return richer
+
+
+def without_idle_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
+    """Again without the effects that the records do not show, until all that are left are told.
+
+    Parameters
+    ----------
+    fit : Fit
+    study : Study
+    options : TuningOptions
+
+    Returns
+    -------
+    Fit
+    """
+    while gone := _idle(fit):
+        values = fit.misfit.search.values(fit.z)
+        search = without(fit.misfit.search, gone)
+        misfit = _on(fit.misfit, search, study)
+        fit = finely(misfit, search.coordinates(values), fit.iterations, options)
+    return fit
 
 
 def _idle(fit: Fit) -> set[Tried]:
