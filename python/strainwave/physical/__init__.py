@@ -169,7 +169,7 @@ def identify_record(
         known = rigid_knowledge(model, study, decoupled.joint)
         modes = tried("modes-failed", lambda: modes_of(found))
         check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
-        others = _in_other_bands(decoupled, modes, chosen.linear)
+        others = _in_other_bands(decoupled, found, modes, chosen.linear)
         transfer = tried(
             "transfer-function-failed",
             lambda: from_state_space(found, decoupled, study, known, others),
@@ -178,7 +178,7 @@ def identify_record(
 
 
 def _in_other_bands(
-    record: Decoupled, modes: Modes | None, options: LinearOptions
+    record: Decoupled, near: StateSpace, modes: Modes | None, options: LinearOptions
 ) -> list[StateSpace]:
     """Models that show how much the band matters; none where they fail or make no sense."""
     if modes is None or modes.anti_resonance is None or modes.resonance is None:
@@ -188,9 +188,8 @@ def _in_other_bands(
     found = []
     for other in other_bands(band, [record]):
         try:
-            model = replace(
-                state_space_of(record, replace(options, band_hz=other)), covariance=None
-            )
+            fitted = state_space_of(record, replace(options, band_hz=other), near)
+            model = replace(fitted, covariance=None)
             if model.status == "converged" and modes_of(model).resonance:
                 found.append(model)
         except (StrainwaveError, np.linalg.LinAlgError):
