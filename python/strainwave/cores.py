@@ -22,7 +22,6 @@ def one_blas_thread() -> AbstractContextManager[object]:
     -------
     context manager
     """
-    import scipy.linalg  # noqa: F401  # its BLAS is its own, and only what is loaded is limited
     from threadpoolctl import threadpool_limits
 
     limit: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave.matrices import exponential
 from strainwave.records import ComplexArray, FloatArray, Lag
 
 _FLOOR_MARGIN = 4.0  # a Welch estimate of 8 averages stays below 4 times its mean
@@ -250,8 +251,6 @@ def _discrete(
     One matrix exponential solves x' = A x + B u between two samples (Van Loan, IEEE Trans. AC 23,
     1978), with u constant or, by one more block, running straight from sample to sample.
     """
-    from scipy.linalg import expm
-
     denominator: FloatArray = np.ones(1)
     for lag in lags:
         w = 2.0 * np.pi * lag.cutoff_hz * sample_time
@@ -262,7 +261,7 @@ def _discrete(
     whole[0, :n] = -denominator[1:] / denominator[0]
     whole[np.arange(1, n), np.arange(n - 1)] = 1.0
     whole[0, n] = whole[n, n + 1] = 1.0
-    top = expm(whole)[:n]
+    top = exponential(whole)[:n]
     A, B, C, D = top[:, :n], top[:, n], np.zeros(n), 0.0
     C[-1] = 1.0 / denominator[0]
     if not held:
