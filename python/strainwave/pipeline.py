@@ -52,8 +52,6 @@ from strainwave.replay import missing_for_replay
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
 
-_Found = RecordModel | JointModel | Caution
-
 Progress = Callable[[str], None]
 """Called with what is being done, at the start of each part."""
 
@@ -201,19 +199,20 @@ def _decoupled(
         return (), (), {}
     if model is None and not _alone(the_study):
         return (), (), {}  # why there is none has been said
-    seen: list[tuple[Log, LinkSignals, tuple[Decoupled, ...]]] = []
+
+    def both_sides_of(log: Log) -> tuple[Log, LinkSignals, tuple[Decoupled, ...]]:
+        both_sides = links.link_side(log, the_study)
+        return log, both_sides, decoupling.decouple(both_sides, model, the_study)
+
     with run.timed("decoupled", "decoupling the joints"):
         try:
-            for log in excited:
-                run.progress(f"decoupling the joints: {log.name}")
-                both_sides = links.link_side(log, the_study)
-                run.warnings.extend(both_sides.warnings)
-                parts = decoupling.decouple(both_sides, model, the_study)
-                run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
-                seen.append((log, both_sides, parts))
+            seen = side_by_side([partial(both_sides_of, log) for log in excited])
         except NotIdentifiable as failure:
             run.reasons.append(str(failure))
             return (), (), {}
+        for log, both_sides, parts in seen:
+            run.warnings.extend(both_sides.warnings)
+            run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
         records, joints, together = _physical(run, the_study, model, seen)
     for found in joints:
         run.warnings.extend(found.warnings)
@@ -229,16 +228,10 @@ def _physical(
     seen: Sequence[tuple[Log, LinkSignals, tuple[Decoupled, ...]]],
 ) -> tuple[list[RecordModel], list[JointModel], list[int]]:
     """Models of each record and, for each joint excited at full amplitude, of all at once."""
-    one_by_one: list[Callable[[], _Found]] = []
     together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
     for log, both_sides, parts in seen:
-        at_once = log.experiment.use == "frequency"
-        how = physical.RecordOptions(state_space=at_once)
         for part in _excited_joints(parts, log):
-            one_by_one.append(
-                partial(physical.identify_record, both_sides, part, model, the_study, how)
-            )
-            if at_once:
+            if log.experiment.use == "frequency":
                 together.setdefault(part.joint, []).append((both_sides, part))
 
     def all_at_once(joint: int) -> JointModel | Caution:
@@ -248,11 +241,26 @@ def _physical(
             return Caution("not-identifiable", f"joint {joint}", str(failure))
 
     numbers = sorted(together)
-    at_once_first: list[Callable[[], _Found]] = [partial(all_at_once, n) for n in numbers]
-    found = side_by_side(at_once_first + one_by_one)  # the longest jobs first
-    records = [each for each in found if isinstance(each, RecordModel)]
+    found = side_by_side([partial(all_at_once, n) for n in numbers])
     run.warnings.extend(each for each in found if isinstance(each, Caution))
-    return records, [each for each in found if isinstance(each, JointModel)], numbers
+    joints = [each for each in found if isinstance(each, JointModel)]
+    rings = {each.joint: each.band_hz for each in joints}
+
+    def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
+        how = physical.RecordOptions(state_space=log.experiment.use == "frequency")
+        if part.joint in rings:  # each record looks first where all together ring
+            nearby = physical.PhysicalOptions(search_from_hz=rings[part.joint])
+            how = replace(how, physical=nearby)
+        return physical.identify_record(both_sides, part, model, the_study, how)
+
+    records = side_by_side(
+        [
+            partial(one_by_one, log, both_sides, part)
+            for log, both_sides, parts in seen
+            for part in _excited_joints(parts, log)
+        ]
+    )
+    return records, joints, numbers
 
 
 def _tuned(

@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.cores import one_blas_thread
 from strainwave.errors import StrainwaveError
-from strainwave.physical.grey_box import GreyBoxFit, RigidKnowledge, fit_grey_box
+from strainwave.physical.grey_box import FIRST_BAND_HZ, GreyBoxFit, RigidKnowledge, fit_grey_box
 from strainwave.physical.linear import (
     LinearOptions,
     band_around,
@@ -61,6 +61,7 @@ class PhysicalOptions:
     """What may be set by hand."""
 
     band_hz: tuple[float, float] | None = None  # of the equations' filter; None: from the data
+    search_from_hz: tuple[float, float] = FIRST_BAND_HZ  # where the data are first asked for it
     use_rigid: bool = True  # whether what the rigid model knows joins as equations
 
 
@@ -102,7 +103,7 @@ def identify_joint(
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems, as in the rigid step
-        fit = fit_grey_box(records, study, known, chosen.band_hz)
+        fit = fit_grey_box(records, study, known, chosen.band_hz, chosen.search_from_hz)
     names = tuple(signals.experiment.name for signals, _ in records)
     values = _values(fit)
     said = values, fit.covariance, fit.determined, joint, number
