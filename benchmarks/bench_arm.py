@@ -29,10 +29,13 @@ def rows() -> list[Row]:
     single = _ours(arms=1)
     batch = _ours(arms=256)
     c_single, c_batch = _c_peer()
+    few, many = _followed(15), _followed(25)
     return [
         Row("a step of one arm", single, "C, gcc -O3 -march=native -ffast-math", c_single),
         Row("a step of one arm", single, "SciPy solve_ivp RK45, rtol 1e-6", _scipy()),
         Row("a step of one arm", single, "MuJoCo, RK4", _mujoco()),
+        Row("a step with 15 derivatives", few, "15 more simulations", 16.0 * single),
+        Row("a step with 25 derivatives", many, "25 more simulations", 26.0 * single),
         Row(
             f"a step of an arm in a batch, {_cores()} cores",
             batch,
@@ -72,6 +75,29 @@ def _ours(arms: int) -> float:
         )
 
     return best_of(run) / (STEPS * arms)
+
+
+def _followed(directions: int) -> float:
+    study = scara.study(Path())
+    arm = build_arm(study)
+    values = parameter_vector(arm, scara.parameters(), study)
+    names = [name for name in arm.parameter_names if not name[0].startswith("gravity")]
+    voltage = _voltage()
+
+    def run() -> None:
+        arm.sensitivities(
+            values,
+            voltage,
+            with_respect_to=names[:directions],
+            motor_angle=(0.0, 0.0),
+            step=STEP,
+            steps_per_tick=8,
+            steps_per_sample=8,
+            samples=STEPS // 8,
+            record=["motor_velocity"],
+        )
+
+    return best_of(run) / STEPS
 
 
 def _c_peer() -> tuple[float | None, float | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.records import (
+    ArmModel,
     Caution,
     FloatArray,
     Identification,
@@ -21,6 +22,21 @@ def prediction(name: str, *fits: float) -> Prediction:
     channels = tuple(f"torque{k + 1}" for k in range(len(fits)))
     return Prediction(
         name, time, channels, measured, 0.9 * measured, dict(zip(channels, fits, strict=True))
+    )
+
+
+def arm_model(parameters: tuple[Parameter, ...], covariance: FloatArray) -> ArmModel:
+    """A whole-arm fit that found these."""
+    return ArmModel(
+        parameters=parameters,
+        values={(p.name, p.joint): p.value or 0.0 for p in parameters},
+        covariance=covariance,
+        fit_percent={"prbs-j1": {"omega_m1": 99.0}},
+        initial_fit_percent={"prbs-j1": {"omega_m1": 80.0}},
+        simulated=(),
+        initial=(),
+        iterations=7,
+        status="converged",
     )
 
 

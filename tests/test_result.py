@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from results import identification
+from results import arm_model, identification
 from strainwave import pipeline, result
 from strainwave.errors import InvalidInput
 from strainwave.records import Parameter, RigidModel
@@ -83,3 +83,52 @@ def test_stages_are_a_beginning_of_all() -> None:
     for wrong in ([], ["tuned"], ["rigid", "rigid"]):
         with pytest.raises(InvalidInput, match="--stages"):
             pipeline.check_stages(wrong)
+
+
+def told(name: str, value: float | None, std: float | None, joint: int = 1) -> Parameter:
+    return Parameter(name, joint, value, std, "-", "tuned")
+
+
+def test_the_whole_arm_fit_comes_first() -> None:
+    """Its value even where another stage claims to be surer; another's where it tells none."""
+    one = identification()
+    tuned = arm_model(
+        (told("inertia", 0.03, 0.01), told("gear_damping", None, None)), np.diag([1e-4, np.inf])
+    )
+    found = {p.name: p for p in replace(one, tuned=tuned).parameters}
+    assert (found["inertia"].value, found["inertia"].stage) == (0.03, "tuned")
+    assert found["gear_damping"].value is None
+    silent = arm_model((told("inertia", None, None),), np.eye(1))
+    found = {p.name: p for p in replace(one, tuned=silent).parameters}
+    assert (found["inertia"].value, found["inertia"].stage) == (0.0201, "rigid")
+
+
+def test_one_stiffness_does_not_stand_beside_three() -> None:
+    one = identification(name="gear_stiffness")
+    slopes = tuple(told(f"gear_stiffness_k{k}", 1e4 * k, 10.0) for k in (1, 2, 3))
+    names = [p.name for p in replace(one, tuned=arm_model(slopes, np.eye(3))).parameters]
+    assert "gear_stiffness" not in names
+    assert [name for name in names if "stiffness" in name] == [p.name for p in slopes]
+    # another joint's curve says nothing of this one
+    other = tuple(replace(p, joint=2) for p in slopes)
+    names = [p.name for p in replace(one, tuned=arm_model(other, np.eye(3))).parameters]
+    assert "gear_stiffness" in names
+
+
+def test_correlations_of_the_whole_arm_fit() -> None:
+    parameters = (told("a", 1.0, 2.0), told("b", 1.0, 3.0), told("c", 0.0, 0.0))
+    covariance = np.array([[4.0, -3.0, 0.0], [-3.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
+    one = replace(identification(), tuned=arm_model(parameters, covariance))
+    tuned = json.loads(result.to_json(one))["stages"]["tuned"]
+    assert tuned["correlations"] == [[1.0, -0.5, 0.0], [-0.5, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    assert [p["name"] for p in tuned["parameters"]] == ["a", "b", "c"]
+    assert (tuned["status"], tuned["iterations"]) == ("converged", 7)
+    assert tuned["fit_percent"]["prbs-j1"]["omega_m1"] == 99.0
+
+
+@pytest.mark.xfail(reason="infinity is divided by itself", raises=RuntimeWarning)
+def test_what_nothing_tells_of_has_no_correlation() -> None:
+    parameters = (told("a", 1.0, 2.0), told("b", None, None))
+    vague = arm_model(parameters, np.array([[4.0, 0.0], [0.0, np.inf]]))
+    document = json.loads(result.to_json(replace(identification(), tuned=vague)))
+    assert document["stages"]["tuned"]["correlations"][0][0] == 1.0

@@ -1,8 +1,7 @@
-"""Fine tuning of the whole arm on closed-loop steps."""
+"""Every parameter of the whole arm at once, on records of virtual arms and of the lab's."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -14,29 +13,72 @@ import pytest
 from strainwave import decoupling, links, logs, physical, rigid, signals, validation
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.parameters import Values, read_parameters
-from strainwave.records import Arm, ArmModel, Experiment, Joint, JointModel, Log, Servo, Study
+from strainwave.records import (
+    Arm,
+    ArmModel,
+    Experiment,
+    Joint,
+    JointModel,
+    Log,
+    Servo,
+    Study,
+)
 from strainwave.study import read_study
 from strainwave.tuning import TuningOptions, tune
-from strainwave.virtual import derived, simulate_study
+from strainwave.tuning.unknowns import CURVE, KNEES, SETTLING
+from strainwave.virtual import derived
 from tuning_runs import (
     JOINT_NAMES,
     joint_model,
     joint_models,
+    later,
     rig_logs,
     rigid_model,
+    shaken,
     truth,
+    written_logs,
 )
 
-FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))  # every start 5 % off
+FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 
 
-def tuned(
-    options: TuningOptions | None = None, joints: Sequence[JointModel] | None = None
+def errors_of(model: ArmModel, known: Values) -> dict[tuple[str, int | None], tuple[float, float]]:
+    """Of each parameter that is told, relative to its true value and to its deviation."""
+    found = {}
+    for p in model.parameters:
+        true = known.get((p.name, p.joint), 0.0)
+        if p.value is not None and p.std is not None and true != 0.0:
+            found[p.name, p.joint] = (p.value / true - 1.0, (p.value - true) / p.std)
+    return found
+
+
+def cautions(model: ArmModel, code: str) -> list[str]:
+    return [caution.where for caution in model.warnings if caution.code == code]
+
+
+def from_wrong_starts(
+    records: Sequence[Log],
+    study: Study,
+    known: Values,
+    options: TuningOptions | None = None,
+    share: float = 0.05,
 ) -> ArmModel:
-    study, records = rig_logs()
-    known = truth()[1]
-    start = joints or joint_models(study, known, 0.05, FACTORS)
-    return tune(records, rigid_model(study, known, 0.02, 1.0), start, study, options)
+    """Joint models off by that share either way, a rigid model whose inertias are 1 % off."""
+    joints = joint_models(study, known, share, FACTORS)
+    return tune(records, rigid_model(study, known, 0.01, 1.0), joints, study, options)
+
+
+def rig_records() -> tuple[Study, Values, list[Log]]:
+    """Half a second of either joint in open loop, and a servoed step of joint 2."""
+    study, known, shakes = shaken()
+    step = next(log for log in rig_logs()[1] if log.name == "step-j2")
+    first = {name: channel[:3200] for name, channel in step.channels.items()}
+    return study, known, [*shakes, replace(step, time=step.time[:3200], channels=first)]
+
+
+def tuned(options: TuningOptions | None = None, share: float = 0.2) -> ArmModel:
+    study, known, records = rig_records()
+    return from_wrong_starts(records, study, known, options, share)
 
 
 @cache
@@ -44,44 +86,43 @@ def standard() -> ArmModel:
     return tuned()
 
 
-def relative_errors(model: ArmModel, known: Values) -> dict[tuple[str, int | None], float]:
-    return {
-        (p.name, p.joint): p.value / known[p.name, p.joint] - 1.0
-        for p in model.parameters
-        if p.value is not None and p.stage == "tuned"
-    }
-
-
 def test_wrong_starts_come_back() -> None:
+    """From joint models that are 20 % off."""
     model = standard()
+    known = truth()[1]
     assert model.status == "converged"
-    errors = relative_errors(model, truth()[1])
-    # steps of 1.5 s with 8192 counts; over seeds the errors' deviations are a third of these
-    for (name, _), error in errors.items():
-        limit = 0.004
+    errors = errors_of(model, known)
+    for (name, joint), (relative, deviations) in errors.items():
+        limit = 0.003
         if "damping" in name or name.startswith("total"):
-            limit = 0.04
+            limit = 0.02
         elif name.endswith("viscous_friction"):
-            limit = 0.12
-        assert abs(error) < limit, (name, error)
-    deviations = [
-        abs(p.value - truth()[1][p.name, p.joint]) / p.std
-        for p in model.parameters
-        if p.value is not None and p.std
-    ]
-    assert max(deviations) < 3.5
-    assert len(model.covariance) == len(model.parameters)
+            limit = 0.3  # of the two only the sum is well known
+        assert abs(relative) < limit, (name, joint, relative)
+        assert abs(deviations) < 4.0, (name, joint, deviations)
+    told = {name for name, _ in errors}
+    assert {name for name in JOINT_NAMES if "viscous" not in name} <= told
+    assert {"alpha", "beta", "gamma", "total_viscous_friction"} <= told
+    assert model.covariance.shape == (len(model.parameters),) * 2
+    for parameter, variance in zip(model.parameters, np.diag(model.covariance), strict=True):
+        if parameter.value is not None and parameter.std is not None:
+            assert parameter.std == pytest.approx(np.sqrt(variance))
+            reach = 1.96 * parameter.std
+            assert parameter.ci95 == (parameter.value - reach, parameter.value + reach)
 
 
 def test_the_fit_rises_and_records_never_seen_are_predicted() -> None:
     model = standard()
     study, records = rig_logs()
-    for name, joint in (("step-j1", 1), ("step-j2", 2)):
-        channel = f"omega_m{joint}"
-        assert model.fit_percent[name][channel] > model.initial_fit_percent[name][channel]
-        assert model.fit_percent[name][channel] > 99.0
-    assert [p.experiment for p in model.simulated] == ["step-j1", "step-j2"]
-    assert [p.experiment for p in model.initial] == ["step-j1", "step-j2"]
+    assert list(model.fit_percent) == ["prbs-j1", "prbs-j2", "step-j2"]
+    for name, fits in model.fit_percent.items():
+        assert list(fits) == ["omega_m1", "omega_m2", "a1", "a2"]
+        before = model.initial_fit_percent[name]
+        assert all(fits[channel] > before[channel] for channel in fits)
+        # noise is a twentieth of the accelerometer that moves least
+        assert min(fits.values()) > 90.0
+    assert [p.experiment for p in model.simulated] == ["step-j2"]
+    assert [p.experiment for p in model.initial] == ["step-j2"]
     for log in records:
         if log.experiment.use == "check":
             prediction = validation.predict_elastic(model, log, study)
@@ -92,115 +133,135 @@ def test_what_is_derived_adds_up() -> None:
     model = standard()
     value = model.values
     by_name = {(p.name, p.joint): p for p in model.parameters}
+    assert len(by_name) == len(model.parameters)
     sum_1 = value["alpha", None] + value["beta", None] + 2.0 * value["gamma", None]
     assert by_name["link_inertia", 1].value == pytest.approx(sum_1)
     assert by_name["link_inertia", 2].value == pytest.approx(value["beta", None])
+    deviations = dict(zip(by_name, np.sqrt(np.diag(model.covariance)), strict=True))
     for joint in (1, 2):
         total = value["motor_viscous_friction", joint]
         total += 1e-4 * value["link_viscous_friction", joint]
         assert by_name["total_viscous_friction", joint].value == pytest.approx(total)
         # better known than either of the two
-        std = by_name["total_viscous_friction", joint].std
-        split = np.sqrt(np.diag(model.covariance))[
-            list(by_name).index(("motor_viscous_friction", joint))
-        ]
-        assert std is not None
-        assert std < split
-        coulomb = by_name["motor_coulomb_friction", joint]
-        assert (coulomb.value, coulomb.stage) == (value["motor_coulomb_friction", joint], "rigid")
+        split = deviations["motor_viscous_friction", joint]
+        assert deviations["total_viscous_friction", joint] < split
+    assert {p.stage for p in model.parameters} == {"tuned"}
+    units = {p.name: p.unit for p in model.parameters}
+    assert units["gear_stiffness"] == "N m/rad"
+    assert units["total_viscous_friction"] == "N m s/rad"
 
 
-def test_a_vague_viscous_friction_is_not_printed() -> None:
-    study, _ = rig_logs()
-    joints = list(joint_models(study, truth()[1], 0.05, FACTORS))
-    deviation = np.sqrt(np.diag(joints[0].covariance))
-    names = list(joints[0].values)
-    for name in ("motor_viscous_friction", "link_viscous_friction"):
-        deviation[names.index(name)] = 3.0 * joints[0].values[name]
-    joints[0] = replace(joints[0], covariance=np.diag(deviation**2))
-    # encoders and one joint's small step alone
-    model = tune(
-        [log for log in rig_logs()[1] if log.name == "step-j2"],
-        rigid_model(study, truth()[1], 0.02),
-        joints,
-        study,
-        TuningOptions(accelerometers=False),
-    )
-    by_name = {(p.name, p.joint): p.value for p in model.parameters}
-    assert by_name["link_viscous_friction", 1] is None
-    assert by_name["total_viscous_friction", 1] is not None
-    assert ("link_viscous_friction", 1) in model.values
-    said = [c.where for c in model.warnings if c.code == "not-identifiable"]
-    assert "link_viscous_friction of joint 1" in said
+@cache
+def started_close() -> ArmModel:
+    return tuned(share=0.05)
 
 
-def test_a_negative_viscous_friction_starts_positive() -> None:
-    study, _ = rig_logs()
-    joints = list(joint_models(study, truth()[1], 0.05, FACTORS))
-    values = {**joints[0].values, "link_viscous_friction": -0.1, "motor_viscous_friction": 2.6e-4}
-    deviation = np.sqrt(np.diag(joints[0].covariance))
-    deviation[1], deviation[3] = 1e-4, 1.0
-    joints[0] = replace(joints[0], values=values, covariance=np.diag(deviation**2))
-    model = tuned(TuningOptions(max_iterations=15), joints)
-    assert model.values["link_viscous_friction", 1] > 0.0
-    assert model.values["motor_viscous_friction", 1] > 0.0
+@cache
+def curved(amplitude: float) -> ArmModel:
+    study, known, records = shaken("three-slope", amplitude)
+    return from_wrong_starts(records, study, known)
 
 
-def test_a_parameter_at_the_end_of_its_range_is_told() -> None:
-    study, _ = rig_logs()
-    # certain of what is 5 % wrong
-    sure = [
-        replace(joint, covariance=1e-6 * joint.covariance)
-        for joint in joint_models(study, truth()[1], 0.05, FACTORS)
-    ]
-    model = tuned(TuningOptions(span=0.02), sure)
-    assert model.status == "at-bounds"
-    bounded = [c.where for c in model.warnings if c.code == "at-bounds"]
-    assert any(where.startswith("gear_stiffness") for where in bounded)
-    start = sure[0].values["gear_stiffness"]
-    assert abs(model.values["gear_stiffness", 1] / start - 1.0) < 0.021
-    wider = tuned(TuningOptions(span=0.2), sure)
-    assert abs(wider.values["gear_stiffness", 1] / start - 1.0) > 0.03
-
-
-def test_too_few_iterations_are_told() -> None:
-    model = tuned(TuningOptions(max_iterations=2))
-    assert model.status == "iteration-limit"
-    assert model.iterations <= 2
-    assert "iteration-limit" in [c.code for c in model.warnings]
-
-
-def test_the_other_options_change_the_outcome() -> None:
-    usual = standard()
-    low = tuned(TuningOptions(cutoff_hz=30.0))
-    assert low.values != usual.values
-    encoders = tuned(TuningOptions(accelerometers=False))
-    assert set(usual.fit_percent["step-j1"]) == {"omega_m1", "omega_m2", "a1", "a2"}
-    assert encoders.values != usual.values
-    doubtful = tuned(TuningOptions(least_deviation=0.5))
-    split = [(p.name, p.joint) for p in usual.parameters].index(("link_viscous_friction", 1))
-    assert doubtful.covariance[split, split] > 1.2 * usual.covariance[split, split]
-
-
-def test_a_three_slope_gear_gets_one_stiffness() -> None:
-    study, records = rig_logs("three-slope")
-    known = truth("three-slope")[1]
-    known |= {("gear_stiffness", 1): 21000.0, ("gear_stiffness", 2): 5400.0}
-    joints = joint_models(study, known, 0.02, FACTORS)
-    model = tune(records, rigid_model(study, known, 0.005), joints, study)
+def test_slopes_and_knees_of_gears_that_are_twisted_far() -> None:
+    model = curved(10.0)
+    assert model.status == "converged"
+    errors = errors_of(model, truth("three-slope")[1])
     for joint in (1, 2):
-        stiffness = model.values["gear_stiffness", joint]
-        assert known["gear_stiffness_k1", joint] < stiffness < known["gear_stiffness_k3", joint]
-    said = [c.where for c in model.warnings if c.code == "equivalent-stiffness"]
-    assert said == ["gear_stiffness of joint 1", "gear_stiffness of joint 2"]
+        for name in CURVE:
+            assert abs(errors[name, joint][0]) < 0.005, (name, joint)
+        for name in KNEES:
+            assert abs(errors[name, joint][0]) < 0.02, (name, joint)
+        assert abs(errors["gear_damping", joint][0]) < 0.01
+    assert max(abs(deviations) for _, deviations in errors.values()) < 4.0
+    assert cautions(model, "not-reached") == []
+    assert not any(p.name == "gear_stiffness" for p in model.parameters)
+    # a curve foretells steps of another size
+    study, records = rig_logs("three-slope")
     for log in records:
         if log.name.startswith("step-check"):
             fits = validation.predict_elastic(model, log, study).fit_percent
-            assert fits[f"omega_m{log.experiment.joint}"] > 97.0
+            assert fits[f"omega_m{log.experiment.joint}"] > 99.0
 
 
-def single_joint(folder: Path) -> tuple[Study, Values, list[Log]]:
-    """One elastic joint that swings a pendulum."""
+def test_what_a_small_amplitude_does_not_reach_is_told() -> None:
+    model = curved(1.5)
+    vague = {(p.name, p.joint) for p in model.parameters if p.value is None}
+    curve = {key for key in vague if key[0] in (*CURVE, *KNEES)}
+    assert curve
+    said = cautions(model, "not-reached")
+    assert set(said) == {f"{name} of joint {joint}" for name, joint in curve}
+    # what simulating needs is there all the same
+    assert curve <= set(model.values)
+    known = truth("three-slope")[1]
+    for joint in (1, 2):
+        name = "gear_stiffness_k1"
+        assert model.values[name, joint] == pytest.approx(known[name, joint], rel=0.03)
+
+
+def test_no_slope_is_told_that_was_not_reached() -> None:
+    model = curved(1.5)
+    errors = errors_of(model, truth("three-slope")[1])
+    for name in (*CURVE, *KNEES):
+        for joint in (1, 2):
+            assert abs(errors.get((name, joint), (0.0, 0.0))[1]) < 5.0, (name, joint)
+
+
+def test_friction_that_settles_is_found() -> None:
+    times = (3e-4, 2e-4)
+    study, known, records = shaken("linear", 8.0, times)
+    model = from_wrong_starts(records, study, known)
+    assert model.status == "converged"
+    errors = errors_of(model, known)
+    for joint, time in enumerate(times, start=1):
+        assert model.values[SETTLING, joint] == pytest.approx(time, rel=0.1)
+        assert abs(errors[SETTLING, joint][1]) < 4.0
+        assert abs(errors["motor_inertia", joint][0]) < 0.003
+    where = [f"friction_settling_time of joint {joint}" for joint in (1, 2)]
+    assert cautions(model, "friction-settles") == where
+    # without it other parameters must take its place
+    at_once = from_wrong_starts(records, study, known, TuningOptions(settling=False))
+    assert at_once.values[SETTLING, 1] == 0.0
+    assert errors_of(at_once, known)["motor_inertia", 1][0] > 0.004
+    for name, fits in model.fit_percent.items():
+        assert all(fits[c] > at_once.fit_percent[name][c] for c in fits)
+
+
+def test_friction_that_acts_at_once_needs_no_time() -> None:
+    model = standard()
+    assert cautions(model, "friction-settles") == []
+    assert not any(p.name == SETTLING for p in model.parameters)
+    assert model.values[SETTLING, 1] == model.values[SETTLING, 2] == 0.0
+    kept = tuned(TuningOptions(settling=True), share=0.05)
+    assert 0.0 < kept.values[SETTLING, 1] < 3e-5
+
+
+def test_records_that_begin_in_motion() -> None:
+    study, known, records = shaken("linear", 8.0)
+    model = from_wrong_starts([later(log, 600) for log in records], study, known)
+    assert model.status == "converged"
+    errors = errors_of(model, known)
+    for (name, joint), (relative, deviations) in errors.items():
+        limit = 0.02 if "damping" in name or name.startswith("total") else 0.003
+        if not name.endswith("viscous_friction") or name.startswith("total"):
+            assert abs(relative) < limit, (name, joint, relative)
+        assert abs(deviations) < 4.0, (name, joint)
+
+
+@pytest.mark.xfail(reason="initial states are moved between rounds of weights only")
+def test_records_that_begin_in_motion_are_repeated() -> None:
+    study, known, records = shaken("linear", 8.0)
+    model = from_wrong_starts([later(log, 600) for log in records], study, known)
+    assert all(min(fits.values()) > 95.0 for fits in model.fit_percent.values())
+
+
+def test_records_that_begin_in_motion_elsewhere() -> None:
+    study, known, records = shaken("linear", 8.0)
+    model = from_wrong_starts([later(log, 900) for log in records], study, known)
+    assert model.status == "converged"
+
+
+def single_joint() -> tuple[Study, Values, tuple[Log, ...]]:
+    """One elastic joint that swings a pendulum; a servo holds it up first."""
     joint = Joint(
         spring="linear",
         gear_ratio=0.01,
@@ -210,7 +271,7 @@ def single_joint(folder: Path) -> tuple[Study, Values, list[Log]]:
         accelerometer_hz=300.0,
     )
     study = Study(
-        path=folder / "plan.toml",
+        path=Path("nowhere"),
         sha256="",
         arm=Arm("single-joint", gravity=9.81),
         joints=(joint,),
@@ -228,41 +289,108 @@ def single_joint(folder: Path) -> tuple[Study, Values, list[Log]]:
         ("gear_damping", 1): 20.0,
         ("gravity_torque_1", None): 15.0,
     }
-    simulate_study(study, values, folder, replay=False)
-    written = read_study(folder / "study.toml")
-    return written, values, [logs.read_log(written, e) for e in written.experiments]
+    written, records = written_logs(study, values)
+    return written, values, records
 
 
-def test_a_single_joint_under_gravity(tmp_path: Path) -> None:
-    study, values, records = single_joint(tmp_path)
+def test_a_single_joint_under_gravity() -> None:
+    study, values, records = single_joint()
     true = np.array([values[name, 1] for name in JOINT_NAMES])
     wrong = true * (1.0 + 0.05 * np.append(FACTORS[0], 0.0))
-    deviation = 0.05 * true
-    deviation[-1] *= 1e-3
-    start = joint_model(
-        study, 1, dict(zip(JOINT_NAMES, wrong.tolist(), strict=True)), np.diag(deviation**2)
-    )
+    named = dict(zip(JOINT_NAMES, wrong.tolist(), strict=True))
+    start = joint_model(study, 1, named, np.diag((0.05 * true) ** 2))
     model = tune(records, rigid_model(study, values, 0.01, 1.0), [start], study)
-    assert model.status == "converged"
+    # one step tells the split of viscous friction so little that the search may creep along it
     for name, limit in [
         ("motor_inertia", 0.005),
         ("link_inertia", 0.005),
         ("gear_stiffness", 0.005),
-        ("gear_damping", 0.05),
+        ("gear_damping", 0.03),
+        ("motor_coulomb_friction", 0.005),
     ]:
         assert model.values[name, 1] == pytest.approx(values[name, 1], rel=limit)
-    assert model.values["gravity_torque_1", None] == pytest.approx(15.0, rel=0.01)
+    assert model.values["gravity_torque_1", None] == pytest.approx(15.0, rel=0.005)
     names = [(p.name, p.joint) for p in model.parameters]
     assert names.count(("link_inertia", 1)) == 1
+    with pytest.raises(NotIdentifiable, match="gravity_torque_1"):
+        tune(records, None, [start], study)
+
+
+def test_a_negative_viscous_friction_starts_positive() -> None:
+    study, known, records = rig_records()
+    joints = list(joint_models(study, known, 0.05, FACTORS))
+    values = {**joints[0].values, "link_viscous_friction": -0.1, "motor_viscous_friction": 2.6e-4}
+    joints[0] = replace(joints[0], values=values)
+    model = tune(records[:2], rigid_model(study, known, 0.01), joints, study)
+    assert model.values["link_viscous_friction", 1] > 0.0
+    assert model.values["motor_viscous_friction", 1] > 0.0
+    total = next(p for p in model.parameters if p.name == "total_viscous_friction")
+    assert total.value == pytest.approx(2.5e-4, rel=0.02)
+
+
+def test_a_vague_viscous_friction_is_not_printed() -> None:
+    """Encoders alone, in a record of 3 V, tell little of where friction sits."""
+    study, known, records = shaken("linear", 3.0)
+    bare = [
+        replace(log, channels={k: x for k, x in log.channels.items() if k[0] in "ut"})
+        for log in records
+    ]
+    model = from_wrong_starts(bare, study, known)
+    assert set(model.fit_percent["prbs-j1"]) == {"omega_m1", "omega_m2"}
+    vague = [(p.name, p.joint) for p in model.parameters if p.value is None]
+    assert ("link_viscous_friction", 1) in vague
+    assert set(cautions(model, "not-identifiable")) == {f"{n} of joint {j}" for n, j in vague}
+    assert set(vague) <= set(model.values)
+    errors = errors_of(model, known)
+    assert all(abs(errors["total_viscous_friction", joint][0]) < 0.05 for joint in (1, 2))
+
+
+def test_a_parameter_at_the_end_of_its_range_is_told() -> None:
+    """A stiffness that starts at three tenths of the truth may only treble."""
+    study, known, records = rig_records()
+    joints = list(joint_models(study, known, 0.0, FACTORS))
+    start = 0.3 * known["gear_stiffness", 2]
+    joints[1] = replace(joints[1], values={**joints[1].values, "gear_stiffness": start})
+    model = tune(
+        records[1:2],
+        rigid_model(study, known, 0.01),
+        joints,
+        study,
+        TuningOptions(settling=False),
+    )
+    assert model.status == "at-bounds"
+    assert "gear_stiffness of joint 2" in cautions(model, "at-bounds")
+    assert model.values["gear_stiffness", 2] == pytest.approx(3.0 * start, rel=0.02)
+
+
+def test_too_few_iterations_are_told() -> None:
+    model = tuned(TuningOptions(max_iterations=2))
+    assert model.status == "iteration-limit"
+    assert "iteration-limit" in [caution.code for caution in model.warnings]
+    assert model.iterations < standard().iterations
+
+
+def test_iterations_stay_below_their_limit() -> None:
+    assert tuned(TuningOptions(max_iterations=4)).iterations <= 4
+
+
+def test_the_other_options_change_the_outcome() -> None:
+    usual = started_close()
+    low = tuned(TuningOptions(cutoff_hz=30.0), share=0.05)
+    assert low.values != usual.values
+    assert low.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.01)
+    # a rigid model that is 1 % off is believed, or not
+    doubtful = tuned(TuningOptions(least_deviation=0.5), share=0.05)
+    friction = [(p.name, p.joint) for p in usual.parameters].index(("total_viscous_friction", 1))
+    assert doubtful.covariance[friction, friction] > 1.2 * usual.covariance[friction, friction]
 
 
 def test_refusals() -> None:
-    study, records = rig_logs()
-    known = truth()[1]
+    study, known, records = rig_records()
     joints = joint_models(study, known, 0.05, FACTORS)
-    model = rigid_model(study, known, 0.02)
-    checks = [log for log in records if log.experiment.use == "check"]
-    with pytest.raises(NotIdentifiable, match='record with use = "tuning"'):
+    model = rigid_model(study, known, 0.01)
+    checks = [log for log in rig_logs()[1] if log.experiment.use == "check"]
+    with pytest.raises(NotIdentifiable, match='use = "frequency", "sweep" or "tuning"'):
         tune(checks, model, joints, study)
     with pytest.raises(NotIdentifiable, match='joint 2 has none: record it with use = "frequency"'):
         tune(records, model, joints[:1], study)
@@ -271,23 +399,47 @@ def test_refusals() -> None:
     wrong = replace(joints[1], values={**joints[1].values, "gear_damping": -1.0})
     with pytest.raises(NotIdentifiable, match="gear_damping of joint 2 = -1"):
         tune(records, model, [joints[0], wrong], study)
+    brief = {name: channel[:60] for name, channel in records[0].channels.items()}
+    short = replace(records[0], time=records[0].time[:60], channels=brief)
+    with pytest.raises(InvalidInput, match="record at least"):
+        tune([short], model, joints, study)
+    # a record that cannot be gone through again is none
+    deaf = [
+        replace(log, channels={k: x for k, x in log.channels.items() if k != "theta_m1"})
+        for log in records
+    ]
+    with pytest.raises(NotIdentifiable, match="angle and the voltage of every motor"):
+        tune(deaf, model, joints, study)
+
+
+def test_a_motor_that_has_not_moved_yet_is_no_obstacle() -> None:
+    """Of the first 37 ms on joint 1, nothing depends on how friction acts on motor 2."""
+    study, known, records = rig_records()
+    brief = {name: channel[:150] for name, channel in records[0].channels.items()}
+    model = from_wrong_starts(
+        [replace(records[0], time=records[0].time[:150], channels=brief)], study, known
+    )
+    for parameter in model.parameters:
+        assert parameter.std is None or np.isfinite(parameter.std)
+
+
+def test_a_start_that_is_no_arm_is_refused() -> None:
+    study, known, records = rig_records()
+    joints = joint_models(study, known, 0.05, FACTORS)
     # no arm has a coupling that large
     heavy = replace(joints[1], values={**joints[1].values, "link_inertia": 0.2})
     with pytest.raises(NotIdentifiable, match="cannot simulate what the steps before found"):
-        tune(records, model, [joints[0], heavy], study)
-    log = records[[r.name for r in records].index("step-j1")]
-    bare = {name: signal for name, signal in log.channels.items() if name != "ref1"}
-    with pytest.raises(InvalidInput, match="reference ref1"):
-        tune([replace(log, channels=bare)], model, joints, study)
+        tune(records, rigid_model(study, known, 0.01), [joints[0], heavy], study)
 
 
+@cache
 def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
-    """Every stage up to tuning, on one frequency record a joint."""
+    """Every stage up to tuning, started from one frequency record a joint."""
     study = read_study(folder / "study.toml")
     records = [logs.read_log(study, e) for e in study.experiments if e.use != "sweep"]
     motion = [signals.motor_side(r, study) for r in records if r.experiment.use == "motion"]
     model = rigid.fit(motion, study)
-    joints = []
+    joints: list[JointModel] = []
     for joint in (1, 2):
         log = next(r for r in records if r.name == f"prbs-j{joint}")
         seen = links.link_side(log, study)
@@ -296,18 +448,28 @@ def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
     return study, records, tune(records, model, joints, study)
 
 
-def test_a_lab_arm(shared_data: Path) -> None:
-    folder = shared_data / "lab" / "scara-linear-5kg"
+@pytest.mark.parametrize(
+    ("arm", "inertia", "damping"),
+    [("scara-linear-5kg", 0.002, 0.006), ("vertical-linear-0kg", 0.005, 0.02)],
+)
+def test_a_lab_arm(arm: str, inertia: float, damping: float, shared_data: Path) -> None:
+    folder = shared_data / "lab" / arm
     study, records, model = lab_model(folder)
-    known = json.loads((folder / "truth.json").read_text())
-    assert model.status == "converged"
-    for joint, true in enumerate(known["joints"], start=1):
-        for name, limit in [("motor_inertia", 0.01), ("gear_damping", 0.03)]:
-            assert model.values[name, joint] == pytest.approx(true[name], rel=limit)
-        stiffness = model.values["gear_stiffness", joint]
-        assert stiffness == pytest.approx(true["gear_stiffness"][0], rel=0.01)
-    for name in ("alpha", "beta", "gamma"):
-        assert model.values[name, None] == pytest.approx(known[name], rel=0.01)
+    values = read_parameters(folder / "truth.json")
+    known = derived({**values, ("friction_offset", 1): 0.0, ("friction_offset", 2): 0.0}, study)
+    limits: dict[str, float] = {
+        **dict.fromkeys(("alpha", "beta", "gamma"), inertia),
+        **dict.fromkeys(("motor_inertia", "link_inertia", "gear_stiffness"), inertia),
+        "gear_damping": damping,
+        "motor_coulomb_friction": 0.003,
+        "total_viscous_friction": 0.02,
+        **dict.fromkeys(("gravity_torque_1", "gravity_torque_2"), inertia),
+    }
+    errors = errors_of(model, known)
+    for (name, joint), (relative, _) in errors.items():
+        assert abs(relative) < limits.get(name, np.inf), (name, joint, relative)
+    told = {name for name, _ in errors}
+    assert {"alpha", "gear_stiffness", "gear_damping", "motor_coulomb_friction"} <= told
     for log in records:
         if log.experiment.use == "check":
             fits = validation.predict_elastic(model, log, study).fit_percent
@@ -315,18 +477,6 @@ def test_a_lab_arm(shared_data: Path) -> None:
             assert min(fits[f"omega_m{joint}"] for joint in excited) > 97.0
 
 
-def test_a_lab_arm_under_gravity_from_wrong_starts(shared_data: Path) -> None:
-    folder = shared_data / "lab" / "vertical-linear-0kg"
-    study = read_study(folder / "study.toml")
-    steps = [e for e in study.experiments if e.name.startswith("step-")]
-    records = [logs.read_log(study, e) for e in steps]
-    values = read_parameters(folder / "truth.json")
-    known = derived({**values, ("friction_offset", 1): 0.0, ("friction_offset", 2): 0.0}, study)
-    joints = joint_models(study, known, 0.05, FACTORS)
-    model = tune(records, rigid_model(study, known, 0.01, 1.0), joints, study)
-    for (name, joint), error in relative_errors(model, known).items():
-        if "friction" not in name:
-            assert abs(error) < (0.03 if "damping" in name else 0.01), (name, joint, error)
-    for log in records:
-        fits = validation.predict_elastic(model, log, study).fit_percent
-        assert fits[f"omega_m{log.experiment.joint}"] > 99.0
+@pytest.mark.parametrize("arm", ["scara-linear-5kg", "vertical-linear-0kg"])
+def test_a_lab_arm_is_searched_to_the_end(arm: str, shared_data: Path) -> None:
+    assert lab_model(shared_data / "lab" / arm)[2].status == "converged"

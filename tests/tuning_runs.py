@@ -1,8 +1,9 @@
-"""Tuning records of the virtual rig, and models of the stages before as wrong as they say."""
+"""Records of the virtual rig for tuning, and models of the stages before as wrong as they say."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,10 +13,23 @@ import numpy as np
 from strainwave import scara
 from strainwave.logs import read_log
 from strainwave.parameters import Values
-from strainwave.records import FloatArray, JointModel, Log, Parameter, RigidModel, Study
+from strainwave.records import (
+    Control,
+    Experiment,
+    FloatArray,
+    JointModel,
+    Log,
+    Parameter,
+    Prbs,
+    RigidModel,
+    Study,
+)
 from strainwave.regressor import columns_of
-from strainwave.simulation import SensorNoise
+from strainwave.replay import replay
+from strainwave.simulation import Drive, Quantity, SensorNoise, simulate
 from strainwave.study import read_study
+from strainwave.tuning.replayed import Channel, Kernels, Replayed
+from strainwave.tuning.unknowns import Prior, Search, Unknown
 from strainwave.virtual import derived, simulate_study
 
 JOINT_NAMES = (
@@ -42,17 +56,71 @@ def rig_logs(spring: str = "linear", seed: int = 0) -> tuple[Study, tuple[Log, .
     """Steps of either joint, for tuning and as a check, and a motion as a check."""
     study, values = truth(spring)
     wanted = tuple(e for e in study.experiments if e.use in ("tuning", "check"))
+    return written_logs(replace(study, experiments=wanted), values, seed=seed, noise=SensorNoise())
+
+
+def shaken_study(
+    study: Study, amplitude: float, *, order: int = 9, joints: tuple[int, ...] = (1, 2)
+) -> Study:
+    """The study with one period of a PRBS on each joint, open loop, in place of its experiments."""
+    prbs = Prbs(order, 1e-3, 1, amplitude)
+    free: tuple[Control, ...] = tuple("open" for _ in study.joints)
+    experiments = tuple(
+        Experiment(f"prbs-j{j}", f"prbs-j{j}.parquet", "frequency", free, joint=j, prbs=prbs)
+        for j in joints
+    )
+    return replace(study, experiments=experiments)
+
+
+def written_logs(
+    study: Study, values: Values, *, seed: int = 0, noise: SensorNoise | None = None
+) -> tuple[Study, tuple[Log, ...]]:
+    """All experiments of a study on a virtual arm, written and read again."""
     with TemporaryDirectory() as folder:
-        simulate_study(
-            replace(study, experiments=wanted),
-            values,
-            Path(folder),
-            seed=seed,
-            noise=SensorNoise(),
-            replay=False,
-        )
+        simulate_study(study, values, Path(folder), seed=seed, noise=noise, replay=False)
         written = read_study(Path(folder) / "study.toml")
         return written, tuple(read_log(written, e) for e in written.experiments)
+
+
+@lru_cache(maxsize=16)
+def shaken(
+    spring: str = "linear",
+    amplitude: float = 10.0,
+    settling: tuple[float, float] = (0.0, 0.0),
+    *,
+    noisy: bool = True,
+    counts: bool = True,
+    order: int = 9,
+) -> tuple[Study, Values, tuple[Log, ...]]:
+    """Short records of either joint in open loop, and what is true of the arm."""
+    study, values = truth(spring)
+    values |= {("friction_settling_time", i): t for i, t in enumerate(settling, start=1) if t}
+    if not counts:
+        joints = tuple(replace(joint, encoder_counts=None) for joint in study.joints)
+        study = replace(study, joints=joints)
+    wanted = shaken_study(study, amplitude, order=order)
+    written, logs = written_logs(wanted, values, noise=SensorNoise() if noisy else None)
+    return written, values, logs
+
+
+def later(log: Log, first: int) -> Log:
+    """What is left of a record from one of its samples on."""
+    channels = {name: channel[first:] for name, channel in log.channels.items()}
+    return replace(log, time=log.time[first:], channels=channels)
+
+
+def beginning(study: Study, values: Values, log: Log, first: int) -> FloatArray:
+    """The true initial states of what is left of an open-loop record from one of its samples on."""
+    record: list[Quantity] = ["motor_velocity", "link_angle", "link_velocity"]
+    run = simulate(
+        study,
+        values,
+        replay(study, log),
+        sample_time=log.sample_time,
+        samples=len(log),
+        record=record,
+    )
+    return np.concatenate([run[name][first] for name in record])
 
 
 def joint_model(
@@ -77,8 +145,15 @@ def joint_model(
 def joint_models(
     study: Study, known: Values, share: float, factors: FloatArray
 ) -> tuple[JointModel, ...]:
-    """Values times (1 + share factor), deviations to match; Coulomb friction is known."""
+    """Values times (1 + share factor), deviations to match; Coulomb friction is known.
+
+    A three-slope gear is known by one stiffness, between its first two.
+    """
     models = []
+    for joint in range(1, study.n_joints + 1):
+        if ("gear_stiffness_k1", joint) in known:
+            low, high = (known[f"gear_stiffness_k{k}", joint] for k in (1, 2))
+            known = {**known, ("gear_stiffness", joint): 0.5 * (low + high)}
     for joint in range(1, study.n_joints + 1):
         true = np.array([known[name, joint] for name in JOINT_NAMES])
         wrong = true * (1.0 + share * np.append(factors[joint - 1], 0.0))
@@ -90,15 +165,23 @@ def joint_models(
 
 
 def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) -> RigidModel:
-    """beta and gamma times (1 + share factor), with that deviation; friction as it is."""
+    """What the rigid step would tell, with deviations of a share of each value.
+
+    Inertias and gravity are off by `factor` deviations; friction is as it is.
+    """
     columns = columns_of(study)
-    values = np.array([known.get((c.name, c.joint), 0.0) for c in columns])
-    deviation = np.array(
-        [share * abs(v) if c.joint is None else 1e-6 for c, v in zip(columns, values, strict=True)]
-    )
-    values += factor * np.array(
-        [d if c.joint is None else 0.0 for c, d in zip(columns, deviation, strict=True)]
-    )
+    known = derived(known, study)
+    if study.n_joints == 1:
+        ratio = study.joints[0].gear_ratio
+        known["inertia", 1] = known["motor_inertia", 1] + ratio**2 * known["link_inertia", 1]
+    values = np.array([known[c.name, c.joint] for c in columns])
+    # an offset of friction is zero: its deviation is a share of the friction
+    size = [
+        known["motor_coulomb_friction", c.joint] if c.name == "friction_offset" else abs(v)
+        for c, v in zip(columns, values, strict=True)
+    ]
+    deviation = share * np.array(size)
+    values += factor * deviation * np.array(["friction" not in c.name for c in columns])
     parameters = tuple(
         Parameter(c.name, c.joint, float(v), float(d), c.unit, "rigid")
         for c, v, d in zip(columns, values, deviation, strict=True)
@@ -113,4 +196,59 @@ def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) 
         decimation=1,
         n_rows=1,
         status="determined",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LinearRecord(Replayed):
+    """A record of an arm whose channels are linear in its parameters, and in no initial state."""
+
+    table: FloatArray  # (n_rows, n_channels, n_unknowns)
+
+    def simulated(
+        self, values: Mapping[tuple[str, int | None], float], local: FloatArray
+    ) -> FloatArray:
+        return np.asarray(self.table @ np.array([values[f"p{k}", None] for k in range(self.n)]))
+
+    @property
+    def n(self) -> int:
+        return int(self.table.shape[2])
+
+    def linearised(
+        self,
+        values: Mapping[tuple[str, int | None], float],
+        local: FloatArray,
+        directions: Sequence[tuple[str, int | None]],
+    ) -> tuple[FloatArray, FloatArray]:
+        asked = [int(name[1:]) for name, _ in directions]
+        return self.simulated(values, local), self.table[..., asked]
+
+
+def linear_search(n: int, prior: Prior | None = None) -> Search:
+    """Unknowns that are their own coordinates."""
+    unknowns = tuple(Unknown(f"p{k}", None, "1", 0.0, 1.0, True, 1e6) for k in range(n))
+    return Search(unknowns, {}, prior or Prior(np.zeros((0, n)), np.zeros(0)))
+
+
+def linear_record(
+    table: FloatArray, measured: FloatArray, *, noise: float = 1e-6, shifted: bool = False
+) -> LinearRecord:
+    """A record of that arm; an unknown constant is added to each of its channels if `shifted`."""
+    study, _ = truth()
+    n, n_channels = measured.shape
+    time: FloatArray = 1e-3 * np.arange(n, dtype=np.float64)
+    experiment = Experiment("linear", "linear.csv", "frequency", ("open", "open"))
+    still = np.zeros((1, 2))
+    channels = [Channel(f"a{k}", 1, "accelerometer", False, shifted) for k in range(n_channels)]
+    return LinearRecord(
+        log=Log(experiment, time, 1e-3, {}),
+        study=study,
+        drive=Drive(1e-3, still, still, (False, False), (0.0, 0.0), (0.0, 0.0)),
+        channels=tuple(channels),
+        kernels=Kernels(np.ones(1), np.ones(1), 1),
+        time=time,
+        measured=measured,
+        noise=np.full(n_channels, noise),
+        moving=False,
+        table=table,
     )

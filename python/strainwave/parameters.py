@@ -29,6 +29,8 @@ def unit_of(name: str, joint: Joint) -> str:
     -------
     str
     """
+    if name.endswith("time"):
+        return "s"
     revolute = joint.motion == "revolute"
     if "inertia" in name:
         return "kg m^2" if revolute else "kg"

@@ -705,7 +705,8 @@ class Identification:
         for found in self.tuned.parameters if self.tuned else ():
             if found.value is not None or (found.name, found.joint) not in best:
                 best[found.name, found.joint] = found
-        curved = {joint for name, joint in best if name == "gear_stiffness_k1"}
+        slopes = [best[key] for key in best if key[0] == "gear_stiffness_k1"]
+        curved = [slope.joint for slope in slopes if slope.value is not None]
         for joint in curved:
             best.pop(("gear_stiffness", joint), None)
         return tuple(sorted(best.values(), key=lambda p: p.joint or 0))

@@ -189,6 +189,7 @@ def simulate_arms(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
+    longest_step: float = LONGEST_STEP,
 ) -> dict[Quantity, FloatArray]:
     """Run one experiment on many arms at once, side by side in vector lanes and threads.
 
@@ -203,6 +204,8 @@ def simulate_arms(
     samples : int
     record : sequence of str
         Quantities to record.
+    longest_step : float [s]
+        Of the integrator.
 
     Returns
     -------
@@ -218,7 +221,7 @@ def simulate_arms(
     """
     arm = build_arm(study)
     vectors = np.array([parameter_vector(arm, values, study) for values in arms])
-    experiment = _experiment(study, drive, sample_time, samples)
+    experiment = _experiment(study, drive, sample_time, samples, longest_step)
     with _told():
         recorded = arm.simulate(vectors, record=record, **experiment)
     return {name: recorded[name] for name in record}
@@ -233,6 +236,7 @@ def sensitivities(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
+    longest_step: float = LONGEST_STEP,
 ) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
     """Run one experiment on one arm, with exact derivatives of all that is recorded.
 
@@ -250,6 +254,8 @@ def sensitivities(
     samples : int
     record : sequence of str
         Quantities to record.
+    longest_step : float [s]
+        Of the integrator.
 
     Returns
     -------
@@ -266,7 +272,7 @@ def sensitivities(
     """
     arm = build_arm(study)
     vector = parameter_vector(arm, values, study)
-    experiment = _experiment(study, drive, sample_time, samples)
+    experiment = _experiment(study, drive, sample_time, samples, longest_step)
     with _told():
         found = arm.sensitivities(
             vector, with_respect_to=list(directions), record=record, **experiment
@@ -274,7 +280,9 @@ def sensitivities(
     return {name: found[name] for name in record}
 
 
-def _experiment(study: Study, drive: Drive, sample_time: float, samples: int) -> dict[str, Any]:
+def _experiment(
+    study: Study, drive: Drive, sample_time: float, samples: int, longest_step: float
+) -> dict[str, Any]:
     """What the core needs to know of an experiment."""
     servo = study.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
@@ -284,7 +292,7 @@ def _experiment(study: Study, drive: Drive, sample_time: float, samples: int) ->
             remedy="add a [servo] table",
         )
     clocks = [drive.tick, sample_time] + ([servo.period] if servo else [])
-    step = common_step(clocks)
+    step = common_step(clocks, longest_step)
     counts = [round(clock / step) for clock in clocks]
     return {
         "voltage": np.ascontiguousarray(drive.voltage, dtype=float),
@@ -314,12 +322,13 @@ def _told() -> Iterator[None]:
         raise NumericalFailure(str(error)) from error
 
 
-def common_step(clocks: Sequence[float]) -> float:
-    """The longest integrator step, at most `LONGEST_STEP`, of which every clock is a multiple.
+def common_step(clocks: Sequence[float], longest: float = LONGEST_STEP) -> float:
+    """The longest integrator step, up to a limit, of which every clock is a multiple.
 
     Parameters
     ----------
     clocks : sequence of float [s]
+    longest : float [s]
 
     Returns
     -------
@@ -331,7 +340,7 @@ def common_step(clocks: Sequence[float]) -> float:
         There is none down to a hundredth of the shortest clock.
     """
     shortest = min(clocks)
-    fewest = max(1, int(np.ceil(shortest / LONGEST_STEP - 1e-9)))
+    fewest = max(1, int(np.ceil(shortest / longest - 1e-9)))
     for parts in range(fewest, fewest + 100):
         step = shortest / parts
         ratios = np.array(clocks) / step

@@ -23,6 +23,7 @@ from strainwave.tuning.told import Fit, parameters_of, warnings_of
 from strainwave.tuning.trust_region import minimise
 from strainwave.tuning.unknowns import (
     SETTLING,
+    SETTLING_START,
     Search,
     search_of,
     with_curves,
@@ -35,9 +36,12 @@ _BAND = 5.0  # times the highest resonance: beyond, little is left of what the g
 _LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
 _ROUNDS = 4  # of new weights; the third seldom moves anything
 _SETTLED = 0.2  # relative change of the weights
-_ROUGH, _FINE = 1.0, 1e-2  # gain still foretold, in units of the cost
+_FINE, _SOON = 1e-2, 1.0  # gain still foretold, in units of the cost
+_FARTHEST = 1.0  # step of a logarithm
+_ROUGH = 0.02  # the same as a share of it, as long as the weights are guesses
 _EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
 _EVIDENT = 3.0  # deviations from zero that a settling time must have
+_TRIAL = 10  # evaluations in which it must show
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,13 +102,17 @@ def tune(
     cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
     records = tuple(replayed(log, study, cutoff) for log in used)
     search = _search(records, model, joints, study, chosen)
-    start = search.values(np.zeros(len(search.unknowns)))
-    fit = _fit(Misfit(search, records), np.zeros(len(search.unknowns)), chosen)
-    if chosen.settling is None:
-        fit = _without_idle_settling(fit, chosen)
-    values = fit.misfit.search.values(fit.z)
+    start = np.zeros(len(search.unknowns))
+    misfit = Misfit.of(search, records)
+    if misfit.linearise(start) is None:
+        raise NotIdentifiable("tuning cannot simulate what the steps before found")
+    before = misfit.fits(start)
+    fit = _whole_fit(misfit, start, chosen)
+    at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
+    values = at_once | fit.misfit.search.values(fit.z)
     tuning_logs = [log for log in used if log.experiment.use == "tuning"]
-    parameters, covariance = parameters_of(fit, study)
+    largest = gear_torques(records, values, study).tolist()
+    parameters, covariance = parameters_of(fit, study, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
         status = "at-bounds"
@@ -114,10 +122,10 @@ def tune(
         parameters=parameters,
         values=values,
         covariance=covariance,
-        fit_percent=_fits(fit.misfit, fit.z),
-        initial_fit_percent=_fits(Misfit(search, records), np.zeros(len(search.unknowns))),
+        fit_percent=fit.misfit.fits(fit.z),
+        initial_fit_percent=before,
         simulated=tuple(predict_closed_loop(values, log, study) for log in tuning_logs),
-        initial=tuple(predict_closed_loop(start, log, study) for log in tuning_logs),
+        initial=tuple(predict_closed_loop(search.values(start), log, study) for log in tuning_logs),
         iterations=fit.iterations,
         status=status,
         warnings=tuple(warnings_of(fit, at_bounds(fit), parameters, study)),
@@ -152,7 +160,7 @@ def _search(
     if any(joint.spring == "three-slope" for joint in study.joints):
         values = search.values(np.zeros(len(search.unknowns)))
         search = with_curves(search, study, gear_torques(records, values, study).tolist())
-    return search if options.settling is False else with_settling(search)
+    return search
 
 
 def gear_torques(
@@ -173,40 +181,88 @@ def gear_torques(
     return np.asarray(np.max(largest, axis=0))
 
 
-def _fit(misfit: Misfit, z: FloatArray, options: TuningOptions) -> Fit:
+def _whole_fit(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
+    """With friction that takes its time, if that is asked for or explains much more."""
+    if options.settling is False:
+        return _fit(misfit, start, options.max_iterations, _FINE)
+    plain = _fit(misfit, start, options.max_iterations, _SOON)
+    if plain.iterations >= options.max_iterations:
+        return replace(plain, converged=False)
+    return _settling(plain, options)
+
+
+def _fit(misfit: Misfit, z: FloatArray, allowed: int, tolerance: float) -> Fit:
     """Least squares and new weights in turn until the weights stay."""
     reach = misfit.search.reach
-    iterations = 0
+    iterations, converged = 0, False
     for number in range(_ROUNDS + 1):
         found = minimise(
-            misfit.cost,
             misfit.linearise,
             z,
             reach,
-            tolerance=_ROUGH if number == 0 else _FINE,
-            max_evaluations=max(2, options.max_iterations - iterations),
+            tolerance=tolerance,
+            relative=_ROUGH if number == 0 else 0.0,
+            farthest=_FARTHEST,
+            max_evaluations=allowed - iterations,
         )
-        z, iterations = found.x, iterations + found.evaluations
-        if not np.isfinite(found.at.cost):
+        if found is None:
             raise NotIdentifiable("tuning cannot simulate what the steps before found")
+        z, iterations, converged = found.x, iterations + found.evaluations, found.converged
+        if any(record.moving for record in misfit.records):
+            misfit.settle_own(z)
         renewed = misfit.reweighted(z)
-        if number > 0 and (not found.converged or iterations >= options.max_iterations):
+        if iterations >= allowed or (number > 0 and not converged):
+            converged = converged and number > 0
             break
         if number > 0 and _settled(misfit, renewed):
             break
         misfit = renewed
-    return Fit(misfit, z, confidence_of(misfit, z), iterations, found.converged)
+    return Fit(misfit, z, confidence_of(misfit, z), iterations, converged)
 
 
 def _settled(old: Misfit, new: Misfit) -> bool:
-    pairs = zip(old.deviations, new.deviations, strict=True)
-    return all(np.max(np.abs(np.log(b / a))) < _SETTLED for a, b in pairs)
+    pairs = zip(old.weights, new.weights, strict=True)
+    return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
 
 
-def _without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
+def _settling(fit: Fit, options: TuningOptions) -> Fit:
+    """From a rough fit without to the final one, with or without a settling time."""
+    values = fit.misfit.search.values(fit.z)
+    search = with_settling(fit.misfit.search)
+    begin = search.coordinates(dict.fromkeys(search.keys, SETTLING_START) | values)
+    misfit = fit.misfit.for_unknowns(search)
+    left = options.max_iterations - fit.iterations
+    found = minimise(
+        misfit.linearise,
+        begin,
+        search.reach,
+        tolerance=_SOON,
+        farthest=_FARTHEST,
+        max_evaluations=max(1, left if options.settling else min(left, _TRIAL)),
+    )
+    before = fit.misfit.linearise(fit.z)
+    if found is None or before is None:
+        raise NotIdentifiable("tuning cannot simulate what the steps before found")
+    spent = fit.iterations + found.evaluations
+    if options.settling is None and before.cost - found.at.cost < _EVIDENT**2:
+        return _last(fit.misfit, fit.z, spent, options)
+    richer = _last(misfit, found.x, spent, options)
+    return richer if options.settling else _without_idle(richer, options)
+
+
+def _last(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
+    """A fine fit after as many evaluations."""
+    left = options.max_iterations - spent
+    if left < 1:
+        return Fit(misfit, z, confidence_of(misfit, z), spent, False)
+    fit = _fit(misfit, z, left, _FINE)
+    return replace(fit, iterations=spent + fit.iterations)
+
+
+def _without_idle(fit: Fit, options: TuningOptions) -> Fit:
     """Again with friction that acts at once in the joints where nothing speaks for a delay."""
     values = fit.misfit.search.values(fit.z)
-    deviation = np.sqrt(np.diag(fit.confidence.combined))
+    deviation = np.sqrt(np.diag(fit.confidence.local))
     idle = {
         key: 0.0
         for key, std in zip(fit.misfit.search.keys, deviation, strict=True)
@@ -215,19 +271,5 @@ def _without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
     if not idle:
         return fit
     search = fit.misfit.search.holding(idle)
-    again = _fit(fit.misfit.with_search(search), search.coordinates(values), options)
-    return replace(again, iterations=fit.iterations + again.iterations)
-
-
-def _fits(misfit: Misfit, z: FloatArray) -> dict[str, dict[str, float]]:
-    """By record and channel, 100 (1 - |difference| / |measured - its mean|)."""
-    found = {}
-    for record, rows, deviation in zip(
-        misfit.records, misfit.rows(z), misfit.deviation_of_rows(), strict=True
-    ):
-        difference = np.linalg.norm(rows.residual * deviation, axis=0)
-        spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
-        fits = 100.0 * (1.0 - difference / np.maximum(spread, 1e-300))
-        names = [c.name.replace("theta", "omega") for c in record.channels]
-        found[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
-    return found
+    begin = search.coordinates(values)
+    return _last(fit.misfit.for_unknowns(search), begin, fit.iterations, options)

@@ -10,8 +10,8 @@ Three covariances, of which each parameter gets the widest:
 
 None of them sees what is wrong with the model in the same way everywhere. Its size shows all the
 same, as residuals larger than the sensors' own noise explains. Such an error does not average away
-over the records: the part of the local covariance that the noise does not explain is counted once
-more as if all records had it in common, which is as often as there are records.
+over the records: the share of a variance that the noise does not explain is counted once more as if
+all records had it in common, which is as often as there are records.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 from strainwave.records import FloatArray
 from strainwave.tuning.misfit import Misfit
 
+_NOTHING = 1e-30  # information of what no record tells of
 _VAGUE = 0.1  # relative deviation from which a parameter is hardly told
 _SURER = 5.0  # times, that a sum must be surer than its parts to be named
 _TAKES_PART = 0.2  # share of the largest component from which a parameter takes part
@@ -53,28 +54,33 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     Confidence
         Correlations are those of the local one. Deviations are the largest of the three.
     """
-    scores, products = _scores(misfit, z)
+    scores, products, curvatures = _scores(misfit, z)
     prior = misfit.search.prior.rows @ misfit.search.slope(z)
     known = prior.T @ prior
     whole = np.sum(products, axis=0) + known
     inverse = _inverse(whole)
     blocks = np.concatenate(scores)
     n = len(blocks)
-    sandwich = inverse @ (n / (n - 1.0) * blocks.T @ blocks + known) @ inverse
-    jackknife = _jackknife(whole, products, [block.sum(axis=0) for block in scores])
+    bread = np.sum(curvatures, axis=0) + known
+    sandwich = _inverse(bread) @ (n / (n - 1.0) * blocks.T @ blocks + known) @ _inverse(bread)
+    jackknife = _jackknife(bread, curvatures, [block.sum(axis=0) for block in scores])
     slope = misfit.search.slope(z)
     parts = [slope @ part @ slope.T for part in (inverse, sandwich, jackknife)]
     deviations = np.sqrt([np.diag(part) for part in parts])
-    common = np.diag(slope @ _beyond_noise(misfit, products, inverse) @ slope.T)
-    common = len(misfit.records) * np.maximum(common, 0.0)
-    largest = np.sqrt(np.nanmax(deviations, axis=0) ** 2 + common)
+    share = _beyond_noise(misfit, products, inverse)
+    largest = np.nanmax(deviations, axis=0) * np.sqrt(1.0 + len(misfit.records) * share)
     raised = np.divide(largest, deviations[0], out=np.ones_like(largest), where=deviations[0] > 0.0)
     return Confidence(parts[0] * np.outer(raised, raised), *parts)
 
 
-def _scores(misfit: Misfit, z: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Each record's gradients, stretch by stretch, and its part of J'J."""
-    scores, products = [], []
+def _scores(
+    misfit: Misfit, z: FloatArray
+) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
+    """Each record's gradients, stretch by stretch, its part of J'J, and the loss's curvature.
+
+    Weights (1 + r^2)^(-1/2) give the gradient of the soft L1 loss; it bends as (1 + r^2)^(-3/2).
+    """
+    scores, products, curvatures = [], [], []
     for rows, block in zip(misfit.rows(z), misfit.blocks(), strict=True):
         n = rows.shared.shape[2]
         table = np.concatenate([rows.local, rows.shared], axis=2) * rows.root[..., None]
@@ -89,17 +95,19 @@ def _scores(misfit: Misfit, z: FloatArray) -> tuple[list[FloatArray], list[Float
         np.add.at(sums, at, each)
         scores.append(sums)
         products.append(shared.T @ shared)
-    return scores, products
+        bent = shared / np.sqrt(1.0 + rows.residual.reshape(-1, 1) ** 2)
+        curvatures.append(bent.T @ bent)
+    return scores, products, curvatures
 
 
 def _beyond_noise(
     misfit: Misfit, products: Sequence[FloatArray], inverse: FloatArray
 ) -> FloatArray:
-    """The part of the local covariance that the sensors' noise does not explain."""
+    """The share of each local variance that the sensors' noise does not explain."""
     excess = np.zeros_like(inverse)
     for share, product in zip(misfit.noise_shares(), products, strict=True):
         excess += (1.0 - share) * product
-    return np.asarray(inverse @ excess @ inverse)
+    return np.asarray(np.diag(inverse @ excess @ inverse) / np.diag(inverse))
 
 
 def _jackknife(
@@ -122,7 +130,7 @@ def _jackknife(
 def _inverse(information: FloatArray) -> FloatArray:
     """Inverse by the eigenvalues of the scaled matrix; what nothing tells of is very uncertain."""
     scale = np.sqrt(np.diag(information))
-    scale[scale == 0.0] = 1e-150
+    scale[scale == 0.0] = _NOTHING
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     values = np.maximum(values, 1e-13 * values[-1])
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))

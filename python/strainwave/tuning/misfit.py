@@ -24,6 +24,7 @@ from strainwave.tuning.unknowns import Search
 BLOCKS = 10
 """Stretches of a record whose errors count as independent of one another."""
 
+_MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
 _FIRST = 0.1  # of a channel's own spread: its errors' deviation before any is known
 _LEAST = 1e-3  # of it: no model is better than that
 _NOISE_REPEATS = 2.0  # rows of low-passed white noise that say the same, four to a period
@@ -33,79 +34,142 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
+class Weights:
+    """What a record's errors are measured by, channel by channel."""
+
+    deviation: FloatArray  # (n_channels,) of its errors
+    repeats: FloatArray  # (n_channels,) rows in succession that say the same thing
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluated:
+    """One record at one point: differences in the channels' units, with derivatives."""
+
+    difference: FloatArray  # (n_rows, n_channels) simulated less measured
+    shared: FloatArray  # (n_rows, n_channels, n_unknowns) by the coordinates
+    local: FloatArray  # (n_rows, n_channels, n_own) by the record's own unknowns
+
+    def weighted(self, weights: Weights) -> Rows:
+        """Divided by their deviations, the record's own unknowns at their best."""
+        residual = self.difference / weights.deviation
+        local = self.local / weights.deviation[:, None]
+        root = _root(residual, weights)
+        columns = (local * root[..., None]).reshape(residual.size, -1)
+        step = np.asarray(np.linalg.lstsq(columns, -(residual * root).ravel())[0], dtype=float)
+        residual = residual + local @ step
+        shared = self.shared / weights.deviation[:, None]
+        return Rows(residual, _root(residual, weights), shared, local, step)
+
+
+@dataclass(frozen=True, slots=True)
 class Rows:
-    """One record's weighted rows at one point."""
+    """One record's weighted rows."""
 
     residual: FloatArray  # (n_rows, n_channels) in deviations
     root: FloatArray  # (n_rows, n_channels) square roots of the robust weights
     shared: FloatArray  # (n_rows, n_channels, n_unknowns)
     local: FloatArray  # (n_rows, n_channels, n_own)
+    step: FloatArray  # (n_own,) by which the record's own unknowns have moved
 
     def factor(self) -> FloatArray:
-        """R of [local shared residual], weighted."""
+        """R of [shared residual], weighted, in what the record's own unknowns cannot imitate."""
         parts = [self.local, self.shared, self.residual[..., None]]
         table = np.concatenate(parts, axis=2) * self.root[..., None]
-        return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r"))
+        n = len(self.step)
+        return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r"))[n:, n:]
+
+    def cost(self, weights: Weights) -> float:
+        """The soft L1 loss, sum of 2 (sqrt(1 + r^2) - 1), over the repetitions."""
+        loss = np.sum(2.0 * (np.sqrt(1.0 + self.residual**2) - 1.0), axis=0)
+        return float(np.sum(loss / weights.repeats))
+
+
+@dataclass
+class _Memory:
+    """Where the records' own unknowns are, and the last point looked at."""
+
+    own: list[FloatArray]
+    last: tuple[bytes, list[Evaluated]] | None = None
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """Weighted differences between simulated and measured channels of all records.
-
-    What each record has of its own is found again at every point: `own` keeps where it was last.
-    """
+    """Weighted differences between simulated and measured channels of all records."""
 
     search: Search
     records: tuple[Replayed, ...]
-    # a record: (n_channels,), deviation of its errors
-    deviations: tuple[FloatArray, ...] = ()
-    # and how many rows in succession say the same thing
-    repeats: tuple[FloatArray, ...] = ()
-    own: dict[int, FloatArray] = field(default_factory=dict)
+    weights: tuple[Weights, ...]
+    memory: _Memory = field(repr=False)
 
-    def cost(self, z: FloatArray) -> float:
-        """Robust sum of squares, without derivatives; infinite where no arm can be simulated.
+    @classmethod
+    def of(cls, search: Search, records: Sequence[Replayed]) -> Misfit:
+        """Before anything is known of the errors: a tenth of what each channel shows.
 
-        The records' own unknowns are where the last linearisation left them, moved along with z.
+        Parameters
+        ----------
+        search : Search
+        records : sequence of Replayed
+
+        Returns
+        -------
+        Misfit
         """
-        try:
-            parts = self._each(lambda k, record: self._cost_of(k, record, z))
-        except (InvalidInput, NumericalFailure):
-            return np.inf
-        prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
-        return float(sum(parts) + np.sum(prior**2))
+        weights = []
+        for record in records:
+            spread = _FIRST * np.std(record.measured, axis=0)
+            size = np.maximum(spread, record.noise)
+            weights.append(Weights(size, np.ones(len(size))))
+        own = [np.concatenate([r.start(), np.zeros(_shifts(r).shape[2])]) for r in records]
+        return cls(search, tuple(records), tuple(weights), _Memory(own))
 
-    def linearise(self, z: FloatArray) -> Linearised:
-        """The cost with its least squares problem in the unknowns alone."""
-        rows = self.rows(z)
-        factors = [record.factor() for record in rows]
-        costs = [self._robust(k, record.residual) for k, record in enumerate(rows)]
-        below = [
-            f[n:, n:] for f, n in zip(factors, map(self._n_own, range(len(rows))), strict=True)
-        ]
+    def linearise(self, z: FloatArray) -> Linearised | None:
+        """The cost with its least squares problem in the unknowns; None where no arm can be."""
+        try:
+            rows = self.rows(z)
+        except (InvalidInput, NumericalFailure):
+            return None
+        factors = side_by_side([one.factor for one in rows])
+        cost = sum(one.cost(w) for one, w in zip(rows, self.weights, strict=True))
         prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
-        prior_rows = np.column_stack([self.search.prior.rows @ self.search.slope(z), prior])
-        stacked = np.linalg.qr(np.concatenate([*below, prior_rows]), mode="r")
-        return Linearised(float(sum(costs) + np.sum(prior**2)), np.asarray(stacked))
+        slope = self.search.prior.rows @ self.search.slope(z)
+        stacked = np.concatenate([*factors, np.column_stack([slope, prior])])
+        factor = np.linalg.qr(stacked, mode="r")
+        return Linearised(float(cost + np.sum(prior**2)), np.asarray(factor))
 
     def rows(self, z: FloatArray) -> list[Rows]:
         """Every record's rows, its own unknowns at their best for z."""
-        return self._each(lambda k, record: self._rows_of(k, record, z))
+        evaluated = self.evaluate(z)
+        pairs = zip(evaluated, self.weights, strict=True)
+        return side_by_side([partial(one.weighted, weights) for one, weights in pairs])
+
+    def evaluate(self, z: FloatArray) -> list[Evaluated]:
+        """Every record at z; what was looked at last is remembered."""
+        at = z.tobytes()
+        if self.memory.last is None or self.memory.last[0] != at:
+            found = self._each(lambda k, record: self._evaluated(k, record, z))
+            self.memory.last = at, found
+        return self.memory.last[1]
+
+    def settle_own(self, z: FloatArray) -> None:
+        """Moves the records' own unknowns to where they are best for z."""
+        for k, rows in enumerate(self.rows(z)):
+            self.memory.own[k] = self.memory.own[k] + rows.step
+        self.memory.last = None
 
     def reweighted(self, z: FloatArray) -> Misfit:
         """With deviations and repetitions as the residuals at z show them."""
-        deviations, repeats = [], []
-        for record, rows, old in zip(self.records, self.rows(z), self._deviations(), strict=True):
-            errors = rows.residual * old
+        weights = []
+        for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
+            errors = rows.residual * old.deviation
             size = _ROBUST * np.median(np.abs(errors), axis=0)
             least = np.maximum(record.noise, _LEAST * np.std(record.measured, axis=0))
-            deviations.append(np.maximum(np.maximum(size, 0.5 * np.std(errors, axis=0)), least))
-            repeats.append(np.array([_repeats(column) for column in errors.T]))
-        return replace(self, deviations=tuple(deviations), repeats=tuple(repeats))
+            size = np.maximum(np.maximum(size, 0.5 * np.std(errors, axis=0)), least)
+            weights.append(Weights(size, np.array([_repeats(column) for column in errors.T])))
+        return replace(self, weights=tuple(weights))
 
-    def with_search(self, search: Search) -> Misfit:
+    def for_unknowns(self, search: Search) -> Misfit:
         """The same records and weights for other unknowns."""
-        return replace(self, search=search)
+        return replace(self, search=search, memory=_Memory(list(self.memory.own)))
 
     def blocks(self) -> list[IntArray]:
         """The stretch that each row of a record belongs to, counted through all records."""
@@ -121,83 +185,48 @@ class Misfit:
         Both behind the low-pass, whose rows repeat white noise by `_NOISE_REPEATS`.
         """
         found = []
-        for k, record in enumerate(self.records):
-            variance = self.deviation_of_rows()[k] ** 2 * self._repeated(k)
+        for record, weights in zip(self.records, self.weights, strict=True):
+            variance = weights.deviation**2 * weights.repeats
             share = _NOISE_REPEATS * record.noise**2 / variance
             found.append(float(np.clip(np.mean(share), 0.0, 1.0)))
         return found
 
-    def _cost_of(self, k: int, record: Replayed, z: FloatArray) -> float:
-        seen = record.simulated(self.search.values(z), self._begun(k, record))
-        deviation = self._deviations()[k]
-        residual = (self._shifted(k, record, seen) - record.measured) / deviation
-        step = self._step(k, residual, _shifts(record) / deviation[:, None])
-        return self._robust(k, residual + _shifts(record)[0] @ step / deviation)
+    def fits(self, z: FloatArray) -> dict[str, dict[str, float]]:
+        """By record and channel, 100 (1 - |difference| / |measured - mean|); NaN if it rests."""
+        found = {}
+        for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
+            difference = np.linalg.norm(rows.residual * weights.deviation, axis=0)
+            spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
+            still = spread < _MOVES * record.noise * np.sqrt(len(record.time))
+            fits = 100.0 * (1.0 - difference / np.where(still, np.nan, spread))
+            names = [channel.name.replace("theta", "omega") for channel in record.channels]
+            found[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
+        return found
 
-    def _rows_of(self, k: int, record: Replayed, z: FloatArray) -> Rows:
+    def _evaluated(self, k: int, record: Replayed, z: FloatArray) -> Evaluated:
+        own = self.memory.own[k]
+        n_begin, n = len(record.local), len(self.search.unknowns)
         values = self.search.values(z)
-        seen, tangent = record.linearised(values, self._begun(k, record), self.search.keys)
-        n = len(self.search.unknowns)
-        deviation = self._deviations()[k]
-        shared = tangent[..., :n] @ self.search.slope(z) / deviation[:, None]
-        local = np.concatenate([tangent[..., n:], _shifts(record)], axis=2) / deviation[:, None]
-        residual = (self._shifted(k, record, seen) - record.measured) / deviation
-        # the record's own unknowns are nearly linear: one step from where they were
-        step = self._step(k, residual, local)
-        self.own[k] = self._own(k, record) + step
-        residual = residual + local @ step
-        return Rows(residual, self._root(k, residual), shared, local)
-
-    def _step(self, k: int, residual: FloatArray, columns: FloatArray) -> FloatArray:
-        """Where a record's own unknowns go from where they are: (n_own,)."""
-        root = self._root(k, residual)
-        weighted = (columns * root[..., None]).reshape(residual.size, -1)
-        return np.asarray(np.linalg.lstsq(weighted, -(residual * root).ravel())[0])
-
-    def _own(self, k: int, record: Replayed) -> FloatArray:
-        if k not in self.own:
-            self.own[k] = np.concatenate([record.start(), np.zeros(_shifts(record).shape[2])])
-        return self.own[k]
-
-    def _n_own(self, k: int) -> int:
-        return len(self._own(k, self.records[k]))
-
-    def _begun(self, k: int, record: Replayed) -> FloatArray:
-        return self._own(k, record)[: len(record.local)]
-
-    def _shifted(self, k: int, record: Replayed, seen: FloatArray) -> FloatArray:
-        constants = self._own(k, record)[len(record.local) :]
-        return np.asarray(seen + _shifts(record)[0] @ constants)
-
-    def deviation_of_rows(self) -> Sequence[FloatArray]:
-        """What each channel of each record is divided by."""
-        return self._deviations()
-
-    def _deviations(self) -> Sequence[FloatArray]:
-        if self.deviations:
-            return self.deviations
-        return [
-            np.maximum(_FIRST * np.std(record.measured, axis=0), record.noise)
-            for record in self.records
-        ]
-
-    def _root(self, k: int, residual: FloatArray) -> FloatArray:
-        """Roots of the weights (1 + r^2)^(-1/2) of the soft L1 loss, over the repetitions."""
-        return np.asarray((1.0 + residual**2) ** -0.25 / np.sqrt(self._repeated(k)))
-
-    def _robust(self, k: int, residual: FloatArray) -> float:
-        return float(np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0) / self._repeated(k)))
-
-    def _repeated(self, k: int) -> FloatArray | float:
-        return self.repeats[k] if self.repeats else 1.0
+        seen, tangent = record.linearised(values, own[:n_begin], self.search.keys)
+        shifts = _shifts(record)
+        return Evaluated(
+            seen + shifts[0] @ own[n_begin:] - record.measured,
+            tangent[..., :n] @ self.search.slope(z),
+            np.concatenate([tangent[..., n:], shifts], axis=2),
+        )
 
     def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""
         return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
 
 
+def _root(residual: FloatArray, weights: Weights) -> FloatArray:
+    """Roots of the weights (1 + r^2)^(-1/2) of the soft L1 loss, over the repetitions."""
+    return np.asarray((1.0 + residual**2) ** -0.25 / np.sqrt(weights.repeats))
+
+
 def _shifts(record: Replayed) -> FloatArray:
-    """Columns of the unknown constants: (1, n_channels, n_constants), the same in every row."""
+    """Columns of the unknown constants: (n_rows, n_channels, n_constants), alike in every row."""
     own = [k for k, channel in enumerate(record.channels) if channel.shifted]
     columns = np.zeros((len(record.channels), len(own)))
     columns[own, range(len(own))] = 1.0

@@ -16,11 +16,14 @@ from strainwave.tuning.unknowns import (
     KNEES,
     SETTLING,
     VISCOUS,
+    Key,
     combination,
     link_inertia,
     total_viscous,
 )
 
+_BENDS = 0.01  # share by which two slopes differ at least
+_EVIDENT = 3.0  # and deviations
 _TOLD = 0.3  # relative deviation up to which a parameter is worth printing
 _REACH = 1.96  # of a 95 % interval, in deviations
 
@@ -36,13 +39,17 @@ class Fit:
     converged: bool
 
 
-def parameters_of(fit: Fit, study: Study) -> tuple[tuple[Parameter, ...], FloatArray]:
+def parameters_of(
+    fit: Fit, study: Study, largest_torque: Sequence[float]
+) -> tuple[tuple[Parameter, ...], FloatArray]:
     """The unknowns and what is derived from them, with their covariance.
 
     Parameters
     ----------
     fit : Fit
     study : Study
+    largest_torque : sequence of float [N m]
+        That each gear carries in the records.
 
     Returns
     -------
@@ -52,7 +59,8 @@ def parameters_of(fit: Fit, study: Study) -> tuple[tuple[Parameter, ...], FloatA
     keys = search.keys
     names = list(keys)
     units = [unknown.unit for unknown in search.unknowns]
-    weight = [*np.eye(len(keys))]
+    told = _curves_told(fit, largest_torque)
+    weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
     for number, joint in enumerate(study.joints, start=1):
         derived = {"total_viscous_friction": total_viscous(study, number)}
         if study.n_joints > 1:
@@ -65,11 +73,42 @@ def parameters_of(fit: Fit, study: Study) -> tuple[tuple[Parameter, ...], FloatA
     values = W @ search.parameters(fit.z)
     covariance = W @ fit.confidence.combined @ W.T
     deviation = np.sqrt(np.diag(covariance))
+    deviation[[told.get(name, name) is None for name in names]] = np.inf
     found = tuple(
         _parameter(name, joint, unit, float(value), float(std))
         for (name, joint), unit, value, std in zip(names, units, values, deviation, strict=True)
     )
     return found, covariance
+
+
+def _curves_told(fit: Fit, largest_torque: Sequence[float]) -> dict[Key, Key | None]:
+    """For each slope and knee the unknown that holds it, or None where no record reaches it.
+
+    A knee between two slopes that are one, or beyond the largest torque, is none: what lies behind
+    it moves up, and the last of its kind is not told.
+    """
+    search = fit.misfit.search
+    at = {key: k for k, key in enumerate(search.keys)}
+    values = search.parameters(fit.z)
+    covariance = fit.confidence.combined
+    told: dict[Key, Key | None] = {}
+    for joint, largest in enumerate(largest_torque, start=1):
+        if (CURVE[0], joint) not in at:
+            continue
+        slopes: list[Key] = [(CURVE[0], joint)]
+        knees: list[Key] = []
+        for name, knee in zip(CURVE[1:], KNEES, strict=True):
+            a, b = at[slopes[-1]], at[name, joint]
+            apart = abs(values[b] - values[a])
+            spread = np.sqrt(covariance[a, a] + covariance[b, b] - 2.0 * covariance[a, b])
+            bends = apart > max(_BENDS * values[a], _EVIDENT * spread)
+            if bends and values[at[knee, joint]] < largest:
+                slopes.append((name, joint))
+                knees.append((knee, joint))
+        for names, found in ((CURVE, slopes), (KNEES, knees)):
+            for k, name in enumerate(names):
+                told[name, joint] = found[k] if k < len(found) else None
+    return told
 
 
 def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
@@ -112,10 +151,9 @@ def warnings_of(
             told += "; of the viscous frictions only the total is well known"
             yield Caution("not-identifiable", str(unknown), told)
         else:
-            told += "; twist the gear further, with a larger amplitude or by holding the link"
-            yield Caution("not-reached", str(unknown), told)
-        if unknown.name == SETTLING:
-            continue
+            text = "no record twists the gear so far that it shows; use a larger amplitude, or hold"
+            text += " the link"
+            yield Caution("not-reached", str(unknown), text)
     for unknown, value in zip(search.unknowns, values, strict=True):
         if unknown.name == SETTLING:
             text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"

@@ -1,9 +1,9 @@
 """Least squares in a trust region, for problems of many rows and few unknowns.
 
 Each evaluation hands over the triangular factor of its weighted Jacobian with its residual, R of
-[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns; steps that
-are refused cost no second factorisation. SciPy's `least_squares` would take a singular value
-decomposition of all rows at every step: ten times what the simulation of them costs.
+[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns; a
+refused step costs no second factorisation. SciPy's `least_squares` would take a singular value
+decomposition of all rows at every step, which costs more than to simulate them.
 """
 
 from __future__ import annotations
@@ -16,6 +16,12 @@ import numpy as np
 from strainwave.records import FloatArray
 
 _GOOD, _POOR = 0.75, 0.25  # share of the foretold gain from which the region grows, or shrinks
+# Friction's events make a cost rough: below some roughness no foretold gain is to be had.
+_PATIENCE = 4  # evaluations without
+_STUCK = 30.0  # tolerances of gain, after which the search ends
+_HOPE = 1000.0  # unless as many are foretold still
+_HELPS = 1e-4  # share from which a step is taken
+_LEAST_DAMPING = 1e-9
 _SMALLEST = 1e-12  # of the largest singular value: directions below it are not stepped along
 
 
@@ -38,63 +44,76 @@ class Found:
 
 
 def minimise(
-    cost: Callable[[FloatArray], float],
-    linearise: Callable[[FloatArray], Linearised],
+    linearise: Callable[[FloatArray], Linearised | None],
     start: FloatArray,
     reach: FloatArray,
     *,
     tolerance: float,
+    relative: float = 0.0,
+    farthest: float = np.inf,
     max_evaluations: int,
-) -> Found:
+) -> Found | None:
     """Levenberg and Marquardt's method in scaled coordinates, with bounds on each.
 
     Parameters
     ----------
-    cost : callable
-        (n,) -> cost, infinite where there is none.
     linearise : callable
-        (n,) -> the cost and its least squares problem.
+        (n,) -> the cost and its least squares problem, or None where there is none.
     start : (n,)
     reach : (n,)
         Bounds are minus and plus this.
     tolerance : float
         The search has converged when the foretold gain is below this, in units of the cost: where
         residuals are in deviations, a hundredth is a tenth of a parameter's standard deviation.
+    relative : float
+        The same as a share of the cost, to be added.
+    farthest : float
+        Step of a coordinate beyond which nothing linear is to be trusted.
     max_evaluations : int
         Of the least squares problem.
 
     Returns
     -------
     Found
-        Not converged if the evaluations ran out, or no step helps although one should.
+        Not converged if the evaluations ran out, or no step helps although much is foretold. None
+        if there is no problem at the start.
     """
-    x, at = start, linearise(start)
+    x, first = start, linearise(start)
+    if first is None:
+        return None
+    at = first
     damping, growth = 1e-3, 2.0
     evaluations = 1
+    costs: list[float] = []
     while True:
         bounded = _pushed_out(x, reach, at.factor)
         gain, _ = _step(at.factor, 0.0, bounded)
-        if gain < tolerance:
+        costs.append(at.cost)
+        enough = tolerance + relative * at.cost
+        if gain < enough:
+            return Found(x, at, evaluations, True)
+        stalled = len(costs) > _PATIENCE and costs[-_PATIENCE - 1] - at.cost < _STUCK * enough
+        if stalled and gain < _HOPE * enough:
             return Found(x, at, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
-        for _ in range(20):
-            foretold, step = _step(at.factor, damping, bounded)
-            trial = np.clip(x + step, -reach, reach)
-            achieved = at.cost - cost(trial)
-            quality = achieved / max(foretold, 1e-300)
-            if achieved > 0.0 and quality > 1e-4:
-                break
+        foretold, step = _step(at.factor, damping, bounded)
+        step = np.clip(step, -farthest, farthest)
+        trial = np.asarray(np.clip(x + step, -reach, reach))
+        there = linearise(trial)
+        evaluations += 1
+        quality = (at.cost - there.cost) / max(foretold, 1e-300) if there else -np.inf
+        if there is None or quality < _HELPS:
             damping, growth = damping * growth, growth * 2.0
-        else:
-            return Found(x, at, evaluations, False)
+            if foretold < tolerance:  # no step helps
+                return Found(x, at, evaluations, gain < _HOPE * enough)
+            continue
         if quality > _GOOD:
-            damping = max(damping / 5.0, 1e-9)
+            damping = max(damping / 5.0, _LEAST_DAMPING)
         elif quality < _POOR:
             damping *= 2.0
         growth = 2.0
-        x, at = trial, linearise(trial)
-        evaluations += 1
+        x, at = trial, there
 
 
 def _step(factor: FloatArray, damping: float, bounded: FloatArray) -> tuple[float, FloatArray]:

@@ -17,6 +17,8 @@ VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
 COULOMB = "motor_coulomb_friction"
 OFFSET = "friction_offset"
 SETTLING = "friction_settling_time"
+SETTLING_START = 1e-4
+"""[s] where the search for it starts."""
 LINEAR = ("gear_stiffness",)
 CURVE = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
 KNEES = ("gear_knee_t1", "gear_knee_t2")
@@ -24,7 +26,6 @@ KNEES = ("gear_knee_t1", "gear_knee_t2")
 _BASE = ("alpha", "beta", "gamma")
 _LEAST_SHARE = 0.05  # of the total viscous friction, where a start would be negative
 _LEAST_COULOMB = 0.01  # of the torque of the largest voltage, where none was found
-_SETTLING = 1e-4  # [s]
 _SPREAD = (0.8, 1.0, 1.15)  # of the one stiffness found: the slopes of a curve to start from
 _KNEES = (0.2, 0.6)  # of the largest gear torque: its knees
 _FAR = np.log(3.0)  # how far an inertia or a slope may go
@@ -296,7 +297,9 @@ def with_settling(search: Search) -> Search:
     Search
     """
     joints = [unknown.joint for unknown in search.unknowns if unknown.name == COULOMB]
-    more = [Unknown(SETTLING, j, "s", _SETTLING, _SETTLING, False, _VERY_FAR) for j in joints]
+    more = [
+        Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _VERY_FAR) for j in joints
+    ]
     rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
     return Search((*search.unknowns, *more), search.fixed, Prior(rows, search.prior.target))
 

@@ -16,6 +16,8 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// Names of the base parameters, as docs/notation.md has them; the joint, from 1, where one
     /// belongs to a joint.
     const NAMES: &'static [(&'static str, Option<usize>)];
+    /// Whether anything depends on each joint's angle: the first of a horizontal arm is not felt.
+    const FELT: [bool; N];
 
     /// Base parameters from a flat list in the order of [`Arm::NAMES`].
     fn base<R: Real>(values: &[R]) -> Self::Base<R>;
@@ -28,6 +30,15 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     fn inertia<R: Real>(base: &Self::Base<R>, at: &Self::Posture<R>) -> [[R; N]; N];
     /// Centrifugal, Coriolis and gravity torques c(q, dq) + g(q) [N m].
     fn bias<R: Real>(base: &Self::Base<R>, at: &Self::Posture<R>, dq: &[R; N]) -> [R; N];
+    /// How M_L(q) ddq + c + g depends on angles and velocities.
+    fn slopes<R: Real>(
+        base: &Self::Base<R>,
+        at: &Self::Posture<R>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> Slopes<R, N>;
+    /// How M_L(q) ddq + c + g depends on the base parameters, for each of [`Arm::NAMES`].
+    fn regressor<R: Real>(at: &Self::Posture<R>, dq: &[R; N], ddq: &[R; N]) -> [[R; N]; MOST_BASE];
     /// Potential energy of gravity [J], zero at zero angles' height.
     fn potential<R: Real>(base: &Self::Base<R>, at: &Self::Posture<R>) -> R;
     /// Tangential reading [m/s^2] of an accelerometer on each link, (8) and (9) in general form,
@@ -38,8 +49,27 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
         dq: &[R; N],
         ddq: &[R; N],
     ) -> [R; N];
+    /// How these readings depend on angles and velocities, and on the accelerations.
+    fn accelerometer_slopes<R: Real>(
+        sensors: &Accelerometers<N>,
+        at: &Self::Posture<R>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> (Slopes<R, N>, [[R; N]; N]);
     /// Rate of each link in space [rad/s], as a gyro on it reads.
     fn absolute_rates<R: Real>(dq: &[R; N]) -> [R; N];
+}
+
+/// Most base parameters that an arm has.
+pub const MOST_BASE: usize = 5;
+
+/// Derivatives of one vector by the joint angles and by the joint velocities, rows by columns.
+#[derive(Clone, Copy, Debug)]
+pub struct Slopes<R, const N: usize> {
+    /// By the angles; zero for those that are not [`Arm::FELT`].
+    pub angle: [[R; N]; N],
+    /// By the velocities.
+    pub velocity: [[R; N]; N],
 }
 
 /// Where the accelerometers sit.
@@ -122,6 +152,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         ("gravity_torque_1", None),
         ("gravity_torque_2", None),
     ];
+    const FELT: [bool; 2] = [VERTICAL, true];
 
     #[inline(always)]
     fn base<R: Real>(values: &[R]) -> TwoLinkBase<R> {
@@ -176,6 +207,62 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
+    fn slopes<R: Real>(
+        base: &TwoLinkBase<R>,
+        at: &TwoLinkPosture<R>,
+        dq: &[R; 2],
+        ddq: &[R; 2],
+    ) -> Slopes<R, 2> {
+        let zero = R::splat(0.0);
+        let (sin, cos) = (base.gamma * at.second.sin, base.gamma * at.second.cos);
+        let sum = dq[0] + dq[1];
+        let (whirl, turn) = (dq[1] * (dq[0] + sum), ddq[0] + ddq[0] + ddq[1]);
+        let mut angle = [
+            [zero, -sin.mul_add(turn, cos * whirl)],
+            [zero, cos.mul_add(dq[0] * dq[0], -(sin * ddq[0]))],
+        ];
+        if VERTICAL {
+            let outer = -(base.g2 * at.first.plus(at.second).sin);
+            let inner = -(base.g1 * at.first.sin);
+            angle = [
+                [inner + outer, angle[0][1] + outer],
+                [outer, angle[1][1] + outer],
+            ];
+        }
+        let twice = sin + sin;
+        let velocity = [[-(twice * dq[1]), -(twice * sum)], [twice * dq[0], zero]];
+        Slopes { angle, velocity }
+    }
+
+    #[inline(always)]
+    fn regressor<R: Real>(
+        at: &TwoLinkPosture<R>,
+        dq: &[R; 2],
+        ddq: &[R; 2],
+    ) -> [[R; 2]; MOST_BASE] {
+        let zero = R::splat(0.0);
+        let (sin, cos) = (at.second.sin, at.second.cos);
+        let both = ddq[0] + ddq[1];
+        let whirl = dq[1] * (dq[0] + dq[0] + dq[1]);
+        let gamma = [
+            cos.mul_add(ddq[0] + both, -(sin * whirl)),
+            cos.mul_add(ddq[0], sin * dq[0] * dq[0]),
+        ];
+        let (mut inner, mut outer) = (zero, zero);
+        if VERTICAL {
+            inner = at.first.cos;
+            outer = at.first.plus(at.second).cos;
+        }
+        [
+            [ddq[0], zero],
+            [both, both],
+            gamma,
+            [inner, zero],
+            [outer, outer],
+        ]
+    }
+
+    #[inline(always)]
     fn potential<R: Real>(base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> R {
         if VERTICAL {
             base.g1 * at.first.sin + base.g2 * at.first.plus(at.second).sin
@@ -205,6 +292,29 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
+    fn accelerometer_slopes<R: Real>(
+        sensors: &Accelerometers<2>,
+        at: &TwoLinkPosture<R>,
+        dq: &[R; 2],
+        ddq: &[R; 2],
+    ) -> (Slopes<R, 2>, [[R; 2]; 2]) {
+        let zero = R::splat(0.0);
+        let length = R::splat(sensors.link_length);
+        let (sin, cos) = (length * at.second.sin, length * at.second.cos);
+        let elbow = cos.mul_add(dq[0] * dq[0], -(sin * ddq[0]));
+        let mut angle = [[zero, zero], [zero, elbow]];
+        if VERTICAL {
+            let g = -R::splat(sensors.gravity);
+            let outer = g * at.first.plus(at.second).sin;
+            angle = [[g * at.first.sin, zero], [outer, elbow + outer]];
+        }
+        let velocity = [[zero, zero], [(sin + sin) * dq[0], zero]];
+        let [first, second] = sensors.distance.map(R::splat);
+        let acceleration = [[first, zero], [second + cos, second]];
+        (Slopes { angle, velocity }, acceleration)
+    }
+
+    #[inline(always)]
     fn absolute_rates<R: Real>(dq: &[R; 2]) -> [R; 2] {
         [dq[0], dq[0] + dq[1]]
     }
@@ -227,6 +337,7 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
 
     const NAMES: &'static [(&'static str, Option<usize>)] =
         &[("link_inertia", Some(1)), ("gravity_torque_1", None)];
+    const FELT: [bool; 1] = [VERTICAL];
 
     #[inline(always)]
     fn base<R: Real>(values: &[R]) -> OneLinkBase<R> {
@@ -271,6 +382,27 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
     }
 
     #[inline(always)]
+    fn slopes<R: Real>(
+        base: &OneLinkBase<R>,
+        at: &Turn<R>,
+        _: &[R; 1],
+        _: &[R; 1],
+    ) -> Slopes<R, 1> {
+        let zero = R::splat(0.0);
+        Slopes {
+            angle: [[if VERTICAL { -(base.g1 * at.sin) } else { zero }]],
+            velocity: [[zero]],
+        }
+    }
+
+    #[inline(always)]
+    fn regressor<R: Real>(at: &Turn<R>, _: &[R; 1], ddq: &[R; 1]) -> [[R; 1]; MOST_BASE] {
+        let zero = R::splat(0.0);
+        let gravity = if VERTICAL { at.cos } else { zero };
+        [[ddq[0]], [gravity], [zero], [zero], [zero]]
+    }
+
+    #[inline(always)]
     fn potential<R: Real>(base: &OneLinkBase<R>, at: &Turn<R>) -> R {
         if VERTICAL {
             base.g1 * at.sin
@@ -292,6 +424,25 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
         } else {
             reading
         }]
+    }
+
+    #[inline(always)]
+    fn accelerometer_slopes<R: Real>(
+        sensors: &Accelerometers<1>,
+        at: &Turn<R>,
+        _: &[R; 1],
+        _: &[R; 1],
+    ) -> (Slopes<R, 1>, [[R; 1]; 1]) {
+        let zero = R::splat(0.0);
+        let slopes = Slopes {
+            angle: [[if VERTICAL {
+                -(R::splat(sensors.gravity) * at.sin)
+            } else {
+                zero
+            }]],
+            velocity: [[zero]],
+        };
+        (slopes, [[R::splat(sensors.distance[0])]])
     }
 
     #[inline(always)]

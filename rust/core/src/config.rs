@@ -86,10 +86,19 @@ const DRIVE: [&str; 5] = [
     "link_viscous_friction",
 ];
 
+/// How fast friction brings a motor to rest; an elastic gear's motor alone has it.
+pub(crate) const SETTLING: &str = "friction_settling_time";
+
 impl GearKind {
+    /// How many parameters it has.
+    #[inline(always)]
+    pub(crate) fn parameters(self) -> usize {
+        self.names().len()
+    }
+
     fn names(self) -> &'static [&'static str] {
         match self {
-            GearKind::Linear => &["gear_stiffness", "gear_damping", "friction_settling_time"],
+            GearKind::Linear => &["gear_stiffness", "gear_damping", SETTLING],
             GearKind::ThreeSlope => &[
                 "gear_stiffness_k1",
                 "gear_stiffness_k2",
@@ -97,7 +106,7 @@ impl GearKind {
                 "gear_knee_t1",
                 "gear_knee_t2",
                 "gear_damping",
-                "friction_settling_time",
+                SETTLING,
             ],
             GearKind::Rigid => &[],
         }
@@ -131,7 +140,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 | "motor_coulomb_friction"
                 | "link_viscous_friction"
                 | "gear_damping"
-                | "friction_settling_time" => (value >= 0.0, "zero or positive"),
+                | SETTLING => (value >= 0.0, "zero or positive"),
                 // A rigid gear's link may have its inertia counted with the motor's.
                 "link_inertia" if self.joints[0].gear == GearKind::Rigid => {
                     (value >= 0.0, "zero or positive")

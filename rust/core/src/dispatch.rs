@@ -3,9 +3,12 @@
 //! This is the only place that picks a scalar which needs more than the target's baseline, and it
 //! asks the processor first.
 
+use std::marker::PhantomData;
+
 use rayon::prelude::*;
 
 use crate::arm::Arm;
+use crate::follow::Followed;
 #[cfg(target_arch = "x86_64")]
 use crate::lanes::{F64x4, F64x8};
 #[cfg(target_arch = "x86_64")]
@@ -154,22 +157,52 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
 ) -> Result<Sensitivities<N>, Diverged> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
     if task.config.is_elastic() {
-        followed::<A, N, true>(task, member, directions, width)
-    } else {
-        followed::<A, N, false>(task, member, directions, width)
+        return followed(task, member, directions, width);
+    }
+    by_duals_at(task, member, directions, width)
+}
+
+/// What [`sensitivities`] gives, by the chain over numbers with derivatives alone: slower, for
+/// rigid gears too, and what the faster way is checked against.
+///
+/// # Errors
+/// The motion diverged.
+pub fn by_duals_at<A: Arm<N>, const N: usize>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    directions: &[Source],
+    width: Width,
+) -> Result<Sensitivities<N>, Diverged> {
+    assert!(width <= Width::detect(), "this processor has no {width:?}");
+    match width {
+        Width::Portable => by_duals::<A, f64, f64, N, false>(task, member, directions),
+        #[cfg(target_arch = "x86_64")]
+        _ => by_duals::<A, Fused, F64x4, N, false>(task, member, directions),
+        #[cfg(not(target_arch = "x86_64"))]
+        _ => unreachable!("only x86-64 detects vectors"),
     }
 }
 
-fn followed<A: Arm<N>, const N: usize, const ELASTIC: bool>(
+fn followed<A: Arm<N>, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     directions: &[Source],
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     match width {
-        Width::Portable => by_duals::<A, f64, f64, N, ELASTIC>(task, member, directions),
+        Width::Portable => f64::scope(Followed::<A, f64, f64, f64, N> {
+            task,
+            member,
+            directions,
+            scalars: PhantomData,
+        }),
         #[cfg(target_arch = "x86_64")]
-        _ => by_duals::<A, Fused, F64x4, N, ELASTIC>(task, member, directions),
+        _ => F64x4::scope(Followed::<A, Fused, F64x4, F64x4, N> {
+            task,
+            member,
+            directions,
+            scalars: PhantomData,
+        }),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }

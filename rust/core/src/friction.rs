@@ -23,7 +23,7 @@
 
 use crate::arm::Arm;
 use crate::drive::CurrentLoop;
-use crate::plant::{Instant, Modes, Plant, State};
+use crate::plant::{Instant, Modes, Plant, State, Watch};
 use crate::real::{Real, Work};
 
 /// Most events within one step; beyond, the motor that asks again is held until the step ends.
@@ -114,20 +114,24 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         margin
     }
 
-    /// Advances one trajectory by `h` [s] through whatever events the time holds.
+    /// Advances one trajectory by `h` [s] through whatever events the time holds; `stretches` gets
+    /// what lies between them.
     pub fn advance(
         &self,
         motion: &Motion<R, N>,
         target: &[R; N],
         current: &CurrentLoop<R, N>,
         h: f64,
+        stretches: &mut Vec<Stretch<R, N>>,
     ) -> Motion<R, N> {
         let mut now = *motion;
         let mut left = R::splat(h);
         for _ in 0..MOST_EVENTS {
             let leg = Leg::new(self, &now, target, current, left);
             let (end, margins) = leg.end(R::splat(1.0));
-            let Some((part, joint)) = leg.first_event(&margins) else {
+            let event = leg.first_event(&margins);
+            stretches.push(Stretch::new(&now, left, event));
+            let Some((part, joint)) = event else {
                 return end;
             };
             // what begins in another mode than the leg's does so at a fixed time
@@ -144,9 +148,24 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
             }
         }
         self.hold_restless(&mut now);
+        stretches.push(Stretch::new(&now, left, None));
         Leg::new(self, &now, target, current, left)
             .end(R::splat(1.0))
             .0
+    }
+
+    /// Goes through a stretch once more, for somebody to look on: where it ends, and the margins
+    /// there, over a part of its longest length.
+    #[inline(always)]
+    pub(crate) fn retrace(
+        &self,
+        from: &Motion<R, N>,
+        target: &[R; N],
+        current: &CurrentLoop<R, N>,
+        (length, part): (R, R),
+        watch: &mut impl Watch<R, N>,
+    ) -> (Motion<R, N>, [R; N]) {
+        Leg::new(self, from, target, current, length).integrate(part, watch)
     }
 
     /// Changes the mode of the joint whose event this is.
@@ -178,6 +197,30 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
                 motion.modes.direction[i] = R::splat(0.0);
                 motion.modes.free[i] = R::splat(0.0);
             }
+        }
+    }
+}
+
+/// Where the modes change: which part of the leg that begins at the last event, and whose joint.
+pub type Event = (f64, usize);
+
+/// What lies between two events of a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Stretch<R, const N: usize> {
+    /// Where it begins.
+    pub from: Motion<R, N>,
+    /// What was left of the step there [s].
+    pub length: f64,
+    /// The event that ends it; `None` where the step does.
+    pub event: Option<Event>,
+}
+
+impl<R: Real, const N: usize> Stretch<R, N> {
+    fn new(from: &Motion<R, N>, length: R, event: Option<Event>) -> Self {
+        Self {
+            from: *from,
+            length: length.lane(0),
+            event,
         }
     }
 }
@@ -219,7 +262,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Work
     type Output = (Motion<R, N>, [R; N]);
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.0.integrate(self.1)
+        self.0.integrate(self.1, &mut ())
     }
 }
 
@@ -248,13 +291,13 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
     }
 
     #[inline(always)]
-    fn integrate(&self, part: R) -> (Motion<R, N>, [R; N]) {
+    fn integrate(&self, part: R, watch: &mut impl Watch<R, N>) -> (Motion<R, N>, [R; N]) {
         let t = part * self.length;
         let torque = self.current.over(&self.from.torque, self.target, t);
         let modes = &self.from.modes;
         let state = self
             .plant
-            .runge_kutta(&self.from.state, &self.begin, &torque, modes, t);
+            .runge_kutta(&self.from.state, &self.begin, &torque, modes, t, watch);
         let margins = self
             .plant
             .margins(&state, &torque.end, modes, self.standing);
@@ -266,8 +309,8 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Leg<'a, A, R, 
         (motion, margins)
     }
 
-    /// The earliest event: which part of the leg, and whose.
-    fn first_event(&self, margins_at_end: &[R; N]) -> Option<(f64, usize)> {
+    /// The earliest event.
+    fn first_event(&self, margins_at_end: &[R; N]) -> Option<Event> {
         let at_begin = self.plant.margins(
             &self.from.state,
             &self.from.torque,

@@ -26,6 +26,15 @@ struct Knee<R> {
     slope_change: R, // K_{j+1} - K_j
 }
 
+/// 1/K1 and 1/K2, and how fast the knees come in as K1 and K2 rise.
+#[derive(Clone, Copy, Debug)]
+pub struct PerSlope<R> {
+    k1: R,
+    k2: R,
+    first_knee_by_k1: R,
+    second_knee_by_k2: R,
+}
+
 impl<R: Real> Spring<R> {
     /// T = K delta: three slopes that are one, exactly, since its knees change nothing.
     #[inline(always)]
@@ -87,6 +96,35 @@ impl<R: Real> Spring<R> {
         slope
     }
 
+    /// How the torque at a twist depends on K1, K2, K3, T1 and T2.
+    #[inline(always)]
+    pub fn by_parameters(&self, delta: R, per: &PerSlope<R>) -> [R; 5] {
+        let one = R::splat(1.0).copysign(delta);
+        let twist = delta.abs();
+        let (first, second) = (self.knees[0].ramp(twist), self.knees[1].ramp(twist));
+        // How the torque falls where a knee moves out.
+        let two_out = one * self.knees[1].slope(twist);
+        let both_out = one.mul_add(self.knees[0].slope(twist), two_out);
+        let k1 = one.mul_add(twist - first, both_out * per.first_knee_by_k1);
+        let k2 = one.mul_add(first - second, two_out * per.second_knee_by_k2);
+        let t1 = two_out.mul_add(per.k2, -(both_out * per.k1));
+        [k1, k2, one * second, t1, -(two_out * per.k2)]
+    }
+
+    /// What [`Spring::by_parameters`] needs: divisions that every twist shares.
+    pub fn per_slope(&self) -> PerSlope<R> {
+        let one = R::splat(1.0);
+        let k2 = one / (self.k1 + self.knees[0].slope_change);
+        let at = |knee: &Knee<R>| R::splat(0.5) * knee.width - knee.shift;
+        let (first, second) = (at(&self.knees[0]), at(&self.knees[1]));
+        PerSlope {
+            k1: one / self.k1,
+            k2,
+            first_knee_by_k1: first / self.k1,
+            second_knee_by_k2: (second - first) * k2,
+        }
+    }
+
     /// The twist [rad] at which the spring gives a torque [N m]: the inverse of [`Spring::torque`].
     ///
     /// Newton's iteration inside a bracket that is halved wherever a step leaves it or does not
@@ -131,6 +169,15 @@ impl<R: Real> Knee<R> {
         let inside = into.min(self.width);
         let torque = (self.half_rise * inside).mul_add(inside, torque);
         self.slope_change.mul_add(into - inside, torque)
+    }
+
+    /// What `add_to` adds per change of slope.
+    #[inline(always)]
+    fn ramp(&self, twist: R) -> R {
+        let into = (twist + self.shift).max(R::splat(0.0));
+        let inside = into.min(self.width);
+        let share = R::splat(0.5) * inside / self.width;
+        share.mul_add(inside, into - inside)
     }
 
     /// Slope of what `add_to` adds.

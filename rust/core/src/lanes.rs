@@ -6,7 +6,7 @@
 
 use std::arch::x86_64::*;
 
-use crate::real::{Fused, Real, Work, operators};
+use crate::real::{Fused, MOST_LANES, Real, Work, operators};
 
 /// Runs work compiled for AVX2 and fused multiply-add.
 ///
@@ -29,7 +29,8 @@ pub unsafe fn with_avx512<W: Work>(work: W) -> W::Output {
 macro_rules! vector {
     ($(#[$doc:meta])* $name:ident, $register:ty, $lanes:literal, $with:ident,
      $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident, $min:ident, $max:ident,
-     $splat:ident, |$x:ident| $negative:expr, |$m:ident, $s:ident| $copysign:expr) => {
+     $splat:ident, |$x:ident| $negative:expr, |$m:ident, $s:ident| $copysign:expr,
+     { $($more:item)* }) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
         #[repr(transparent)]
@@ -95,6 +96,19 @@ macro_rules! vector {
                 unsafe { *(&raw mut self.0).cast::<f64>().add(index) = value }
             }
             #[inline(always)]
+            fn load(from: &[f64]) -> Self {
+                assert!(from.len() >= $lanes);
+                // SAFETY: there are as many numbers as the register holds.
+                Self(unsafe { from.as_ptr().cast::<$register>().read_unaligned() })
+            }
+            #[inline(always)]
+            fn store(self, to: &mut [f64]) {
+                assert!(to.len() >= $lanes);
+                // SAFETY: as in `load`.
+                unsafe { to.as_mut_ptr().cast::<$register>().write_unaligned(self.0) }
+            }
+            $($more)*
+            #[inline(always)]
             fn one(self, index: usize) -> Fused {
                 Fused(self.lane(index))
             }
@@ -115,6 +129,24 @@ vector!(
     |magnitude, sign| {
         let mask = _mm256_set1_pd(-0.0);
         _mm256_or_pd(_mm256_andnot_pd(mask, magnitude), _mm256_and_pd(mask, sign))
+    },
+    {
+        #[inline(always)]
+        fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
+            let (a, b) = (Self::load(&rows[pick[0]]).0, Self::load(&rows[pick[1]]).0);
+            let (c, d) = (Self::load(&rows[pick[2]]).0, Self::load(&rows[pick[3]]).0);
+            // SAFETY: the processor has the feature, as the top of this file says.
+            unsafe {
+                let (ab, cd) = (_mm256_unpacklo_pd(a, b), _mm256_unpacklo_pd(c, d));
+                let (high_ab, high_cd) = (_mm256_unpackhi_pd(a, b), _mm256_unpackhi_pd(c, d));
+                [
+                    Self(_mm256_permute2f128_pd::<0x20>(ab, cd)),
+                    Self(_mm256_permute2f128_pd::<0x20>(high_ab, high_cd)),
+                    Self(_mm256_permute2f128_pd::<0x31>(ab, cd)),
+                    Self(_mm256_permute2f128_pd::<0x31>(high_ab, high_cd)),
+                ]
+            }
+        }
     }
 );
 
@@ -129,5 +161,6 @@ vector!(
         let magnitude = _mm512_andnot_si512(mask, _mm512_castpd_si512(magnitude));
         let sign = _mm512_and_si512(mask, _mm512_castpd_si512(sign));
         _mm512_castsi512_pd(_mm512_or_si512(magnitude, sign))
-    }
+    },
+    {}
 );

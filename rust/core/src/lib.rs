@@ -13,6 +13,7 @@ pub mod config;
 pub mod dispatch;
 pub mod drive;
 pub mod dual;
+mod follow;
 pub mod friction;
 pub mod gear;
 #[cfg(target_arch = "x86_64")]
@@ -23,3 +24,4 @@ pub mod rigid;
 pub mod sensitivity;
 pub mod sensors;
 pub mod simulate;
+mod variation;

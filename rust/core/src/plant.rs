@@ -88,6 +88,18 @@ pub struct StepTorque<R, const N: usize> {
     pub end: [R; N],
 }
 
+/// Something that looks on while a step is made.
+pub trait Watch<R, const N: usize> {
+    /// The `k`-th stage, from 0. Implementations are `#[inline(always)]`.
+    fn stage(&mut self, k: usize, x: &State<R, N>, a: &Acceleration<R, N>);
+}
+
+/// Nobody looks on.
+impl<R, const N: usize> Watch<R, N> for () {
+    #[inline(always)]
+    fn stage(&mut self, _: usize, _: &State<R, N>, _: &Acceleration<R, N>) {}
+}
+
 /// The arm at one instant.
 #[derive(Clone, Copy)]
 pub struct Instant<A: Arm<N>, R: Real, const N: usize> {
@@ -239,6 +251,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
     /// For q'' = a(q, q', t) the four stages need the positions only through earlier stages'
     /// velocities, and collapse to
     /// q+ = q + h q' + h^2/6 (a1 + a2 + a3), q'+ = q' + h/6 (a1 + 2 a2 + 2 a3 + a4).
+    /// `watch` sees each stage.
     #[inline(always)]
     pub fn runge_kutta(
         &self,
@@ -247,16 +260,21 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Plant<A, R, N, ELA
         torque: &StepTorque<R, N>,
         modes: &Modes<R, N>,
         h: R,
+        watch: &mut impl Watch<R, N>,
     ) -> State<R, N> {
         let a1 = &now.acceleration;
+        watch.stage(0, x, a1);
         let half = R::splat(0.5) * h;
         let held = |stage: Stage<R, N>, t: R| (self.held(x, stage.0, modes, t), stage.1);
         let second = held(x.drifted(half, a1), half);
         let a2 = self.after(now, &second, &torque.middle, modes);
+        watch.stage(1, &second.0, &a2);
         let third = held(x.moved(half, half * half, a1, half, &a2), half);
         let a3 = self.after(now, &third, &torque.middle, modes);
+        watch.stage(2, &third.0, &a3);
         let fourth = held(x.moved(h, h * half, &a2, h, &a3), h);
         let a4 = self.after(now, &fourth, &torque.end, modes);
+        watch.stage(3, &fourth.0, &a4);
         let sixth = h * R::splat(1.0 / 6.0);
         let inner = a2.plus(&a3);
         let for_angle = a1.plus(&inner);
@@ -426,7 +444,7 @@ impl<R: Real, const N: usize> Acceleration<R, N> {
 /// Solves a small symmetric positive definite system: Cramer's rule for two rows (one division),
 /// L D L' beyond.
 #[inline(always)]
-fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N]) -> [R; N] {
+pub(crate) fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N]) -> [R; N] {
     let mut x = *right;
     if N == 1 {
         x[0] = right[0] / matrix[0][0];

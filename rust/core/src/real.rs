@@ -15,6 +15,9 @@ pub trait Work {
     fn run(self) -> Self::Output;
 }
 
+/// Most lanes that any scalar has.
+pub const MOST_LANES: usize = 8;
+
 /// A real number, or several side by side.
 pub trait Real:
     Copy
@@ -59,6 +62,34 @@ pub trait Real:
     fn one(self, index: usize) -> Self::One;
     /// Replaces what stands in one lane, with its derivatives.
     fn set_one(&mut self, index: usize, one: Self::One);
+
+    /// The first numbers of a list, one a lane.
+    #[inline(always)]
+    fn load(from: &[f64]) -> Self {
+        let mut all = Self::splat(0.0);
+        for lane in 0..Self::LANES {
+            all.set_lane(lane, from[lane]);
+        }
+        all
+    }
+    /// The lanes' numbers to the beginning of a list.
+    #[inline(always)]
+    fn store(self, to: &mut [f64]) {
+        for lane in 0..Self::LANES {
+            to[lane] = self.lane(lane);
+        }
+    }
+    /// Four numbers, of which lane `l` holds those of `rows[pick[l]]`.
+    #[inline(always)]
+    fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
+        std::array::from_fn(|k| {
+            let mut all = Self::splat(0.0);
+            for lane in 0..Self::LANES {
+                all.set_lane(lane, rows[pick[lane]][k]);
+            }
+            all
+        })
+    }
 
     /// The root of a function whose value is known, as a function of all that the function holds.
     ///

@@ -45,7 +45,11 @@ pub(crate) fn by_duals<A: Arm<N>, S: Real, V: Real, const N: usize, const ELASTI
 }
 
 /// A number that moves with the directions that are its own.
-fn seeded<S: Real, V: Real>(source: Source, value: f64, directions: &[Source]) -> Dual<S, V> {
+pub(crate) fn seeded<S: Real, V: Real>(
+    source: Source,
+    value: f64,
+    directions: &[Source],
+) -> Dual<S, V> {
     let mut number = Dual::<S, V>::splat(value);
     for (lane, &direction) in directions.iter().take(V::LANES).enumerate() {
         if direction == source {

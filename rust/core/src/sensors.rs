@@ -79,6 +79,18 @@ impl<R: Real, const M: usize> LowPass<R, M> {
         self.input = input;
     }
 
+    /// The filter that a derivative of this one's readings goes through, and where it is now.
+    pub(crate) fn of_tangents<V: Real>(&self, tangent: impl Fn(&R) -> V) -> LowPass<V, M> {
+        let plain = |row: &[R; M]| row.map(|number| V::splat(number.lane(0)));
+        LowPass {
+            transition: std::array::from_fn(|i| plain(&self.transition[i])),
+            from_old: plain(&self.from_old),
+            from_new: plain(&self.from_new),
+            state: std::array::from_fn(|i| tangent(&self.state[i])),
+            input: tangent(&self.input),
+        }
+    }
+
     /// The sensor's output now.
     #[inline(always)]
     pub fn output(&self) -> R {

@@ -5,8 +5,8 @@ use std::marker::PhantomData;
 use crate::arm::Arm;
 use crate::config::{Config, gather};
 use crate::drive::{CurrentLoop, Servo, ServoState, encoder_angle};
-use crate::friction::{Motion, sign};
-use crate::plant::{Instant, Plant, State};
+use crate::friction::{Motion, Stretch, sign};
+use crate::plant::{Instant, Plant, State, Watch};
 use crate::real::{Real, Work};
 use crate::sensors::LowPass;
 
@@ -63,6 +63,50 @@ impl Clock {
     /// Ticks the feed-forward and the reference must hold.
     pub fn ticks(&self) -> usize {
         self.steps() / self.steps_per_tick + 1
+    }
+
+    /// Every instant, and what is to be done there.
+    pub(crate) fn instants(&self) -> Instants {
+        Instants {
+            clock: *self,
+            step: 0,
+            to_tick: 0,
+            to_servo: 0,
+            to_sample: 0,
+        }
+    }
+}
+
+/// A clock on its way; it counts down, which is cheaper than to divide at every step.
+pub(crate) struct Instants {
+    clock: Clock,
+    step: usize,
+    to_tick: usize,
+    to_servo: usize,
+    to_sample: usize,
+}
+
+impl Iterator for Instants {
+    type Item = (usize, Event);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<(usize, Event)> {
+        let (step, steps) = (self.step, self.clock.steps());
+        if step > steps {
+            return None;
+        }
+        let event = Event {
+            commands: self.to_tick == 0 || self.to_servo == 0,
+            servo_reads: self.to_servo == 0,
+            samples: self.to_sample == 0,
+            last: step == steps,
+        };
+        let next = |left: usize, period: usize| if left == 0 { period - 1 } else { left - 1 };
+        self.to_tick = next(self.to_tick, self.clock.steps_per_tick);
+        self.to_servo = next(self.to_servo, self.clock.steps_per_servo);
+        self.to_sample = next(self.to_sample, self.clock.steps_per_sample);
+        self.step += 1;
+        Some((step, event))
     }
 }
 
@@ -187,63 +231,52 @@ where
             .chunks(R::LANES)
             .map(|members| Group::new(self.task, members, &self.given))
             .collect();
-        let clock = &self.task.clock;
-        let (mut to_tick, mut to_servo, mut to_sample) = (0, 0, 0);
-        let steps = clock.steps();
-        for step in 0..=steps {
-            let event = Event {
-                commands: to_tick == 0 || to_servo == 0,
-                servo_reads: to_servo == 0,
-                samples: to_sample == 0,
-                last: step == steps,
-            };
+        for (step, event) in self.task.clock.instants() {
             for group in &mut groups {
                 group.step(step, &event);
             }
-            let next = |left: usize, period: usize| if left == 0 { period - 1 } else { left - 1 };
-            to_tick = next(to_tick, clock.steps_per_tick);
-            to_servo = next(to_servo, clock.steps_per_servo);
-            to_sample = next(to_sample, clock.steps_per_sample);
         }
         groups.into_iter().flat_map(Group::results).collect()
     }
 }
 
 /// What the clock asks for at one step.
-struct Event {
-    commands: bool,
-    servo_reads: bool,
-    samples: bool,
-    last: bool,
+pub(crate) struct Event {
+    pub(crate) commands: bool,
+    pub(crate) servo_reads: bool,
+    pub(crate) samples: bool,
+    pub(crate) last: bool,
 }
 
 /// Arms that run side by side.
-struct Group<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
+pub(crate) struct Group<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> {
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
-    plant: Plant<A, R, N, ELASTIC>,
+    pub(crate) plant: Plant<A, R, N, ELASTIC>,
     current: CurrentLoop<R, N>,
-    single: Vec<Plant<A, R::One, N, ELASTIC>>,
-    single_current: CurrentLoop<R::One, N>,
-    motion: Motion<R, N>,
+    pub(crate) single: Vec<Plant<A, R::One, N, ELASTIC>>,
+    pub(crate) single_current: CurrentLoop<R::One, N>,
+    pub(crate) motion: Motion<R, N>,
     standing: bool,
-    target: [R; N],
-    voltage: Vec<[R::One; N]>,
+    pub(crate) target: [R; N],
+    pub(crate) voltage: Vec<[R::One; N]>,
     servo: Vec<ServoState<R::One, N>>,
-    sensors: Option<Sensors<R, N>>,
+    pub(crate) sensors: Option<Sensors<R, N>>,
+    /// What friction's events cut the last step into, for the last lane that had any.
+    pub(crate) stretches: Vec<Stretch<R::One, N>>,
     records: Vec<RecordOf<R::One, N>>,
     diverged: Vec<Option<Diverged>>,
 }
 
 /// The sensors with a memory, one of each kind a joint.
-struct Sensors<R, const N: usize> {
-    accelerometer: [Option<LowPass<R, 2>>; N],
-    gyro: [Option<LowPass<R, 1>>; N],
+pub(crate) struct Sensors<R, const N: usize> {
+    pub(crate) accelerometer: [Option<LowPass<R, 2>>; N],
+    pub(crate) gyro: [Option<LowPass<R, 1>>; N],
     readings: [[R; N]; 2],
 }
 
 impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R, N, ELASTIC> {
-    fn new(
+    pub(crate) fn new(
         task: &'a Task<A, N>,
         members: &'a [Member<'a, N>],
         given: &impl Fn(Source, f64) -> R::One,
@@ -281,6 +314,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
                 .map(|(member, start)| member.servo_at_rest(task, &start.state.motor_angle))
                 .collect(),
             sensors: None,
+            stretches: Vec::new(),
             records: vec![
                 vec![Vec::with_capacity(task.clock.samples); task.record.len()];
                 R::LANES
@@ -300,21 +334,25 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
         if event.commands {
             self.command(step, event.servo_reads);
         }
-        let motion = &self.motion;
-        let now = self
-            .plant
-            .instant(&motion.state, &motion.torque, &motion.modes);
+        let now = self.instant();
         self.sense(&now);
         if event.samples {
             self.record(step, &now);
         }
         if !event.last {
-            self.advance(&now);
+            self.advance(&now, &mut ());
         }
     }
 
+    #[inline(always)]
+    pub(crate) fn instant(&self) -> Instant<A, R, N> {
+        let motion = &self.motion;
+        self.plant
+            .instant(&motion.state, &motion.torque, &motion.modes)
+    }
+
     /// Takes in the voltages of this instant: the tick's feed-forward, and the servo where it reads.
-    fn command(&mut self, step: usize, servo_reads: bool) {
+    pub(crate) fn command(&mut self, step: usize, servo_reads: bool) {
         let tick = step / self.task.clock.steps_per_tick;
         for lane in 0..R::LANES {
             let member = &self.members[lane];
@@ -365,13 +403,13 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
 
     /// One step of the integrator; lanes in which friction changes its mode are redone singly.
     #[inline(always)]
-    fn advance(&mut self, now: &Instant<A, R, N>) {
+    pub(crate) fn advance(&mut self, now: &Instant<A, R, N>, watch: &mut impl Watch<R, N>) {
         let torque = self.current.over_step(&self.motion.torque, &self.target);
         let h = R::splat(self.task.clock.step);
         let modes = &self.motion.modes;
         let state = self
             .plant
-            .runge_kutta(&self.motion.state, now, &torque, modes, h);
+            .runge_kutta(&self.motion.state, now, &torque, modes, h, watch);
         let margins = self
             .plant
             .margins(&state, &torque.end, modes, self.standing);
@@ -380,6 +418,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
             least = least.min(*margin);
         }
         let before = self.motion;
+        self.stretches.clear();
         self.motion.state = state;
         self.motion.torque = torque.end;
         if least.any_negative() {
@@ -394,7 +433,14 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
                 let from = one_of(before, lane);
                 let target = self.target.map(|target| target.one(lane));
                 let h = self.task.clock.step;
-                let to = self.single[lane].advance(&from, &target, &self.single_current, h);
+                self.stretches.clear();
+                let to = self.single[lane].advance(
+                    &from,
+                    &target,
+                    &self.single_current,
+                    h,
+                    &mut self.stretches,
+                );
                 self.set_lane(lane, &to);
             }
         }
@@ -423,9 +469,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
     }
 
     fn sensors_at_rest(&self) -> Sensors<R, N> {
-        let now = self
-            .plant
-            .instant(&self.motion.state, &self.motion.torque, &self.motion.modes);
+        let now = self.instant();
         let readings = self.readings(&now);
         let joints = &self.task.config.joints;
         let h = self.task.clock.step;
@@ -455,7 +499,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
     }
 
     #[inline(always)]
-    fn sense(&mut self, now: &Instant<A, R, N>) {
+    pub(crate) fn sense(&mut self, now: &Instant<A, R, N>) {
         if self.sensors.is_none() {
             return;
         }
@@ -477,7 +521,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
     }
 
     #[inline(never)]
-    fn record(&mut self, step: usize, now: &Instant<A, R, N>) {
+    pub(crate) fn record(&mut self, step: usize, now: &Instant<A, R, N>) {
         for k in 0..self.task.record.len() {
             match self.task.record[k] {
                 Quantity::Voltage => self.put(k, |group, lane, i| group.voltage[lane][i]),
@@ -540,7 +584,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool> Group<'a, A, R
         }
     }
 
-    fn results(self) -> Vec<Result<RecordOf<R::One, N>, Diverged>> {
+    pub(crate) fn results(self) -> Vec<Result<RecordOf<R::One, N>, Diverged>> {
         self.records
             .into_iter()
             .zip(self.diverged)
@@ -603,10 +647,17 @@ fn start<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool>(
         }
     }
     let torque = std::array::from_fn(|i| S::splat(current.torque_per_volt[i] * initial.voltage[i]));
+    let modes = plant.modes_at(&state, &torque);
+    for i in 0..N {
+        // Friction stops a standing motor however it is nudged: no derivative either.
+        if modes.free[i].lane(0) == 0.0 {
+            state.motor_velocity[i] = S::splat(0.0);
+        }
+    }
     Motion {
-        modes: plant.modes_at(&state, &torque),
         state,
         torque,
+        modes,
     }
 }
 

@@ -1,0 +1,578 @@
+//! One plain simulation, and derivatives that follow it in columns of directions.
+//!
+//! Smooth steps go through [`crate::variation`]; so do the stretches of a step
+//! between events of friction, with what the events' instants do. Where the servo commands, and to
+//! see how an event's margin moves, a column becomes numbers with derivatives for that moment.
+
+use std::marker::PhantomData;
+
+use crate::arm::{Arm, Slopes};
+use crate::drive::CurrentLoop;
+use crate::dual::Dual;
+use crate::friction::{Motion, Stretch};
+use crate::plant::{Instant, Modes, Plant, State, StepTorque, Watch};
+use crate::real::{Real, Work};
+use crate::sensitivity::{Sensitivities, seeded};
+use crate::sensors::LowPass;
+use crate::simulate::{Diverged, Event, Group, Member, Quantity, Source, Task, values};
+use crate::variation::{Column, Linearised, Response, Tangent, Trace};
+
+/// One arm with elastic gears, derivatives in some directions: scalars `S`, `V::LANES` directions
+/// a column, and lanes `L` for the stages of a step side by side.
+pub(crate) struct Followed<'a, A, S, V, L, const N: usize> {
+    pub(crate) task: &'a Task<A, N>,
+    pub(crate) member: &'a Member<'a, N>,
+    pub(crate) directions: &'a [Source],
+    pub(crate) scalars: PhantomData<(S, V, L)>,
+}
+
+impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
+    for Followed<'_, A, S, V, L, N>
+{
+    type Output = Result<Sensitivities<N>, Diverged>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let mut chain = Chain::<'_, A, S, V, L, N>::new(&self);
+        for (step, event) in self.task.clock.instants() {
+            chain.step(step, &event);
+        }
+        let Chain {
+            nominal, tangents, ..
+        } = chain;
+        let mut values_of = Vec::new();
+        for record in nominal.results() {
+            values_of = values(&record?);
+        }
+        Ok(Sensitivities {
+            values: values_of,
+            tangents,
+        })
+    }
+}
+
+struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> {
+    task: &'a Task<A, N>,
+    nominal: Group<'a, A, S, N, true>,
+    moving: Moving<A, S, N>,
+    trace: Trace<N>,
+    linear: Linearised<A, L, N>,
+    followers: Vec<Follower<'a, A, S, V, N>>,
+    /// For each quantity samples times joints times directions.
+    tangents: Vec<Vec<f64>>,
+    sampled: usize,
+}
+
+impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a, A, S, V, L, N> {
+    fn new(of: &Followed<'a, A, S, V, L, N>) -> Self {
+        let (task, width) = (of.task, of.directions.len());
+        let plain = |_, value| S::splat(value);
+        Self {
+            task,
+            nominal: Group::new(task, std::slice::from_ref(of.member), &plain),
+            moving: Moving {
+                plant: task
+                    .config
+                    .plant_of(|k| Dual::splat(of.member.parameters[k])),
+                current: task.config.current_loop(task.clock.step),
+                ratio: task.config.joints.map(|joint| joint.ratio),
+            },
+            trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
+            linear: Linearised::new(&task.config, of.member.parameters),
+            followers: (0..width)
+                .step_by(V::LANES)
+                .map(|first| Follower::new(task, of.member, &of.directions[first..]))
+                .collect(),
+            tangents: vec![vec![0.0; task.clock.samples * N * width]; task.record.len()],
+            sampled: 0,
+        }
+    }
+
+    #[inline(always)]
+    fn step(&mut self, step: usize, event: &Event) {
+        if event.commands {
+            self.command(step, event);
+        }
+        let now = self.nominal.instant();
+        self.nominal.sense(&now);
+        if event.samples {
+            self.nominal.record(step, &now);
+        }
+        let before = self.nominal.motion;
+        if event.last {
+            for k in 0..4 {
+                self.trace.stage(k, &before.state, &now.acceleration);
+            }
+        } else {
+            self.nominal.advance(&now, &mut self.trace);
+        }
+        let h = self.task.clock.step;
+        self.linear.update(&self.trace, &before.modes, h);
+        self.follow(event, &before, &now);
+    }
+
+    fn command(&mut self, step: usize, event: &Event) {
+        if self.task.servo.is_some() {
+            for follower in &mut self.followers {
+                follower.command(&self.nominal.motion, step, event.servo_reads);
+            }
+        }
+        self.nominal.command(step, event.servo_reads);
+    }
+
+    /// The derivatives' part of an instant and of the step that follows it.
+    #[inline(always)]
+    fn follow(&mut self, event: &Event, before: &Motion<S, N>, now: &Instant<A, S, N>) {
+        let readings = self
+            .task
+            .record
+            .contains(&Quantity::Accelerometer)
+            .then(|| Readings::new(self.task, &before.state, now));
+        let smooth = !event.last && self.nominal.stretches.is_empty();
+        let mut first = 0;
+        for follower in &mut self.followers {
+            follower.column.force(&self.linear);
+            let x = follower.column.tangent;
+            let torque = follower.driven.then_some(&follower.torque);
+            let response = follower.column.respond(&self.linear, 0, &x, torque);
+            follower.sense(readings.as_ref(), &response);
+            if event.samples {
+                let tangents = &mut self.tangents;
+                follower.record(self.task, tangents, (self.sampled, first), &response);
+            }
+            if smooth {
+                follower.advance(&self.linear, &response, self.task.clock.step);
+            }
+            first += V::LANES;
+        }
+        self.sampled += usize::from(event.samples);
+        if !event.last && !smooth {
+            V::scope(Redo(self));
+        }
+    }
+
+    /// A step in which friction changed its mode: from stretch to stretch.
+    #[inline(always)]
+    fn redo(&mut self) {
+        let (nominal, moving) = (&self.nominal, &self.moving);
+        let target = nominal.target;
+        for follower in &mut self.followers {
+            follower.left = V::splat(0.0);
+        }
+        let (one, zero) = ([S::splat(1.0); N], [S::splat(0.0); N]);
+        for stretch in &nominal.stretches {
+            let Stretch {
+                from,
+                length,
+                event,
+            } = stretch;
+            let part = event.map_or(1.0, |event| event.0);
+            let current = &nominal.single_current;
+            let whole = (S::splat(*length), S::splat(part));
+            let (end, _) = nominal
+                .plant
+                .retrace(from, &target, current, whole, &mut self.trace);
+            self.linear.update(&self.trace, &from.modes, part * length);
+            let rates = moving.rates(stretch, &target, part);
+            let at_once = |i: usize| nominal.plant.joints[i].settling_time.lane(0) == 0.0;
+            let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
+            let through = Through {
+                rests: std::array::from_fn(|i| at_once(i) && !slides(i)),
+                slides: std::array::from_fn(|i| at_once(i) && slides(i)),
+                moves: part > 0.0,
+                decay: current.over(&one, &zero, S::splat(part * length)),
+                duration: part * length,
+                end,
+                joint: event.map(|event| event.1),
+                rates,
+            };
+            for follower in &mut self.followers {
+                follower.pass(&self.linear, &through);
+            }
+        }
+        for follower in &mut self.followers {
+            if !follower.driven {
+                follower.torque = [V::splat(0.0); N];
+            }
+        }
+    }
+}
+
+/// [`Chain::redo`] in a scope of its own: it is rare, and long.
+struct Redo<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize>(
+    &'c mut Chain<'a, A, S, V, L, N>,
+);
+
+impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
+    for Redo<'_, '_, A, S, V, L, N>
+{
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.redo();
+    }
+}
+
+/// The arm as it depends on nothing but time.
+struct Moving<A: Arm<N>, S: Real<One = S>, const N: usize> {
+    plant: Plant<A, Dual<S, S>, N, true>,
+    current: CurrentLoop<Dual<S, S>, N>,
+    ratio: [f64; N],
+}
+
+impl<A: Arm<N>, S: Real<One = S>, const N: usize> Moving<A, S, N> {
+    /// How fast the end of a stretch moves as the stretch gets longer.
+    #[inline(always)]
+    fn rates(&self, stretch: &Stretch<S, N>, target: &[S; N], part: f64) -> Rates<S, N> {
+        let still = [S::splat(0.0); N];
+        let nothing = Tangent {
+            twist: still,
+            rate: still,
+            angle: still,
+            velocity: still,
+        };
+        let from = lifted(&stretch.from, &nothing, &still, &self.ratio);
+        let longer = Dual {
+            value: S::splat(part),
+            tangent: S::splat(1.0 / stretch.length),
+        };
+        let length = Dual::splat(stretch.length);
+        let (end, margins) = self.plant.retrace(
+            &from,
+            &target.map(Dual::constant),
+            &self.current,
+            (length, longer),
+            &mut (),
+        );
+        Rates {
+            tangent: tangent_of(&end, &self.ratio),
+            torque: end.torque.map(|number| number.tangent),
+            margins: margins.map(|number| number.tangent),
+        }
+    }
+}
+
+/// Derivatives by time.
+struct Rates<S, const N: usize> {
+    tangent: Tangent<S, N>,
+    torque: [S; N],
+    margins: [S; N],
+}
+
+/// A stretch between events, as every column goes through it.
+struct Through<S, const N: usize> {
+    /// Motors that stand, as those do that are held after too many events.
+    rests: [bool; N],
+    /// Motors that come to rest where they have an event.
+    slides: [bool; N],
+    /// Whether the event's instant depends on anything: not where the modes never fitted.
+    moves: bool,
+    /// What is left of the torques' distances to their targets.
+    decay: StepTorque<S, N>,
+    /// How long it takes [s].
+    duration: f64,
+    end: Motion<S, N>,
+    /// Whose event ends it.
+    joint: Option<usize>,
+    rates: Rates<S, N>,
+}
+
+/// How the accelerometers' readings depend on the motion.
+struct Readings<const N: usize> {
+    slopes: Slopes<f64, N>,
+    acceleration: [[f64; N]; N],
+}
+
+impl<const N: usize> Readings<N> {
+    #[inline(always)]
+    fn new<A: Arm<N>, S: Real>(task: &Task<A, N>, x: &State<S, N>, now: &Instant<A, S, N>) -> Self {
+        let (places, posture) = (task.config.accelerometers(), &now.posture);
+        let (slopes, acceleration) =
+            A::accelerometer_slopes(&places, posture, &x.link_velocity, &now.acceleration.link);
+        let plain = |rows: [[S; N]; N]| rows.map(|row| row.map(|number| number.lane(0)));
+        Self {
+            slopes: Slopes {
+                angle: plain(slopes.angle),
+                velocity: plain(slopes.velocity),
+            },
+            acceleration: plain(acceleration),
+        }
+    }
+
+    #[inline(always)]
+    fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
+        let mut sum = [V::splat(0.0); N];
+        for i in 0..N {
+            for j in 0..N {
+                if A::FELT[j] {
+                    sum[i] = V::splat(self.slopes.angle[i][j]).mul_add(x.angle[j], sum[i]);
+                }
+                sum[i] = V::splat(self.slopes.velocity[i][j]).mul_add(x.velocity[j], sum[i]);
+                sum[i] = V::splat(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
+            }
+        }
+        sum
+    }
+}
+
+/// A column of directions on its way.
+struct Follower<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> {
+    column: Column<V, N>,
+    /// The chain over numbers with derivatives, for what is not smooth.
+    dual: Group<'a, A, Dual<S, V>, N, true>,
+    /// Whether the torques depend on anything: they do where a servo closes the loop.
+    driven: bool,
+    torque: [V; N],
+    target: [V; N],
+    current: CurrentLoop<V, N>,
+    accelerometer: [Option<LowPass<V, 2>>; N],
+    gyro: [Option<LowPass<V, 1>>; N],
+    readings: [[V; N]; 2],
+    /// How what is left of a step moves, between its events.
+    left: V,
+    ratio: [f64; N],
+    lanes: usize,
+}
+
+impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S, V, N> {
+    fn new(task: &'a Task<A, N>, member: &'a Member<'a, N>, directions: &[Source]) -> Self {
+        let given = |source, value| seeded(source, value, directions);
+        let dual: Group<'a, A, Dual<S, V>, N, true> =
+            Group::new(task, std::slice::from_ref(member), &given);
+        let zero = [V::splat(0.0); N];
+        let ratio = task.config.joints.map(|joint| joint.ratio);
+        let tangent = tangent_of(&dual.motion, &ratio);
+        let mut own = Self {
+            column: Column::new(&task.config, directions, tangent),
+            driven: task.servo.is_some(),
+            torque: zero,
+            target: zero,
+            current: task.config.current_loop(task.clock.step),
+            accelerometer: [const { None }; N],
+            gyro: [const { None }; N],
+            readings: [zero; 2],
+            left: V::splat(0.0),
+            ratio,
+            lanes: V::LANES.min(directions.len()),
+            dual,
+        };
+        let recorded = |quantity| task.record.contains(&quantity);
+        if let Some(sensors) = &own.dual.sensors {
+            let tangent = |number: &Dual<S, V>| number.tangent;
+            if recorded(Quantity::Accelerometer) {
+                let filters = sensors.accelerometer.each_ref();
+                own.accelerometer = filters.map(|one| Some(one.as_ref()?.of_tangents(tangent)));
+            }
+            if recorded(Quantity::Gyro) {
+                let filters = sensors.gyro.each_ref();
+                own.gyro = filters.map(|one| Some(one.as_ref()?.of_tangents(tangent)));
+            }
+        }
+        own
+    }
+
+    /// The motion with this column's derivatives.
+    #[inline(always)]
+    fn lifted(&self, nominal: &Motion<S, N>) -> Motion<Dual<S, V>, N> {
+        lifted(nominal, &self.column.tangent, &self.torque, &self.ratio)
+    }
+
+    /// What the servo makes of the motion's derivatives.
+    fn command(&mut self, nominal: &Motion<S, N>, step: usize, servo_reads: bool) {
+        self.dual.motion = self.lifted(nominal);
+        self.dual.command(step, servo_reads);
+        self.target = self.dual.target.map(|number| number.tangent);
+        self.torque = self.dual.motion.torque.map(|number| number.tangent);
+    }
+
+    /// A smooth step.
+    #[inline(always)]
+    fn advance<L: Real>(&mut self, linear: &Linearised<A, L, N>, first: &Response<V, N>, h: f64) {
+        if self.driven {
+            let torque = self.current.over_step(&self.torque, &self.target);
+            self.column.advance(linear, first, Some(&torque), h);
+            self.torque = torque.end;
+        } else {
+            self.column.advance(linear, first, None, h);
+        }
+    }
+
+    /// A stretch between two events.
+    ///
+    /// With its length fixed it is a step like any other. The event's instant moves by what holds
+    /// its margin at zero; what was left of the step, by the opposite.
+    #[inline(always)]
+    fn pass<L: Real>(&mut self, linear: &Linearised<A, L, N>, through: &Through<S, N>) {
+        for i in 0..N {
+            if through.rests[i] {
+                self.rest(i);
+            }
+        }
+        self.column.force(linear);
+        let torque = self.torques(&through.decay);
+        let x = self.column.tangent;
+        let first = self.column.respond(linear, 0, &x, Some(&torque.begin));
+        self.column
+            .advance(linear, &first, Some(&torque), through.duration);
+        self.torque = torque.end;
+        let rates = &through.rates;
+        let mut later = self.left;
+        if let Some(joint) = through.joint {
+            let end = self.lifted(&through.end);
+            let margins = self
+                .dual
+                .plant
+                .margins(&end.state, &end.torque, &end.modes, true);
+            if through.moves {
+                later = margins[joint].tangent * V::splat(-1.0 / rates.margins[joint].lane(0));
+            }
+            self.left = self.left - later;
+        }
+        self.column.tangent.add(&rates.tangent, later);
+        for i in 0..N {
+            self.torque[i] = V::splat(rates.torque[i].lane(0)).mul_add(later, self.torque[i]);
+        }
+        let joint = through.joint.filter(|&joint| through.slides[joint]);
+        if let Some(joint) = joint {
+            self.rest(joint);
+        }
+    }
+
+    /// The motor does not move.
+    #[inline(always)]
+    fn rest(&mut self, joint: usize) {
+        self.column.tangent.rate[joint] = -self.column.tangent.velocity[joint];
+    }
+
+    /// The torques' derivatives over a stretch, of which `decay` of each distance to the target is
+    /// left. Even open-loop torques have some between events: an event's instant moves along them.
+    #[inline(always)]
+    fn torques(&self, decay: &StepTorque<S, N>) -> StepTorque<V, N> {
+        let mut torque = StepTorque {
+            begin: self.torque,
+            middle: self.target,
+            end: self.target,
+        };
+        for i in 0..N {
+            let distance = self.torque[i] - self.target[i];
+            torque.middle[i] = V::splat(decay.middle[i].lane(0)).mul_add(distance, self.target[i]);
+            torque.end[i] = V::splat(decay.end[i].lane(0)).mul_add(distance, self.target[i]);
+        }
+        torque
+    }
+
+    /// The sensors' readings and what their filters make of them.
+    #[inline(always)]
+    fn sense(&mut self, readings: Option<&Readings<N>>, response: &Response<V, N>) {
+        let x = &self.column.tangent;
+        if let Some(readings) = readings {
+            self.readings[0] = readings.tangents::<A, V>(x, response);
+        }
+        self.readings[1] = A::absolute_rates(&x.velocity);
+        for i in 0..N {
+            if let Some(filter) = &mut self.accelerometer[i] {
+                filter.update(self.readings[0][i]);
+                self.readings[0][i] = filter.output();
+            }
+            if let Some(filter) = &mut self.gyro[i] {
+                filter.update(self.readings[1][i]);
+                self.readings[1][i] = filter.output();
+            }
+        }
+    }
+
+    /// Puts this column's lanes, from direction `first`, into a sample's place.
+    #[inline(never)]
+    fn record(
+        &self,
+        task: &Task<A, N>,
+        tangents: &mut [Vec<f64>],
+        (sample, first): (usize, usize),
+        response: &Response<V, N>,
+    ) {
+        let x = &self.column.tangent;
+        for (k, quantity) in task.record.iter().enumerate() {
+            let row = match quantity {
+                Quantity::Voltage => self.dual.voltage[0].map(|number| number.tangent),
+                Quantity::MotorTorque => self.torque,
+                Quantity::MotorAngle | Quantity::Encoder => motor(&self.ratio, &x.twist, &x.angle),
+                Quantity::MotorVelocity => motor(&self.ratio, &x.rate, &x.velocity),
+                Quantity::LinkAngle => x.angle,
+                Quantity::LinkVelocity => x.velocity,
+                Quantity::LinkAcceleration => response.link,
+                Quantity::GearTorque => response.gear,
+                Quantity::Accelerometer => self.readings[0],
+                Quantity::Gyro => self.readings[1],
+                Quantity::Sliding => continue,
+            };
+            let width = tangents[k].len() / (task.clock.samples * N);
+            for i in 0..N {
+                let own = &mut tangents[k][(sample * N + i) * width + first..];
+                if self.lanes == V::LANES {
+                    row[i].store(own);
+                } else {
+                    (0..self.lanes).for_each(|lane| own[lane] = row[i].lane(lane));
+                }
+            }
+        }
+    }
+}
+
+/// Motors' derivatives from the gears' and the links'.
+#[inline(always)]
+fn motor<V: Real, const N: usize>(ratio: &[f64; N], gear: &[V; N], link: &[V; N]) -> [V; N] {
+    let mut motor = *gear;
+    for i in 0..N {
+        motor[i] = (gear[i] + link[i]) * V::splat(1.0 / ratio[i]);
+    }
+    motor
+}
+
+/// A motion with derivatives.
+#[inline(always)]
+fn lifted<S: Real, V: Real, const N: usize>(
+    nominal: &Motion<S, N>,
+    x: &Tangent<V, N>,
+    torque: &[V; N],
+    ratio: &[f64; N],
+) -> Motion<Dual<S, V>, N> {
+    let state = &nominal.state;
+    Motion {
+        state: State {
+            motor_angle: pair(&state.motor_angle, &motor(ratio, &x.twist, &x.angle)),
+            motor_velocity: pair(&state.motor_velocity, &motor(ratio, &x.rate, &x.velocity)),
+            link_angle: pair(&state.link_angle, &x.angle),
+            link_velocity: pair(&state.link_velocity, &x.velocity),
+        },
+        torque: pair(&nominal.torque, torque),
+        modes: Modes {
+            direction: nominal.modes.direction.map(Dual::constant),
+            free: nominal.modes.free.map(Dual::constant),
+        },
+    }
+}
+
+#[inline(always)]
+fn pair<S: Real, V: Real, const N: usize>(values: &[S; N], tangents: &[V; N]) -> [Dual<S, V>; N] {
+    std::array::from_fn(|i| Dual {
+        value: values[i],
+        tangent: tangents[i],
+    })
+}
+
+/// A motion's derivatives in the coordinates of the variational equations.
+fn tangent_of<S: Real, V: Real, const N: usize>(
+    motion: &Motion<Dual<S, V>, N>,
+    ratio: &[f64; N],
+) -> Tangent<V, N> {
+    let x = &motion.state;
+    let gear = |motor: &[Dual<S, V>; N], link: &[Dual<S, V>; N]| -> [V; N] {
+        std::array::from_fn(|i| V::splat(ratio[i]).mul_add(motor[i].tangent, -link[i].tangent))
+    };
+    Tangent {
+        twist: gear(&x.motor_angle, &x.link_angle),
+        rate: gear(&x.motor_velocity, &x.link_velocity),
+        angle: x.link_angle.map(|number| number.tangent),
+        velocity: x.link_velocity.map(|number| number.tangent),
+    }
+}

@@ -1,0 +1,548 @@
+//! The variational equations of the very Runge-Kutta step, for arms whose gears are all elastic.
+//!
+//! Within a step whose friction modes stay, the derivatives of the motion obey linear equations
+//! whose coefficients are the same in every direction. The nominal step leaves a [`Trace`] of its
+//! four stages; [`Linearised`] makes the coefficients of all four from it at once, stages side by
+//! side; and each [`Column`] of directions goes through the stages with a few multiply-adds.
+//!
+//! The coordinates are twist and twist rate of the gears in place of the motors' angles and
+//! velocities: nothing depends on those alone. With s the gear torques, primes for derivatives:
+//!
+//! - s' = K twist' + d_G rate' + its own change with K1 ... T2, d_G
+//! - n ddtheta_M' = -(n^2/m_M) s' - (d_M/m_M) (rate' + dtheta_L') + ...
+//! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L') - ...
+
+use crate::arm::{Arm, MOST_BASE};
+use crate::config::{Config, GearKind, SETTLING};
+use crate::gear::PerSlope;
+use crate::plant::{Acceleration, Modes, Plant, State, StepTorque, Watch, solve};
+use crate::real::{MOST_LANES, Real};
+use crate::simulate::Source;
+
+/// A number at each of the four stages.
+type Stages = [f64; 4];
+
+/// What the nominal step went through.
+#[derive(Clone, Copy)]
+pub(crate) struct Trace<const N: usize> {
+    ratio: [f64; N],
+    angle: [Stages; N],
+    velocity: [Stages; N],
+    twist: [Stages; N],
+    motor_velocity: [Stages; N],
+    motor_acceleration: [Stages; N],
+    link_acceleration: [Stages; N],
+}
+
+impl<const N: usize> Trace<N> {
+    pub(crate) fn new(ratio: [f64; N]) -> Self {
+        let nothing = [[0.0; 4]; N];
+        Self {
+            ratio,
+            angle: nothing,
+            velocity: nothing,
+            twist: nothing,
+            motor_velocity: nothing,
+            motor_acceleration: nothing,
+            link_acceleration: nothing,
+        }
+    }
+}
+
+impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
+    #[inline(always)]
+    fn stage(&mut self, k: usize, x: &State<S, N>, a: &Acceleration<S, N>) {
+        for i in 0..N {
+            let twist = S::splat(self.ratio[i]).mul_add(x.motor_angle[i], -x.link_angle[i]);
+            self.angle[i][k] = x.link_angle[i].lane(0);
+            self.velocity[i][k] = x.link_velocity[i].lane(0);
+            self.twist[i][k] = twist.lane(0);
+            self.motor_velocity[i][k] = x.motor_velocity[i].lane(0);
+            self.motor_acceleration[i][k] = a.motor[i].lane(0);
+            self.link_acceleration[i][k] = a.link[i].lane(0);
+        }
+    }
+}
+
+/// The row of the equations that a parameter enters.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Row {
+    /// The gear's torque.
+    Gear,
+    /// n times the motor's acceleration.
+    Motor,
+    /// The links' accelerations, all of them.
+    Links,
+}
+
+/// Which row, and of which joint, each parameter enters.
+fn rows<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<(Row, usize)> {
+    let row = |name: &str| match name {
+        "motor_inertia"
+        | "motor_viscous_friction"
+        | "motor_coulomb_friction"
+        | "friction_offset" => Row::Motor,
+        // its entry stays zero: it acts through `Settling` alone
+        SETTLING => Row::Motor,
+        _ if name.starts_with("gear_") => Row::Gear,
+        _ => Row::Links,
+    };
+    let names = config.parameter_names();
+    let place = |&(name, joint): &(&str, Option<usize>)| (row(name), joint.unwrap_or(1) - 1);
+    names.iter().map(place).collect()
+}
+
+/// Coefficients of the linear equations at the four stages.
+pub(crate) struct Linearised<A: Arm<N>, L: Real, const N: usize> {
+    plant: Plant<A, L, N, true>,
+    per_slope: [PerSlope<L>; N],
+    gears: [GearKind; N],
+    stiffness: [Stages; N],
+    inverse: [[Stages; N]; N],
+    by_angle: [[Stages; N]; N],
+    by_velocity: [[Stages; N]; N],
+    damping: [f64; N],
+    /// n ddtheta_M' per gear torque, per n dtheta_M' and per motor torque.
+    motor: [[f64; N]; 3],
+    /// What each parameter adds to its row: N places each, from the second on.
+    entries: Vec<Stages>,
+    settling: [Option<Settling>; N],
+}
+
+/// How a held motor that settles moves over half a step and over the whole, beside a steady one:
+/// its angle by v tau (1 - exp(-t/tau)) instead of v t, its velocity by v exp(-t/tau) instead of v.
+#[derive(Clone, Copy)]
+struct Settling {
+    /// Change of the angle per velocity, times the gear ratio as all that follows.
+    angle: [f64; 2],
+    /// Change of the velocity per velocity.
+    velocity: [f64; 2],
+    /// Both again, per settling time.
+    by_time: [[f64; 2]; 2],
+}
+
+impl Settling {
+    fn new(time: f64, speed: f64, h: f64) -> Self {
+        let parts = [0.5 * h, h];
+        let left = parts.map(|t| (-t / time).exp());
+        let each = |f: &dyn Fn(f64, f64) -> f64| [f(parts[0], left[0]), f(parts[1], left[1])];
+        Self {
+            angle: each(&|t, left| time * (1.0 - left) - t),
+            velocity: each(&|_, left| left - 1.0),
+            by_time: [
+                each(&|t, left| speed * (1.0 - left - left * t / time)),
+                each(&|t, left| speed * left * t / (time * time)),
+            ],
+        }
+    }
+}
+
+impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
+    pub(crate) fn new(config: &Config<A, N>, parameters: &[f64]) -> Self {
+        let plant: Plant<A, L, N, true> = config.plant_of(|k| L::splat(parameters[k]));
+        Self {
+            per_slope: plant.joints.map(|joint| joint.spring.per_slope()),
+            gears: config.joints.map(|joint| joint.gear),
+            stiffness: [[0.0; 4]; N],
+            inverse: [[[0.0; 4]; N]; N],
+            by_angle: [[[0.0; 4]; N]; N],
+            by_velocity: [[[0.0; 4]; N]; N],
+            damping: plant.joints.map(|joint| joint.gear_damping.lane(0)),
+            motor: [[0.0; N]; 3],
+            entries: vec![[0.0; 4]; 1 + parameters.len() * N],
+            settling: [None; N],
+            plant,
+        }
+    }
+
+    /// Makes the coefficients of a step.
+    #[inline(always)]
+    pub(crate) fn update<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, h: f64) {
+        for i in 0..N {
+            self.settling[i] = None;
+            let time = self.plant.joints[i].settling_time.lane(0);
+            if time > 0.0 && modes.free[i].lane(0) == 0.0 {
+                let speed = self.plant.joints[i].ratio.lane(0) * trace.motor_velocity[i][0];
+                self.settling[i] = Some(Settling::new(time, speed, h));
+            }
+            let joint = &self.plant.joints[i];
+            let (n, mobility) = (joint.ratio.lane(0), joint.motor_mobility.lane(0));
+            let free = modes.free[i].lane(0) * mobility;
+            self.motor[0][i] = -n * n * free;
+            self.motor[1][i] = -joint.motor_viscous.lane(0) * free;
+            self.motor[2][i] = n * free;
+        }
+        for first in (0..4).step_by(L::LANES) {
+            self.links(trace, first);
+            self.drives(trace, modes, first);
+        }
+    }
+
+    /// Link side, for the stages from the `first`.
+    #[inline(always)]
+    fn links(&mut self, trace: &Trace<N>, first: usize) {
+        let q = loaded(&trace.angle, first);
+        let dq = loaded(&trace.velocity, first);
+        let ddq = loaded(&trace.link_acceleration, first);
+        let at = A::posture(&q);
+        let base = &self.plant.base;
+        let inertia = A::inertia(base, &at);
+        let mut slopes = A::slopes(base, &at, &dq, &ddq);
+        for i in 0..N {
+            slopes.velocity[i][i] = slopes.velocity[i][i] + self.plant.joints[i].link_viscous;
+        }
+        let mut columns = [[L::splat(0.0); N]; N];
+        for j in 0..N {
+            columns[j][j] = L::splat(1.0);
+            columns[j] = solve(&inertia, &columns[j]);
+        }
+        for i in 0..N {
+            for j in 0..N {
+                columns[j][i].store(&mut self.inverse[i][j][first..]);
+                if A::FELT[j] {
+                    let force = column(&slopes.angle, j);
+                    resisted(&columns, &force, i).store(&mut self.by_angle[i][j][first..]);
+                }
+                let force = column(&slopes.velocity, j);
+                resisted(&columns, &force, i).store(&mut self.by_velocity[i][j][first..]);
+            }
+        }
+        let regressor: [[L; N]; MOST_BASE] = A::regressor(&at, &dq, &ddq);
+        for b in 0..A::NAMES.len() {
+            for i in 0..N {
+                let entry = &mut self.entries[1 + b * N + i];
+                resisted(&columns, &regressor[b], i).store(&mut entry[first..]);
+            }
+        }
+        let mut k = A::NAMES.len();
+        for j in 0..N {
+            for i in 0..N {
+                let entry = &mut self.entries[1 + (k + 4) * N + i];
+                (-columns[j][i] * dq[j]).store(&mut entry[first..]);
+            }
+            k += 5 + self.gears[j].parameters();
+        }
+    }
+
+    /// Motors and gears, for the stages from the `first`.
+    #[inline(always)]
+    fn drives<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, first: usize) {
+        let mut k = A::NAMES.len();
+        for i in 0..N {
+            let joint = &self.plant.joints[i];
+            let push = L::splat(-self.motor[2][i]);
+            let velocity = L::load(&trace.motor_velocity[i][first..]);
+            let acceleration = L::load(&trace.motor_acceleration[i][first..]);
+            let twist = L::load(&trace.twist[i][first..]);
+            let rate = joint
+                .ratio
+                .mul_add(velocity, -L::load(&trace.velocity[i][first..]));
+            let direction = L::splat(modes.direction[i].lane(0));
+            let motor = [push * acceleration, push * velocity, push * direction, push];
+            store(&mut self.entries, (k, N, first), &motor);
+            k += 5;
+            let stiffness = joint.spring.stiffness(twist);
+            stiffness.store(&mut self.stiffness[i][first..]);
+            if self.gears[i] == GearKind::ThreeSlope {
+                let by = joint.spring.by_parameters(twist, &self.per_slope[i]);
+                store(&mut self.entries, (k, N, first), &by);
+            } else {
+                store(&mut self.entries, (k, N, first), &[twist]);
+            }
+            k += self.gears[i].parameters();
+            store(&mut self.entries, (k - 2, N, first), &[rate]);
+        }
+    }
+}
+
+/// What the parameters from the `k`-th on add to their one row.
+#[inline(always)]
+fn store<L: Real>(entries: &mut [Stages], (k, stride, first): (usize, usize, usize), values: &[L]) {
+    for own in 0..values.len() {
+        values[own].store(&mut entries[1 + (k + own) * stride][first..]);
+    }
+}
+
+#[inline(always)]
+fn loaded<L: Real, const N: usize>(lists: &[Stages; N], first: usize) -> [L; N] {
+    let mut all = [L::splat(0.0); N];
+    for i in 0..N {
+        all[i] = L::load(&lists[i][first..]);
+    }
+    all
+}
+
+#[inline(always)]
+fn column<L: Copy, const N: usize>(matrix: &[[L; N]; N], j: usize) -> [L; N] {
+    let mut column = matrix[0];
+    for i in 0..N {
+        column[i] = matrix[i][j];
+    }
+    column
+}
+
+/// What a torque that a link's row has on its left side takes from the acceleration of link `i`.
+#[inline(always)]
+fn resisted<L: Real, const N: usize>(inverse: &[[L; N]; N], torque: &[L; N], i: usize) -> L {
+    let mut sum = -(inverse[0][i] * torque[0]);
+    for j in 1..N {
+        sum = (-inverse[j][i]).mul_add(torque[j], sum);
+    }
+    sum
+}
+
+/// Derivatives of twists, twist rates, link angles and link velocities.
+#[derive(Clone, Copy)]
+pub(crate) struct Tangent<V, const N: usize> {
+    pub(crate) twist: [V; N],
+    pub(crate) rate: [V; N],
+    pub(crate) angle: [V; N],
+    pub(crate) velocity: [V; N],
+}
+
+/// Derivatives of what the state brings about at once.
+#[derive(Clone, Copy)]
+pub(crate) struct Response<V, const N: usize> {
+    /// Gear torques.
+    pub(crate) gear: [V; N],
+    /// Second derivatives of the twists.
+    twist: [V; N],
+    /// Link accelerations.
+    pub(crate) link: [V; N],
+}
+
+/// `V::LANES` directions.
+pub(crate) struct Column<V, const N: usize> {
+    pub(crate) tangent: Tangent<V, N>,
+    /// What this column's parameters add to the gears', motors' and links' rows at each stage.
+    forcing: [[[V; 4]; N]; 3],
+    /// The rows of these that are not zero always, and whose entries they hold.
+    plan: Vec<(Row, usize, [usize; MOST_LANES])>,
+    /// One where a direction is the joint's settling time.
+    settling: [V; N],
+}
+
+impl<V: Real, const N: usize> Column<V, N> {
+    pub(crate) fn new<A: Arm<N>>(
+        config: &Config<A, N>,
+        directions: &[Source],
+        tangent: Tangent<V, N>,
+    ) -> Self {
+        let rows = rows(config);
+        let mut plan: Vec<(Row, usize, [usize; MOST_LANES])> = Vec::new();
+        let mut settling = [V::splat(0.0); N];
+        let names = config.parameter_names();
+        for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
+            let &Source::Parameter(k) = direction else {
+                continue;
+            };
+            let (row, joint) = rows[k];
+            if names[k].0 == SETTLING {
+                settling[joint].set_lane(lane, 1.0);
+            }
+            let places = if row == Row::Links {
+                0..N
+            } else {
+                joint..joint + 1
+            };
+            for (own, place) in places.enumerate() {
+                let known = plan
+                    .iter()
+                    .position(|known| (known.0, known.1) == (row, place));
+                let at = known.unwrap_or_else(|| {
+                    plan.push((row, place, [0; MOST_LANES]));
+                    plan.len() - 1
+                });
+                plan[at].2[lane] = 1 + k * N + own;
+            }
+        }
+        Self {
+            tangent,
+            forcing: [[[V::splat(0.0); 4]; N]; 3],
+            plan,
+            settling,
+        }
+    }
+
+    /// Takes the parameters' own part of a step's equations.
+    #[inline(always)]
+    pub(crate) fn force<A: Arm<N>, L: Real>(&mut self, step: &Linearised<A, L, N>) {
+        for (row, joint, pick) in &self.plan {
+            self.forcing[*row as usize][*joint] = V::transposed(&step.entries, pick);
+        }
+    }
+
+    /// The equations of stage `k`.
+    #[inline(always)]
+    pub(crate) fn respond<A: Arm<N>, L: Real>(
+        &self,
+        step: &Linearised<A, L, N>,
+        k: usize,
+        x: &Tangent<V, N>,
+        torque: Option<&[V; N]>,
+    ) -> Response<V, N> {
+        let c = V::splat;
+        let zero = [c(0.0); N];
+        let mut response = Response {
+            gear: zero,
+            twist: zero,
+            link: zero,
+        };
+        for i in 0..N {
+            let gear = self.forcing[Row::Gear as usize][i][k];
+            let damped = c(step.damping[i]).mul_add(x.rate[i], gear);
+            response.gear[i] = c(step.stiffness[i][k]).mul_add(x.twist[i], damped);
+            let mut motor = self.forcing[Row::Motor as usize][i][k];
+            if let Some(torque) = torque {
+                motor = c(step.motor[2][i]).mul_add(torque[i], motor);
+            }
+            let dragged = c(step.motor[1][i]).mul_add(x.rate[i] + x.velocity[i], motor);
+            response.twist[i] = c(step.motor[0][i]).mul_add(response.gear[i], dragged);
+        }
+        for i in 0..N {
+            let mut link = self.forcing[Row::Links as usize][i][k];
+            for j in 0..N {
+                if A::FELT[j] {
+                    link = c(step.by_angle[i][j][k]).mul_add(x.angle[j], link);
+                }
+                link = c(step.by_velocity[i][j][k]).mul_add(x.velocity[j], link);
+                link = c(step.inverse[i][j][k]).mul_add(response.gear[j], link);
+            }
+            response.link[i] = link;
+            response.twist[i] = response.twist[i] - link;
+        }
+        response
+    }
+
+    /// The rest of the step, of length `h`, after its first stage.
+    #[inline(always)]
+    pub(crate) fn advance<A: Arm<N>, L: Real>(
+        &mut self,
+        step: &Linearised<A, L, N>,
+        first: &Response<V, N>,
+        torque: Option<&StepTorque<V, N>>,
+        h: f64,
+    ) {
+        let c = V::splat;
+        let half = 0.5 * h;
+        let x = self.tangent;
+        let middle = torque.map(|torque| &torque.middle);
+        let end = torque.map(|torque| &torque.end);
+        let at = self.held(step, x.drifted::<A>(half, first), 0);
+        let second = self.respond(step, 1, &at, middle);
+        let at = self.held(
+            step,
+            x.moved::<A>(half, half * half, first, half, &second),
+            0,
+        );
+        let third = self.respond(step, 2, &at, middle);
+        let at = self.held(step, x.moved::<A>(h, h * half, &second, h, &third), 1);
+        let fourth = self.respond(step, 3, &at, end);
+        let sixth = h / 6.0;
+        let (for_angle, for_velocity) = first.sums(&second, &third, &fourth);
+        let mut to = x;
+        for i in 0..N {
+            to.twist[i] = c(h).mul_add(x.rate[i], x.twist[i]);
+            to.twist[i] = c(h * sixth).mul_add(for_angle[0][i], to.twist[i]);
+            to.angle[i] = c(h).mul_add(x.velocity[i], x.angle[i]);
+            to.angle[i] = c(h * sixth).mul_add(for_angle[1][i], to.angle[i]);
+            to.rate[i] = c(sixth).mul_add(for_velocity[0][i], x.rate[i]);
+            to.velocity[i] = c(sixth).mul_add(for_velocity[1][i], x.velocity[i]);
+        }
+        self.tangent = self.held(step, to, 1);
+    }
+
+    /// A later stage, half a step or a whole one on, in which held motors have settled.
+    #[inline(always)]
+    fn held<A: Arm<N>, L: Real>(
+        &self,
+        step: &Linearised<A, L, N>,
+        mut stage: Tangent<V, N>,
+        part: usize,
+    ) -> Tangent<V, N> {
+        let c = V::splat;
+        for i in 0..N {
+            let Some(settling) = &step.settling[i] else {
+                continue;
+            };
+            // n dtheta_M' at the beginning of the step
+            let motor = self.tangent.rate[i] + self.tangent.velocity[i];
+            let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[part]));
+            stage.twist[i] = c(settling.angle[part]).mul_add(motor, stage.twist[i]);
+            stage.twist[i] = by_time.mul_add(self.settling[i], stage.twist[i]);
+            stage.rate[i] = c(settling.velocity[part]).mul_add(motor, stage.rate[i]);
+            stage.rate[i] = velocity_by_time.mul_add(self.settling[i], stage.rate[i]);
+        }
+        stage
+    }
+}
+
+impl<V: Real, const N: usize> Tangent<V, N> {
+    /// Moves on by `time` at the given rates.
+    #[inline(always)]
+    pub(crate) fn add<S: Real>(&mut self, rates: &Tangent<S, N>, time: V) {
+        let c = |rate: S| V::splat(rate.lane(0));
+        for i in 0..N {
+            self.twist[i] = c(rates.twist[i]).mul_add(time, self.twist[i]);
+            self.rate[i] = c(rates.rate[i]).mul_add(time, self.rate[i]);
+            self.angle[i] = c(rates.angle[i]).mul_add(time, self.angle[i]);
+            self.velocity[i] = c(rates.velocity[i]).mul_add(time, self.velocity[i]);
+        }
+    }
+
+    /// As [`State`]'s of the same name, for the link angles that are felt.
+    #[inline(always)]
+    fn drifted<A: Arm<N>>(&self, t: f64, a: &Response<V, N>) -> Self {
+        let t = V::splat(t);
+        let mut next = *self;
+        for i in 0..N {
+            next.twist[i] = t.mul_add(self.rate[i], self.twist[i]);
+            next.rate[i] = t.mul_add(a.twist[i], self.rate[i]);
+            next.velocity[i] = t.mul_add(a.link[i], self.velocity[i]);
+            if A::FELT[i] {
+                next.angle[i] = t.mul_add(self.velocity[i], self.angle[i]);
+            }
+        }
+        next
+    }
+
+    #[inline(always)]
+    fn moved<A: Arm<N>>(
+        &self,
+        t: f64,
+        s: f64,
+        a: &Response<V, N>,
+        r: f64,
+        b: &Response<V, N>,
+    ) -> Self {
+        let mut next = self.drifted::<A>(t, b);
+        let (s, r) = (V::splat(s), V::splat(r));
+        for i in 0..N {
+            next.twist[i] = s.mul_add(a.twist[i], next.twist[i]);
+            next.rate[i] = r.mul_add(b.twist[i], self.rate[i]);
+            next.velocity[i] = r.mul_add(b.link[i], self.velocity[i]);
+            if A::FELT[i] {
+                next.angle[i] = s.mul_add(a.link[i], next.angle[i]);
+            }
+        }
+        next
+    }
+}
+
+impl<V: Real, const N: usize> Response<V, N> {
+    /// a1 + a2 + a3 and a1 + 2 a2 + 2 a3 + a4, of twists and links.
+    #[inline(always)]
+    fn sums(&self, second: &Self, third: &Self, fourth: &Self) -> ([[V; N]; 2], [[V; N]; 2]) {
+        let zero = [V::splat(0.0); N];
+        let mut sums = ([zero; 2], [zero; 2]);
+        for i in 0..N {
+            let inner = second.twist[i] + third.twist[i];
+            sums.0[0][i] = self.twist[i] + inner;
+            sums.1[0][i] = sums.0[0][i] + inner + fourth.twist[i];
+            let inner = second.link[i] + third.link[i];
+            sums.0[1][i] = self.link[i] + inner;
+            sums.1[1][i] = sums.0[1][i] + inner + fourth.link[i];
+        }
+        sums
+    }
+}

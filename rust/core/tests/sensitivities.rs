@@ -1,0 +1,362 @@
+//! Derivatives of whole experiments against differences of the plain simulation.
+
+mod common;
+
+use common::{Draw, config};
+use proptest::prelude::*;
+use strainwave_core::arm::{Arm, OneLink, TwoLink};
+use strainwave_core::config::Config;
+use strainwave_core::config::GearKind::{self, Linear, Rigid, ThreeSlope};
+use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
+use strainwave_core::drive::Servo;
+use strainwave_core::sensitivity::Sensitivities;
+use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Record, Source, Task};
+
+const RECORDED: [Quantity; 12] = [
+    Quantity::MotorAngle,
+    Quantity::MotorVelocity,
+    Quantity::LinkAngle,
+    Quantity::LinkVelocity,
+    Quantity::LinkAcceleration,
+    Quantity::GearTorque,
+    Quantity::Encoder,
+    Quantity::Accelerometer,
+    Quantity::Gyro,
+    Quantity::Voltage,
+    Quantity::MotorTorque,
+    Quantity::Sliding,
+];
+const SLIDING: usize = 11;
+
+/// An experiment that a test draws.
+struct Case<A, const N: usize> {
+    task: Task<A, N>,
+    parameters: Vec<f64>,
+    initial: Initial<N>,
+    voltage: Vec<[f64; N]>,
+    reference: Vec<[f64; N]>,
+}
+
+impl<A: Arm<N>, const N: usize> Case<A, N> {
+    /// A drawn arm: a two-link or one-link arm of the built-in one's size, off by some tens of
+    /// percent, under random telegraph voltages or a servo.
+    fn drawn(gears: [GearKind; N], seed: u64, servo: bool, steps: usize) -> Self {
+        let mut draw = Draw(seed);
+        let mut config: Config<A, N> = config(gears);
+        for joint in &mut config.joints {
+            joint.current_loop_hz = Some(800.0 + 200.0 * draw.next());
+            joint.accelerometer_hz = Some(300.0);
+            joint.gyro_hz = Some(5.0);
+        }
+        let parameters = drawn_parameters(&config, &mut draw);
+        let clock = Clock {
+            step: 1.25e-4,
+            steps_per_tick: 8,
+            steps_per_servo: 16,
+            steps_per_sample: 1,
+            samples: steps + 1,
+        };
+        let servo = servo.then_some(Servo {
+            kp: [0.6; N],
+            ki: [9.0; N],
+            limit: 12.0,
+            period: 2e-3,
+            active: [true; N],
+        });
+        let volts = if servo.is_some() { 0.3 } else { 6.0 };
+        let mut telegraph = |size: f64| -> Vec<[f64; N]> {
+            (0..=steps / 8)
+                .map(|_| std::array::from_fn(|_| size * draw.next().signum()))
+                .collect()
+        };
+        let (voltage, reference) = (telegraph(volts), telegraph(4.0));
+        let mut some = |size: f64| std::array::from_fn(|_| size * draw.next());
+        let initial = Initial {
+            motor_angle: some(20.0),
+            motor_velocity: some(10.0),
+            link_angle: None,
+            link_velocity: some(0.1),
+            voltage: [0.0; N],
+        };
+        Self {
+            task: Task {
+                config,
+                clock,
+                servo,
+                record: RECORDED.to_vec(),
+            },
+            parameters,
+            initial,
+            voltage,
+            reference,
+        }
+    }
+
+    /// All parameters and all initial states.
+    fn directions(&self) -> Vec<Source> {
+        // a motor that stops at once does so for good: its time has no derivative
+        let names = self.task.config.parameter_names();
+        let stops = |k: &usize| names[*k].0 == "friction_settling_time";
+        let varied = |k: &usize| !stops(k) || self.parameters[*k] > 0.0;
+        let parameters = (0..names.len()).filter(varied).map(Source::Parameter);
+        let states = (0..N).flat_map(|i| {
+            [
+                Source::MotorAngle(i),
+                Source::MotorVelocity(i),
+                Source::LinkAngle(i),
+                Source::LinkVelocity(i),
+            ]
+        });
+        parameters.chain(states).collect()
+    }
+
+    fn member<'a>(&'a self, parameters: &'a [f64], initial: Initial<N>) -> Member<'a, N> {
+        Member {
+            parameters,
+            feed_forward: &self.voltage,
+            reference: &self.reference,
+            initial,
+        }
+    }
+
+    fn follow(&self, directions: &[Source], width: Width) -> Sensitivities<N> {
+        let member = self.member(&self.parameters, self.initial);
+        sensitivities(&self.task, &member, directions, width).expect("finite")
+    }
+
+    /// The plain experiment with one number changed.
+    fn moved(&self, source: Source, by: f64, hanging: &[f64; N]) -> Record<N> {
+        let (mut parameters, mut initial) = (self.parameters.clone(), self.initial);
+        match source {
+            Source::Parameter(k) => parameters[k] += by,
+            Source::MotorAngle(i) => initial.motor_angle[i] += by,
+            Source::MotorVelocity(i) => initial.motor_velocity[i] += by,
+            Source::LinkVelocity(i) => initial.link_velocity[i] += by,
+            Source::LinkAngle(i) => {
+                let mut angle = *hanging;
+                angle[i] += by;
+                initial.link_angle = Some(angle);
+            }
+        }
+        let member = self.member(&parameters, initial);
+        simulate(&self.task, &[member], Width::detect())
+            .remove(0)
+            .expect("finite")
+    }
+
+    /// What changes the motion by about as much as `part` of a parameter does.
+    fn size(&self, source: Source, part: f64) -> f64 {
+        part * match source {
+            Source::Parameter(k) => self.parameters[k].abs(),
+            Source::MotorAngle(_) | Source::MotorVelocity(_) => 10.0,
+            Source::LinkAngle(_) => 0.01,
+            Source::LinkVelocity(_) => 1.0,
+        }
+    }
+}
+
+fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut Draw) -> Vec<f64> {
+    let settling = f64::from(u8::from(draw.next() > 0.0));
+    let mut around = |value: f64| value * (1.0 + 0.3 * draw.next());
+    config
+        .parameter_names()
+        .iter()
+        .map(|(name, joint)| {
+            let second = *joint == Some(2);
+            let either = |first: f64, other: f64| if second { other } else { first };
+            around(match *name {
+                "alpha" => 2.0,
+                "beta" => 0.7,
+                "gamma" => 0.5,
+                "link_inertia" => 1.5,
+                "gravity_torque_1" => 31.0,
+                "gravity_torque_2" => 7.0,
+                "motor_inertia" => either(1.5e-4, 0.5e-4),
+                "motor_viscous_friction" => either(2e-4, 0.8e-4),
+                "motor_coulomb_friction" => either(0.08, 0.04),
+                "friction_offset" => 0.01,
+                "link_viscous_friction" => either(0.5, 0.15),
+                "gear_stiffness" => either(25e3, 6e3),
+                "gear_stiffness_k1" => either(16e3, 4.7e3),
+                "gear_stiffness_k2" => either(25e3, 6.1e3),
+                "gear_stiffness_k3" => either(29e3, 7.1e3),
+                "gear_knee_t1" => either(7.0, 2.0),
+                "gear_knee_t2" => either(25.0, 6.9),
+                "gear_damping" => either(20.0, 4.0),
+                "friction_settling_time" => settling * either(1.5e-4, 4e-4),
+                _ => unreachable!("{name}"),
+            })
+        })
+        .collect()
+}
+
+/// Checks every derivative against differences, relative to the largest of its column, and gives
+/// the share of the directions that could be checked.
+///
+/// The knees' rounded corners bend abruptly, so a difference over a long step can miss what one
+/// over a short step sees, which has more rounding: one of several lengths must agree. A direction
+/// is left out where even the shortest changes in which step a motor sticks or slips.
+fn check<A: Arm<N>, const N: usize>(case: &Case<A, N>) -> f64 {
+    let directions = case.directions();
+    let found = case.follow(&directions, Width::detect());
+    let plain = case.moved(Source::Parameter(0), 0.0, &[0.0; N]);
+    let mut checked = 0;
+    for (d, &direction) in directions.iter().enumerate() {
+        let differences: Vec<(f64, Record<N>)> = (2..=7)
+            .filter_map(|digits| {
+                let size = case.size(direction, 0.1f64.powi(digits));
+                Some((size, slopes(case, direction, size, &plain)?))
+            })
+            .collect();
+        checked += usize::from(!differences.is_empty());
+        for k in 0..RECORDED.len() {
+            let own = rows_of(&found.tangents[k], directions.len(), d);
+            let column = |(size, slopes): &(f64, Record<N>)| (*size, slopes[k].clone());
+            let differences: Vec<_> = differences.iter().map(column).collect();
+            let off = distance(&own, &differences, &plain[k]);
+            assert!(off < 1e-7, "{direction:?} {:?}: {off:e}", RECORDED[k]);
+        }
+    }
+    checked as f64 / directions.len() as f64
+}
+
+/// One direction's derivatives.
+fn rows_of<const N: usize>(tangents: &[f64], width: usize, d: usize) -> Vec<[f64; N]> {
+    tangents
+        .chunks(N * width)
+        .map(|row| std::array::from_fn(|i| row[i * width + d]))
+        .collect()
+}
+
+/// The largest distance from the nearest difference, relative to the largest of each column; what
+/// the rounding of the values does to a difference is not counted.
+fn distance<const N: usize>(
+    own: &[[f64; N]],
+    differences: &[(f64, Vec<[f64; N]>)],
+    plain: &[[f64; N]],
+) -> f64 {
+    if differences.is_empty() {
+        return 0.0;
+    }
+    let mut worst = 0.0f64;
+    for i in 0..N {
+        let largest = |rows: &[[f64; N]]| rows.iter().fold(0.0f64, |a, row| a.max(row[i].abs()));
+        let (scale, rounding) = (largest(own), 1e-11 * largest(plain));
+        for row in 0..own.len() {
+            let off = |(size, slopes): &(f64, Vec<[f64; N]>)| {
+                ((own[row][i] - slopes[row][i]).abs() - rounding / size).max(0.0)
+            };
+            let least = differences.iter().map(off).fold(f64::INFINITY, f64::min);
+            worst = worst.max(least / scale.max(f64::MIN_POSITIVE));
+        }
+    }
+    worst
+}
+
+/// Central differences of eighth order; nothing where the pattern of sliding changes.
+fn slopes<A: Arm<N>, const N: usize>(
+    case: &Case<A, N>,
+    direction: Source,
+    size: f64,
+    plain: &Record<N>,
+) -> Option<Record<N>> {
+    const WEIGHTS: [f64; 4] = [4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0];
+    let hanging = plain[2][0];
+    let mut sum: Record<N> = plain
+        .iter()
+        .map(|rows| vec![[0.0; N]; rows.len()])
+        .collect();
+    for (j, weight) in WEIGHTS.iter().enumerate() {
+        let by = size * (j + 1) as f64;
+        for (sign, by) in [(1.0, by), (-1.0, -by)] {
+            let moved = case.moved(direction, by, &hanging);
+            if moved[SLIDING] != plain[SLIDING] {
+                return None;
+            }
+            for (sum, moved) in sum.iter_mut().zip(&moved) {
+                for (sum, moved) in sum.as_flattened_mut().iter_mut().zip(moved.as_flattened()) {
+                    *sum += sign * weight / size * moved;
+                }
+            }
+        }
+    }
+    Some(sum)
+}
+
+/// The largest distance of two answers, relative to the largest of each column or, where that is
+/// nothing but rounding, to a hundredth of a percent of what would double the value.
+fn apart<A: Arm<N>, const N: usize>(
+    case: &Case<A, N>,
+    directions: &[Source],
+    [one, other]: [&Sensitivities<N>; 2],
+) -> f64 {
+    let width = directions.len();
+    let mut worst = 0.0f64;
+    for k in 0..RECORDED.len() {
+        for (d, &direction) in directions.iter().enumerate() {
+            let own: Vec<[f64; N]> = rows_of(&one.tangents[k], width, d);
+            let others: Vec<[f64; N]> = rows_of(&other.tangents[k], width, d);
+            for i in 0..N {
+                let largest =
+                    |rows: &[[f64; N]]| rows.iter().fold(0.0f64, |a, row| a.max(row[i].abs()));
+                let least = 1e-4 * largest(&one.values[k]) / case.size(direction, 1.0);
+                let scale = largest(&own).max(least).max(f64::MIN_POSITIVE);
+                for (own, other) in own.iter().zip(&others) {
+                    worst = worst.max((own[i] - other[i]).abs() / scale);
+                }
+            }
+        }
+    }
+    worst
+}
+
+/// The way through the variational equations against numbers with derivatives all along.
+fn check_ways<A: Arm<N>, const N: usize>(case: &Case<A, N>) {
+    let member = case.member(&case.parameters, case.initial);
+    let directions = case.directions();
+    let width = Width::detect();
+    let slow = by_duals_at(&case.task, &member, &directions, width).expect("finite");
+    let fast = case.follow(&directions, width);
+    assert_eq!(slow.values, fast.values);
+    // Numbers with derivatives take a twist's as the difference of two that are 10^5 times as
+    // large, and a servo's loop can double the rounding every few reversals.
+    let off = apart(case, &directions, [&slow, &fast]);
+    assert!(off < 1e-6, "{off:e}");
+    let portable = case.follow(&directions, Width::Portable);
+    let off = apart(case, &directions, [&fast, &portable]);
+    assert!(off < 1e-6, "{off:e}");
+    let few = [directions[7], directions[0], directions[2]];
+    let some = case.follow(&few, width);
+    for (d, direction) in few.iter().enumerate() {
+        let at = directions.iter().position(|all| all == direction).unwrap();
+        for k in 0..RECORDED.len() {
+            let own: Vec<[f64; N]> = rows_of(&some.tangents[k], 3, d);
+            assert_eq!(own, rows_of(&fast.tangents[k], directions.len(), at));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4))]
+
+    #[test]
+    fn derivatives_are_those_of_the_simulation(seed in any::<u64>(), servo in any::<bool>()) {
+        let mut shares = Vec::new();
+        let gears = [ThreeSlope, Linear, Rigid];
+        let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
+        shares.push(check(&Case::<TwoLink<false>, 2>::drawn([one, other], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn([other, one], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, Rigid], seed, servo, 240)));
+        shares.push(check(&Case::<OneLink<true>, 1>::drawn([one], seed, servo, 240)));
+        // Most draws leave the events where they are.
+        prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
+    }
+
+    #[test]
+    fn both_ways_and_all_widths_agree(seed in any::<u64>(), servo in any::<bool>()) {
+        check_ways(&Case::<TwoLink<false>, 2>::drawn([ThreeSlope, Linear], seed, servo, 400));
+        check_ways(&Case::<TwoLink<true>, 2>::drawn([Linear, ThreeSlope], seed, servo, 400));
+        check_ways(&Case::<OneLink<false>, 1>::drawn([ThreeSlope], seed, servo, 400));
+        check_ways(&Case::<OneLink<true>, 1>::drawn([Linear], seed, servo, 400));
+    }
+}
