@@ -74,7 +74,7 @@ def test_inverse_dynamics_come_back_exactly(seed: int, gravity: float | None) ->
         scale = truth["motor_coulomb_friction", p.joint] if "offset" in p.name else None
         expected = truth[p.name, p.joint]
         # rounding of the filters, times a condition number of some tens
-        assert p.value == pytest.approx(expected, rel=1e-9, abs=1e-9 * scale if scale else None)
+        assert p.value == pytest.approx(expected, rel=2e-9, abs=2e-9 * scale if scale else None)
 
 
 def test_a_single_joint_under_gravity_comes_back_exactly() -> None:
@@ -180,6 +180,24 @@ def test_the_compliance_is_taken_out() -> None:
     assert honest is not None
     assert abs(naive / gamma - 1.0) > 0.01
     assert abs(honest / gamma - 1.0) < 0.005
+
+
+@pytest.mark.parametrize("cut", [slice(7, None), slice(None, -10)])
+def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
+    """A few samples less, a tenth of a row's distance, move nothing: no row has heard of the ends.
+
+    Rows one period of the cut-off from the ends would move by half a deviation.
+    """
+    study = scara.study(Path("nowhere"), "linear")
+    log = motion_log(study, scara.parameters(5, "linear"), 0)
+    channels = {name: values[cut] for name, values in log.channels.items()}
+    options = rigid.RigidOptions(bandwidth_hz=3.0)
+    whole, shorter = (
+        rigid.fit([signals.motor_side(each, study)], study, options)
+        for each in (log, replace(log, time=log.time[cut], channels=channels))
+    )
+    deviation = np.sqrt(np.diag(whole.covariance))
+    assert np.max(np.abs(shorter.solution - whole.solution) / deviation) < 0.1
 
 
 def test_gross_errors_hardly_matter() -> None:

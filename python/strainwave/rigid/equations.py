@@ -36,6 +36,9 @@ _ROWS_PER_CUTOFF = 4.0  # rate of the equations in cut-offs; the filter leaves n
 # The motion is nonlinear in the equations, so more of it is kept than they pass: up to so many
 # cut-offs, at four samples a period of that. The next products, nine cut-offs up, are all but gone.
 _MOTION_CUTOFFS, _SAMPLES_PER_ROW = 8.0, 8
+# Periods of the cut-off after which a thousandth of the filter's answer is left. Rows nearer to a
+# record's ends would depend on where it was cut: free friction has no continuation beyond them.
+_REACH = 2.5
 _KNOTS_PER_PERIOD = 16.0  # of free friction, in periods of the cut-off: convergence is at 8
 _MOST_KNOTS = 100  # per record and joint: a joint that rarely slides has little to say
 _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
@@ -76,7 +79,8 @@ class Stretch:
     @property
     def motion_samples(self) -> slice:
         """Samples at which the motion is kept; the equations' rows are among them."""
-        return slice(int(self.rows[0]) % self.motion_step, None, self.motion_step)
+        first = _reach(self.signals.sample_time, self.bandwidth_hz) % self.motion_step
+        return slice(first, None, self.motion_step)
 
     def filtered(self, signal: FloatArray) -> FloatArray:
         """The equations' filter on a signal at the motion's samples: (n_rows, ...)."""
@@ -96,6 +100,11 @@ def _motion_step(sample_time: float, bandwidth_hz: float) -> int:
     return max(1, int(1.0 / (per_second * sample_time)))
 
 
+def _reach(sample_time: float, bandwidth_hz: float) -> int:
+    """Samples between an end of the record and the nearest equation."""
+    return int(_REACH / (bandwidth_hz * sample_time))
+
+
 def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
     """Filter and decimate one record's torque, friction columns and free friction.
 
@@ -110,22 +119,22 @@ def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
     """
     T = signals.sample_time
     n_samples, n_joints = signals.motor_torque.shape
-    reach = 1.0 / (bandwidth_hz * T)  # samples after which the filter has forgotten
-    rows = np.arange(int(reach), n_samples - int(reach), decimation(T, bandwidth_hz))
-    around = int(2.5 * reach)  # the impulse response has then fallen below 1e-6
-    impulse = np.zeros(2 * around + 1)
-    impulse[around] = 1.0
+    period = 1.0 / (bandwidth_hz * T)  # in samples
+    reach = _reach(T, bandwidth_hz)
+    rows = np.arange(reach, n_samples - reach, decimation(T, bandwidth_hz))
+    impulse = np.zeros(2 * reach + 1)
+    impulse[reach] = 1.0
     kernel = low_pass(impulse, bandwidth_hz, T)
     keep, shapes, free = [], [], []
     for i in range(n_joints):
-        keep.append(_clear_of(~signals.valid[:, i], int(reach / 2))[rows])
+        keep.append(_clear_of(~signals.valid[:, i], int(period / 2))[rows])
         uncertain = int(np.count_nonzero(signals.direction[:, i] == 0.0))
-        spacing = max(2, round(reach / _KNOTS_PER_PERIOD), uncertain // _MOST_KNOTS)
+        spacing = max(2, round(period / _KNOTS_PER_PERIOD), uncertain // _MOST_KNOTS)
         shapes.append(free_friction(signals.direction[:, i], spacing))
         free.append(responses(shapes[i], rows, kernel))
     step = _motion_step(T, bandwidth_hz)
     angle, velocity, acceleration, torque, direction = _slowed(signals, bandwidth_hz)[
-        int(reach) % step :: step
+        reach % step :: step
     ].transpose(1, 0, 2)
     sides = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
     # both sides of the equations are cut at the same samples, for what the filter makes of the cuts
