@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -29,7 +30,7 @@ from strainwave import (
     tuning,
     validation,
 )
-from strainwave.cores import one_blas_thread, side_by_side
+from strainwave.cores import begin, one_blas_thread, side_by_side
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.files import write_whole
 from strainwave.records import (
@@ -116,12 +117,17 @@ def _identify(study_path: Path, run: _Run) -> Identification:
         all_logs = logs.read_logs(the_study)
     for log in all_logs:
         run.warnings.extend(log.warnings)
+    elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in the_study.joints)
+    excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
+    # the links' motion asks nothing of the rigid model, whose search keeps but one core busy
+    sides = begin([partial(links.link_side, log, the_study) for log in excited if elastic])
     model, fitted, checks = _rigid(run, the_study, all_logs)
     records: tuple[RecordModel, ...] = ()
     joints: tuple[JointModel, ...] = ()
     responses: dict[int, FrequencyResponse] = {}
-    if "decoupled" in run.stages and any(joint.spring != "rigid" for joint in the_study.joints):
-        records, joints, responses = _decoupled(run, the_study, all_logs, model)
+    if elastic:
+        both = list(zip(excited, sides, strict=True))
+        records, joints, responses = _decoupled(run, the_study, both, model)
     tuned = None
     if "tuned" in run.stages and len(joints) == the_study.n_joints:
         tuned = _tuned(run, the_study, all_logs, model, joints)
@@ -181,7 +187,11 @@ def _rigid(
         return model, (), ()
     with run.timed("checks", "predicting the records it never saw"):
         predictions = {
-            use: tuple(validation.predict_rigid(model, record, the_study) for record in chosen)
+            use: tuple(
+                side_by_side(
+                    [partial(validation.predict_rigid, model, each, the_study) for each in chosen]
+                )
+            )
             for use, chosen in seen.items()
         }
     run.warnings.extend(c for made in predictions.values() for p in made for c in p.warnings)
@@ -189,10 +199,12 @@ def _rigid(
 
 
 def _decoupled(
-    run: _Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
+    run: _Run,
+    the_study: Study,
+    excited: Sequence[tuple[Log, Future[LinkSignals]]],
+    model: RigidModel | None,
 ) -> tuple[tuple[RecordModel, ...], tuple[JointModel, ...], dict[int, FrequencyResponse]]:
     """Each excited record on its own, then all full-amplitude records of a joint at once."""
-    excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     if not excited:
         text = 'elastic gears show in fast records only: add experiments with use = "frequency"'
         run.warnings.append(Caution("no-frequency-record", str(the_study.path), text))
@@ -200,13 +212,15 @@ def _decoupled(
     if model is None and not _alone(the_study):
         return (), (), {}  # why there is none has been said
 
-    def both_sides_of(log: Log) -> tuple[Log, LinkSignals, tuple[Decoupled, ...]]:
-        both_sides = links.link_side(log, the_study)
+    def both_sides_of(
+        log: Log, side: Future[LinkSignals]
+    ) -> tuple[Log, LinkSignals, tuple[Decoupled, ...]]:
+        both_sides = side.result()
         return log, both_sides, decoupling.decouple(both_sides, model, the_study)
 
     with run.timed("decoupled", "decoupling the joints"):
         try:
-            seen = side_by_side([partial(both_sides_of, log) for log in excited])
+            seen = side_by_side([partial(both_sides_of, *each) for each in excited])
         except NotIdentifiable as failure:
             run.reasons.append(str(failure))
             return (), (), {}
@@ -293,10 +307,14 @@ def _with_elastic(
     """The check records' torques from the rigid model, and their motion from the tuned arm."""
     made = list(checks)
     with run.timed("checks", "simulating the records it never saw"):
-        for log in _used_for(all_logs, "check"):
-            if missing_for_replay(the_study, log) is None:
-                made.append(validation.predict_elastic(tuned, log, the_study))
-                run.warnings.extend(made[-1].warnings)
+        told = [
+            log for log in _used_for(all_logs, "check") if missing_for_replay(the_study, log) is None
+        ]
+        found = side_by_side(
+            [partial(validation.predict_elastic, tuned, log, the_study) for log in told]
+        )
+    run.warnings.extend(caution for each in found for caution in each.warnings)
+    made.extend(found)
     return tuple(made)
 
 
@@ -372,10 +390,9 @@ def _signals(
     all_logs: Sequence[Log], use: str, the_study: Study, warnings: list[Caution]
 ) -> list[Signals]:
     """Motor-side signals of the records of one use, which have them."""
-    found = []
-    for log in _used_for(all_logs, use):
-        found.append(signals.motor_side(log, the_study))
-        warnings.extend(found[-1].warnings)
+    chosen = _used_for(all_logs, use)
+    found = side_by_side([partial(signals.motor_side, log, the_study) for log in chosen])
+    warnings.extend(caution for each in found for caution in each.warnings)
     return found
 
 

@@ -7,6 +7,9 @@
 
 use crate::products::multiply_add;
 
+/// Rows whose products are added at once.
+const TOGETHER: usize = 4;
+
 /// What is left of some right-hand sides without the unknowns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Eliminated {
@@ -61,10 +64,12 @@ fn eliminated<const FUSED: bool>(
     let first = envelope(&rows, n);
     let mut factor = vec![0.0; n * n];
     let mut found = vec![0.0; n * sides];
+    for (number, rows) in rows.chunks(TOGETHER).enumerate() {
+        let first = number * TOGETHER * n;
+        add_products::<FUSED>(&mut factor, rows, &z[first..][..rows.len() * n], n);
+    }
     for ((start, row), y) in rows.iter().zip(y.chunks_exact(sides)) {
         for (i, &value) in row.iter().enumerate() {
-            let target = &mut factor[(start + i) * n + start..][..=i];
-            add_scaled::<FUSED>(target, value, &row[..=i]);
             add_scaled::<FUSED>(&mut found[(start + i) * sides..][..sides], value, y);
         }
     }
@@ -86,6 +91,43 @@ fn eliminated<const FUSED: bool>(
         left,
         leverage,
     })
+}
+
+/// Adds to the lower half of a matrix what some neighbouring rows add to Z'Z.
+///
+/// Neighbours have nearly the same unknowns, and four at once halve the traffic with the matrix.
+#[inline(always)]
+fn add_products<const FUSED: bool>(
+    matrix: &mut [f64],
+    used: &[(usize, &[f64])],
+    rows: &[f64],
+    n: usize,
+) {
+    let start = used.iter().map(|(start, _)| *start).min().unwrap_or(0);
+    let stop = used.iter().map(|(start, row)| start + row.len()).max();
+    let stop = stop.unwrap_or(0);
+    if rows.len() < TOGETHER * n {
+        for row in rows.chunks_exact(n) {
+            for i in start..stop {
+                let target = &mut matrix[i * n + start..=i * n + i];
+                add_scaled::<FUSED>(target, row[i], &row[start..=i]);
+            }
+        }
+        return;
+    }
+    let (a, rest) = rows.split_at(n);
+    let (b, rest) = rest.split_at(n);
+    let (c, d) = rest.split_at(n);
+    for i in start..stop {
+        let target = &mut matrix[i * n + start..=i * n + i];
+        let (wa, wb, wc, wd) = (a[i], b[i], c[i], d[i]);
+        let ab = a[start..=i].iter().zip(&b[start..=i]);
+        let cd = c[start..=i].iter().zip(&d[start..=i]);
+        for (t, ((a, b), (c, d))) in target.iter_mut().zip(ab.zip(cd)) {
+            let ab = multiply_add::<FUSED>(wb, *b, multiply_add::<FUSED>(wa, *a, *t));
+            *t = multiply_add::<FUSED>(wd, *d, multiply_add::<FUSED>(wc, *c, ab));
+        }
+    }
 }
 
 /// z' S z of each row, by the lower half of S.
@@ -221,17 +263,30 @@ fn add_scaled<const FUSED: bool>(target: &mut [f64], weight: f64, source: &[f64]
 
 #[inline(always)]
 fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
-    const LANES: usize = 16; // four vectors of four, so that sums need not wait for one another
-    let mut sums = [0.0; LANES];
-    let (l, r) = (left.chunks_exact(LANES), right.chunks_exact(LANES));
-    let rest = l.remainder().iter().zip(r.remainder());
-    let rest: f64 = rest.map(|(a, b)| a * b).sum();
+    const LANES: usize = 4;
+    const AT_ONCE: usize = 4 * LANES; // sums enough that none waits for itself
+    let (l, r) = (left.chunks_exact(AT_ONCE), right.chunks_exact(AT_ONCE));
+    let ends = (l.remainder(), r.remainder());
+    let mut sums = [[0.0; LANES]; 4];
     for (l, r) in l.zip(r) {
-        for lane in 0..LANES {
-            sums[lane] = multiply_add::<FUSED>(l[lane], r[lane], sums[lane]);
+        for (part, sums) in sums.iter_mut().enumerate() {
+            for lane in 0..LANES {
+                let i = part * LANES + lane;
+                sums[lane] = multiply_add::<FUSED>(l[i], r[i], sums[lane]);
+            }
         }
     }
-    sums.iter().sum::<f64>() + rest
+    let mut sum: [f64; LANES] =
+        std::array::from_fn(|i| (sums[0][i] + sums[1][i]) + (sums[2][i] + sums[3][i]));
+    let (l, r) = (ends.0.chunks_exact(LANES), ends.1.chunks_exact(LANES));
+    let ends = l.remainder().iter().zip(r.remainder());
+    for (l, r) in l.zip(r) {
+        for lane in 0..LANES {
+            sum[lane] = multiply_add::<FUSED>(l[lane], r[lane], sum[lane]);
+        }
+    }
+    let rest: f64 = ends.map(|(a, b)| a * b).sum();
+    (sum[0] + sum[1]) + (sum[2] + sum[3]) + rest
 }
 
 #[cfg(test)]
