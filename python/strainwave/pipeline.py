@@ -259,13 +259,15 @@ def _physical(
     run.warnings.extend(each for each in found if isinstance(each, Caution))
     joints = [each for each in found if isinstance(each, JointModel)]
     rings = {each.joint: each.band_hz for each in joints}
+    alone = {(each.joint, each.experiments): each for each in joints}  # of one record, its own
 
     def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
         how = physical.RecordOptions(state_space=log.experiment.use == "frequency")
         if part.joint in rings:  # each record looks first where all together ring
             nearby = physical.PhysicalOptions(search_from_hz=rings[part.joint])
             how = replace(how, physical=nearby)
-        return physical.identify_record(both_sides, part, model, the_study, how)
+        had = alone.get((part.joint, (log.experiment.name,)))
+        return physical.identify_record(both_sides, part, model, the_study, how, had)
 
     records = side_by_side(
         [
@@ -308,7 +310,9 @@ def _with_elastic(
     made = list(checks)
     with run.timed("checks", "simulating the records it never saw"):
         told = [
-            log for log in _used_for(all_logs, "check") if missing_for_replay(the_study, log) is None
+            log
+            for log in _used_for(all_logs, "check")
+            if missing_for_replay(the_study, log) is None
         ]
         found = side_by_side(
             [partial(validation.predict_elastic, tuned, log, the_study) for log in told]

@@ -130,6 +130,7 @@ def identify_record(
     model: RigidModel | None,
     study: Study,
     options: RecordOptions | None = None,
+    physical: JointModel | None = None,
 ) -> RecordModel:
     """Everything one record tells of the joint that was excited in it.
 
@@ -141,6 +142,8 @@ def identify_record(
     model : RigidModel or None
     study : Study
     options : RecordOptions, optional
+    physical : JointModel, optional
+        From `identify_joint` of this record alone, where that has been done.
 
     Returns
     -------
@@ -161,7 +164,8 @@ def identify_record(
     def grey_box() -> JointModel:
         return identify_joint([(signals, decoupled)], model, study, chosen.physical)
 
-    physical = tried("grey-box-failed", grey_box)
+    if physical is None:
+        physical = tried("grey-box-failed", grey_box)
     linear = modes = transfer = check = None
     if chosen.state_space:
         linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))
