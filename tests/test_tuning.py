@@ -247,7 +247,6 @@ def test_records_that_begin_in_motion() -> None:
         assert abs(deviations) < 4.0, (name, joint)
 
 
-@pytest.mark.xfail(reason="initial states are moved between rounds of weights only")
 def test_records_that_begin_in_motion_are_repeated() -> None:
     study, known, records = shaken("linear", 8.0)
     model = from_wrong_starts([later(log, 600) for log in records], study, known)

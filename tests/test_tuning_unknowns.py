@@ -199,15 +199,7 @@ def test_holding_takes_unknowns_away() -> None:
     assert twice.values(np.zeros(len(twice.unknowns)))["beta", None] == values["beta", None]
 
 
-@pytest.mark.parametrize(
-    "knee",
-    [
-        pytest.param(
-            KNEES[0], marks=pytest.mark.xfail(reason="the second knee forgets a first that is held")
-        ),
-        KNEES[1],
-    ],
-)
+@pytest.mark.parametrize("knee", KNEES)
 def test_one_knee_can_be_held(knee: str) -> None:
     _, _, search = mixed()
     values = search.values(somewhere(search, 3))

@@ -199,16 +199,18 @@ def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) 
     )
 
 
+def simulated(
+    record: Replayed, values: Mapping[tuple[str, int | None], float], local: FloatArray
+) -> FloatArray:
+    """A record's channels by simulation without derivatives: (n_rows, n_channels)."""
+    return record.seen(record.run(values, local, record.quantities()))
+
+
 @dataclass(frozen=True, slots=True)
 class LinearRecord(Replayed):
     """A record of an arm whose channels are linear in its parameters, and in no initial state."""
 
     table: FloatArray  # (n_rows, n_channels, n_unknowns)
-
-    def simulated(
-        self, values: Mapping[tuple[str, int | None], float], local: FloatArray
-    ) -> FloatArray:
-        return np.asarray(self.table @ np.array([values[f"p{k}", None] for k in range(self.n)]))
 
     @property
     def n(self) -> int:
@@ -221,7 +223,8 @@ class LinearRecord(Replayed):
         directions: Sequence[tuple[str, int | None]],
     ) -> tuple[FloatArray, FloatArray]:
         asked = [int(name[1:]) for name, _ in directions]
-        return self.simulated(values, local), self.table[..., asked]
+        parameters = np.array([values[f"p{k}", None] for k in range(self.n)])
+        return np.asarray(self.table @ parameters), self.table[..., asked]
 
 
 def linear_search(n: int, prior: Prior | None = None) -> Search:
@@ -243,6 +246,7 @@ def linear_record(
     return LinearRecord(
         log=Log(experiment, time, 1e-3, {}),
         study=study,
+        cutoff_hz=100.0,
         drive=Drive(1e-3, still, still, (False, False), (0.0, 0.0), (0.0, 0.0)),
         channels=tuple(channels),
         kernels=Kernels(np.ones(1), np.ones(1), 1),
@@ -250,5 +254,6 @@ def linear_record(
         measured=measured,
         noise=np.full(n_channels, noise),
         moving=False,
+        longest_step=1e-3,
         table=table,
     )

@@ -7,7 +7,7 @@ low-pass.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
 from strainwave.parameters import Values
 from strainwave.prediction import fit_percent
-from strainwave.records import Caution, FloatArray, Joint, Log, Prediction, Study
+from strainwave.records import Caution, FloatArray, Log, Prediction, Study
 from strainwave.replay import check_replay, replay
 from strainwave.simulation import Drive, Quantity, simulate_arms
 
@@ -79,10 +79,8 @@ class Observed:
         """Per channel, whether it stands well out of its noise."""
         return tuple((np.std(self.measured, axis=0) > _MOVES * self.noise).tolist())
 
-    def simulated(
-        self, study: Study, arms: Sequence[Mapping[tuple[str, int | None], float]]
-    ) -> FloatArray:
-        """The same channels of arms that go through the same experiment.
+    def simulated(self, study: Study, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
+        """The same channels of an arm that goes through the same experiment.
 
         An accelerometer's bias is unknown: its simulated mean is set to the measured one.
 
@@ -90,37 +88,34 @@ class Observed:
         ----------
         study : Study
             With springs that fit the values.
-        arms : sequence of dict
+        values : dict
+            (name, joint) -> value.
 
         Returns
         -------
-        (n_arms, n_rows, n_channels)
+        (n_rows, n_channels)
         """
         record: list[Quantity] = ["encoder"]
         if len(self.channels) > study.n_joints:
             record.append("accelerometer")
         runs = simulate_arms(
             study,
-            [dict(values) for values in arms],
+            [dict(values)],
             self.drive,
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
         )
-        columns = [np.moveaxis(runs["encoder"], 2, 0)]
+        columns = [runs["encoder"][0]]
         for name in self.channels[study.n_joints :]:
-            columns.append(runs["accelerometer"][None, :, :, int(name[1:]) - 1])
-        # samples first: filters run along the first axis
-        raw = np.moveaxis(np.concatenate(columns), 2, 0)
-        seen = np.moveaxis(_filtered(raw, study.n_joints, self.log, self.cutoff_hz), 2, 0)
-        shift = self.measured.mean(axis=0) - seen.mean(axis=1)
-        shift[:, : study.n_joints] = 0.0
-        return np.asarray(seen + shift[:, None, :])
+            columns.append(runs["accelerometer"][0, :, [int(name[1:]) - 1]].T)
+        seen = _filtered(np.hstack(columns), study.n_joints, self.log, self.cutoff_hz)
+        shift = self.measured.mean(axis=0) - seen.mean(axis=0)
+        shift[: study.n_joints] = 0.0
+        return np.asarray(seen + shift)
 
 
-def observe(
-    log: Log, study: Study, cutoff_hz: float | None = None, *, accelerometers: bool = True
-) -> Observed:
+def observe(log: Log, study: Study, cutoff_hz: float | None = None) -> Observed:
     """Velocities and accelerations of a record, ready to be compared.
 
     Parameters
@@ -129,8 +124,6 @@ def observe(
     study : Study
     cutoff_hz : float [Hz], optional
         Of the low-pass; as far up as the encoders show motion if it is not given.
-    accelerometers : bool
-        Whether they are compared as well.
 
     Returns
     -------
@@ -144,11 +137,7 @@ def observe(
     check_replay(study, log)
     cutoff = cutoff_hz or velocity_band(log, study)
     numbers = range(1, study.n_joints + 1)
-    placed = [
-        i
-        for i in numbers
-        if accelerometers and f"a{i}" in log.channels and _has_place(study.joints[i - 1])
-    ]
+    placed = [i for i in numbers if has_accelerometer(log, study, i)]
     raw = [log.channels[f"theta_m{i}"] for i in numbers]
     raw += [log.channels[f"a{i}"] for i in placed]
     T = log.sample_time
@@ -196,7 +185,7 @@ def predict_closed_loop(
         The motion left the finite numbers.
     """
     seen = observe(log, study, cutoff_hz)
-    return prediction_of(seen, seen.simulated(linearised(study, values), [values])[0])
+    return prediction_of(seen, seen.simulated(linearised(study, values), values))
 
 
 def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:
@@ -230,8 +219,23 @@ def _still(seen: Observed) -> Iterator[Caution]:
             yield Caution("nothing-to-predict", seen.log.name, text)
 
 
-def _has_place(joint: Joint) -> bool:
-    return joint.motion == "prismatic" or joint.accelerometer_distance is not None
+def has_accelerometer(log: Log, study: Study, joint: int) -> bool:
+    """Whether a joint's accelerometer was logged, and it is known where it sits.
+
+    Parameters
+    ----------
+    log : Log
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    bool
+    """
+    own = study.joints[joint - 1]
+    placed = own.motion == "prismatic" or own.accelerometer_distance is not None
+    return placed and f"a{joint}" in log.channels
 
 
 def _inside(log: Log, cutoff_hz: float) -> slice:

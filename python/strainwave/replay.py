@@ -29,15 +29,16 @@ def replay(study: Study, log: Log) -> Drive:
     experiment = log.experiment
     voltage = np.zeros((len(log), study.n_joints))
     reference = np.zeros_like(voltage)
+    applied = driving_voltages(study, log)
     for i in range(study.n_joints):
         if experiment.control[i] == "open":
-            voltage[:, i] = log.channels[_input_channel(log, i + 1)]
+            voltage[:, i] = applied[:, i]
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1:
                 voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
     numbers = range(1, study.n_joints + 1)
-    before = [log.channels[_input_channel(log, i)][0] - voltage[0, i - 1] for i in numbers]
+    before = applied[0] - voltage[0]
     return Drive(
         tick=log.sample_time,
         voltage=voltage,
@@ -64,14 +65,34 @@ def missing_for_replay(study: Study, log: Log) -> str | None:
     experiment = log.experiment
     if study.servo is None and "servo" in experiment.control:
         return "the study describes no servo"
+    silent = missing_motor_signal(study, log)
+    if silent:
+        return silent
     for i, control in enumerate(experiment.control, start=1):
-        if not any(name in log.channels for name in (f"u{i}", f"torque{i}")):
-            return f"neither torque{i} nor u{i} is there"
-        if f"theta_m{i}" not in log.channels:
-            return f"theta_m{i} is not there"
         moved = experiment.joint in (None, i) and experiment.prbs is None
         if control == "servo" and moved and f"ref{i}" not in log.channels:
             return f"the servo's reference ref{i} is not there"
+    return None
+
+
+def missing_motor_signal(study: Study, log: Log) -> str | None:
+    """Which motor's angle or input a log lacks, if any.
+
+    Parameters
+    ----------
+    study : Study
+    log : Log
+
+    Returns
+    -------
+    str or None
+        A clause that says what is missing.
+    """
+    for i in range(1, study.n_joints + 1):
+        if input_channel(log, i) is None:
+            return f"neither torque{i} nor u{i} is there"
+        if f"theta_m{i}" not in log.channels:
+            return f"theta_m{i} is not there"
     return None
 
 
@@ -97,8 +118,42 @@ def check_replay(study: Study, log: Log) -> None:
         )
 
 
-def _input_channel(log: Log, joint: int) -> str:
-    return f"u{joint}" if f"u{joint}" in log.channels else f"torque{joint}"
+def input_channel(log: Log, joint: int) -> str | None:
+    """The channel that drives a joint: its voltage, or its torque where no voltage was logged.
+
+    Parameters
+    ----------
+    log : Log
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    str or None
+    """
+    return next((name for name in (f"u{joint}", f"torque{joint}") if name in log.channels), None)
+
+
+def driving_voltages(study: Study, log: Log) -> FloatArray:
+    """The voltages that drove the joints; of a logged torque the one that commands it.
+
+    Parameters
+    ----------
+    study : Study
+    log : Log
+        With an input of every joint.
+
+    Returns
+    -------
+    (n_samples, n_joints) [V], or [N m] where the study has no torque per volt
+    """
+    columns = []
+    for i, joint in enumerate(study.joints, start=1):
+        name = input_channel(log, i) or f"u{i}"
+        torque_per_volt = joint.torque_per_volt or 1.0
+        scale = 1.0 if name == f"u{i}" else 1.0 / torque_per_volt
+        columns.append(scale * log.channels[name])
+    return np.column_stack(columns)
 
 
 def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:

@@ -198,8 +198,10 @@ def _tuned(model: ArmModel) -> dict[str, Any]:
 def _correlations(model: ArmModel) -> list[list[float]]:
     """Between the parameters, in their order; nothing varies with what nothing tells of."""
     deviation = np.sqrt(np.diag(model.covariance))
-    scale = np.where(deviation > 0.0, deviation, 1.0)
-    correlations: list[list[float]] = (model.covariance / np.outer(scale, scale)).round(4).tolist()
+    told = np.isfinite(deviation)
+    scale = np.where((deviation > 0.0) & told, deviation, 1.0)
+    covariance = np.where(np.outer(told, told), model.covariance, 0.0)
+    correlations: list[list[float]] = (covariance / np.outer(scale, scale)).round(4).tolist()
     return correlations
 
 

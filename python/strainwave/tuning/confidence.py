@@ -5,8 +5,8 @@ Three covariances, of which each parameter gets the widest:
 - local, (J'J)^-1 of rows in deviations: right if the model is right and the noise as it looks;
 - sandwich, in which stretches of a record are as independent as they show themselves: right where
   errors go on for longer than the rows' weights allow for;
-- jackknife over records, the scatter of what the fit would be without each of them: it sees what is
-  wrong with the model in different ways in different experiments.
+- scatter of the records, each judged by what it wants of the fit: it sees what is wrong with the
+  model in different ways in different experiments.
 
 None of them sees what is wrong with the model in the same way everywhere. Its size shows all the
 same, as residuals larger than the sensors' own noise explains. Such an error does not average away
@@ -25,6 +25,7 @@ from strainwave.records import FloatArray
 from strainwave.tuning.misfit import Misfit
 
 _NOTHING = 1e-30  # information of what no record tells of
+_LEAST_LEFT = 1e-3  # of a gradient where one record alone tells a parameter
 _VAGUE = 0.1  # relative deviation from which a parameter is hardly told
 _SURER = 5.0  # times, that a sum must be surer than its parts to be named
 _TAKES_PART = 0.2  # share of the largest component from which a parameter takes part
@@ -37,7 +38,7 @@ class Confidence:
     combined: FloatArray
     local: FloatArray
     sandwich: FloatArray
-    jackknife: FloatArray  # NaN with fewer than three records
+    scatter: FloatArray  # NaN with fewer than three records
 
 
 def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
@@ -63,9 +64,9 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     n = len(blocks)
     bread = np.sum(curvatures, axis=0) + known
     sandwich = _inverse(bread) @ (n / (n - 1.0) * blocks.T @ blocks + known) @ _inverse(bread)
-    jackknife = _jackknife(bread, curvatures, [block.sum(axis=0) for block in scores])
+    scatter = _scatter(bread, known, curvatures, [block.sum(axis=0) for block in scores])
     slope = misfit.search.slope(z)
-    parts = [slope @ part @ slope.T for part in (inverse, sandwich, jackknife)]
+    parts = [slope @ part @ slope.T for part in (inverse, sandwich, scatter)]
     deviations = np.sqrt([np.diag(part) for part in parts])
     share = _beyond_noise(misfit, products, inverse)
     largest = np.nanmax(deviations, axis=0) * np.sqrt(1.0 + len(misfit.records) * share)
@@ -110,21 +111,37 @@ def _beyond_noise(
     return np.asarray(np.diag(inverse @ excess @ inverse) / np.diag(inverse))
 
 
-def _jackknife(
-    whole: FloatArray, products: Sequence[FloatArray], gradients: Sequence[FloatArray]
+def _scatter(
+    whole: FloatArray,
+    known: FloatArray,
+    products: Sequence[FloatArray],
+    gradients: Sequence[FloatArray],
 ) -> FloatArray:
-    """Scatter of the fits without each record, by one Newton step from the fit with all."""
-    n = len(products)
-    if n < 3:
+    """Covariance of the fit from the gradients of whole records.
+
+    A fit bends to each record, the more the larger its leverage A = L^-1 P L^-T, L L' all
+    information and P the record's own: of a gradient's variance A a share I - A is left. It is
+    raised by (I - A)^(-1/2), after which a right model makes the scatter the local covariance
+    (Bell and McCaffrey, 2002). A jackknife raises it by (I - A)^-1, which for a parameter that one
+    record alone tells is beyond all bounds.
+    """
+    if len(products) < 3:
         return np.full_like(whole, np.nan)
-    moved = np.array(
-        [
-            _inverse(whole - own) @ gradient
-            for own, gradient in zip(products, gradients, strict=True)
-        ]
-    )
-    apart = moved - moved.mean(axis=0)
-    return np.asarray((n - 1.0) / n * apart.T @ apart)
+    unscale = _root_of(_inverse(whole))  # L^-T, whose square is the inverse
+    meat = unscale.T @ known @ unscale
+    for own, gradient in zip(products, gradients, strict=True):
+        leverage, vectors = np.linalg.eigh(unscale.T @ own @ unscale)
+        left = np.sqrt(np.maximum(1.0 - leverage, _LEAST_LEFT))
+        raised = vectors @ (vectors.T @ (unscale.T @ gradient) / left)
+        meat = meat + np.outer(raised, raised)
+    return np.asarray(unscale @ meat @ unscale.T)
+
+
+def _root_of(covariance: FloatArray) -> FloatArray:
+    """L with L L' = covariance."""
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _inverse(information: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.records import FloatArray, IntArray
 from strainwave.tuning.replayed import Replayed
-from strainwave.tuning.trust_region import Linearised
+from strainwave.tuning.trust_region import Linearised, minimise
 from strainwave.tuning.unknowns import Search
 
 BLOCKS = 10
@@ -27,8 +27,13 @@ BLOCKS = 10
 _MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
 _FIRST = 0.1  # of a channel's own spread: its errors' deviation before any is known
 _LEAST = 1e-3  # of it: no model is better than that
-_NOISE_REPEATS = 2.0  # rows of low-passed white noise that say the same, four to a period
 _ROBUST = 1.4826  # standard deviation of normal errors over their median magnitude
+
+_ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
+_BEGUN = 0.1  # gain still foretold of moving a beginning, in units of the cost
+_BEGINNINGS = 12  # of a record that are tried for one point
+
+_LEAST_BEND = 0.5  # of the loss beside its weights: far from a minimum it hardly bends at all
 
 T = TypeVar("T")
 
@@ -49,14 +54,27 @@ class Evaluated:
     shared: FloatArray  # (n_rows, n_channels, n_unknowns) by the coordinates
     local: FloatArray  # (n_rows, n_channels, n_own) by the record's own unknowns
 
+    def beginning(self, weights: Weights) -> Linearised:
+        """The cost with its least squares problem in the record's own unknowns alone."""
+        residual = self.difference / weights.deviation
+        root = _root(residual, weights)
+        table = np.concatenate(
+            [self.local / weights.deviation[:, None], residual[..., None]], axis=2
+        )
+        table = table * root[..., None]
+        factor = np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r")
+        return Linearised(_loss(residual, weights), np.asarray(factor))
+
     def weighted(self, weights: Weights) -> Rows:
         """Divided by their deviations, the record's own unknowns at their best."""
-        residual = self.difference / weights.deviation
+        begun = self.difference / weights.deviation
         local = self.local / weights.deviation[:, None]
-        root = _root(residual, weights)
-        columns = (local * root[..., None]).reshape(residual.size, -1)
-        step = np.asarray(np.linalg.lstsq(columns, -(residual * root).ravel())[0], dtype=float)
-        residual = residual + local @ step
+        residual, step = begun, np.zeros(local.shape[2])
+        for _ in range(_ROUNDS if local.shape[2] else 0):
+            root = _root(residual, weights)
+            columns = (local * root[..., None]).reshape(begun.size, -1)
+            step = np.asarray(np.linalg.lstsq(columns, -(begun * root).ravel())[0], dtype=float)
+            residual = begun + local @ step
         shared = self.shared / weights.deviation[:, None]
         return Rows(residual, _root(residual, weights), shared, local, step)
 
@@ -71,17 +89,23 @@ class Rows:
     local: FloatArray  # (n_rows, n_channels, n_own)
     step: FloatArray  # (n_own,) by which the record's own unknowns have moved
 
-    def factor(self) -> FloatArray:
-        """R of [shared residual], weighted, in what the record's own unknowns cannot imitate."""
-        parts = [self.local, self.shared, self.residual[..., None]]
-        table = np.concatenate(parts, axis=2) * self.root[..., None]
+    def factor(self, least_bend: float) -> FloatArray:
+        """R of [shared residual] in what the record's own unknowns cannot imitate.
+
+        R stands for the loss's slope and for how it bends on the whole: by less than the weights
+        (1 + r^2)^(-1/2) that give its slope, with which steps would be a third too short.
+        """
+        square = self.root**2
+        bend = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
+        bend = np.maximum(bend, least_bend)[:, None]
+        parts = [bend * self.local, bend * self.shared, self.residual[..., None]]
+        table = np.concatenate(parts, axis=2) * (self.root[..., None] / np.sqrt(bend))
         n = len(self.step)
         return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r"))[n:, n:]
 
     def cost(self, weights: Weights) -> float:
-        """The soft L1 loss, sum of 2 (sqrt(1 + r^2) - 1), over the repetitions."""
-        loss = np.sum(2.0 * (np.sqrt(1.0 + self.residual**2) - 1.0), axis=0)
-        return float(np.sum(loss / weights.repeats))
+        """The soft L1 loss."""
+        return _loss(self.residual, weights)
 
 
 @dataclass
@@ -100,6 +124,7 @@ class Misfit:
     records: tuple[Replayed, ...]
     weights: tuple[Weights, ...]
     memory: _Memory = field(repr=False)
+    guessed: bool = False  # whether the weights know nothing of the errors yet
 
     @classmethod
     def of(cls, search: Search, records: Sequence[Replayed]) -> Misfit:
@@ -120,7 +145,7 @@ class Misfit:
             size = np.maximum(spread, record.noise)
             weights.append(Weights(size, np.ones(len(size))))
         own = [np.concatenate([r.start(), np.zeros(_shifts(r).shape[2])]) for r in records]
-        return cls(search, tuple(records), tuple(weights), _Memory(own))
+        return cls(search, tuple(records), tuple(weights), _Memory(own), guessed=True)
 
     def linearise(self, z: FloatArray) -> Linearised | None:
         """The cost with its least squares problem in the unknowns; None where no arm can be."""
@@ -128,7 +153,8 @@ class Misfit:
             rows = self.rows(z)
         except (InvalidInput, NumericalFailure):
             return None
-        factors = side_by_side([one.factor for one in rows])
+        least = 1.0 if self.guessed else _LEAST_BEND
+        factors = side_by_side([partial(one.factor, least) for one in rows])
         cost = sum(one.cost(w) for one, w in zip(rows, self.weights, strict=True))
         prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
         slope = self.search.prior.rows @ self.search.slope(z)
@@ -150,12 +176,6 @@ class Misfit:
             self.memory.last = at, found
         return self.memory.last[1]
 
-    def settle_own(self, z: FloatArray) -> None:
-        """Moves the records' own unknowns to where they are best for z."""
-        for k, rows in enumerate(self.rows(z)):
-            self.memory.own[k] = self.memory.own[k] + rows.step
-        self.memory.last = None
-
     def reweighted(self, z: FloatArray) -> Misfit:
         """With deviations and repetitions as the residuals at z show them."""
         weights = []
@@ -165,11 +185,15 @@ class Misfit:
             least = np.maximum(record.noise, _LEAST * np.std(record.measured, axis=0))
             size = np.maximum(np.maximum(size, 0.5 * np.std(errors, axis=0)), least)
             weights.append(Weights(size, np.array([_repeats(column) for column in errors.T])))
-        return replace(self, weights=tuple(weights))
+        return replace(self, weights=tuple(weights), guessed=False)
 
     def for_unknowns(self, search: Search) -> Misfit:
         """The same records and weights for other unknowns."""
         return replace(self, search=search, memory=_Memory(list(self.memory.own)))
+
+    def seen_by(self, records: Sequence[Replayed]) -> Misfit:
+        """The same weights and beginnings for other rows of the same records."""
+        return replace(self, records=tuple(records), memory=_Memory(list(self.memory.own)))
 
     def blocks(self) -> list[IntArray]:
         """The stretch that each row of a record belongs to, counted through all records."""
@@ -180,14 +204,13 @@ class Misfit:
         return found
 
     def noise_shares(self) -> list[float]:
-        """Of each record, the share of its errors' variance that its sensors' noise makes.
-
-        Both behind the low-pass, whose rows repeat white noise by `_NOISE_REPEATS`.
-        """
+        """Of each record, the share of its errors' variance that its sensors' noise makes."""
         found = []
         for record, weights in zip(self.records, self.weights, strict=True):
             variance = weights.deviation**2 * weights.repeats
-            share = _NOISE_REPEATS * record.noise**2 / variance
+            kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
+            repeats = np.array([repetitions(_lagged(k, record.kernels.step)) for k in kernels])
+            share = repeats * record.noise**2 / variance
             found.append(float(np.clip(np.mean(share), 0.0, 1.0)))
         return found
 
@@ -204,7 +227,32 @@ class Misfit:
         return found
 
     def _evaluated(self, k: int, record: Replayed, z: FloatArray) -> Evaluated:
+        """A record at z; if it begins in motion, begun where it fits best."""
+        if not record.moving:
+            return self._begun(record, z, self.memory.own[k])
+        seen: dict[bytes, Evaluated] = {}
+
+        def linearise(own: FloatArray) -> Linearised | None:
+            try:
+                seen[own.tobytes()] = self._begun(record, z, own)
+            except (InvalidInput, NumericalFailure):
+                return None
+            return seen[own.tobytes()].beginning(self.weights[k])
+
         own = self.memory.own[k]
+        found = minimise(
+            linearise,
+            own,
+            np.full(len(own), np.inf),
+            tolerance=_BEGUN,
+            max_evaluations=_BEGINNINGS,
+        )
+        if found is None:
+            raise NumericalFailure(f"{record.log.name} cannot be simulated from where it begins")
+        self.memory.own[k] = found.x
+        return seen[found.x.tobytes()]
+
+    def _begun(self, record: Replayed, z: FloatArray, own: FloatArray) -> Evaluated:
         n_begin, n = len(record.local), len(self.search.unknowns)
         values = self.search.values(z)
         seen, tangent = record.linearised(values, own[:n_begin], self.search.keys)
@@ -218,6 +266,12 @@ class Misfit:
     def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""
         return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
+
+
+def _loss(residual: FloatArray, weights: Weights) -> float:
+    """Sum of 2 (sqrt(1 + r^2) - 1), over the repetitions."""
+    loss = np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0), axis=0)
+    return float(np.sum(loss / weights.repeats))
 
 
 def _root(residual: FloatArray, weights: Weights) -> FloatArray:
@@ -234,13 +288,32 @@ def _shifts(record: Replayed) -> FloatArray:
 
 
 def _repeats(column: FloatArray) -> float:
-    """1 + 2 sum of the autocorrelations up to the first negative one."""
+    """How many errors in succession say the same thing."""
     n = len(column)
     spectrum = np.fft.rfft(column - column.mean(), 2 * n)
-    correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: n // 2]
-    if correlation[0] <= 0.0:
+    return repetitions(np.fft.irfft(np.abs(spectrum) ** 2)[: n // 2])
+
+
+def _lagged(taps: FloatArray, step: int) -> FloatArray:
+    """Autocovariances, row by row, of white noise behind a filter."""
+    return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
+
+
+def repetitions(covariance: FloatArray) -> float:
+    """1 + 2 sum of the autocorrelations up to the first negative one.
+
+    Parameters
+    ----------
+    covariance : (n_lags,)
+        From lag zero on.
+
+    Returns
+    -------
+    float
+    """
+    if covariance[0] <= 0.0:
         return 1.0
-    correlation /= correlation[0]
+    correlation = covariance / covariance[0]
     negative = np.flatnonzero(correlation < 0.0)
     until = negative[0] if negative.size else len(correlation)
     return float(1.0 + 2.0 * np.sum(correlation[1:until]))

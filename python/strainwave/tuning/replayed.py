@@ -11,19 +11,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from strainwave.closed_loop import has_accelerometer
 from strainwave.errors import InvalidInput
 from strainwave.filters import noise_deviation
 from strainwave.records import FloatArray, Joint, Log, Study
-from strainwave.replay import replay
+from strainwave.replay import driving_voltages, missing_motor_signal, replay
 from strainwave.simulation import Drive, Quantity, sensitivities, simulate_arms
 
 INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """What is unknown of the beginning of a record that begins in motion, joint by joint."""
 
-_STEP = 2.5e-4  # [s] of the integrator: below 100 Hz its error is a hundredth of the sensors' noise
+_STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
 _PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat each other
 _REACH = 1.5  # periods of the cut-off that the low-pass reaches to either side
+_BAND = 8  # rows of the low-pass that share a matrix product
 _SHAPE = 5.0  # of its Kaiser window: 50 dB outside its band
 _REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at rest
 _BEGINNING = 0.02  # [s] that are looked at for it
@@ -49,22 +52,30 @@ class Kernels:
     slope: FloatArray  # (n_taps,) [1/s]
     step: int  # samples from row to row
 
+    def taps(self, *, rate: bool) -> FloatArray:
+        """Those of the slope, or of the low-pass itself: (n_taps,)."""
+        return self.slope if rate else self.smooth
+
     def rows(self, samples: FloatArray, *, rate: bool) -> FloatArray:
         """(n_samples, ...) -> (n_rows, ...), without the edges that the low-pass cannot reach.
 
-        Sums of products block by block: a block of `step` samples meets every part of the kernel in
-        one matrix product, whose shifted sums are the rows.
+        Some rows at a time are one product of a banded matrix with the samples that they reach.
         """
-        taps = self.slope if rate else self.smooth
-        parts = taps.reshape(-1, self.step)
-        n_blocks = len(samples) // self.step
-        flat = samples[: n_blocks * self.step].reshape(n_blocks, self.step, -1)
-        products = np.matmul(parts, flat)  # (n_blocks, n_parts, columns)
-        n_rows = n_blocks - len(parts) + 1
-        rows = products[:n_rows, 0].copy()
-        for part in range(1, len(parts)):
-            rows += products[part : part + n_rows, part]
-        return np.asarray(rows.reshape(n_rows, *samples.shape[1:]))
+        taps, step = self.taps(rate=rate), self.step
+        n_rows = (len(samples) - len(taps)) // step + 1
+        band = np.zeros((_BAND, (_BAND - 1) * step + len(taps)))
+        for k in range(_BAND):
+            band[k, k * step : k * step + len(taps)] = taps
+        flat = samples.reshape(len(samples), -1)
+        rows = np.empty((n_rows, flat.shape[1]))
+        whole = n_rows // _BAND * _BAND
+        reached = sliding_window_view(flat, band.shape[1], axis=0) if whole else None
+        if reached is not None:
+            blocks = reached[: whole * step : _BAND * step].transpose(0, 2, 1)
+            rows[:whole] = np.matmul(band, blocks).reshape(whole, -1)
+        rest = flat[whole * step : (n_rows - 1) * step + len(taps)]
+        rows[whole:] = band[: n_rows - whole, : len(rest)] @ rest
+        return rows.reshape(n_rows, *samples.shape[1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +83,8 @@ class Replayed:
     """One record, ready to be compared."""
 
     log: Log
-    study: Study  # encoders without counts, so that the simulation is smooth in the parameters
+    study: Study  # as it was driven; without counts, to be smooth in the parameters
+    cutoff_hz: float
     drive: Drive
     channels: tuple[Channel, ...]
     kernels: Kernels
@@ -80,6 +92,7 @@ class Replayed:
     measured: FloatArray  # (n_rows, n_channels)
     noise: FloatArray  # (n_channels,) standard deviation of the sensors' own noise behind it
     moving: bool  # whether it begins in motion
+    longest_step: float  # [s] of the integrator
 
     @property
     def local(self) -> tuple[tuple[str, int], ...]:
@@ -99,20 +112,23 @@ class Replayed:
         slope, origin = np.polyfit(T * np.arange(first), angle, 1)
         return np.concatenate([slope, ratios * origin, ratios * slope])
 
-    def simulated(
-        self, values: Mapping[tuple[str, int | None], float], local: FloatArray
-    ) -> FloatArray:
-        """The channels of an arm, without their unknown constants: (n_rows, n_channels)."""
+    def run(
+        self,
+        values: Mapping[tuple[str, int | None], float],
+        local: FloatArray,
+        record: Sequence[Quantity],
+    ) -> dict[Quantity, FloatArray]:
+        """What an arm does in this experiment: (n_samples, n_joints) of each quantity."""
         runs = simulate_arms(
             self.study,
             [dict(values)],
             self._begun(local),
             sample_time=self.log.sample_time,
             samples=len(self.log),
-            record=self._quantities(),
-            longest_step=_STEP,
+            record=record,
+            longest_step=self.longest_step,
         )
-        return self._seen({name: run[0] for name, run in runs.items()})
+        return {name: run[0] for name, run in runs.items()}
 
     def linearised(
         self,
@@ -120,7 +136,9 @@ class Replayed:
         local: FloatArray,
         directions: Sequence[tuple[str, int | None]],
     ) -> tuple[FloatArray, FloatArray]:
-        """The same, and its derivatives with respect to parameters and then initial states.
+        """The channels of an arm, without their unknown constants, and their derivatives.
+
+        Derivatives are those with respect to parameters and then to initial states.
 
         Returns
         -------
@@ -133,11 +151,11 @@ class Replayed:
             [*directions, *self.local],
             sample_time=self.log.sample_time,
             samples=len(self.log),
-            record=self._quantities(),
-            longest_step=_STEP,
+            record=self.quantities(),
+            longest_step=self.longest_step,
         )
-        seen = self._seen({name: run[0] for name, run in runs.items()})
-        return seen, self._seen({name: run[1] for name, run in runs.items()})
+        seen = self.seen({name: run[0] for name, run in runs.items()})
+        return seen, self.seen({name: run[1] for name, run in runs.items()})
 
     def _begun(self, local: FloatArray) -> Drive:
         if not self.moving:
@@ -148,10 +166,11 @@ class Replayed:
             self.drive, motor_velocity=velocity, link_angle=link, link_velocity=link_velocity
         )
 
-    def _quantities(self) -> list[Quantity]:
+    def quantities(self) -> list[Quantity]:
+        """What has to be simulated for the channels."""
         return list(dict.fromkeys(channel.quantity for channel in self.channels))
 
-    def _seen(self, runs: Mapping[Quantity, FloatArray]) -> FloatArray:
+    def seen(self, runs: Mapping[Quantity, FloatArray]) -> FloatArray:
         """Rows of each channel from samples (n_samples, n_joints, ...) of each quantity."""
         kinds = dict.fromkeys((channel.quantity, channel.rate) for channel in self.channels)
         rows = {kind: self.kernels.rows(runs[kind[0]], rate=kind[1]) for kind in kinds}
@@ -178,7 +197,7 @@ def replayed(log: Log, study: Study, cutoff_hz: float) -> Replayed:
     InvalidInput
         The log lacks something that going through it again needs, or is too short.
     """
-    missing = _missing(log, study)
+    missing = missing_motor_signal(study, log)
     if missing:
         raise InvalidInput(missing, where=log.name, remedy="log every motor's angle and voltage")
     T = log.sample_time
@@ -202,7 +221,8 @@ def replayed(log: Log, study: Study, cutoff_hz: float) -> Replayed:
     middle = 0.5 * (reach - 1) * T
     return Replayed(
         log=log,
-        study=_countless(study),
+        study=_as_driven(log, study),
+        cutoff_hz=cutoff_hz,
         drive=_drive(log, study),
         channels=channels,
         kernels=kernels,
@@ -210,7 +230,42 @@ def replayed(log: Log, study: Study, cutoff_hz: float) -> Replayed:
         measured=np.column_stack(rows),
         noise=np.asarray(noise),
         moving=_begins_in_motion(log, study),
+        longest_step=_STEP,
     )
+
+
+def coarser(record: Replayed, longest_step: float) -> Replayed:
+    """The same record in longer steps, for a search that is still far off.
+
+    Parameters
+    ----------
+    record : Replayed
+    longest_step : float [s]
+        Of the integrator; samples that lie closer are thinned, and voltages become their means.
+
+    Returns
+    -------
+    Replayed
+        Its rows lie as far apart, about.
+    """
+    log = record.log
+    every = max(1, int(longest_step / log.sample_time))
+    n = len(log) // every
+    channels = {
+        name: x[: n * every].reshape(n, every).mean(axis=1)
+        if name.startswith(("u", "torque"))
+        else x[: n * every : every]
+        for name, x in log.channels.items()
+    }
+    thinned = replace(
+        log,
+        sample_time=every * log.sample_time,
+        time=log.time[: n * every : every],
+        channels=channels,
+    )
+    coarse = replayed(thinned, record.study, record.cutoff_hz)
+    step = max(longest_step, _STEP)
+    return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
 
 
 def low_pass_kernels(cutoff_hz: float, sample_time: float) -> Kernels:
@@ -241,8 +296,8 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float) -> Kernels:
 def _channels(log: Log, study: Study) -> Iterator[Channel]:
     for i in range(1, study.n_joints + 1):
         yield Channel(f"theta_m{i}", i, "motor_angle", rate=True, shifted=False)
-    for i, joint in enumerate(study.joints, start=1):
-        if f"a{i}" in log.channels and _has_place(joint):
+    for i in range(1, study.n_joints + 1):
+        if has_accelerometer(log, study, i):
             yield Channel(f"a{i}", i, "accelerometer", rate=False, shifted=True)
         elif f"theta_l{i}" in log.channels:
             yield Channel(f"theta_l{i}", i, "link_angle", rate=True, shifted=False)
@@ -250,33 +305,10 @@ def _channels(log: Log, study: Study) -> Iterator[Channel]:
             yield Channel(f"gyro{i}", i, "gyro", rate=False, shifted=True)
 
 
-def _has_place(joint: Joint) -> bool:
-    return joint.motion == "prismatic" or joint.accelerometer_distance is not None
-
-
 def _drive(log: Log, study: Study) -> Drive:
-    """The recorded voltages or torques, held from sample to sample."""
-    voltage = np.column_stack([log.channels[name] for name in _inputs(log, study) if name])
+    """The recorded voltages, held from sample to sample, in place of servos and references."""
     free = (False,) * study.n_joints
-    return replace(replay(study, log), voltage=voltage, servo=free)
-
-
-def _inputs(log: Log, study: Study) -> list[str | None]:
-    """The logged voltage or torque of each joint."""
-    return [
-        next((name for name in (f"u{i}", f"torque{i}") if name in log.channels), None)
-        for i in range(1, study.n_joints + 1)
-    ]
-
-
-def _missing(log: Log, study: Study) -> str | None:
-    """What keeps a record from being gone through again, if anything."""
-    for i, name in enumerate(_inputs(log, study), start=1):
-        if name is None:
-            return f"neither u{i} nor torque{i} is there"
-        if f"theta_m{i}" not in log.channels:
-            return f"theta_m{i} is not there"
-    return None
+    return replace(replay(study, log), voltage=driving_voltages(study, log), servo=free)
 
 
 def _begins_in_motion(log: Log, study: Study) -> bool:
@@ -303,8 +335,16 @@ def _count(joint: Joint) -> float:
     return 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
 
 
-def _countless(study: Study) -> Study:
-    joints = tuple(replace(joint, encoder_counts=None) for joint in study.joints)
+def _as_driven(log: Log, study: Study) -> Study:
+    """Encoders without counts; where the torque itself was logged, no current loop before it."""
+    joints = tuple(
+        replace(
+            joint,
+            encoder_counts=None,
+            current_loop_hz=joint.current_loop_hz if f"u{i}" in log.channels else None,
+        )
+        for i, joint in enumerate(study.joints, start=1)
+    )
     return replace(study, joints=joints)
 
 
@@ -321,4 +361,6 @@ def usable(logs: Sequence[Log], study: Study) -> list[Log]:
     list of Log
     """
     uses = ("frequency", "sweep", "tuning")
-    return [log for log in logs if log.experiment.use in uses and _missing(log, study) is None]
+    return [
+        log for log in logs if log.experiment.use in uses and not missing_motor_signal(study, log)
+    ]

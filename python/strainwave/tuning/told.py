@@ -30,23 +30,28 @@ _REACH = 1.96  # of a 95 % interval, in deviations
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Where the search ended, and how sure that is."""
+    """Where the search ended."""
 
     misfit: Misfit
     z: FloatArray  # (n_unknowns,)
-    confidence: Confidence
     iterations: int
     converged: bool
 
+    def cost(self) -> float:
+        """What is left there."""
+        at = self.misfit.linearise(self.z)
+        return at.cost if at is not None else np.inf
+
 
 def parameters_of(
-    fit: Fit, study: Study, largest_torque: Sequence[float]
+    fit: Fit, confidence: Confidence, study: Study, largest_torque: Sequence[float]
 ) -> tuple[tuple[Parameter, ...], FloatArray]:
     """The unknowns and what is derived from them, with their covariance.
 
     Parameters
     ----------
     fit : Fit
+    confidence : Confidence
     study : Study
     largest_torque : sequence of float [N m]
         That each gear carries in the records.
@@ -59,7 +64,7 @@ def parameters_of(
     keys = search.keys
     names = list(keys)
     units = [unknown.unit for unknown in search.unknowns]
-    told = _curves_told(fit, largest_torque)
+    told = _curves_told(fit, confidence.combined, largest_torque)
     weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
     for number, joint in enumerate(study.joints, start=1):
         derived = {"total_viscous_friction": total_viscous(study, number)}
@@ -71,7 +76,7 @@ def parameters_of(
             weight.append(combination(keys, parts))
     W = np.array(weight)
     values = W @ search.parameters(fit.z)
-    covariance = W @ fit.confidence.combined @ W.T
+    covariance = W @ confidence.combined @ W.T
     deviation = np.sqrt(np.diag(covariance))
     deviation[[told.get(name, name) is None for name in names]] = np.inf
     found = tuple(
@@ -81,7 +86,9 @@ def parameters_of(
     return found, covariance
 
 
-def _curves_told(fit: Fit, largest_torque: Sequence[float]) -> dict[Key, Key | None]:
+def _curves_told(
+    fit: Fit, covariance: FloatArray, largest_torque: Sequence[float]
+) -> dict[Key, Key | None]:
     """For each slope and knee the unknown that holds it, or None where no record reaches it.
 
     A knee between two slopes that are one, or beyond the largest torque, is none: what lies behind
@@ -90,7 +97,6 @@ def _curves_told(fit: Fit, largest_torque: Sequence[float]) -> dict[Key, Key | N
     search = fit.misfit.search
     at = {key: k for k, key in enumerate(search.keys)}
     values = search.parameters(fit.z)
-    covariance = fit.confidence.combined
     told: dict[Key, Key | None] = {}
     for joint, largest in enumerate(largest_torque, start=1):
         if (CURVE[0], joint) not in at:
@@ -120,17 +126,17 @@ def _parameter(name: str, joint: int | None, unit: str, value: float, std: float
 
 
 def warnings_of(
-    fit: Fit, bounded: Sequence[bool], parameters: Sequence[Parameter], study: Study
+    fit: Fit, confidence: Confidence, bounded: Sequence[bool], parameters: Sequence[Parameter]
 ) -> Iterator[Caution]:
     """What a reader of the parameters must know.
 
     Parameters
     ----------
     fit : Fit
+    confidence : Confidence
     bounded : sequence of bool
         Of each unknown, whether it ended at the end of its range.
     parameters : sequence of Parameter
-    study : Study
 
     Yields
     ------
@@ -138,7 +144,7 @@ def warnings_of(
     """
     search = fit.misfit.search
     values = search.parameters(fit.z)
-    deviation = np.sqrt(np.diag(fit.confidence.combined))
+    deviation = np.sqrt(np.diag(confidence.combined))
     for k, (unknown, at) in enumerate(zip(search.unknowns, bounded, strict=True)):
         if at and unknown.name != SETTLING:
             text = f"the fit ended at the end of its range, {values[k]:.3g} {unknown.unit}: the"
@@ -146,21 +152,22 @@ def warnings_of(
             yield Caution("at-bounds", str(unknown), text)
         if parameters[k].value is not None:
             continue
-        told = f"the records tell it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
-        if unknown.name in VISCOUS:
-            told += "; of the viscous frictions only the total is well known"
-            yield Caution("not-identifiable", str(unknown), told)
-        else:
+        if unknown.name in (*CURVE, *KNEES):
             text = "no record twists the gear so far that it shows; use a larger amplitude, or hold"
             text += " the link"
             yield Caution("not-reached", str(unknown), text)
+            continue
+        told = f"the records tell it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
+        if unknown.name in VISCOUS:
+            told += "; of the viscous frictions only the total is well known"
+        yield Caution("not-identifiable", str(unknown), told)
     for unknown, value in zip(search.unknowns, values, strict=True):
         if unknown.name == SETTLING:
             text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
             text += " it changes sides that much before the motor does"
             yield Caution("friction-settles", str(unknown), text)
     names = [str(unknown) for unknown in search.unknowns]
-    for group, spread in only_together(names, values, fit.confidence.combined):
+    for group, spread in only_together(names, values, confidence.combined):
         text = f"told only together, by {100.0 * spread:.2g} % apart; trust their combination, not"
         text += " each value"
         yield Caution("only-together", " and ".join(group), text)

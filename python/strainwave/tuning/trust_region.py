@@ -1,9 +1,9 @@
 """Least squares in a trust region, for problems of many rows and few unknowns.
 
 Each evaluation hands over the triangular factor of its weighted Jacobian with its residual, R of
-[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns; a
-refused step costs no second factorisation. SciPy's `least_squares` would take a singular value
-decomposition of all rows at every step, which costs more than to simulate them.
+[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns. SciPy's
+`least_squares` would take a singular value decomposition of all rows at every step, which costs
+more than to simulate them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _PATIENCE = 4  # evaluations without
 _STUCK = 30.0  # tolerances of gain, after which the search ends
 _HOPE = 1000.0  # unless as many are foretold still
 _HELPS = 1e-4  # share from which a step is taken
-_LEAST_DAMPING = 1e-9
+_LEAST_DAMPING, _FELT = 1e-9, 1e-3  # to which it may fall; to which it rises at once
 _SMALLEST = 1e-12  # of the largest singular value: directions below it are not stepped along
 
 
@@ -51,6 +51,7 @@ def minimise(
     tolerance: float,
     relative: float = 0.0,
     farthest: float = np.inf,
+    damping: float = 1e-3,
     max_evaluations: int,
 ) -> Found | None:
     """Levenberg and Marquardt's method in scaled coordinates, with bounds on each.
@@ -69,6 +70,9 @@ def minimise(
         The same as a share of the cost, to be added.
     farthest : float
         Step of a coordinate beyond which nothing linear is to be trusted.
+    damping : float
+        To begin with, beside squared singular values of columns of unit length: small where the
+        start is near.
     max_evaluations : int
         Of the least squares problem.
 
@@ -82,7 +86,7 @@ def minimise(
     if first is None:
         return None
     at = first
-    damping, growth = 1e-3, 2.0
+    growth = 2.0
     evaluations = 1
     costs: list[float] = []
     while True:
@@ -104,7 +108,7 @@ def minimise(
         evaluations += 1
         quality = (at.cost - there.cost) / max(foretold, 1e-300) if there else -np.inf
         if there is None or quality < _HELPS:
-            damping, growth = damping * growth, growth * 2.0
+            damping, growth = max(damping * growth, _FELT), growth * 2.0
             if foretold < tolerance:  # no step helps
                 return Found(x, at, evaluations, gain < _HOPE * enough)
             continue

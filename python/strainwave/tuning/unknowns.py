@@ -93,6 +93,9 @@ class Search:
         )
         for first, second in self._knees():
             found[second] += found[first]
+        for k, key in enumerate(self.keys):
+            if key[0] == KNEES[1]:
+                found[k] += self.fixed.get((KNEES[0], key[1]), 0.0)
         return found
 
     def slope(self, z: FloatArray) -> FloatArray:
@@ -205,7 +208,7 @@ def search_of(
 ) -> Search:
     """Unknowns with their starts from the decoupled models, and what the rigid model knows.
 
-    A three-slope gear starts as a linear one, all knees at `nan`: see `with_curves`.
+    A three-slope gear starts as a linear one: see `with_curves`.
 
     Parameters
     ----------

@@ -1,0 +1,1 @@
+"""Longer measurements than a benchmark: what a method does on many drawn arms."""

@@ -1,0 +1,77 @@
+"""How often the whole-arm fit comes home from far: `python -m benchmarks.studies.convergence`.
+
+Each arm is fitted from the truth and from a start 30 % off in every inertia, stiffness and knee
+and 3 times off in friction and damping; home is where both ends are the same, to a fifth of each
+parameter's deviation.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.studies.arms import each
+from strainwave import logs, pipeline
+from strainwave.parameters import Values
+from strainwave.study import read_study
+from strainwave.tuning import TuningOptions, tune
+
+OFF, FAR_OFF = 0.3, 3.0
+SAME = 0.2  # of a standard deviation
+NEAR = ("inertia", "stiffness", "knee", "alpha", "beta", "gamma")
+
+
+def tried(path: Path, values: Values) -> dict[str, Any]:
+    """How far the two ends lie apart, in deviations."""
+    study = read_study(path)
+    all_logs = logs.read_logs(study)
+    before = pipeline.identify(path, stages=("rigid", "decoupled"))
+    rng = np.random.default_rng(len(path.as_posix()))
+    starts = values, {key: value * _factor(key[0], rng) for key, value in values.items()}
+    ends = [
+        tune(all_logs, before.rigid, before.joints, study, TuningOptions(start=start))
+        for start in starts
+    ]
+    apart = {
+        f"{p.name} {p.joint or ''}".strip(): abs(p.value - q.value) / q.std
+        for p, q in zip(ends[1].parameters, ends[0].parameters, strict=True)
+        if p.value is not None and q.value is not None and q.std
+    }
+    worst = max(apart, key=lambda name: apart[name])
+    return {
+        "worst": worst,
+        "apart": apart[worst],
+        "statuses": [end.status for end in ends],
+        "iterations": [end.iterations for end in ends],
+    }
+
+
+def _factor(name: str, rng: np.random.Generator) -> float:
+    up = bool(rng.integers(2))
+    if any(part in name for part in NEAR):
+        return 1.0 + OFF if up else 1.0 - OFF
+    if name == "friction_offset":
+        return 0.0
+    return FAR_OFF if up else 1.0 / FAR_OFF
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--arms", type=int, default=100)
+    parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
+    chosen = parser.parse_args()
+    found = list(each(chosen.arms, tried, chosen.out))
+    home = [one for one in found if one.get("apart", np.inf) < SAME]
+    console = Console()
+    console.print(f"{len(home)} of {len(found)} ended where the fit from the truth does")
+    for one in found:
+        if one not in home:
+            console.print(one)
+
+
+if __name__ == "__main__":
+    main()
