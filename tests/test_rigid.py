@@ -73,8 +73,8 @@ def test_inverse_dynamics_come_back_exactly(seed: int, gravity: float | None) ->
     for p in model.parameters:
         scale = truth["motor_coulomb_friction", p.joint] if "offset" in p.name else None
         expected = truth[p.name, p.joint]
-        # rounding of the filters, times a condition number of some tens
-        assert p.value == pytest.approx(expected, rel=1e-9, abs=1e-9 * scale if scale else None)
+        # the filters' rounding and what the motion has beyond its own, times a condition of a hundred
+        assert p.value == pytest.approx(expected, rel=1e-8, abs=1e-8 * scale if scale else None)
 
 
 def test_a_single_joint_under_gravity_comes_back_exactly() -> None:
@@ -115,13 +115,13 @@ def test_records_combine() -> None:
 def test_deviations_are_calibrated_under_coloured_noise() -> None:
     """Normalised errors over seeds: the interval holds the truth 95 times of 100.
 
-    200 values from 50 seeds: the share inside has a deviation of about 2 % (parameters of one seed
-    are correlated), so 90 % to 99.5 % is two to three of them. The chi-square per value lies near
-    that of Student's t with 19 degrees of freedom, 19/17 = 1.1.
+    800 values from 200 seeds: the share inside has a deviation of about 1 % (parameters of one seed
+    are correlated); 20 blocks of errors that reach from one into the next cost two or three. The
+    chi-square per value lies near that of Student's t with 19 degrees of freedom, 19/17 = 1.1.
     """
     study = rigid_drive()
     inside, squares = [], []
-    for seed in range(50):
+    for seed in range(200):
         motion = exact_motion(1, seed)
         rng = np.random.default_rng(seed)
         white = rng.normal(0.0, 1.0, motion[0].shape)
@@ -180,6 +180,24 @@ def test_the_compliance_is_taken_out() -> None:
     assert honest is not None
     assert abs(naive / gamma - 1.0) > 0.01
     assert abs(honest / gamma - 1.0) < 0.005
+
+
+@pytest.mark.parametrize("cut", [slice(7, None), slice(None, -10)])
+def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
+    """A few samples less, a tenth of a row's distance, move nothing: no row has heard of the ends.
+
+    Rows one period of the cut-off from the ends would move by half a deviation.
+    """
+    study = scara.study(Path("nowhere"), "linear")
+    log = motion_log(study, scara.parameters(5, "linear"), 0)
+    channels = {name: values[cut] for name, values in log.channels.items()}
+    options = rigid.RigidOptions(bandwidth_hz=3.0)
+    whole, shorter = (
+        rigid.fit([signals.motor_side(each, study)], study, options)
+        for each in (log, replace(log, time=log.time[cut], channels=channels))
+    )
+    deviation = np.sqrt(np.diag(whole.covariance))
+    assert np.max(np.abs(shorter.solution - whole.solution) / deviation) < 0.1
 
 
 def test_gross_errors_hardly_matter() -> None:

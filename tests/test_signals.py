@@ -14,7 +14,7 @@ from strainwave import scara, signals
 from strainwave.errors import InvalidInput
 from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
 from strainwave.records import FloatArray, Log
-from strainwave.stiction import free_friction, sliding_direction
+from strainwave.stiction import free_friction, responses, sliding_direction
 from virtual_arms import CLOCK, DRIVE, motion_log, rigid_drive
 
 TIME: FloatArray = CLOCK * np.arange(8000, dtype=np.float64)
@@ -156,6 +156,24 @@ def test_a_stop_without_reversal_is_found() -> None:
 
 def test_a_still_encoder_has_no_direction() -> None:
     assert not np.any(sliding_direction(np.zeros(100), 1e-3, 20))
+
+
+def test_responses_are_the_shapes_through_the_filter() -> None:
+    """Constant shapes, triangles and both at the record's ends, at rows that need not be even."""
+    rng = np.random.default_rng(4)
+    kernel = rng.normal(size=41)
+    direction = np.ones(300)
+    for uncertain in (slice(0, 3), slice(40, 41), slice(90, 150), slice(200, 207), slice(296, 300)):
+        direction[uncertain] = 0.0
+    shapes = free_friction(direction, 10)
+    assert min(len(shape) for _, shape in shapes) == 1
+    assert any(shape.min() < 1.0 for _, shape in shapes)
+    rows = np.arange(5, 300, 7)
+    for (first, shape), found in zip(shapes, responses(shapes, rows, kernel).T, strict=True):
+        whole = np.zeros(300)
+        whole[first : first + len(shape)] = shape
+        # sums of 41 numbers of size one
+        assert found == pytest.approx(np.convolve(whole, kernel, mode="same")[rows], abs=1e-12)
 
 
 @given(st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=1, max_size=200), st.integers(2, 40))

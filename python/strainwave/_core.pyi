@@ -6,7 +6,7 @@ from typing import Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GEAR_CORNER", "Arm", "Innovations", "InnovationsFit", "hankel_gram"]
+__all__ = ["GEAR_CORNER", "Arm", "Innovations", "InnovationsFit", "eliminate", "hankel_gram"]
 
 GEAR_CORNER: float
 """Half width [rad] over which the knees of a three-slope gear are rounded."""
@@ -104,6 +104,16 @@ class Arm:
         acceleration: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Motor torques of a links' motion behind rigid gears, (5): (n_samples, n_joints)."""
+
+def eliminate(
+    z: NDArray[np.float64], right: NDArray[np.float64], leverage: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """G^-1 Z' Y, Y - Z G^-1 Z' Y and the diagonal of Z G^-1 Z', with G = Z'Z + I.
+
+    Without `leverage` the last is empty. Quick where each row of Z has few entries, side by side.
+    The GIL is released. Raises ValueError for sizes that do not fit and entries that are not
+    finite.
+    """
 
 def hankel_gram(
     data: NDArray[np.float64], lengths: Sequence[int], depth: int

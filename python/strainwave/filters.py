@@ -12,19 +12,19 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave.matrices import exponential
 from strainwave.records import ComplexArray, FloatArray, Lag
-
-BUTTERWORTH_ORDER = 4
-"""Of one pass; forward and backward the roll-off is that of order 8."""
 
 _FLOOR_MARGIN = 4.0  # a Welch estimate of 8 averages stays below 4 times its mean
 _LEAST_SAMPLES = 32
 
 
-def low_pass(signal: FloatArray, cutoff_hz: float, sample_time: float) -> FloatArray:
-    """Forward-backward Butterworth low-pass: no phase, squared magnitude of one pass.
+def low_pass(
+    signal: FloatArray, cutoff_hz: float, sample_time: float, *, decimated: int = 1
+) -> FloatArray:
+    """Forward-backward Butterworth low-pass of order 4: no phase, squared magnitude of one pass.
 
-    |H|^2 = 1 / (1 + (tan(pi f T) / tan(pi cutoff_hz T))^(2 order)), so that H = 1/2 at the cut-off,
+    |H|^2 = 1 / (1 + (tan(pi f T) / tan(pi cutoff_hz T))^8), so that H = 1/2 at the cut-off,
     applied to the spectrum of the signal continued at both ends by its own point reflection.
 
     Parameters
@@ -33,6 +33,8 @@ def low_pass(signal: FloatArray, cutoff_hz: float, sample_time: float) -> FloatA
     cutoff_hz : float [Hz]
         At or above 0.45 of the sampling rate the signal is returned as it is.
     sample_time : float [s]
+    decimated : int
+        The signal is every so manieth sample of those; it gets the very gain that they would.
 
     Returns
     -------
@@ -43,16 +45,16 @@ def low_pass(signal: FloatArray, cutoff_hz: float, sample_time: float) -> FloatA
     if relative >= 0.45:
         return signal
     n = len(signal)
-    pad = min(n - 1, int(4.0 / relative))
+    pad = min(n - 1, int(4.0 / (relative * decimated)))
     longer = _continued(signal, pad)
     # a straight line passes as it is; without it, the ends meet where the spectrum joins them
     whole = len(longer)
     slope = (longer[-1] - longer[0]) / (whole - 1)
     line = longer[0] + np.multiply.outer(np.arange(whole), slope)
     size = _fast_length(whole)
-    turns = np.tan(np.pi * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
+    turns = np.tan(np.pi / decimated * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
     gain = np.zeros(size // 2 + 1)  # none at Nyquist
-    gain[:-1] = 1.0 / (1.0 + turns ** (2 * BUTTERWORTH_ORDER))
+    gain[:-1] = 1.0 / (1.0 + _eighth_power(turns))
     longer -= line
     spectrum = np.fft.rfft(longer, size, axis=0)
     spectrum *= gain.reshape(-1, *(1,) * (signal.ndim - 1))
@@ -249,8 +251,6 @@ def _discrete(
     One matrix exponential solves x' = A x + B u between two samples (Van Loan, IEEE Trans. AC 23,
     1978), with u constant or, by one more block, running straight from sample to sample.
     """
-    from scipy.linalg import expm
-
     denominator: FloatArray = np.ones(1)
     for lag in lags:
         w = 2.0 * np.pi * lag.cutoff_hz * sample_time
@@ -261,7 +261,7 @@ def _discrete(
     whole[0, :n] = -denominator[1:] / denominator[0]
     whole[np.arange(1, n), np.arange(n - 1)] = 1.0
     whole[0, n] = whole[n, n + 1] = 1.0
-    top = expm(whole)[:n]
+    top = exponential(whole)[:n]
     A, B, C, D = top[:, :n], top[:, n], np.zeros(n), 0.0
     C[-1] = 1.0 / denominator[0]
     if not held:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from strainwave import _core
 from strainwave.records import BoolArray, FloatArray, IntArray
 
 HUBER = 4.0
@@ -19,7 +20,6 @@ KNOWN = -1
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
 _TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
-_SIDE_BY_SIDE = 64  # rows taken together: more have more unknowns, fewer are many products
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
 
 
@@ -89,19 +89,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     Factor
     """
     p = equations.shared.shape[1]
-    X = equations.shared * root[:, None]
-    scale = np.linalg.norm(X, axis=0)
-    scale[scale == 0.0] = 1.0
-    Xy = np.column_stack([X / scale, equations.target * root])
-    lent = np.zeros(len(root))  # leverage of the nuisance unknowns
-    taken: list[FloatArray] = []
-    for part, deviation in _parts(equations):
-        Z = part.columns * (root[part.rows, None] * deviation)
-        found, lent[part.rows] = _eliminated(Z, Xy[part.rows])
-        taken.append(found)
-        Xy[part.rows] -= Z @ found
-    below = np.concatenate([np.zeros((0, p + 1)), *taken])
-    Q, R = np.linalg.qr(np.vstack([Xy, -below]))
+    scale, below, lent, Q, R = _reduced(equations, root, equations.target[:, None])
     U, s, Vt = np.linalg.svd(R[:p, :p])
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
@@ -118,49 +106,53 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     )
 
 
-def _eliminated(Z: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(Z'Z + I)^-1 Z' right, and the diagonal of Z (Z'Z + I)^-1 Z'.
+def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArray:
+    """How far changes of the target move the shared unknowns.
 
-    An unknown occurs in a stretch of rows, so that few rows together have but a few unknowns.
+    Parameters
+    ----------
+    equations : Equations
+    factor : Factor
+    changes : (n_rows, n_changes)
+
+    Returns
+    -------
+    (n_parameters, n_changes)
     """
-    gram: FloatArray = np.eye(Z.shape[1])
-    windows = list(_windows(Z))
-    for rows, unknowns in windows:
-        few = Z[rows, unknowns]
-        gram[unknowns, unknowns] += few.T @ few
-    inverse = _inverted(np.asarray(np.linalg.cholesky(gram)))
-    found = inverse.T @ (inverse @ (Z.T @ right))
-    leverage = np.zeros(len(Z))
-    for rows, unknowns in windows:
-        inner = inverse[unknowns.start :, unknowns] @ Z[rows, unknowns].T
-        leverage[rows] = np.sum(inner**2, axis=0)
-    return found, leverage
+    p = equations.shared.shape[1]
+    _, _, _, _, R = _reduced(equations, factor.root, changes)
+    basis = factor.directions[factor.seen].T
+    # R'R = V s^2 V', so that R^-1 = V s^-2 V' R'
+    inverse = basis / factor.singular[factor.seen] ** 2 @ basis.T @ R[:p, :p].T
+    return np.asarray(inverse @ R[:p, p:] / factor.scale[:, None])
 
 
-def _inverted(lower: FloatArray) -> FloatArray:
-    """Inverse of a triangular matrix by halves.
+def _reduced(
+    equations: Equations, root: FloatArray, targets: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Column norms; what the nuisance unknowns take, and their leverage; QR of what is left."""
+    X = equations.shared * root[:, None]
+    scale = np.linalg.norm(X, axis=0)
+    scale[scale == 0.0] = 1.0
+    Xy = np.column_stack([X / scale, targets * root[:, None]])
+    lent = np.zeros(len(root))
+    taken: list[FloatArray] = [np.zeros((0, Xy.shape[1]))]
+    for part, deviation in _parts(equations):
+        Z = part.columns * (root[part.rows, None] * deviation)
+        found, Xy[part.rows], lent[part.rows] = _eliminated(Z, Xy[part.rows])
+        taken.append(found)
+    below = np.concatenate(taken)
+    Q, R = np.linalg.qr(np.vstack([Xy, -below]))
+    return scale, below, lent, Q, R
 
-    Nearly all of it is matrix products, during which NumPy lets other threads run; SciPy's
-    triangular solvers do not.
-    """
-    n = len(lower)
-    if n <= _SIDE_BY_SIDE:
-        return np.asarray(np.linalg.inv(lower))
-    half = n // 2
-    found = np.zeros_like(lower)
-    found[:half, :half] = first = _inverted(lower[:half, :half])
-    found[half:, half:] = second = _inverted(lower[half:, half:])
-    found[half:, :half] = -second @ (lower[half:, :half] @ first)
-    return found
 
-
-def _windows(Z: FloatArray) -> Iterator[tuple[slice, slice]]:
-    """Rows side by side, and the unknowns from the first to the last that they have."""
-    for start in range(0, len(Z), _SIDE_BY_SIDE):
-        rows = slice(start, start + _SIDE_BY_SIDE)
-        used = np.flatnonzero(Z[rows].any(axis=0))
-        if len(used):
-            yield rows, slice(int(used[0]), int(used[-1]) + 1)
+def _eliminated(
+    Z: FloatArray, right: FloatArray, *, leverage: bool = True
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(Z'Z + I)^-1 Z' right, right less Z times that, and the diagonal of Z (Z'Z + I)^-1 Z'."""
+    if not Z.size:
+        return np.zeros((Z.shape[1], right.shape[1])), right, np.zeros(len(Z))
+    return _core.eliminate(np.ascontiguousarray(Z), np.ascontiguousarray(right), leverage)
 
 
 def _parts(equations: Equations) -> Iterator[tuple[Local, FloatArray]]:
@@ -263,8 +255,11 @@ def jackknife(
     return covariance, np.diag(inner)[k:] * equations.local_deviation[:n_local] ** 2
 
 
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+def _taken(Z: FloatArray, A: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A' Z (Z'Z + I)^-1 Z' [A, y], and that without A' Z."""
+    both = np.column_stack([A, y])
+    found, left, _ = _eliminated(Z, both, leverage=False)
+    return A.T @ (both - left), found
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,20 +272,19 @@ class _Normal:
     Z: tuple[FloatArray, ...]  # one a part
     gram: FloatArray  # (k, k)
     right: FloatArray  # (k,)
-    local_gram: tuple[FloatArray, ...]  # with the prior's unit matrix
-    local_right: tuple[FloatArray, ...]  # [Z'A, Z'y], one a part
-    eliminated: tuple[FloatArray, ...]  # local_gram^-1 local_right
+    taken: tuple[FloatArray, ...]  # (k, k + 1) by which a part's unknowns lower [gram, right]
+    eliminated: tuple[FloatArray, ...]  # a part's unknowns per w, and their values at w = 0
 
     @staticmethod
     def of(equations: Equations, factor: Factor, A: FloatArray) -> _Normal:
         y = equations.target * factor.root
-        Ay = np.column_stack([A, y])
-        rows, Z, grams, rights = [], [], [], []
+        rows, Z, taken, eliminated = [], [], [], []
         for part, deviation in _parts(equations):
             rows.append(part.rows)
             Z.append(part.columns * (factor.root[part.rows, None] * deviation))
-            grams.append(Z[-1].T @ Z[-1] + np.eye(len(deviation)))
-            rights.append(Z[-1].T @ Ay[part.rows])
+            lower, found = _taken(Z[-1], A[part.rows], y[part.rows])
+            taken.append(lower)
+            eliminated.append(found)
         return _Normal(
             A=A,
             y=y,
@@ -298,9 +292,8 @@ class _Normal:
             Z=tuple(Z),
             gram=A.T @ A,
             right=A.T @ y,
-            local_gram=tuple(grams),
-            local_right=tuple(rights),
-            eliminated=tuple(_solved(g, r) for g, r in zip(grams, rights, strict=True)),
+            taken=tuple(taken),
+            eliminated=tuple(eliminated),
         )
 
     def without(self, left_out: BoolArray) -> _Normal:
@@ -309,22 +302,17 @@ class _Normal:
         # what only these rows tell is lost without them: the ridge keeps that at its whole-data
         # size instead of dividing by nothing
         gram[np.diag_indices_from(gram)] += 1e-9
-        grams, rights = list(self.local_gram), list(self.local_right)
-        eliminated = list(self.eliminated)
+        taken, eliminated = list(self.taken), list(self.eliminated)
         for i, rows in enumerate(self.rows):
-            inside = left_out[rows]
-            if inside.any():
-                Z = self.Z[i][inside]
-                Ay = np.column_stack([self.A[rows[inside]], self.y[rows[inside]]])
-                grams[i] = grams[i] - Z.T @ Z
-                rights[i] = rights[i] - Z.T @ Ay
-                eliminated[i] = _solved(grams[i], rights[i])
+            stay = ~left_out[rows]
+            if not stay.all():
+                kept = rows[stay]
+                taken[i], eliminated[i] = _taken(self.Z[i][stay], self.A[kept], self.y[kept])
         return replace(
             self,
             gram=gram,
             right=self.right - self.A[left_out].T @ self.y[left_out],
-            local_gram=tuple(grams),
-            local_right=tuple(rights),
+            taken=tuple(taken),
             eliminated=tuple(eliminated),
         )
 
@@ -332,9 +320,9 @@ class _Normal:
         """w, then the first nuisance unknowns."""
         k = len(self.gram)
         left, right = self.gram.copy(), self.right.copy()
-        for b, e in zip(self.local_right, self.eliminated, strict=True):
-            left -= b[:, :k].T @ e[:, :k]
-            right -= b[:, :k].T @ e[:, k]
+        for lower in self.taken:
+            left -= lower[:, :k]
+            right -= lower[:, k]
         w = np.linalg.solve(left, right)
         z = [e[:, k] - e[:, :k] @ w for e in self.eliminated] if n_local else []
         return np.concatenate([w, *z])[: k + n_local]
@@ -346,9 +334,7 @@ class _Normal:
         """
         k = len(self.gram)
         W = [e[:, :k] for e in self.eliminated]
-        left = self.gram - sum(
-            (b[:, :k].T @ w for b, w in zip(self.local_right, W, strict=True)), np.zeros((k, k))
-        )
+        left = self.gram - sum((lower[:, :k] for lower in self.taken), np.zeros((k, k)))
         S = np.linalg.inv(left)
         below = np.concatenate([np.zeros((0, k)), *W])
         shared = np.hstack([-S @ below.T, S @ self.A[known].T])
@@ -357,10 +343,11 @@ class _Normal:
         first = below[:n_local]
         own = np.zeros((n_local, len(below)))
         at = 0
-        for gram in self.local_gram:
-            n = len(gram)
+        for Z in self.Z:
+            n = Z.shape[1]
             wanted = np.arange(at, min(at + n, n_local)) - at
             if len(wanted):
+                gram = Z.T @ Z + np.eye(n)
                 own[at + wanted, at : at + n] = np.linalg.inv(gram)[wanted]
             at += n
         own += first @ S @ below.T

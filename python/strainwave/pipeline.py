@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -29,7 +30,7 @@ from strainwave import (
     tuning,
     validation,
 )
-from strainwave.cores import one_blas_thread, side_by_side
+from strainwave.cores import begin, one_blas_thread, side_by_side
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.files import write_whole
 from strainwave.records import (
@@ -51,8 +52,6 @@ from strainwave.replay import missing_for_replay
 
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
-
-_Found = RecordModel | JointModel | Caution
 
 Progress = Callable[[str], None]
 """Called with what is being done, at the start of each part."""
@@ -118,12 +117,17 @@ def _identify(study_path: Path, run: _Run) -> Identification:
         all_logs = logs.read_logs(the_study)
     for log in all_logs:
         run.warnings.extend(log.warnings)
+    elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in the_study.joints)
+    excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
+    # the links' motion asks nothing of the rigid model, whose search keeps but one core busy
+    sides = begin([partial(links.link_side, log, the_study) for log in excited if elastic])
     model, fitted, checks = _rigid(run, the_study, all_logs)
     records: tuple[RecordModel, ...] = ()
     joints: tuple[JointModel, ...] = ()
     responses: dict[int, FrequencyResponse] = {}
-    if "decoupled" in run.stages and any(joint.spring != "rigid" for joint in the_study.joints):
-        records, joints, responses = _decoupled(run, the_study, all_logs, model)
+    if elastic:
+        both = list(zip(excited, sides, strict=True))
+        records, joints, responses = _decoupled(run, the_study, both, model)
     tuned = None
     if "tuned" in run.stages and len(joints) == the_study.n_joints:
         tuned = _tuned(run, the_study, all_logs, model, joints)
@@ -183,7 +187,11 @@ def _rigid(
         return model, (), ()
     with run.timed("checks", "predicting the records it never saw"):
         predictions = {
-            use: tuple(validation.predict_rigid(model, record, the_study) for record in chosen)
+            use: tuple(
+                side_by_side(
+                    [partial(validation.predict_rigid, model, each, the_study) for each in chosen]
+                )
+            )
             for use, chosen in seen.items()
         }
     run.warnings.extend(c for made in predictions.values() for p in made for c in p.warnings)
@@ -191,29 +199,34 @@ def _rigid(
 
 
 def _decoupled(
-    run: _Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
+    run: _Run,
+    the_study: Study,
+    excited: Sequence[tuple[Log, Future[LinkSignals]]],
+    model: RigidModel | None,
 ) -> tuple[tuple[RecordModel, ...], tuple[JointModel, ...], dict[int, FrequencyResponse]]:
     """Each excited record on its own, then all full-amplitude records of a joint at once."""
-    excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     if not excited:
         text = 'elastic gears show in fast records only: add experiments with use = "frequency"'
         run.warnings.append(Caution("no-frequency-record", str(the_study.path), text))
         return (), (), {}
     if model is None and not _alone(the_study):
         return (), (), {}  # why there is none has been said
-    seen: list[tuple[Log, LinkSignals, tuple[Decoupled, ...]]] = []
+
+    def both_sides_of(
+        log: Log, side: Future[LinkSignals]
+    ) -> tuple[Log, LinkSignals, tuple[Decoupled, ...]]:
+        both_sides = side.result()
+        return log, both_sides, decoupling.decouple(both_sides, model, the_study)
+
     with run.timed("decoupled", "decoupling the joints"):
         try:
-            for log in excited:
-                run.progress(f"decoupling the joints: {log.name}")
-                both_sides = links.link_side(log, the_study)
-                run.warnings.extend(both_sides.warnings)
-                parts = decoupling.decouple(both_sides, model, the_study)
-                run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
-                seen.append((log, both_sides, parts))
+            seen = side_by_side([partial(both_sides_of, *each) for each in excited])
         except NotIdentifiable as failure:
             run.reasons.append(str(failure))
             return (), (), {}
+        for log, both_sides, parts in seen:
+            run.warnings.extend(both_sides.warnings)
+            run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
         records, joints, together = _physical(run, the_study, model, seen)
     for found in joints:
         run.warnings.extend(found.warnings)
@@ -229,16 +242,10 @@ def _physical(
     seen: Sequence[tuple[Log, LinkSignals, tuple[Decoupled, ...]]],
 ) -> tuple[list[RecordModel], list[JointModel], list[int]]:
     """Models of each record and, for each joint excited at full amplitude, of all at once."""
-    one_by_one: list[Callable[[], _Found]] = []
     together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
     for log, both_sides, parts in seen:
-        at_once = log.experiment.use == "frequency"
-        how = physical.RecordOptions(state_space=at_once)
         for part in _excited_joints(parts, log):
-            one_by_one.append(
-                partial(physical.identify_record, both_sides, part, model, the_study, how)
-            )
-            if at_once:
+            if log.experiment.use == "frequency":
                 together.setdefault(part.joint, []).append((both_sides, part))
 
     def all_at_once(joint: int) -> JointModel | Caution:
@@ -248,11 +255,28 @@ def _physical(
             return Caution("not-identifiable", f"joint {joint}", str(failure))
 
     numbers = sorted(together)
-    at_once_first: list[Callable[[], _Found]] = [partial(all_at_once, n) for n in numbers]
-    found = side_by_side(at_once_first + one_by_one)  # the longest jobs first
-    records = [each for each in found if isinstance(each, RecordModel)]
+    found = side_by_side([partial(all_at_once, n) for n in numbers])
     run.warnings.extend(each for each in found if isinstance(each, Caution))
-    return records, [each for each in found if isinstance(each, JointModel)], numbers
+    joints = [each for each in found if isinstance(each, JointModel)]
+    rings = {each.joint: each.band_hz for each in joints}
+    alone = {(each.joint, each.experiments): each for each in joints}  # of one record, its own
+
+    def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
+        how = physical.RecordOptions(state_space=log.experiment.use == "frequency")
+        if part.joint in rings:  # each record looks first where all together ring
+            nearby = physical.PhysicalOptions(search_from_hz=rings[part.joint])
+            how = replace(how, physical=nearby)
+        had = alone.get((part.joint, (log.experiment.name,)))
+        return physical.identify_record(both_sides, part, model, the_study, how, had)
+
+    records = side_by_side(
+        [
+            partial(one_by_one, log, both_sides, part)
+            for log, both_sides, parts in seen
+            for part in _excited_joints(parts, log)
+        ]
+    )
+    return records, joints, numbers
 
 
 def _tuned(
@@ -285,10 +309,16 @@ def _with_elastic(
     """The check records' torques from the rigid model, and their motion from the tuned arm."""
     made = list(checks)
     with run.timed("checks", "simulating the records it never saw"):
-        for log in _used_for(all_logs, "check"):
-            if missing_for_replay(the_study, log) is None:
-                made.append(validation.predict_elastic(tuned, log, the_study))
-                run.warnings.extend(made[-1].warnings)
+        told = [
+            log
+            for log in _used_for(all_logs, "check")
+            if missing_for_replay(the_study, log) is None
+        ]
+        found = side_by_side(
+            [partial(validation.predict_elastic, tuned, log, the_study) for log in told]
+        )
+    run.warnings.extend(caution for each in found for caution in each.warnings)
+    made.extend(found)
     return tuple(made)
 
 
@@ -364,10 +394,9 @@ def _signals(
     all_logs: Sequence[Log], use: str, the_study: Study, warnings: list[Caution]
 ) -> list[Signals]:
     """Motor-side signals of the records of one use, which have them."""
-    found = []
-    for log in _used_for(all_logs, use):
-        found.append(signals.motor_side(log, the_study))
-        warnings.extend(found[-1].warnings)
+    chosen = _used_for(all_logs, use)
+    found = side_by_side([partial(signals.motor_side, log, the_study) for log in chosen])
+    warnings.extend(caution for each in found for caution in each.warnings)
     return found
 
 

@@ -96,6 +96,16 @@ def test_a_band_may_be_set() -> None:
     assert model.values != found_in(one).values
 
 
+def test_the_search_may_begin_elsewhere(models: list[tuple[Case, JointModel]]) -> None:
+    one, model = models[0]
+    near = found_in(one, PhysicalOptions(search_from_hz=model.band_hz))
+    # bands settle to a twentieth, and the band is a small part of a deviation
+    np.testing.assert_allclose(near.band_hz, model.band_hz, rtol=0.05)
+    off = np.abs(vector_of(near) - vector_of(model))[WELL_TOLD]
+    assert (off < 0.3 * np.sqrt(np.diag(model.covariance))[WELL_TOLD]).all()
+    assert near.values != model.values
+
+
 def test_the_rigid_models_equations_may_be_left_out() -> None:
     one = case(1, 1)
     with_rigid, without = found_in(one), found_in(one, PhysicalOptions(use_rigid=False))

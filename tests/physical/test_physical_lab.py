@@ -49,9 +49,10 @@ def truth_of(folder: Path, joint: int, slope: int = 0) -> TwoInertia:
 
 
 @pytest.mark.parametrize(
-    ("arm", "inertias"), [("scara-linear-5kg", 0.03), ("vertical-linear-0kg", 0.04)]
+    ("arm", "asked", "given"),
+    [("scara-linear-5kg", 0.03, 0.01), ("vertical-linear-0kg", 0.04, 0.015)],
 )
-def test_linear_arms_come_back(shared_data: Path, arm: str, inertias: float) -> None:
+def test_linear_arms_come_back(shared_data: Path, arm: str, asked: float, given: float) -> None:
     folder = shared_data / "lab" / arm
     for name, record in records_of(folder).items():
         truth = truth_of(folder, record.signals.joint)
@@ -60,9 +61,10 @@ def test_linear_arms_come_back(shared_data: Path, arm: str, inertias: float) -> 
         assert linear is not None, name
         for key in WELL_TOLD:
             true = getattr(truth, key)
-            # asked for: 3 %, 4 % under gravity; both sides of the gear give much more
-            assert grey.values[key] == pytest.approx(true, rel=0.01), (name, key)
-            assert linear.values[key] == pytest.approx(true, rel=inertias), (name, key)
+            # both sides of the gear give much more than was asked for; under gravity the second
+            # motor's inertia has a deviation of 0.9 %
+            assert grey.values[key] == pytest.approx(true, rel=given), (name, key)
+            assert linear.values[key] == pytest.approx(true, rel=asked), (name, key)
         assert grey.values["gear_damping"] == pytest.approx(truth.gear_damping, rel=0.05), name
         assert linear.values["gear_damping"] == pytest.approx(truth.gear_damping, rel=0.2), name
         for model in (grey, linear):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput
 from strainwave.logs.tables import Table, first_impossible, open_table, write_table
 from strainwave.records import Caution, Channel, Experiment, FloatArray, Log, Study, channel_names
@@ -44,7 +46,7 @@ def read_logs(study: Study, experiments: Sequence[Experiment] | None = None) -> 
         A log is at fault.
     """
     chosen = study.experiments if experiments is None else experiments
-    return tuple(read_log(study, experiment) for experiment in chosen)
+    return tuple(side_by_side([partial(read_log, study, each) for each in chosen]))
 
 
 def read_log(study: Study, experiment: Experiment) -> Log:

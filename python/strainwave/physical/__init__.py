@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.cores import one_blas_thread
 from strainwave.errors import StrainwaveError
-from strainwave.physical.grey_box import GreyBoxFit, RigidKnowledge, fit_grey_box
+from strainwave.physical.grey_box import FIRST_BAND_HZ, GreyBoxFit, RigidKnowledge, fit_grey_box
 from strainwave.physical.linear import (
     LinearOptions,
     band_around,
@@ -61,6 +61,7 @@ class PhysicalOptions:
     """What may be set by hand."""
 
     band_hz: tuple[float, float] | None = None  # of the equations' filter; None: from the data
+    search_from_hz: tuple[float, float] = FIRST_BAND_HZ  # where the data are first asked for it
     use_rigid: bool = True  # whether what the rigid model knows joins as equations
 
 
@@ -102,7 +103,7 @@ def identify_joint(
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems, as in the rigid step
-        fit = fit_grey_box(records, study, known, chosen.band_hz)
+        fit = fit_grey_box(records, study, known, chosen.band_hz, chosen.search_from_hz)
     names = tuple(signals.experiment.name for signals, _ in records)
     values = _values(fit)
     said = values, fit.covariance, fit.determined, joint, number
@@ -129,6 +130,7 @@ def identify_record(
     model: RigidModel | None,
     study: Study,
     options: RecordOptions | None = None,
+    physical: JointModel | None = None,
 ) -> RecordModel:
     """Everything one record tells of the joint that was excited in it.
 
@@ -140,6 +142,8 @@ def identify_record(
     model : RigidModel or None
     study : Study
     options : RecordOptions, optional
+    physical : JointModel, optional
+        From `identify_joint` of this record alone, where that has been done.
 
     Returns
     -------
@@ -160,7 +164,8 @@ def identify_record(
     def grey_box() -> JointModel:
         return identify_joint([(signals, decoupled)], model, study, chosen.physical)
 
-    physical = tried("grey-box-failed", grey_box)
+    if physical is None:
+        physical = tried("grey-box-failed", grey_box)
     linear = modes = transfer = check = None
     if chosen.state_space:
         linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))
@@ -169,7 +174,7 @@ def identify_record(
         known = rigid_knowledge(model, study, decoupled.joint)
         modes = tried("modes-failed", lambda: modes_of(found))
         check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
-        others = _in_other_bands(decoupled, modes, chosen.linear)
+        others = _in_other_bands(decoupled, found, modes, chosen.linear)
         transfer = tried(
             "transfer-function-failed",
             lambda: from_state_space(found, decoupled, study, known, others),
@@ -178,7 +183,7 @@ def identify_record(
 
 
 def _in_other_bands(
-    record: Decoupled, modes: Modes | None, options: LinearOptions
+    record: Decoupled, near: StateSpace, modes: Modes | None, options: LinearOptions
 ) -> list[StateSpace]:
     """Models that show how much the band matters; none where they fail or make no sense."""
     if modes is None or modes.anti_resonance is None or modes.resonance is None:
@@ -188,9 +193,8 @@ def _in_other_bands(
     found = []
     for other in other_bands(band, [record]):
         try:
-            model = replace(
-                state_space_of(record, replace(options, band_hz=other)), covariance=None
-            )
+            fitted = state_space_of(record, replace(options, band_hz=other), near)
+            model = replace(fitted, covariance=None)
             if model.status == "converged" and modes_of(model).resonance:
                 found.append(model)
         except (StrainwaveError, np.linalg.LinAlgError):

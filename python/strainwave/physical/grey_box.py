@@ -43,7 +43,7 @@ _MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION
 
 _BELOW = 2.5  # anti-resonance over the band's lower edge
 _ABOVE = 1.8  # the band's upper edge over the resonance: half-way to what next bends
-_FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring; then adapted
+FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring; then adapted
 _SLOWEST = 6.0  # periods of the lower edge in the shortest record, at least
 _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
@@ -52,6 +52,7 @@ _ROUNDS = 8  # of weights and linearisation at one band, at most
 # of a deviation, by which a round still moves the unknowns: in an answer, and where all that is
 # looked for is the next band
 _SETTLED, _ROUGHLY = 0.01, 1.0
+_NEARLY = 0.1  # the same where the answer serves to see how much the band matters
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
@@ -111,6 +112,7 @@ def fit_grey_box(
     study: Study,
     known: RigidKnowledge,
     band_hz: tuple[float, float] | None = None,
+    search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
 ) -> GreyBoxFit:
     """Fit one joint's physical parameters to one or several records.
 
@@ -122,6 +124,8 @@ def fit_grey_box(
     known : RigidKnowledge
     band_hz : (float, float), optional
         Of the equations' filter; None: from the resonances found.
+    search_from_hz : (float, float)
+        Band in which they are first looked for.
 
     Returns
     -------
@@ -138,7 +142,7 @@ def fit_grey_box(
                 f"link {joint.joint} has no sensor in {signals.experiment.name}: the gear's twist "
                 "is not seen"
             )
-    band = band_hz or _possible(*_FIRST_BAND_HZ, records)
+    band = band_hz or _possible(*search_from_hz, records)
     equations = _equations(records, study, known, band)
     for _ in range(0 if band_hz else _BANDS - 1):
         equations = _settled(equations, known, _ROUGHLY)
@@ -157,7 +161,7 @@ def fit_grey_box(
         (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
     ):
         other = _equations(records, study, known, _possible(low, high, records), equations)
-        moves.append(_physical(_settled(other, known, _SETTLED).x) - own)
+        moves.append(_physical(_settled(other, known, _NEARLY).x) - own)
     return replace(fit, covariance=fit.covariance + _model_error(moves))
 
 
@@ -184,10 +188,9 @@ class _Piece:
     twist: FloatArray  # (n_rows, 2) delta, ddelta
     free: FloatArray  # (n_rows, n_free) shapes of free friction
 
-    def with_more(self, tau: FloatArray) -> _Piece:
-        """The same with more interaction torque, (n_samples,)."""
-        more = band_pass(tau, *self.band, self.sample_time)[self.rows]
-        return replace(self, torque=self.torque + self.ratio * more, tau=self.tau + more)
+    def passed(self, signal: FloatArray) -> FloatArray:
+        """A signal of the record, (n_samples,), as its columns are."""
+        return band_pass(signal, *self.band, self.sample_time)[self.rows]
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,12 +316,19 @@ def _settled(weighted: _Weighted, known: RigidKnowledge, within: float) -> _Weig
 
 def _rigid_errors(weighted: _Weighted, factor: ls.Factor, known: RigidKnowledge) -> FloatArray:
     """Columns: how far each of the rigid model's errors moves the unknowns."""
+    if not known.errors:
+        return np.zeros((len(COLUMNS), 0))
+    pieces, x = weighted.pieces, weighted.x
     columns = []
     for error in known.errors:
-        pieces = [p.with_more(tau) for p, tau in zip(weighted.pieces, error.tau, strict=True)]
-        equations = _assemble(pieces, known.moved(error), weighted.x)
-        columns.append(ls.factorise(equations, factor.root).value - factor.value)
-    return np.reshape(columns, (-1, len(COLUMNS))).T
+        change = []
+        for p, tau in zip(pieces, error.tau, strict=True):
+            more = p.passed(tau)
+            change += [p.ratio * more, x[_COMPLIANCE] * more]
+        _, before = _knowledge(known, pieces[0].ratio)
+        _, after = _knowledge(known.moved(error), pieces[0].ratio)
+        columns.append(np.concatenate([*change, after - before]))
+    return ls.moves(weighted.equations, factor, np.column_stack(columns))
 
 
 def _start(pieces: Sequence[_Piece]) -> FloatArray:

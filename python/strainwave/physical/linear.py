@@ -65,7 +65,9 @@ class LinearOptions:
 
 
 def state_space_of(
-    records: Decoupled | Sequence[Decoupled], options: LinearOptions | None = None
+    records: Decoupled | Sequence[Decoupled],
+    options: LinearOptions | None = None,
+    near: StateSpace | None = None,
 ) -> StateSpace:
     """State-space model of one joint, from one or several records.
 
@@ -77,6 +79,8 @@ def state_space_of(
     records : Decoupled or sequence of Decoupled
         Of one joint.
     options : LinearOptions, optional
+    near : StateSpace, optional
+        Of the same records in another band, from which to start.
 
     Returns
     -------
@@ -94,7 +98,7 @@ def state_space_of(
     joint = (records,) if isinstance(records, Decoupled) else tuple(records)
     check_alike(joint)
     if chosen.band_hz is not None:
-        return _model(joint, chosen.band_hz, chosen)
+        return _model(joint, chosen.band_hz, chosen, near)
     band = _search(joint)
     model = _model(joint, band, chosen)
     found = modes_of(replace(model, covariance=None))
@@ -162,8 +166,8 @@ def judge(
     cuts = [round(_FITTED * len(piece.inputs)) for piece in data]
     first = [piece.window(0, cut) for piece, cut in zip(data, cuts, strict=True)]
     last = [piece.window(cut, len(piece.inputs)) for piece, cut in zip(data, cuts, strict=True)]
-    fit = pem if chosen.method == "pem" else subspace
-    return check_model(fit(first, model.order), last)
+    fitted = _near(first, model, chosen) or _fit(first, model.order, chosen)
+    return check_model(fitted, last)
 
 
 def modes_of(model: StateSpace) -> Modes:
@@ -357,17 +361,36 @@ def _same(band: tuple[float, float], other: tuple[float, float], within: float) 
 
 
 def _model(
-    records: Sequence[Decoupled], band_hz: tuple[float, float], options: LinearOptions
+    records: Sequence[Decoupled],
+    band_hz: tuple[float, float],
+    options: LinearOptions,
+    near: StateSpace | None = None,
 ) -> StateSpace:
     """The model in one band; of two orders, that which rings and has the lower BIC."""
     data = _data(records, band_hz, options)
-    fit = pem if options.method == "pem" else subspace
-    model = fit(data, options.order or 3)
+    model = _near(data, near, options) or _fit(data, options.order or 3, options)
     if options.order is None and not _will_do(model):
-        other = fit(data, 4)
+        other = _fit(data, 4, options)
         if _rings(other) and (not _rings(model) or other.bic < model.bic):
             model = other
     return replace(model, warnings=model.warnings + tuple(_warnings(model, records)))
+
+
+def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> StateSpace:
+    return pem(data, order) if options.method == "pem" else subspace(data, order)
+
+
+def _near(
+    data: Sequence[InputOutput], near: StateSpace | None, options: LinearOptions
+) -> StateSpace | None:
+    """The fit that starts from another one, of other samples of the same; None if it will not do.
+
+    An alternating pole belongs to the other band's edge, so there is nothing to start from then.
+    """
+    if near is None or options.method != "pem" or without_alternating(near) is not near:
+        return None
+    model = pem(data, start=near)
+    return model if _will_do(model) else None
 
 
 def _will_do(model: StateSpace) -> bool:

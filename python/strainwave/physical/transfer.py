@@ -41,7 +41,7 @@ from strainwave.records import (
     StateSpace,
     Study,
 )
-from strainwave.statespace import propagate, to_continuous
+from strainwave.statespace import nearest, poles_and_zeros, propagate, to_continuous
 
 _TOLD = 1.0  # relative deviation beyond which even the sign is a guess
 _SLOW = 0.1  # of the anti-resonance: (18) asks for c_0/c_1 far below
@@ -61,13 +61,8 @@ class _Pairs:
     @property
     def vector(self) -> FloatArray:
         """b1, b2, d1, d2, c_0, c_1, then frequency [Hz] and damping of zero and pole."""
-        of = [
-            x for r in (self.zero, self.pole) for x in (-2.0 * r.real / abs(r) ** 2, abs(r) ** -2)
-        ]
-        rings = [
-            x for r in (self.zero, self.pole) for x in (abs(r) / (2.0 * np.pi), -r.real / abs(r))
-        ]
-        return np.array([*of, *self.lag, *rings])
+        zero, pole = np.array(self.zero), np.array(self.pole)
+        return _vector(zero, pole, np.array(self.lag))
 
 
 def from_state_space(
@@ -107,7 +102,7 @@ def from_state_space(
     number = record.joint
     joint, where = study.joints[number - 1], record.experiment.name
     nominal = _pairs(model, None)
-    vector, scatter = propagate(model, lambda near: _pairs(near, nominal).vector)
+    vector, scatter = _propagated(model, nominal)
     if scatter is None:
         scatter = np.full((len(vector), len(vector)), np.nan)
     moves = [_pairs(other, nominal).vector - vector for other in others]
@@ -145,6 +140,28 @@ def from_state_space(
     )
 
 
+def _vector(zero: ComplexArray, pole: ComplexArray, lag: FloatArray) -> FloatArray:
+    """As `_Pairs.vector`, of zeros and poles (...,) and lags (2, ...): (..., 10)."""
+    of = [x for r in (zero, pole) for x in (-2.0 * r.real / abs(r) ** 2, abs(r) ** -2.0)]
+    rings = [x for r in (zero, pole) for x in (abs(r) / (2.0 * np.pi), -r.real / abs(r))]
+    return np.stack([*of, *lag, *rings], axis=-1)
+
+
+def _propagated(model: StateSpace, nominal: _Pairs) -> tuple[FloatArray, FloatArray | None]:
+    """`_Pairs.vector` with its covariance."""
+
+    def at_once(near: StateSpace) -> FloatArray:
+        found = to_continuous(near)
+        poles, zeros = poles_and_zeros(found, 0, 0)
+        zero = nearest(np.array([nominal.zero]), zeros)[:, 0]
+        pole = nearest(np.array([nominal.pole]), poles)[:, 0]
+        return _vector(zero, pole, np.stack(_lag(found, zero, pole)))
+
+    if without_alternating(model) is model:
+        return propagate(model, at_once, stacked=True)
+    return propagate(model, lambda near: _pairs(near, nominal).vector)
+
+
 def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
     """The least damped pairs; of a model near another, those that moved least."""
     reduced = without_alternating(replace(model, covariance=None))
@@ -161,24 +178,28 @@ def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
         aim = near
         zero = min(zeros, key=lambda r: abs(r - aim.zero))
         pole = min(poles, key=lambda r: abs(r - aim.pole))
-    return _Pairs(zero, pole, _lag(to_continuous(reduced), zero, pole))
+    lag = _lag(to_continuous(reduced), np.array([zero]), np.array([pole]))
+    return _Pairs(zero, pole, (float(lag[0][0]), float(lag[1][0])))
 
 
-def _lag(model: ContinuousStateSpace, zero: complex, pole: complex) -> tuple[float, float]:
+def _lag(
+    model: ContinuousStateSpace, zero: ComplexArray, pole: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
     """c_0 and c_1 with G11 = (1 + b1 s + b2 s^2)/((c_0 + c_1 s)(1 + d1 s + d2 s^2)) where it rings.
 
-    One complex equation at the geometric mean of anti-resonance and resonance.
+    One complex equation at the geometric mean of anti-resonance and resonance, a model each.
     """
     s = 1j * np.sqrt(abs(zero) * abs(pole))
     up, down = ((s - r) * (s - r.conjugate()) / abs(r) ** 2 for r in (zero, pole))
-    lag = up / (down * _response(model, np.array([s]))[0, 0, 0])
-    return float(lag.real), float(lag.imag / abs(s))
+    lag = up / (down * _response(model, s)[:, 0, 0])
+    return lag.real, lag.imag / abs(s)
 
 
 def _response(model: ContinuousStateSpace, s: ComplexArray) -> ComplexArray:
-    """(n, n_outputs, n_inputs)."""
-    inner = s[:, None, None] * np.eye(model.order) - model.A
-    return np.asarray(model.C @ np.linalg.solve(inner, model.B[None] + 0j) + model.D)
+    """(n, n_outputs, n_inputs); of n models each at its own s, or of one."""
+    inner = s[:, None, None] * np.eye(model.A.shape[-1]) - model.A
+    right = np.broadcast_to(model.B + 0j, (len(s), *model.B.shape[-2:]))
+    return np.asarray(model.C @ np.linalg.solve(inner, right) + model.D)
 
 
 def _s(f: FloatArray) -> ComplexArray:

@@ -17,6 +17,7 @@ import numpy as np
 
 from strainwave import least_squares as ls
 from strainwave.cores import one_blas_thread, side_by_side
+from strainwave.distributions import student_quantile
 from strainwave.errors import NotIdentifiable
 from strainwave.prediction import band_prediction
 from strainwave.records import BoolArray, Caution, FloatArray, Parameter, RigidModel, Signals, Study
@@ -349,9 +350,7 @@ def _model(study: Study, best: _Trial, covariance: FloatArray) -> RigidModel:
 
 def _student(degrees: int) -> float:
     """Half width of a 95 % interval in deviations, for a deviation from so many differences."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(max(1, degrees), 0.975))
+    return student_quantile(0.975, max(1, degrees))
 
 
 def _fits(study: Study, best: _Trial, stretch: Stretch) -> dict[str, float]:

@@ -33,6 +33,12 @@ and the compliance, which is fitted, takes up what is wrong with the share.
 """
 
 _ROWS_PER_CUTOFF = 4.0  # rate of the equations in cut-offs; the filter leaves nothing at half of it
+# The motion is nonlinear in the equations, so more of it is kept than they pass: up to so many
+# cut-offs, at four samples a period of that. The next products, nine cut-offs up, are all but gone.
+_MOTION_CUTOFFS, _SAMPLES_PER_ROW = 8.0, 8
+# Periods of the cut-off after which a thousandth of the filter's answer is left. Rows nearer to a
+# record's ends would depend on where it was cut: free friction has no continuation beyond them.
+_REACH = 2.5
 _KNOTS_PER_PERIOD = 16.0  # of free friction, in periods of the cut-off: convergence is at 8
 _MOST_KNOTS = 100  # per record and joint: a joint that rarely slides has little to say
 _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
@@ -56,6 +62,8 @@ class Stretch:
 
     signals: Signals
     bandwidth_hz: float
+    motion_step: int  # samples from one of `motion` to the next
+    motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
     rows: IntArray  # (n_rows,) samples kept
     keep: BoolArray  # (n_rows, n_joints)
     torque: FloatArray  # (n_rows, n_joints)
@@ -68,10 +76,33 @@ class Stretch:
         """Of the record [s]."""
         return len(self.signals.time) * self.signals.sample_time
 
+    @property
+    def motion_samples(self) -> slice:
+        """Samples at which the motion is kept; the equations' rows are among them."""
+        first = _reach(self.signals.sample_time, self.bandwidth_hz) % self.motion_step
+        return slice(first, None, self.motion_step)
+
+    def filtered(self, signal: FloatArray) -> FloatArray:
+        """The equations' filter on a signal at the motion's samples: (n_rows, ...)."""
+        step, T = self.motion_step, self.signals.sample_time
+        return low_pass(signal, self.bandwidth_hz, T, decimated=step)[self.rows // step]
+
 
 def decimation(sample_time: float, bandwidth_hz: float) -> int:
     """Samples per equation."""
-    return max(1, int(1.0 / (_ROWS_PER_CUTOFF * bandwidth_hz * sample_time)))
+    step = _motion_step(sample_time, bandwidth_hz)
+    return step * max(1, int(1.0 / (_ROWS_PER_CUTOFF * bandwidth_hz * sample_time)) // step)
+
+
+def _motion_step(sample_time: float, bandwidth_hz: float) -> int:
+    """Samples per sample of the motion."""
+    per_second = _SAMPLES_PER_ROW * _ROWS_PER_CUTOFF * bandwidth_hz
+    return max(1, int(1.0 / (per_second * sample_time)))
+
+
+def _reach(sample_time: float, bandwidth_hz: float) -> int:
+    """Samples between an end of the record and the nearest equation."""
+    return int(_REACH / (bandwidth_hz * sample_time))
 
 
 def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
@@ -88,30 +119,45 @@ def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
     """
     T = signals.sample_time
     n_samples, n_joints = signals.motor_torque.shape
-    reach = 1.0 / (bandwidth_hz * T)  # samples after which the filter has forgotten
-    rows = np.arange(int(reach), n_samples - int(reach), decimation(T, bandwidth_hz))
-    sides = [signals.motor_velocity, signals.direction, np.ones((n_samples, n_joints))]
-    around = int(2.5 * reach)  # the impulse response has then fallen below 1e-6
-    impulse = np.zeros(2 * around + 1)
-    impulse[around] = 1.0
+    period = 1.0 / (bandwidth_hz * T)  # in samples
+    reach = _reach(T, bandwidth_hz)
+    rows = np.arange(reach, n_samples - reach, decimation(T, bandwidth_hz))
+    impulse = np.zeros(2 * reach + 1)
+    impulse[reach] = 1.0
     kernel = low_pass(impulse, bandwidth_hz, T)
     keep, shapes, free = [], [], []
     for i in range(n_joints):
-        keep.append(_clear_of(~signals.valid[:, i], int(reach / 2))[rows])
+        keep.append(_clear_of(~signals.valid[:, i], int(period / 2))[rows])
         uncertain = int(np.count_nonzero(signals.direction[:, i] == 0.0))
-        spacing = max(2, round(reach / _KNOTS_PER_PERIOD), uncertain // _MOST_KNOTS)
+        spacing = max(2, round(period / _KNOTS_PER_PERIOD), uncertain // _MOST_KNOTS)
         shapes.append(free_friction(signals.direction[:, i], spacing))
         free.append(responses(shapes[i], rows, kernel))
+    step = _motion_step(T, bandwidth_hz)
+    angle, velocity, acceleration, torque, direction = _slowed(signals, bandwidth_hz)[
+        reach % step :: step
+    ].transpose(1, 0, 2)
+    sides = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
+    # both sides of the equations are cut at the same samples, for what the filter makes of the cuts
+    passed = low_pass(sides, bandwidth_hz, T, decimated=step)[rows // step]
     return Stretch(
         signals=signals,
         bandwidth_hz=bandwidth_hz,
+        motion_step=step,
+        motion=(angle, velocity, acceleration),
         rows=rows,
         keep=np.column_stack(keep),
-        torque=low_pass(signals.motor_torque, bandwidth_hz, T)[rows],
-        friction=low_pass(np.stack(sides, axis=2), bandwidth_hz, T)[rows],
+        torque=passed[:, :, 0],
+        friction=passed[:, :, 1:],
         shapes=tuple(shapes),
         free=tuple(free),
     )
+
+
+def _slowed(signals: Signals, bandwidth_hz: float) -> FloatArray:
+    """Angle, velocity, acceleration, torque and direction: (n_samples, 5, n_joints)."""
+    found = [signals.motor_angle, signals.motor_velocity, signals.motor_acceleration]
+    columns = np.stack([*found, signals.motor_torque, signals.direction], axis=1)
+    return low_pass(columns, _MOTION_CUTOFFS * bandwidth_hz, signals.sample_time)
 
 
 def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None) -> Equations:
@@ -241,26 +287,24 @@ def _body_equations(
     study: Study, stretch: Stretch, around: Estimate | None, record: int, elastic: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Regressor of the body, regressor of the compliances, and the torque they are to explain."""
-    signals, T = stretch.signals, stretch.signals.sample_time
     n = gear_ratios(study)
-    q, dq, ddq = (
-        x * n for x in (signals.motor_angle, signals.motor_velocity, signals.motor_acceleration)
-    )
+    q, dq, ddq = (x * n for x in stretch.motion)
     if around is None or not elastic.any():
-        phi = low_pass(body_regressor(study, q, dq, ddq), stretch.bandwidth_hz, T)[stretch.rows]
+        phi = stretch.filtered(body_regressor(study, q, dq, ddq))
         return phi, np.zeros((len(phi), study.n_joints, 0)), stretch.torque
     gear = _gear_torque(study, stretch, around, around.standing[record])
-    dgear = differentiate(gear, T)
-    ddgear = differentiate(dgear, T)
+    dgear = differentiate(gear, stretch.signals.sample_time)
+    ddgear = differentiate(dgear, stretch.signals.sample_time)
+    gear, dgear, ddgear = (x[stretch.motion_samples] for x in (gear, dgear, ddgear))
     c = around.compliance
     phi = body_regressor(study, q - c * gear, dq - c * dgear, ddq - c * ddgear)
     # motors turn with the motors' acceleration, not the links'
     per_acceleration = n[0] if study.n_joints == 2 else 1.0 / n[0]
     phi[:, 0, 0] += around.motor_share * per_acceleration * c[0] * ddgear[:, 0]
     if study.n_joints == 2:
-        phi[:, 1, 1] = signals.motor_acceleration[:, 1]
+        phi[:, 1, 1] = stretch.motion[2][:, 1]
     lags = _mass_times(study, around, q, ddgear) * elastic
-    both = low_pass(np.concatenate([phi, lags], axis=2), stretch.bandwidth_hz, T)[stretch.rows]
+    both = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = both[:, :, : phi.shape[2]], both[:, :, phi.shape[2] :]
     return phi, lags, stretch.torque + lags @ c
 

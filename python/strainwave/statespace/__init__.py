@@ -7,7 +7,7 @@ its uncertainty: `to_continuous`, `frequency_response`, `modes`, and anything el
 
 from strainwave.statespace._stack import without_means
 from strainwave.statespace.continuous import to_continuous
-from strainwave.statespace.modes import modes
+from strainwave.statespace.modes import modes, nearest, poles_and_zeros
 from strainwave.statespace.order import select_order
 from strainwave.statespace.pem import PemOptions, pem
 from strainwave.statespace.propagation import propagate
@@ -20,7 +20,9 @@ __all__ = [
     "check_model",
     "frequency_response",
     "modes",
+    "nearest",
     "pem",
+    "poles_and_zeros",
     "propagate",
     "select_order",
     "subspace",

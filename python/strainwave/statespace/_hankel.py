@@ -52,9 +52,7 @@ def solve_upper(R: FloatArray, right: FloatArray) -> FloatArray:
     """R^-1 right for triangular R; of least norm where columns of R depend on one another."""
     pivots = np.abs(np.diagonal(R))
     if pivots.min() > SMALLEST_PIVOT * pivots.max():
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(R, right, check_finite=False))
+        return np.asarray(np.linalg.solve(R, right))
     return np.asarray(np.linalg.lstsq(R, right, rcond=1e-12)[0], dtype=np.float64)
 
 

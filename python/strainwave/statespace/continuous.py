@@ -8,6 +8,7 @@ from math import factorial
 import numpy as np
 
 from strainwave.errors import NotIdentifiable
+from strainwave.matrices import exponential
 from strainwave.records import Caution, ContinuousStateSpace, FloatArray, StateSpace
 from strainwave.statespace.propagation import propagate
 
@@ -49,15 +50,17 @@ def to_continuous(model: StateSpace) -> ContinuousStateSpace:
     found = _convert(model)
     if model.covariance is None:
         return found
-    _, covariance = propagate(model, lambda near: _entries(_convert(near)))
+    _, covariance = propagate(model, lambda near: _entries(_convert(near)), stacked=True)
     return replace(found, covariance=covariance)
 
 
 def _entries(model: ContinuousStateSpace) -> FloatArray:
-    return np.concatenate([np.ravel(part) for part in (model.A, model.B, model.C, model.D)])
+    parts = (model.A, model.B, model.C, model.D)
+    return np.concatenate([part.reshape(*part.shape[:-2], -1) for part in parts], axis=-1)
 
 
 def _convert(model: StateSpace) -> ContinuousStateSpace:
+    """Of one model, or of a stack of them."""
     T = model.sample_time
     A, P1, P2 = _between_samples(model.A, T)
     first = np.array([hold == "first" for hold in model.hold])
@@ -65,8 +68,8 @@ def _convert(model: StateSpace) -> ContinuousStateSpace:
     D = model.D.copy()
     if first.any():
         joined = model.A @ P2 + P1 - P2
-        B[:, first] = np.linalg.solve(joined, model.B[:, first])
-        D[:, first] -= model.C @ P2 @ B[:, first]
+        B[..., first] = np.linalg.solve(joined, model.B[..., first])
+        D[..., first] -= model.C @ P2 @ B[..., first]
     return ContinuousStateSpace(
         A=A,
         B=B,
@@ -87,7 +90,10 @@ def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, F
             f"the sampled model has a pole at {bad[0].real:.3g}, which no continuous-time model of "
             "the same order has: lower the order"
         )
-    if np.linalg.cond(vectors) >= WELL_CONDITIONED:
+    if np.linalg.cond(vectors).max() >= WELL_CONDITIONED:
+        if A.ndim > 2:
+            each = np.stack([np.stack(_between_samples(one, T)) for one in A], axis=1)
+            return each[0], each[1], each[2]
         from scipy.linalg import logm
 
         logarithm = np.ascontiguousarray(np.real(logm(A)), dtype=np.float64) / T
@@ -100,20 +106,18 @@ def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, F
     second = np.where(small, series, (np.exp(away) - 1.0 - away) / away**2)
     inverse = np.linalg.inv(vectors)
     shapes = np.stack([x / T, T * (1.0 + x * second), T * second])
-    found = np.real((vectors * shapes[:, None, :]) @ inverse)
+    found = np.real((vectors * shapes[..., None, :]) @ inverse)
     return found[0], found[1], found[2]
 
 
 def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
     """P1 and P2 as blocks of one matrix exponential (Van Loan, IEEE Trans. AC 23, 1978)."""
-    from scipy.linalg import expm
-
     n = len(A)
     whole = np.zeros((3 * n, 3 * n))
     whole[:n, :n] = A * T
     whole[:n, n : 2 * n] = np.eye(n) * T
     whole[n : 2 * n, 2 * n :] = np.eye(n)
-    top = expm(whole)[:n]
+    top = exponential(whole)[:n]
     return top[:, n : 2 * n], top[:, 2 * n :]
 
 

@@ -16,6 +16,10 @@ ComplexArray = NDArray[np.complex128]
 # by noise in a feedthrough.
 FAR = 100.0
 
+# Where the pencil of the zeros is inverted, over the fastest pole: on the unstable real axis, at
+# no round number, for a zero just there would make it singular.
+_ASIDE = 0.7320508
+
 
 def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> Modes:
     """Poles of a model and zeros from one input to one output, in continuous time.
@@ -59,17 +63,13 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
     known = np.concatenate([poles, zeros])
 
     def shapes(near: ContinuousStateSpace) -> FloatArray:
-        values = np.concatenate(
-            [
-                _nearest(poles, _poles(near)),
-                _nearest(zeros, _zeros(near, input, output)) if len(zeros) else zeros,
-            ]
-        )
-        return np.concatenate([_frequency_hz(values), _damping(values)])
+        of_zeros = nearest(zeros, _zeros(near, input, output))
+        values = np.concatenate([nearest(poles, _poles(near)), of_zeros], axis=-1)
+        return np.concatenate([_frequency_hz(values), _damping(values)], axis=-1)
 
     values, std = np.concatenate([_frequency_hz(known), _damping(known)]), None
     if found.covariance is not None:
-        _, covariance = propagate(found, shapes)
+        _, covariance = propagate(found, shapes, stacked=True)
         std = np.sqrt(np.maximum(np.diagonal(np.asarray(covariance)), 0.0))
     count = len(known)
     each = tuple(
@@ -91,21 +91,44 @@ def _poles(model: ContinuousStateSpace) -> ComplexArray:
 
 
 def _zeros(model: ContinuousStateSpace, input: int, output: int) -> ComplexArray:
-    """Finite zeros of one channel."""
-    from scipy.linalg import eigvals
-
-    n = model.order
-    b, c = model.B[:, [input]], model.C[[output]]
+    """Zeros of one channel; those at infinity are infinite."""
+    n = model.A.shape[-1]
+    b, c = model.B[..., :, [input]], model.C[..., [output], :]
     # Rows and columns of like size: units of the channels must not decide what is infinite.
-    size = max(float(np.abs(np.linalg.eigvals(model.A)).max()), np.finfo(float).tiny)
-    b_size, c_size = float(np.linalg.norm(b)) or 1.0, float(np.linalg.norm(c)) or 1.0
-    d = model.D[[output]][:, [input]] * size / (b_size * c_size)
+    fastest = np.abs(np.linalg.eigvals(model.A)).max(axis=-1)[..., None, None]
+    size = np.maximum(fastest, np.finfo(float).tiny)
+    b_size, c_size = (np.linalg.norm(x, axis=(-2, -1), keepdims=True) for x in (b, c))
+    b_size, c_size = (np.where(x > 0.0, x, 1.0) for x in (b_size, c_size))
+    d = model.D[..., [output], :][..., [input]] * size / (b_size * c_size)
     M = np.block([[model.A / size, b / b_size], [c / c_size, d]])
     N = np.zeros((n + 1, n + 1))
     N[:n, :n] = np.eye(n)
-    pairs = eigvals(M, N, homogeneous_eigvals=True)
-    finite = np.abs(pairs[1]) > 1e-12 * np.abs(pairs[0])
-    return np.asarray(size * pairs[0][finite] / pairs[1][finite], dtype=np.complex128)
+    # (M - s N) v = 0 is (M - a N)^-1 N v = v / (s - a): zeros at infinity become zero
+    right = np.broadcast_to(N, M.shape)
+    inverse = np.linalg.eigvals(np.linalg.solve(M - _ASIDE * N, right)).astype(np.complex128)
+    finite = np.abs(inverse) > 1e-12
+    found = size[..., 0] * (_ASIDE + 1.0 / np.where(finite, inverse, 1.0))
+    return np.where(finite, found, np.inf)
+
+
+def poles_and_zeros(
+    model: ContinuousStateSpace, input: int, output: int
+) -> tuple[ComplexArray, ComplexArray]:
+    """Poles, and zeros from one input to one output, of a model or of a stack of them.
+
+    Parameters
+    ----------
+    model : ContinuousStateSpace
+    input, output : int
+        Columns, from 0.
+
+    Returns
+    -------
+    poles : (..., order)
+    zeros : (..., order + 1)
+        Those at infinity are infinite.
+    """
+    return _poles(model), _zeros(model, input, output)
 
 
 def _upper_half(values: ComplexArray) -> ComplexArray:
@@ -116,10 +139,21 @@ def _upper_half(values: ComplexArray) -> ComplexArray:
     return np.asarray(values[np.argsort(np.abs(values))], dtype=np.complex128)
 
 
-def _nearest(values: ComplexArray, others: ComplexArray) -> ComplexArray:
-    """For each value, the other that is nearest to it."""
-    distances = np.abs(values[:, None] - others[None, :])
-    return np.asarray(others[np.argmin(distances, axis=1)], dtype=np.complex128)
+def nearest(values: ComplexArray, others: ComplexArray) -> ComplexArray:
+    """For each value, the one that is nearest to it of others, or of each row of others.
+
+    Parameters
+    ----------
+    values : (n_values,)
+    others : (..., n_others)
+
+    Returns
+    -------
+    (..., n_values)
+    """
+    distances = np.abs(values[:, None] - others[..., None, :])
+    place = np.argmin(distances, axis=-1)
+    return np.asarray(np.take_along_axis(others, place, axis=-1), dtype=np.complex128)
 
 
 def _frequency_hz(values: ComplexArray) -> FloatArray:

@@ -53,7 +53,7 @@ def pem(
     order : int, optional
         None: that of `start`, or without one the best of 2 to 6 by `select_order`.
     start : StateSpace, optional
-        None: the better of two subspace estimates.
+        None: the better of two subspace estimates. One of another rate is brought to the data's.
     options : PemOptions, optional
 
     Returns
@@ -129,12 +129,28 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
             f"got {shape[0]} and {shape[1]}"
         )
     states = np.zeros((len(data.lengths), start.order))
-    own = Matrices(start.A, start.B, start.C, start.D, start.K, states)
+    own = _at_rate(start, data.sample_time, states)
     scaled = rescale(own, data)
     noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
     noise = noise + FLOOR * np.eye(len(noise))
     K = stabilising_gain(scaled.A, scaled.C, scaled.K, noise)
     return replace(scaled, K=K)
+
+
+def _at_rate(start: StateSpace, sample_time: float, states: FloatArray) -> Matrices:
+    """A start's matrices at another rate; B and D, which hang on the holds, are estimated anew."""
+    A, K, ratio = start.A, start.K, sample_time / start.sample_time
+    if abs(ratio - 1.0) > 1e-9:
+        values, vectors = np.linalg.eig(A)
+        if ((values.imag == 0.0) & (values.real <= 0.0)).any():
+            raise InvalidInput(
+                f"expected a start at the data's {1.0 / sample_time:.6g} Hz, for its pole on the "
+                f"negative real axis has no counterpart; got {1.0 / start.sample_time:.6g} Hz"
+            )
+        powers = values.astype(complex) ** ratio
+        A = np.real((vectors * powers) @ np.linalg.inv(vectors))
+        K = ratio * K
+    return Matrices(A, start.B, start.C, start.D, K, states)
 
 
 def _fit(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -21,7 +21,7 @@ NEGLIGIBLE = 1e-13
 
 
 def propagate(
-    model: Model, function: Callable[[Model], FloatArray]
+    model: Model, function: Callable[[Model], FloatArray], *, stacked: bool = False
 ) -> tuple[FloatArray, FloatArray | None]:
     """What a function makes of a model, with its covariance by the delta method.
 
@@ -34,30 +34,31 @@ def propagate(
     model : StateSpace or ContinuousStateSpace
     function : model -> (n_values,)
         It must be smooth near the model, and the same in any coordinates of the state.
+    stacked : bool
+        The function takes many models at once, as one whose matrices have their number in front,
+        and gives (n_models, n_values).
 
     Returns
     -------
     values : (n_values,)
     covariance : (n_values, n_values), or None where the model has none
     """
-    values = np.atleast_1d(np.asarray(function(model), dtype=np.float64))
+
+    def each(near: Model) -> FloatArray:
+        return np.atleast_1d(np.asarray(function(near), dtype=np.float64))
+
+    if model.covariance is None and stacked:
+        return function(_moved(model, np.zeros((1, _n_entries(model)))))[0], None
     if model.covariance is None:
-        return values, None
-    J = np.zeros((len(values), 0))
-    columns = []
-    for ahead, behind in _neighbours(model):
-        rise = np.asarray(function(ahead)) - np.asarray(function(behind))
-        columns.append(np.atleast_1d(rise) / (2.0 * STEP))
-    if columns:
-        J = np.column_stack(columns)
-    return values, J @ J.T
-
-
-def _neighbours(model: Model) -> Iterator[tuple[Model, Model]]:
-    """Models one step ahead and behind along each principal direction."""
-    directions = _directions(np.asarray(model.covariance))
-    for direction in STEP * directions.T:
-        yield _moved(model, direction), _moved(model, -direction)
+        return each(model), None
+    steps = STEP * _directions(model.covariance).T
+    moves = np.concatenate([np.zeros((1, steps.shape[1])), steps, -steps])
+    if stacked:
+        found = function(_moved(model, moves))
+    else:
+        found = np.stack([each(_moved(model, move)) for move in moves])
+    J = (found[1 : len(steps) + 1] - found[len(steps) + 1 :]).T / (2.0 * STEP)
+    return found[0], J @ J.T
 
 
 def _directions(covariance: FloatArray) -> FloatArray:
@@ -74,12 +75,20 @@ def _directions(covariance: FloatArray) -> FloatArray:
     return factor
 
 
+def _names(model: Model) -> tuple[str, ...]:
+    return ("A", "B", "C", "D", "K") if isinstance(model, StateSpace) else ("A", "B", "C", "D")
+
+
+def _n_entries(model: Model) -> int:
+    return sum(getattr(model, name).size for name in _names(model))
+
+
 def _moved(model: Model, change: FloatArray) -> Model:
-    """The model with a change added to its entries, and no covariance."""
-    names = ("A", "B", "C", "D", "K") if isinstance(model, StateSpace) else ("A", "B", "C", "D")
+    """The model with one change added to its entries, or with many; no covariance."""
     entries, start = {}, 0
-    for name in names:
+    for name in _names(model):
         matrix = getattr(model, name)
-        entries[name] = matrix + change[start : start + matrix.size].reshape(matrix.shape)
+        own = change[..., start : start + matrix.size]
+        entries[name] = matrix + own.reshape(*change.shape[:-1], *matrix.shape)
         start += matrix.size
     return replace(model, covariance=None, **entries)

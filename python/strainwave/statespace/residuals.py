@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave.distributions import chi_square_tail
 from strainwave.errors import InvalidInput
 from strainwave.records import (
     FloatArray,
@@ -190,8 +191,6 @@ def _normalised(correlations: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def _verdict(name: Name, statistic: float, degrees: int, good: str, bad: str) -> HypothesisTest:
-    from scipy.special import chdtrc
-
-    p_value = float(chdtrc(degrees, statistic))
+    p_value = chi_square_tail(statistic, degrees)
     passed = p_value >= LEVEL
     return HypothesisTest(name, float(statistic), degrees, p_value, passed, good if passed else bad)

@@ -8,11 +8,12 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use strainwave_statespace::fit::{BadStart, Fit, Options, Status, fit};
 use strainwave_statespace::model::{Model, Record, Shape, split};
-use strainwave_statespace::{hankel, predictor, sensitivity};
+use strainwave_statespace::{elimination, hankel, predictor, sensitivity};
 
 /// Adds this file's functions and classes to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(hankel_gram, module)?)?;
+    module.add_function(wrap_pyfunction!(eliminate, module)?)?;
     module.add_class::<Innovations>()?;
     module.add_class::<InnovationsFit>()
 }
@@ -31,6 +32,37 @@ fn hankel_gram<'py>(
     let (gram, rows) = py.detach(|| hankel::gram(data, width, &lengths, depth));
     let size = depth * width;
     Ok((gram.into_pyarray(py).reshape([size, size])?, rows))
+}
+
+/// Right-hand sides without the unknowns of unit size that `z` brings in.
+#[pyfunction]
+#[allow(clippy::type_complexity)]
+fn eliminate<'py>(
+    py: Python<'py>,
+    z: PyReadonlyArray2<'py, f64>,
+    right: PyReadonlyArray2<'py, f64>,
+    leverage: bool,
+) -> PyResult<(
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray1<f64>>,
+)> {
+    let (rows, unknowns, sides) = (z.shape()[0], z.shape()[1], right.shape()[1]);
+    if right.shape()[0] != rows || unknowns == 0 || sides == 0 {
+        return Err(PyValueError::new_err(format!(
+            "expected {rows} rows of right-hand sides and an unknown, got {:?} and {unknowns}",
+            right.shape()
+        )));
+    }
+    let z = z.as_slice().map_err(|_| not_contiguous("z"))?;
+    let right = right.as_slice().map_err(|_| not_contiguous("right"))?;
+    let ended = py.detach(|| elimination::eliminate(z, right, unknowns, sides, leverage));
+    let found = ended.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
+    Ok((
+        found.found.into_pyarray(py).reshape([unknowns, sides])?,
+        found.left.into_pyarray(py).reshape([rows, sides])?,
+        found.leverage.into_pyarray(py),
+    ))
 }
 
 /// Stacked records and the sizes of a model for them; `values` are A, B, C, D, K row-major and one

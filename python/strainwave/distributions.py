@@ -1,0 +1,70 @@
+"""The two distributions that a run asks for, in closed form: their degrees are whole numbers.
+
+SciPy has them too, but to import it takes longer than most stages.
+"""
+
+from __future__ import annotations
+
+import math
+
+
+def chi_square_tail(value: float, degrees: int) -> float:
+    """Probability that a chi-square variable exceeds a value (Abramowitz and Stegun 26.4.4, 5).
+
+    Parameters
+    ----------
+    value : float
+    degrees : int
+        At least 1.
+
+    Returns
+    -------
+    float
+    """
+    if not value > 0.0:
+        return 1.0 if value <= 0.0 else math.nan
+    half = 0.5 * value
+    if not math.isfinite(half):
+        return 0.0
+    first = 0.5 * (degrees % 2)
+    powers = (first + j for j in range(degrees // 2))
+    terms = (math.exp(a * math.log(half) - half - math.lgamma(a + 1.0)) for a in powers)
+    whole = math.erfc(math.sqrt(half)) if first else 0.0
+    return min(1.0, whole + math.fsum(terms))
+
+
+def student_quantile(probability: float, degrees: int) -> float:
+    """The value below which Student's t lies with a probability, by bisection.
+
+    Parameters
+    ----------
+    probability : float
+        From one half up, below one.
+    degrees : int
+        At least 1.
+
+    Returns
+    -------
+    float
+    """
+    low, high = 0.0, 0.5 * math.pi
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if 0.5 + 0.5 * _within(middle, degrees) < probability:
+            low = middle
+        else:
+            high = middle
+    return math.sqrt(degrees) * math.tan(low)
+
+
+def _within(angle: float, degrees: int) -> float:
+    """P(|t| < sqrt(degrees) tan angle) (Abramowitz and Stegun 26.7.3, 26.7.4)."""
+    odd = degrees % 2
+    cosine = math.cos(angle)
+    term, total = (cosine if odd else 1.0), 0.0
+    for j in range(odd, degrees - 1, 2):
+        total += term
+        term *= (j + 1.0) / (j + 2.0) * cosine**2
+    if not odd:
+        return math.sin(angle) * total
+    return 2.0 / math.pi * (angle + math.sin(angle) * total)
