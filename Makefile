@@ -20,6 +20,7 @@ $(VENV)/.installed: requirements.lock
 
 $(VENV)/.built: $(VENV)/.installed pyproject.toml $(RUST)
 	VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --release --locked --quiet
+	@$(BIN)/python -m compileall -q python/strainwave  # or each run would, where none may write
 	@touch $@
 
 demo: setup
