@@ -137,8 +137,13 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
             let response = follower.column.respond(&self.linear, 0, &x, torque);
             follower.sense(readings.as_ref(), &response);
             if event.samples {
-                let tangents = &mut self.tangents;
-                follower.record(self.task, tangents, (self.sampled, first), &response);
+                V::scope(Put {
+                    follower,
+                    task: self.task,
+                    tangents: &mut self.tangents,
+                    place: (self.sampled, first),
+                    response: &response,
+                });
             }
             if smooth {
                 follower.advance(&self.linear, &response, self.task.clock.step);
@@ -210,6 +215,25 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
     #[inline(always)]
     fn run(self) {
         self.0.redo();
+    }
+}
+
+/// [`Follower::record`] in a scope of its own: few steps are sampled.
+struct Put<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> {
+    follower: &'c Follower<'a, A, S, V, N>,
+    task: &'c Task<A, N>,
+    tangents: &'c mut [Vec<f64>],
+    /// Sample, and first of the column's directions.
+    place: (usize, usize),
+    response: &'c Response<V, N>,
+}
+
+impl<A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Work for Put<'_, '_, A, S, V, N> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.follower
+            .record(self.task, self.tangents, self.place, self.response);
     }
 }
 
@@ -482,7 +506,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S
     }
 
     /// Puts this column's lanes, from direction `first`, into a sample's place.
-    #[inline(never)]
+    #[inline(always)]
     fn record(
         &self,
         task: &Task<A, N>,
