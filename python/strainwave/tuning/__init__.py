@@ -91,7 +91,7 @@ def tune(
         )
     cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
     plain = with_known_effects(study, ())
-    records = tuple(replayed(log, plain, cutoff) for log in used)
+    records = tuple(replayed(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
     search = _search(records, model, joints, study, chosen)
     start = np.zeros(len(search.unknowns))
     if chosen.start is not None:

@@ -19,7 +19,7 @@ from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput
 from strainwave.filters import noise_deviation
 from strainwave.records import FloatArray, Joint, Log, Study
-from strainwave.replay import driving_voltages, missing_motor_signal, replay
+from strainwave.replay import driving_voltages, missing_for_replay, missing_motor_signal, replay
 from strainwave.simulation import Drive, Quantity, sensitivities, simulate_arms
 
 INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
@@ -180,7 +180,7 @@ class Replayed:
         return np.stack(parts, axis=1)
 
 
-def replayed(log: Log, study: Study, cutoff_hz: float) -> Replayed:
+def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = False) -> Replayed:
     """A record ready to be compared with simulated arms.
 
     Parameters
@@ -189,6 +189,9 @@ def replayed(log: Log, study: Study, cutoff_hz: float) -> Replayed:
     study : Study
     cutoff_hz : float [Hz]
         Of the low-pass.
+    closed_loop : bool
+        Servoed joints follow their references under the study's servo, where the log tells enough
+        for that; otherwise the recorded voltages drive them.
 
     Returns
     -------
@@ -225,7 +228,7 @@ def replayed(log: Log, study: Study, cutoff_hz: float) -> Replayed:
         log=log,
         study=_as_driven(log, study),
         cutoff_hz=cutoff_hz,
-        drive=_drive(log, study),
+        drive=_drive(log, study, closed_loop=closed_loop),
         channels=channels,
         kernels=kernels,
         time=log.time[0] + middle + kernels.step * T * np.arange(len(rows[0])),
@@ -265,7 +268,7 @@ def coarser(record: Replayed, longest_step: float) -> Replayed:
         time=log.time[: n * every : every],
         channels=channels,
     )
-    coarse = replayed(thinned, record.study, record.cutoff_hz)
+    coarse = replayed(thinned, record.study, record.cutoff_hz, closed_loop=any(record.drive.servo))
     step = max(longest_step, _STEP)
     return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
 
@@ -307,8 +310,10 @@ def _channels(log: Log, study: Study) -> Iterator[Channel]:
             yield Channel(f"gyro{i}", i, "gyro", rate=False, shifted=True)
 
 
-def _drive(log: Log, study: Study) -> Drive:
+def _drive(log: Log, study: Study, *, closed_loop: bool) -> Drive:
     """The recorded voltages, held from sample to sample, in place of servos and references."""
+    if closed_loop and missing_for_replay(study, log) is None:
+        return replay(study, log)
     free = (False,) * study.n_joints
     return replace(replay(study, log), voltage=driving_voltages(study, log), servo=free)
 

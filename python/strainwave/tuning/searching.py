@@ -30,6 +30,7 @@ class TuningOptions:
     cutoff_hz: float | None = None  # of what is compared; None: from the resonances
     settling: bool | None = None  # whether friction takes its time; None: if the data say so
     start: Mapping[Key, float] | None = None  # values in place of those of the steps before
+    closed_loop: bool = False  # servoed joints by references and servo, not recorded voltages
     least_deviation: float = 0.002  # of what the rigid step knows, as a share of each value
     max_iterations: int = 100
 

@@ -1,0 +1,184 @@
+"""The whole-arm fit, against SciPy's optimiser on the very same simulations and derivatives.
+
+Starts are 5 % off in inertia and stiffness and 1.4 to 3 times in friction and damping; a curve
+starts as one slope with its knees 40 % off. Longer and more records show how the time grows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from benchmarks.timing import Row, best_of
+from strainwave import scara
+from strainwave.cores import one_blas_thread
+from strainwave.logs import read_logs
+from strainwave.parameters import Values
+from strainwave.records import (
+    Control,
+    Experiment,
+    FloatArray,
+    JointModel,
+    Log,
+    Parameter,
+    Prbs,
+    RigidModel,
+    Spring,
+    Study,
+)
+from strainwave.simulation import SensorNoise
+from strainwave.study import read_study
+from strainwave.tuning import TuningOptions, tune
+from strainwave.tuning.misfit import Misfit
+from strainwave.tuning.replayed import replayed
+from strainwave.tuning.unknowns import CURVE, KNEES, search_of, with_curves
+from strainwave.virtual import simulate_study
+
+CUTOFF = 120.0  # [Hz]
+CASES: tuple[tuple[Spring, int], ...] = (("linear", 4), ("three-slope", 6))
+_FRICTION = {"motor_viscous_friction": 1.4, "link_viscous_friction": 2.0, "gear_damping": 3.0}
+_JOINT = ("motor_inertia", "link_inertia", "gear_stiffness", "motor_coulomb_friction", *_FRICTION)
+
+
+def rows() -> list[Row]:
+    found = []
+    with one_blas_thread():
+        for spring, n in CASES:
+            study, logs, values = _recorded(spring, periods=1)
+            peer = _scipy(study, logs[:n], values)
+            what = f"whole-arm fit, {spring}, {n} records of 1 s"
+            found.append(Row(what, _timed(study, logs[:n], values), "SciPy least_squares", peer))
+        study, logs, values = _recorded("linear", periods=4)
+        short = [_first_second(log) for log in logs]
+        base = _timed(study, short[:2], values)
+        for some, name in ((short[:4], "1 s"), (short, "1 s"), (logs[:2], "4 s")):
+            what = f"the same, linear, {len(some)} records of {name}"
+            found.append(Row(what, _timed(study, some, values), "2 records of 1 s", base))
+    return found
+
+
+def _timed(study: Study, logs: list[Log], values: Values) -> float:
+    return best_of(partial(_fit, study, logs, values), repeats=3)
+
+
+def _recorded(spring: Spring, periods: int) -> tuple[Study, list[Log], Values]:
+    """Open-loop records of the built-in arm, joint by joint and in falling amplitudes."""
+    free: tuple[Control, ...] = ("open", "open")
+    experiments = tuple(
+        Experiment(
+            f"prbs-j{j}-{volt:g}V",
+            f"prbs-j{j}-{volt:g}V.parquet",
+            "frequency",
+            free,
+            joint=j,
+            prbs=Prbs(10, 1e-3, periods, volt),
+        )
+        for volt in (10.0, 8.0, 6.0)
+        for j in (1, 2)
+    )
+    values = scara.parameters(5, spring)
+    with TemporaryDirectory() as folder:
+        study = replace(scara.study(Path(folder), spring), experiments=experiments)
+        simulate_study(study, values, Path(folder), noise=SensorNoise(), replay=False)
+        written = read_study(Path(folder) / "study.toml")
+        return written, list(read_logs(written)), values
+
+
+def _first_second(log: Log) -> Log:
+    n = round(1.0 / log.sample_time)
+    channels = {name: x[:n] for name, x in log.channels.items()}
+    return replace(log, time=log.time[:n], channels=channels)
+
+
+def _models(study: Study, values: Values) -> tuple[JointModel, ...]:
+    """Models that know the truth: a start is set on its own."""
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    links = (alpha + beta + 2.0 * gamma, beta)
+    models = []
+    for j in range(1, study.n_joints + 1):
+        known = {(name, j): value for (name, own), value in values.items() if own == j}
+        stiffness = known.get(("gear_stiffness", j), known.get((CURVE[1], j)))
+        own = {name: known.get((name, j), stiffness) for name in _JOINT}
+        own["link_inertia"] = links[j - 1]
+        plain = {name: float(value or 0.0) for name, value in own.items()}
+        off = np.eye(len(plain))
+        models.append(
+            JointModel(
+                j, ("prbs",), "grey-box", (), plain, off, None, None, (1.0, 99.0), {}, "determined"
+            )
+        )
+    return tuple(models)
+
+
+def _start(values: Values) -> Values:
+    rng = np.random.default_rng(5)
+    start = {}
+    for (name, joint), value in values.items():
+        up = 1.0 if rng.integers(2) else -1.0
+        if name in KNEES:
+            factor = 1.0 + 0.4 * up
+        elif name in _FRICTION:
+            factor = _FRICTION[name] ** up
+        elif name in CURVE:
+            factor = values[CURVE[1], joint] / value
+        else:
+            factor = 1.4**up if "coulomb" in name else 1.0 + 0.05 * up
+        start[name, joint] = value * factor
+    return start
+
+
+def _fit(study: Study, logs: list[Log], values: Values) -> None:
+    options = TuningOptions(cutoff_hz=CUTOFF, settling=False, start=_start(values))
+    tune(logs, _nothing(values), _models(study, values), study, options)
+
+
+def _nothing(values: Values) -> RigidModel:
+    """A rigid model that starts where the truth is and weighs next to nothing."""
+    names = [("gamma", None)] + [("motor_coulomb_friction", j) for j in (1, 2)]
+    names += [("friction_offset", j) for j in (1, 2)]
+    told = np.array([values[name] for name in names])
+    parameters = tuple(
+        Parameter(name, joint, float(value), 1e3, "1", "rigid")
+        for (name, joint), value in zip(names, told, strict=True)
+    )
+    vague = np.eye(len(names)) * 1e6
+    return RigidModel(parameters, told, vague, 1.0, {}, 10.0, 1, 1, "determined")
+
+
+def _scipy(study: Study, logs: list[Log], values: Values) -> float:
+    """Soft L1 by SciPy's trust region from the same start, by weights as the truth shows them."""
+    records = [replayed(log, study, CUTOFF) for log in logs]
+    search = search_of(
+        _nothing(values), _models(study, values), study, largest_voltage=[10.0, 10.0], floor=1.0
+    )
+    if study.joints[0].spring == "three-slope":
+        search = with_curves(search, study, [60.0, 15.0])
+    misfit = Misfit.of(search, records).reweighted(search.coordinates(values))
+    repeats = [np.sqrt(weights.repeats) for weights in misfit.weights]
+
+    def residual(z: FloatArray) -> FloatArray:
+        parts = zip(misfit.rows(z), repeats, strict=True)
+        return np.concatenate([(rows.residual / root).ravel() for rows, root in parts])
+
+    def jacobian(z: FloatArray) -> FloatArray:
+        parts = zip(misfit.rows(z), repeats, strict=True)
+        return np.concatenate(
+            [
+                (rows.shared / root[:, None]).reshape(-1, rows.shared.shape[2])
+                for rows, root in parts
+            ]
+        )
+
+    start = search.coordinates(_start(values))
+    bounds = (-search.reach, search.reach)
+    return best_of(
+        lambda: least_squares(
+            residual, start, jacobian, bounds, loss="soft_l1", x_scale="jac", ftol=1e-6
+        ),
+        repeats=1,
+    )
