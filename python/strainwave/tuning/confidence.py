@@ -21,11 +21,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from strainwave.distributions import student_quantile
 from strainwave.records import FloatArray
 from strainwave.tuning.misfit import Misfit
 
 _NOTHING = 1e-30  # information of what no record tells of
 _UNSURE = 0.1  # share of a variance by which the noise behind it may be misjudged
+_FEWEST = 3  # records that can scatter
+_NORMAL = 1.96  # deviations of 95 %
 _LEAST_LEFT = 1e-3  # of a gradient where one record alone tells a parameter
 _VAGUE = 0.1  # relative deviation from which a parameter is hardly told
 _SURER = 5.0  # times, that a sum must be surer than its parts to be named
@@ -54,8 +57,8 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     Returns
     -------
     Confidence
-        Correlations are those of the local one. Deviations are the largest of the three, of the
-        scatter's excess over the local variance the part that so many records can show.
+        Correlations are those of the local one. Deviations are the largest of the three, the
+        local one raised by how much the records scatter on the whole.
     """
     scores, products, curvatures = _scores(misfit, z)
     prior = misfit.search.prior.rows @ misfit.search.slope(z)
@@ -66,16 +69,34 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     n = len(blocks)
     bread = np.sum(curvatures, axis=0) + known
     sandwich = _inverse(bread) @ (n / (n - 1.0) * blocks.T @ blocks + known) @ _inverse(bread)
-    scatter = _scatter(bread, known, curvatures, [block.sum(axis=0) for block in scores])
+    gradients = [block.sum(axis=0) for block in scores]
+    scatter, pooled = _scatter(bread, known, curvatures, gradients)
     slope = misfit.search.slope(z)
     parts = [slope @ part @ slope.T for part in (inverse, sandwich, scatter)]
     own, sandwiched, scattered = (np.diag(part) for part in parts)
     n_records = len(misfit.records)
-    scattered = own + (scattered - own) * (n_records - 1.0) / (n_records + 1.0)
-    widest = np.nanmax([own, sandwiched, scattered], axis=0)
-    widest = widest * (1.0 + n_records * _beyond_noise(misfit, products, inverse))
+    widest = sandwiched
+    if n_records >= _FEWEST:
+        widest = np.maximum(widest, _raised(own, scattered, pooled, n_records))
+    widest = np.maximum(own, widest) * (1.0 + n_records * _beyond_noise(misfit, products, inverse))
     raised = np.sqrt(np.divide(widest, own, out=np.ones_like(own), where=own > 0.0))
     return Confidence(parts[0] * np.outer(raised, raised), *parts)
+
+
+def _raised(own: FloatArray, scattered: FloatArray, pooled: float, n_records: int) -> FloatArray:
+    """Variances that count the scatter of few records.
+
+    A parameter's own scatter is a chi-square of few degrees: where all in all the records scatter
+    as their noise says, of its excess the part counts that so many records can show. Where they
+    scatter by far more, that is an error of the model, of which they are a small sample: it counts
+    by the square of Student's t over the normal's, and no parameter is spared its average.
+    """
+    student = (student_quantile(0.975, n_records - 1) / _NORMAL) ** 2
+    shown = (n_records - 1.0) / (n_records + 1.0)
+    counted = student + (shown - student) / pooled
+    return np.asarray(
+        np.maximum(own + (scattered - own) * counted, own * (1.0 + (pooled - 1.0) * student))
+    )
 
 
 def _scores(
@@ -120,25 +141,29 @@ def _scatter(
     known: FloatArray,
     products: Sequence[FloatArray],
     gradients: Sequence[FloatArray],
-) -> FloatArray:
-    """Covariance of the fit from the gradients of whole records.
+) -> tuple[FloatArray, float]:
+    """Covariance of the fit from the gradients of whole records, and their average excess.
 
     A fit bends to each record, the more the larger its leverage A = L^-1 P L^-T, L L' all
     information and P the record's own: of a gradient's variance A a share I - A is left. It is
     raised by (I - A)^(-1/2), after which a right model makes the scatter the local covariance
     (Bell and McCaffrey, 2002). A jackknife raises it by (I - A)^-1, which for a parameter that one
-    record alone tells is beyond all bounds.
+    record alone tells is beyond all bounds. The average excess is the mean square of the raised
+    gradients over all records and directions, beside what is expected; never less than one.
     """
-    if len(products) < 3:
-        return np.full_like(whole, np.nan)
+    if len(products) < _FEWEST:
+        return np.full_like(whole, np.nan), 1.0
     unscale = _root_of(_inverse(whole))  # L^-T, whose square is the inverse
     meat = unscale.T @ known @ unscale
+    squares = expected = 0.0
     for own, gradient in zip(products, gradients, strict=True):
         leverage, vectors = np.linalg.eigh(unscale.T @ own @ unscale)
         left = np.sqrt(np.maximum(1.0 - leverage, _LEAST_LEFT))
         raised = vectors @ (vectors.T @ (unscale.T @ gradient) / left)
         meat = meat + np.outer(raised, raised)
-    return np.asarray(unscale @ meat @ unscale.T)
+        squares += float(raised @ raised)
+        expected += float(np.sum(leverage))
+    return np.asarray(unscale @ meat @ unscale.T), max(1.0, squares / max(expected, 1e-300))
 
 
 def _root_of(covariance: FloatArray) -> FloatArray:
