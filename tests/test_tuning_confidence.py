@@ -144,7 +144,7 @@ def test_local_deviations_hold_for_white_errors() -> None:
     rng = np.random.default_rng(5)
     table = table_of(5)
     fits = []
-    for _ in range(80):
+    for _ in range(200):
         misfit = misfit_of([table], [rng.normal(0.0, 0.1, (N, 1))], 0.1)
         fits.append(solved(misfit))
     found = confidence_of(misfit, fits[-1]).local
