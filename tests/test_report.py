@@ -82,7 +82,7 @@ def test_what_a_fit_leaves_is_shown_and_what_might_explain_it() -> None:
     parameters = (Parameter("motor_inertia", 1, 1e-4, 1e-6, "kg m^2", "tuned", (0.9e-4, 1.1e-4)),)
     tuned = arm_model(parameters, np.array([[1e-12]]))
     page = render(replace(identification(), tuned=tuned))
-    for text in ("22 Hz", "p &lt; 0.001", "6 ms behind", "hysteresis_torque", "30 %", "likely"):
+    for text in ("22 Hz", "p &lt; 0.001", "6 ms behind", "torque 2.10 ± 0.10", "30 %", "likely"):
         assert text in page, text
     drawn = [f for f in figures_of(page).values() if f["data"][0]["name"] == "left"]
     assert len(drawn) == 1

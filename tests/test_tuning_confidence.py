@@ -176,7 +176,7 @@ def test_a_right_models_records_scatter_as_the_local_covariance_says() -> None:
     for table in tables[1:]:
         table[..., 2] = 0.0
     ratios = []
-    for _ in range(80):
+    for _ in range(40):
         misfit = misfit_of(tables, [rng.normal(0.0, 0.01, (200, 1)) for _ in tables], 0.01)
         found = confidence_of(misfit, solved(misfit))
         ratios.append(np.diag(found.scatter) / np.diag(found.local))

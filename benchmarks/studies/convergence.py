@@ -30,7 +30,7 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     study = read_study(path)
     all_logs = logs.read_logs(study)
     before = pipeline.identify(path, stages=("rigid", "decoupled"))
-    rng = np.random.default_rng(len(path.as_posix()))
+    rng = np.random.default_rng(int(1e12 * values["motor_inertia", 1]))
     starts = values, {key: value * _factor(key[0], rng) for key, value in values.items()}
     ends = [
         tune(all_logs, before.rigid, before.joints, study, TuningOptions(start=start))

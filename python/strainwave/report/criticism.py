@@ -100,8 +100,10 @@ def _row(test: ResidualTest) -> str:
 
 
 def _richer(one: RicherModel) -> str:
+    prefix = one.effect.replace("-", "_") + "_"
     sizes = ", ".join(
-        f"{name} {plus_minus(size, one.stds[name])}" for name, size in one.sizes.items()
+        f"{name.removeprefix(prefix)} {' ± '.join(plus_minus(size, one.stds[name]))}"
+        for name, size in one.sizes.items()
     )
     return (
         f"<tr><td>{escape(one.effect)}</td><td>{one.joint}</td><td>{escape(sizes)}</td>"
