@@ -208,8 +208,9 @@ def test_each_deviation_is_the_widest() -> None:
         told = np.sqrt(np.diag(found.combined))
         assert np.all(told >= 0.999 * own)
         assert np.all(told >= 0.999 * sandwiched)
-        # of the scatter's excess at least the part that four records can show
-        assert np.all(told**2 >= 0.999 * (own**2 + 0.6 * (scattered**2 - own**2)))
+        # a scatter beyond all noise is told, and more for there being four records only
+        if np.max(scattered / own) > 3.0:
+            assert np.all(told**2 >= 0.6 * scattered**2)
         if pole == 0.0:
             assert np.all(told < 1.6 * own)
         # and correlations are those of the local one
@@ -251,7 +252,7 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
     loud = confidence_of(unexplained, z)
     raised = np.sqrt(np.diag(loud.combined) / np.diag(quiet.combined))
     # a variance of 0.1^2, of which noise makes 1 / 40^2; nearly all of the rest counts once more
-    share = 0.9 - 1.0 / 40.0**2 / 0.1**2
+    share = 0.8 - 1.0 / 40.0**2 / 0.1**2
     np.testing.assert_allclose(raised, np.sqrt(1.0 + share), rtol=1e-6)
 
 
@@ -264,7 +265,7 @@ def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
         confidence_of(misfit_of(tables, errors, 0.1, noise=noise), TRUTH) for noise in (1e9, 1e-9)
     ]
     raised = np.diag(found[1].combined) / np.diag(found[0].combined)
-    np.testing.assert_allclose(raised, 1.0 + 0.9 * n, rtol=1e-9)
+    np.testing.assert_allclose(raised, 1.0 + 0.8 * n, rtol=1e-9)
 
 
 def test_what_nothing_tells_of_is_very_uncertain() -> None:

@@ -372,3 +372,28 @@ def test_known_weights_foretell_how_the_cost_bends() -> None:
     np.testing.assert_allclose(foretold.T @ foretold, second, atol=0.05 * np.max(second))
     guess = factor_of(replace(known, guessed=True), z)[:, :-1]
     assert np.all(np.diag(guess.T @ guess) > 1.3 * np.diag(second))
+
+
+def test_the_error_of_the_integrators_step_is_made_good() -> None:
+    """At the point it is taken at, and nearly so nearby; once or twice is the same."""
+    both, z = near_truth("three-slope")
+    misfit = with_records(both, both.records[0])
+    record = misfit.records[0]
+    short = replace(record, longest_step=0.25 * record.longest_step)
+
+    def left(of: Misfit, at: FloatArray) -> FloatArray:
+        exact = simulated(short, misfit.search.values(at), np.zeros(0)) - record.measured
+        return np.asarray(of.evaluate(at)[0].difference - exact)
+
+    once = misfit.corrected(z)
+    twice = once.corrected(z)
+    before = np.std(left(misfit, z), axis=0)
+    for corrected in (once, twice):
+        np.testing.assert_allclose(left(corrected, z), 0.0, atol=1e-9 * np.max(record.measured))
+        # what is remembered of the point is what would be found anew
+        fresh = replace(corrected, memory=Misfit.of(misfit.search, misfit.records).memory)
+        np.testing.assert_allclose(
+            fresh.evaluate(z)[0].difference, corrected.evaluate(z)[0].difference, atol=1e-9
+        )
+    near = z + 1e-4
+    assert np.all(np.std(left(once, near), axis=0) < 0.3 * before)

@@ -255,5 +255,6 @@ def linear_record(
         noise=np.full(n_channels, noise),
         moving=False,
         longest_step=1e-3,
+        lacking=np.zeros(measured.shape),
         table=table,
     )

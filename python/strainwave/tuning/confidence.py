@@ -26,7 +26,7 @@ from strainwave.records import FloatArray
 from strainwave.tuning.misfit import Misfit
 
 _NOTHING = 1e-30  # information of what no record tells of
-_UNSURE = 0.1  # share of a variance by which the noise behind it may be misjudged
+_UNSURE = 0.2  # share of a variance by which the noise behind it may be misjudged
 _FEWEST = 3  # records that can scatter
 _NORMAL = 1.96  # deviations of 95 %
 _LEAST_LEFT = 1e-3  # of a gradient where one record alone tells a parameter
@@ -87,13 +87,12 @@ def _raised(own: FloatArray, scattered: FloatArray, pooled: float, n_records: in
     """Variances that count the scatter of few records.
 
     A parameter's own scatter is a chi-square of few degrees: where all in all the records scatter
-    as their noise says, of its excess the part counts that so many records can show. Where they
-    scatter by far more, that is an error of the model, of which they are a small sample: it counts
-    by the square of Student's t over the normal's, and no parameter is spared its average.
+    as their noise says, its excess is chance. Where they scatter by far more, that is an error of
+    the model, of which they are a small sample: it counts by the square of Student's t over the
+    normal's, and no parameter is spared its average.
     """
     student = (student_quantile(0.975, n_records - 1) / _NORMAL) ** 2
-    shown = (n_records - 1.0) / (n_records + 1.0)
-    counted = student + (shown - student) / pooled
+    counted = student * (1.0 - 1.0 / pooled)
     return np.asarray(
         np.maximum(own + (scattered - own) * counted, own * (1.0 + (pooled - 1.0) * student))
     )

@@ -192,6 +192,19 @@ class Misfit:
         """The same records and weights for other unknowns."""
         return replace(self, search=search, memory=_Memory(list(self.memory.own)))
 
+    def corrected(self, z: FloatArray) -> Misfit:
+        """With the error of the integrator's step made good as it is at z."""
+        evaluated, values = self.evaluate(z), self.search.values(z)
+
+        def corrected(k: int, record: Replayed) -> Replayed:
+            return record.corrected(values, self.memory.own[k][: len(record.local)])
+
+        records = tuple(self._each(corrected))
+        pairs = zip(evaluated, records, self.records, strict=True)
+        moved = [replace(e, difference=e.difference + n.lacking - o.lacking) for e, n, o in pairs]
+        memory = _Memory(list(self.memory.own), (z.tobytes(), moved))
+        return replace(self, records=records, memory=memory)
+
     def seen_by(self, records: Sequence[Replayed]) -> Misfit:
         """The same weights and beginnings for other rows of the same records."""
         return replace(self, records=tuple(records), memory=_Memory(list(self.memory.own)))

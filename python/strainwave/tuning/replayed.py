@@ -26,6 +26,7 @@ INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocit
 """What is unknown of the beginning of a record that begins in motion, joint by joint."""
 
 _STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
+_SHORTER = 4.0  # times shorter steps, whose error no longer counts
 _PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat each other
 _REACH = 1.5  # periods of the cut-off that the low-pass reaches to either side
 _BAND = 8  # rows of the low-pass that share a matrix product
@@ -95,6 +96,7 @@ class Replayed:
     noise: FloatArray  # (n_channels,) standard deviation of the sensors' own noise behind it
     moving: bool  # whether it begins in motion
     longest_step: float  # [s] of the integrator
+    lacking: FloatArray  # (n_rows, n_channels) what the integrator's step takes from the channels
 
     @property
     def local(self) -> tuple[tuple[str, int], ...]:
@@ -157,7 +159,19 @@ class Replayed:
             longest_step=self.longest_step,
         )
         seen = self.seen({name: run[0] for name, run in runs.items()})
-        return seen, self.seen({name: run[1] for name, run in runs.items()})
+        return seen + self.lacking, self.seen({name: run[1] for name, run in runs.items()})
+
+    def corrected(
+        self, values: Mapping[tuple[str, int | None], float], local: FloatArray
+    ) -> Replayed:
+        """The same, with the error of its integrator's step made good, as it is for an arm.
+
+        For arms nearby it is nearly the same: a search may go on in long steps.
+        """
+        short = replace(self, longest_step=self.longest_step / _SHORTER)
+        runs = (one.run(values, local, self.quantities()) for one in (short, self))
+        exact, own = (self.seen(run) for run in runs)
+        return replace(self, lacking=exact - own)
 
     def _begun(self, local: FloatArray) -> Drive:
         if not self.moving:
@@ -236,6 +250,7 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
         noise=np.asarray(noise),
         moving=_begins_in_motion(log, study),
         longest_step=_STEP,
+        lacking=np.zeros((len(rows[0]), len(channels))),
     )
 
 

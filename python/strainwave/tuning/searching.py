@@ -77,7 +77,7 @@ def finely(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) ->
     fit = Fit(misfit, z, np.inf, spent, False)
     if spent < options.max_iterations:
         fit = search(misfit, z, spent, relative=_GUESSED)
-        fit = replace(fit, misfit=fit.misfit.reweighted(fit.z))
+        fit = replace(fit, misfit=fit.misfit.corrected(fit.z).reweighted(fit.z))
     for _ in range(_ROUNDS):
         if fit.iterations >= options.max_iterations:
             return replace(fit, converged=False)
