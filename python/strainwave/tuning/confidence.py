@@ -1,8 +1,9 @@
 """How sure a fit's parameters are: what its own noise, its stretches and its records say.
 
-Three covariances, of which each parameter gets the widest:
+Three covariances go into each parameter's deviation:
 
-- local, (J'J)^-1 of rows in deviations: right if the model is right and the noise as it looks;
+- local, (J'J)^-1 of rows in deviations: an upper end if the model is right, as rows are weighed by
+  how slow errors repeat, and those of a velocity are quick; half of its variance is the least;
 - sandwich, in which stretches of a record are as independent as they show themselves: right where
   errors go on for longer than the rows' weights allow for;
 - scatter of the records, each judged by what it wants of the fit: it sees what is wrong with the
@@ -26,6 +27,7 @@ from strainwave.records import FloatArray
 from strainwave.tuning.misfit import Misfit
 
 _NOTHING = 1e-30  # information of what no record tells of
+_LEAST_SHARE = 0.5  # of the local variance: a sandwich of some fifty stretches is uncertain
 _UNSURE = 0.2  # share of a variance by which the noise behind it may be misjudged
 _FEWEST = 3  # records that can scatter
 _NORMAL = 1.96  # deviations of 95 %
@@ -57,8 +59,7 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     Returns
     -------
     Confidence
-        Correlations are those of the local one. Deviations are the largest of the three, the
-        local one raised by how much the records scatter on the whole.
+        Correlations are those of the local one.
     """
     scores, products, curvatures = _scores(misfit, z)
     prior = misfit.search.prior.rows @ misfit.search.slope(z)
@@ -75,16 +76,16 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     parts = [slope @ part @ slope.T for part in (inverse, sandwich, scatter)]
     own, sandwiched, scattered = (np.diag(part) for part in parts)
     n_records = len(misfit.records)
-    widest = sandwiched
+    variance = np.maximum(sandwiched, _LEAST_SHARE * own)
     if n_records >= _FEWEST:
-        widest = np.maximum(widest, _raised(own, scattered, pooled, n_records))
-    widest = np.maximum(own, widest) * (1.0 + n_records * _beyond_noise(misfit, products, inverse))
-    raised = np.sqrt(np.divide(widest, own, out=np.ones_like(own), where=own > 0.0))
+        variance = variance + _excess(own, scattered, pooled, n_records)
+    variance = variance * (1.0 + n_records * _beyond_noise(misfit, products, inverse))
+    raised = np.sqrt(np.divide(variance, own, out=np.ones_like(own), where=own > 0.0))
     return Confidence(parts[0] * np.outer(raised, raised), *parts)
 
 
-def _raised(own: FloatArray, scattered: FloatArray, pooled: float, n_records: int) -> FloatArray:
-    """Variances that count the scatter of few records.
+def _excess(own: FloatArray, scattered: FloatArray, pooled: float, n_records: int) -> FloatArray:
+    """What few records that scatter add to variances.
 
     A parameter's own scatter is a chi-square of few degrees: where all in all the records scatter
     as their noise says, its excess is chance. Where they scatter by far more, that is an error of
@@ -93,9 +94,7 @@ def _raised(own: FloatArray, scattered: FloatArray, pooled: float, n_records: in
     """
     student = (student_quantile(0.975, n_records - 1) / _NORMAL) ** 2
     counted = student * (1.0 - 1.0 / pooled)
-    return np.asarray(
-        np.maximum(own + (scattered - own) * counted, own * (1.0 + (pooled - 1.0) * student))
-    )
+    return np.asarray(np.maximum((scattered - own) * counted, own * (pooled - 1.0) * student))
 
 
 def _scores(
