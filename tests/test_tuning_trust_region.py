@@ -252,3 +252,18 @@ def test_the_tolerance_is_in_units_of_the_cost() -> None:
         assert best.at.cost <= found.at.cost < best.at.cost + 3.0 * tolerance
         evaluations.append(found.evaluations)
     assert evaluations[0] < evaluations[1] <= best.evaluations
+
+
+def test_a_cliff_ends_the_search_at_its_edge() -> None:
+    """Beyond one half the cost is a hundred higher: the foretold gain is never to be had."""
+
+    def linearise(x: FloatArray) -> Linearised:
+        off = float(100.0 * (x[0] - 1.0))
+        cost = off**2 + (1e6 if x[0] > 0.5 else 0.0)
+        return Linearised(cost, np.array([[100.0, off], [0.0, 0.0]]))
+
+    found = minimise(linearise, np.zeros(1), np.ones(1), tolerance=0.01, max_evaluations=200)
+    assert found is not None
+    assert found.evaluations < 60
+    assert found.converged
+    assert 0.4 < found.x[0] <= 0.5

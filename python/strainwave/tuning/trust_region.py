@@ -20,6 +20,7 @@ _GOOD, _POOR = 0.75, 0.25  # share of the foretold gain from which the region gr
 _PATIENCE = 4  # evaluations without
 _STUCK = 30.0  # tolerances of gain, after which the search ends
 _HOPE = 1000.0  # unless as many are foretold still
+_LOST = 12  # evaluations without, after which nothing foretold is believed: a cliff in the cost
 _HELPS = 1e-4  # share from which a step is taken
 _LEAST_DAMPING, _FELT = 1e-9, 1e-3  # to which it may fall; to which it rises at once
 _SMALLEST = 1e-12  # of the largest singular value: directions below it are not stepped along
@@ -97,7 +98,8 @@ def minimise(
         if gain < enough:
             return Found(x, at, evaluations, True)
         stalled = len(costs) > _PATIENCE and costs[-_PATIENCE - 1] - at.cost < _STUCK * enough
-        if stalled and gain < _HOPE * enough:
+        lost = len(costs) > _LOST and costs[-_LOST - 1] - at.cost < _STUCK * enough
+        if lost or (stalled and gain < _HOPE * enough):
             return Found(x, at, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
