@@ -29,28 +29,27 @@ class Body:
     mass: float  # [kg]
     centre: float  # [m] from its own axis; negative beyond it
     inertia: float  # [kg m^2] about the centre of mass
-    weightless: float = 0.0  # share of its weight that gravity does not have
 
 
-def link_bodies(arm: IdentifiedArm) -> tuple[Body, ...]:
+def link_bodies(arm: IdentifiedArm, gravity: float) -> tuple[Body, ...]:
     """Bodies whose base parameters are the arm's.
 
     Parameters
     ----------
     arm : IdentifiedArm
+    gravity : float [m/s^2]
+        Under which link 1 has the measured gravity torque; zero: its centre lies on the axis.
 
     Returns
     -------
     tuple of Body
-        One a link, from the base. With gravity, G2 may differ a little from g gamma/l1, which
-        `weightless` of link 2 makes up for.
+        One a link, from the base.
 
     Raises
     ------
     InvalidInput
         A base parameter is null or not there, or no bodies have these.
     """
-    gravity = arm.study.arm.gravity or 0.0
     length = arm.study.arm.link_length or _ASSUMED_LENGTH
     if arm.study.n_joints == 1:
         inertia = _single_inertia(arm)
@@ -69,15 +68,42 @@ def link_bodies(arm: IdentifiedArm) -> tuple[Body, ...]:
     kappa = gamma**2 / (alpha * beta)
     mass = alpha * (1.0 + kappa) / (2.0 * length**2)
     moment = gamma / length
-    weightless = 0.0
-    if gravity and gamma:
-        weightless = 1.0 - arm.need("gravity_torque_2") / (gravity * moment)
-    second = Body(mass, moment / mass, beta * (1.0 - kappa) / (1.0 + kappa), weightless=weightless)
-    first_moment = 0.0
-    if gravity:
-        carried = (1.0 - weightless) * mass * length
-        first_moment = arm.need("gravity_torque_1") / gravity - carried
+    second = Body(mass, moment / mass, beta * (1.0 - kappa) / (1.0 + kappa))
+    first_moment = arm.need("gravity_torque_1") / gravity - mass * length if gravity else 0.0
     return about_axis(alpha * (1.0 - kappa) / 2.0, first_moment, length), second
+
+
+def effective_gravity(arm: IdentifiedArm) -> float:
+    """Gravity under which rigid bodies have all measured gravity torques: G2 l1/gamma.
+
+    It is the study's but for the errors of G2 and gamma.
+
+    Parameters
+    ----------
+    arm : IdentifiedArm
+
+    Returns
+    -------
+    float [m/s^2]
+        Zero for a horizontal arm.
+
+    Raises
+    ------
+    InvalidInput
+        A parameter is null or not there, or the two contradict each other.
+    """
+    gravity = arm.study.arm.gravity or 0.0
+    if not gravity or arm.study.n_joints == 1:
+        return gravity
+    torque, gamma = arm.need("gravity_torque_2"), arm.need("gamma")
+    if torque * gamma <= 0.0:
+        raise InvalidInput(
+            f"gravity_torque_2 = {torque:g} N m and gamma = {gamma:g} kg m^2 put the centre of "
+            "link 2 on opposite sides of its axis",
+            where=f"{arm.source}: parameters",
+            remedy="record faster motions of both joints and identify again",
+        )
+    return torque * (arm.study.arm.link_length or _ASSUMED_LENGTH) / gamma
 
 
 def about_axis(inertia: float, moment: float, length: float) -> Body:
@@ -103,14 +129,14 @@ def about_axis(inertia: float, moment: float, length: float) -> Body:
     return Body(mass, moment / mass, inertia - moment**2 / mass)
 
 
-def told_of_gravity(arm: IdentifiedArm, bodies: tuple[Body, ...]) -> tuple[Caution, ...]:
-    """Where masses alone miss the measured gravity torque of link 2 by more than a little."""
-    off = bodies[-1].weightless
-    if abs(off) < _WORTH_TELLING:
+def told_of_gravity(arm: IdentifiedArm) -> tuple[Caution, ...]:
+    """Where bodies under the study's gravity miss the torque of link 2 by more than a little."""
+    gravity = arm.study.arm.gravity or 0.0
+    if not gravity or abs(off := effective_gravity(arm) / gravity - 1.0) < _WORTH_TELLING:
         return ()
     message = (
-        f"gravity_torque_2 is {-100.0 * off:+.1f} % off g gamma/link_length, which a rigid body "
-        "cannot be; check link_length and torque_per_volt"
+        f"gravity_torque_2 is {100.0 * off:+.1f} % off g gamma/link_length, which it is for "
+        "rigid bodies; check gravity, link_length and torque_per_volt"
     )
     return (Caution("gravity-torque", arm.source, message),)
 

@@ -36,7 +36,7 @@ end
 
 
 def to_mat(arm: IdentifiedArm) -> Export:
-    """Structs `parameters`, `parameters_std`, `units` by name, and `joints` with A, B, C, D and their names.
+    """Structs `parameters`, `parameters_std`, `units` by name; `joints` with A, B, C, D; names.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def _joints(arm: IdentifiedArm) -> FloatArray:
 
 
 def to_script(arm: IdentifiedArm) -> Export:
-    """A script that stands alone: `parameters`, `parameters_std`, and per joint `sys{i}` and `grey(i)`.
+    """A script that stands alone: `parameters`, `parameters_std`; per joint `sys{i}`, `grey(i)`.
 
     Parameters
     ----------

@@ -11,7 +11,13 @@ from __future__ import annotations
 import math
 from xml.etree import ElementTree as ET
 
-from strainwave.export.bodies import Body, holds_motor, link_bodies, told_of_gravity
+from strainwave.export.bodies import (
+    Body,
+    effective_gravity,
+    holds_motor,
+    link_bodies,
+    told_of_gravity,
+)
 from strainwave.export.markup import numbers, remark, root, to_bytes
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.records import Caution
@@ -36,12 +42,16 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     InvalidInput
         A parameter the model needs is null or impossible.
     """
-    bodies = link_bodies(arm)
+    gravity = effective_gravity(arm)
+    bodies = link_bodies(arm, gravity)
     mujoco = root("mujoco", "model", arm)
     ET.SubElement(mujoco, "compiler", angle="radian")
-    gravity = -(arm.study.arm.gravity or 0.0)
-    option = {"timestep": numbers(_STEP), "integrator": "RK4", "gravity": numbers(0, gravity, 0)}
-    ET.SubElement(mujoco, "option", option)
+    if gravity and arm.study.n_joints > 1:
+        remark(
+            mujoco, "Gravity is gravity_torque_2 link_length/gamma, so that all torques are right"
+        )
+    option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP), integrator="RK4")
+    option.set("gravity", numbers(0, -gravity, 0))
     world = ET.SubElement(mujoco, "worldbody")
     remark(world, "Of many masses with the same motion one set; see docs/export.md.")
     parent = world
@@ -57,7 +67,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     actuators = ET.SubElement(mujoco, "actuator")
     for number in range(1, arm.study.n_joints + 1):
         _actuator(actuators, arm, number)
-    cautions = arm.cautions + arm.assumed() + _left_out(arm) + told_of_gravity(arm, bodies)
+    cautions = arm.cautions + arm.assumed() + _left_out(arm) + told_of_gravity(arm)
     return Export(to_bytes(mujoco), cautions)
 
 
@@ -66,8 +76,6 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
     length = arm.study.arm.link_length or 0.0
     at = numbers(length if number == 2 else 0.0, 0.0, 0.0)
     element = ET.SubElement(parent, "body", name=f"link{number}", pos=at)
-    if body.weightless:
-        element.set("gravcomp", numbers(body.weightless))
     _inertial(element, body.mass, body.centre, body.inertia)
     attributes = {"name": f"joint{number}", **_kind(arm, number)}
     viscous = arm.need("link_viscous_friction", number)

@@ -28,7 +28,7 @@ def to_urdf(arm: IdentifiedArm) -> Export:
     InvalidInput
         A parameter the model needs is null or impossible.
     """
-    bodies = link_bodies(arm)
+    bodies = link_bodies(arm, arm.study.arm.gravity or 0.0)
     robot = root("robot", "name", arm)
     remark(robot, "Of many masses with the same motion one set; see docs/export.md.")
     ET.SubElement(robot, "link", name="base")
@@ -37,7 +37,7 @@ def to_urdf(arm: IdentifiedArm) -> Export:
         _joint(robot, arm, number)
     for number in range(1, arm.study.n_joints + 1):
         _transmission(robot, arm, number)
-    cautions = arm.cautions + arm.assumed() + told_of_gravity(arm, bodies)
+    cautions = arm.cautions + arm.assumed() + told_of_gravity(arm)
     return Export(to_bytes(robot), cautions)
 
 
