@@ -110,7 +110,7 @@ def about_axis(inertia: float, moment: float, length: float) -> Body:
     """A body with given inertia and first moment about its axis.
 
     m = 3 J/l^2 + s^2/J: a uniform rod's mass, and what keeps the inertia about the centre of mass,
-    J - s^2/m, positive.
+    J - s^2/m = (3 J/l^2) J/m, positive.
 
     Parameters
     ----------
@@ -125,8 +125,9 @@ def about_axis(inertia: float, moment: float, length: float) -> Body:
     -------
     Body
     """
-    mass = 3.0 * inertia / length**2 + moment**2 / inertia
-    return Body(mass, moment / mass, inertia - moment**2 / mass)
+    rod = 3.0 * inertia / length**2
+    mass = rod + moment**2 / inertia
+    return Body(mass, moment / mass, inertia * rod / mass)
 
 
 def told_of_gravity(arm: IdentifiedArm) -> tuple[Caution, ...]:
