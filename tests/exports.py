@@ -34,7 +34,10 @@ def values_of(study: Study) -> Values:
 
 
 def single(
-    folder: Path, motion: Motion = "revolute", spring: Spring = "rigid", gravity: float | None = None
+    folder: Path,
+    motion: Motion = "revolute",
+    spring: Spring = "rigid",
+    gravity: float | None = None,
 ) -> tuple[Study, Values]:
     """One joint, its torque logged."""
     joint = Joint(spring=spring, gear_ratio=0.1, motion=motion)

@@ -13,7 +13,7 @@ import exports
 from strainwave import excitation
 from strainwave.export.mjcf import to_mjcf
 from strainwave.parameters import Values
-from strainwave.records import FloatArray, Prbs, Study
+from strainwave.records import FloatArray, Motion, Prbs, Spring, Study
 from strainwave.simulation import Drive, Quantity, simulate
 
 TICK = 1e-3
@@ -22,7 +22,10 @@ RECORDED: list[Quantity] = ["motor_velocity", "link_velocity", "link_angle"]
 
 @pytest.fixture(scope="module")
 def mujoco() -> ModuleType:
-    return pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra: bench)")
+    found: ModuleType = pytest.importorskip(
+        "mujoco", reason="MuJoCo is not installed (extra: bench)"
+    )
+    return found
 
 
 def drive(study: Study, amplitude: float, seconds: float = 0.4) -> Drive:
@@ -84,7 +87,7 @@ def frictionless(values: Values) -> Values:
 @pytest.mark.parametrize("gravity", [None, 9.81])
 @pytest.mark.parametrize("spring", ["linear", "rigid"])
 def test_without_dry_friction_the_motion_is_ours(
-    mujoco: ModuleType, spring: exports.Spring, gravity: float | None, tmp_path: Path
+    mujoco: ModuleType, spring: Spring, gravity: float | None, tmp_path: Path
 ) -> None:
     """The same equations by Runge-Kutta of order four, at 0.1 ms and 0.125 ms: a few 1e-8."""
     study = exports.two_links(tmp_path, spring, gravity)
@@ -97,7 +100,7 @@ def test_without_dry_friction_the_motion_is_ours(
 @pytest.mark.parametrize("motion", ["revolute", "prismatic"])
 @pytest.mark.parametrize("spring", ["linear", "rigid"])
 def test_so_is_that_of_one_joint(
-    mujoco: ModuleType, spring: exports.Spring, motion: exports.Motion, tmp_path: Path
+    mujoco: ModuleType, spring: Spring, motion: Motion, tmp_path: Path
 ) -> None:
     gravity = 9.81 if motion == "revolute" else None
     study, values = exports.single(tmp_path, motion, spring, gravity)
@@ -125,7 +128,7 @@ def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> N
 @pytest.mark.parametrize(("amplitude", "tolerance"), [(10.0, 0.005), (2.0, 0.05)])
 @pytest.mark.parametrize("spring", ["linear", "rigid"])
 def test_dry_friction_is_nearly_ours(
-    mujoco: ModuleType, spring: exports.Spring, amplitude: float, tolerance: float, tmp_path: Path
+    mujoco: ModuleType, spring: Spring, amplitude: float, tolerance: float, tmp_path: Path
 ) -> None:
     """MuJoCo's friction settles within two steps at best; ours stops a motor at once."""
     study = exports.two_links(tmp_path, spring)

@@ -12,7 +12,7 @@ import pytest
 
 import exports
 from strainwave.errors import InvalidInput
-from strainwave.export import read_result
+from strainwave.export import IdentifiedArm, read_result
 from strainwave.parameters import Values
 
 Change = Callable[[dict[str, Any]], Any]
@@ -95,7 +95,7 @@ def test_a_changed_study_is_told(tmp_path: Path) -> None:
     assert [caution.code for caution in arm.cautions] == ["study-changed"]
 
 
-def arm_without(folder: Path, *names: str) -> exports.IdentifiedArm:
+def arm_without(folder: Path, *names: str) -> IdentifiedArm:
     """The rig with some parameters null."""
     study = exports.two_links(folder)
     arm = exports.arm_of(study, exports.values_of(study))
