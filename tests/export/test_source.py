@@ -124,16 +124,31 @@ def test_what_no_arm_has_is_refused(name: str, value: float, said: str, tmp_path
 
 
 def test_a_sum_stands_for_its_parts_and_says_so(tmp_path: Path) -> None:
+    """The motor's own value, without the link's, would make another sum."""
     study = exports.two_links(tmp_path)
     values = exports.values_of(study)
-    for name in ("motor_viscous_friction", "link_viscous_friction"):
-        del values[name, 1]
-    values["total_viscous_friction", 1] = 2.5e-4
+    del values["link_viscous_friction", 1]
+    del values["motor_viscous_friction", 2]
+    for joint in (1, 2):
+        values["total_viscous_friction", joint] = 2.5e-4
     arm = exports.arm_of(study, values)
     assert arm.need("motor_viscous_friction", 1) == 2.5e-4
     assert arm.need("link_viscous_friction", 1) == 0.0
+    own = 2.5e-4 - 0.01**2 * values["link_viscous_friction", 2]
+    assert arm.need("motor_viscous_friction", 2) == pytest.approx(own)
     assert [(c.code, c.where) for c in arm.assumed()] == [("assumed", "joint 1")]
     assert exports.arm_of(study, exports.values_of(study)).assumed() == ()
+
+
+def test_a_motor_without_inertia_is_one_behind_a_rigid_gear(tmp_path: Path) -> None:
+    weightless: Values = {("motor_inertia", 1): 0.0}
+    study = exports.two_links(tmp_path, "rigid")
+    arm = exports.arm_of(study, exports.values_of(study) | weightless)
+    assert arm.need("motor_inertia", 1) == 0.0
+    study = exports.two_links(tmp_path, "linear")
+    arm = exports.arm_of(study, exports.values_of(study) | weightless)
+    with pytest.raises(InvalidInput, match="not positive"):
+        arm.need("motor_inertia", 1)
 
 
 def test_a_split_that_is_made_up_is_told(tmp_path: Path) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
-from strainwave.export.source import IdentifiedArm
-
 
 def numbers(*values: float) -> str:
     """Numbers as text that reads back equal.
@@ -19,23 +17,24 @@ def numbers(*values: float) -> str:
     str
         Separated by blanks.
     """
-    return " ".join(repr(float(value)) for value in values)
+    return " ".join(repr(float(value) + 0.0) for value in values)  # no -0.0
 
 
-def root(tag: str, name: str, arm: IdentifiedArm) -> ET.Element:
+def root(tag: str, name: str) -> ET.Element:
     """The outermost element, with a comment on its origin and units.
 
     Parameters
     ----------
-    tag, name : str
-    arm : IdentifiedArm
+    tag : str
+    name : str
+        The attribute that has the model's name.
 
     Returns
     -------
     Element
     """
     element = ET.Element(tag, {name: "arm"})
-    remark(element, f"Identified by strainwave, from {arm.source}. SI units, angles in rad.")
+    remark(element, "Identified by strainwave. SI units, angles in rad.")
     return element
 
 
@@ -46,9 +45,9 @@ def remark(parent: ET.Element, text: str) -> None:
     ----------
     parent : Element
     text : str
+        Without two hyphens in a row, which would end it.
     """
-    # two hyphens would end it
-    parent.append(ET.Comment(f" {text.replace('--', '- -')} "))
+    parent.append(ET.Comment(f" {text} "))
 
 
 def to_bytes(element: ET.Element) -> bytes:

@@ -44,7 +44,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     """
     gravity = effective_gravity(arm)
     bodies = link_bodies(arm, gravity)
-    mujoco = root("mujoco", "model", arm)
+    mujoco = root("mujoco", "model")
     ET.SubElement(mujoco, "compiler", angle="radian")
     if gravity and arm.study.n_joints > 1:
         remark(

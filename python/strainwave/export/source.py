@@ -41,8 +41,14 @@ class IdentifiedArm:
 
     @property
     def values(self) -> Values:
-        """(name, joint) -> value, with what follows from what was told."""
-        told = {(p.name, p.joint): p.value for p in self.parameters if p.value is not None}
+        """(name, joint) -> value, with what follows from what was told.
+
+        Of viscous friction, whose sum is known better than its parts, the motor has all where the
+        link's is not known.
+        """
+        told = self._told()
+        for number in self._lumped():
+            told.pop(("motor_viscous_friction", number), None)
         return completed(told, self.study)
 
     def need(self, name: str, joint: int | None = None) -> float:
@@ -68,8 +74,11 @@ class IdentifiedArm:
         if value is None:
             named = any((p.name, p.joint) == (name, joint) for p in self.parameters)
             raise self._refuse(name, joint, "null" if named else "not there")
-        if (value <= 0.0 and name.startswith(_POSITIVE)) or (value < 0.0 and name not in _SIGNED):
-            least = "positive" if name.startswith(_POSITIVE) else "zero or positive"
+        positive = name.startswith(_POSITIVE)
+        if joint and name == "motor_inertia" and self.joint(joint).spring == "rigid":
+            positive = False  # it may be counted with the link's
+        if (value <= 0.0 and positive) or (value < 0.0 and name not in _SIGNED):
+            least = "positive" if positive else "zero or positive"
             raise self._refuse(name, joint, f"{value:g} and not {least}")
         return value
 
@@ -91,24 +100,32 @@ class IdentifiedArm:
 
     def assumed(self) -> tuple[Caution, ...]:
         """Where a known sum stands for its parts, which models with forces of both need."""
-        told = {(p.name, p.joint) for p in self.parameters if p.value is not None}
-        found = []
-        for number in range(1, self.study.n_joints + 1):
-            parts = ("motor_viscous_friction", "link_viscous_friction")
-            lacking = [name for name in parts if (name, number) not in told]
-            if lacking and ("total_viscous_friction", number) in told:
-                message = (
-                    f"{' and '.join(lacking)} could not be told apart; "
-                    "only their sum total_viscous_friction is right in the exported model"
-                )
-                found.append(Caution("assumed", f"joint {number}", message))
+        message = (
+            "link_viscous_friction is not known: the model has all viscous friction, "
+            "total_viscous_friction, at the motor"
+        )
+        found = [Caution("assumed", f"joint {number}", message) for number in self._lumped()]
         leads = {("alpha", None), ("link_inertia", 1), ("motor_inertia", 1)}
-        if ("rigid_inertia", 1) in told and not told & leads:
+        told = self._told()
+        if ("rigid_inertia", 1) in told and not told.keys() & leads:
             message = (
                 "of alpha and motor_inertia only rigid_inertia is known; their split is made up"
             )
             found.append(Caution("assumed", "joint 1", message))
         return tuple(found)
+
+    def _told(self) -> Values:
+        return {(p.name, p.joint): p.value for p in self.parameters if p.value is not None}
+
+    def _lumped(self) -> list[int]:
+        """Joints of whose viscous friction only the sum is known, or the sum and the motor's."""
+        told = self._told()
+        return [
+            number
+            for number in range(1, self.study.n_joints + 1)
+            if ("total_viscous_friction", number) in told
+            and ("link_viscous_friction", number) not in told
+        ]
 
     def _refuse(self, name: str, joint: int | None, problem: str) -> InvalidInput:
         of = f" of joint {joint}" if joint else ""

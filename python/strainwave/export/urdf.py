@@ -29,7 +29,7 @@ def to_urdf(arm: IdentifiedArm) -> Export:
         A parameter the model needs is null or impossible.
     """
     bodies = link_bodies(arm, arm.study.arm.gravity or 0.0)
-    robot = root("robot", "name", arm)
+    robot = root("robot", "name")
     remark(robot, "Of many masses with the same motion one set; see docs/export.md.")
     ET.SubElement(robot, "link", name="base")
     for number, body in enumerate(bodies, start=1):
