@@ -46,6 +46,8 @@ def test_study_and_parameters_come_back(tmp_path: Path) -> None:
         (lambda d: d["parameters"][5].update(joint=0), "belongs to joint 0"),
         (lambda d: d.pop("study"), "does not name its study file"),
         (lambda d: d["study"].update(path="gone.toml"), "--study"),
+        (lambda d: d["study"].update(path="x" * 5000), "--study"),
+        (lambda d: d["study"].update(path="a\0b"), "--study"),
     ],
 )
 def test_what_is_no_result_is_refused(change: Change, said: str, tmp_path: Path) -> None:
@@ -138,6 +140,8 @@ def test_a_sum_stands_for_its_parts_and_says_so(tmp_path: Path) -> None:
     assert arm.need("motor_viscous_friction", 2) == pytest.approx(own)
     assert [(c.code, c.where) for c in arm.assumed()] == [("assumed", "joint 1")]
     assert exports.arm_of(study, exports.values_of(study)).assumed() == ()
+    behind_rigid_gears = exports.two_links(tmp_path, "rigid")
+    assert exports.arm_of(behind_rigid_gears, values).assumed() == ()
 
 
 def test_a_motor_without_inertia_is_one_behind_a_rigid_gear(tmp_path: Path) -> None:

@@ -103,7 +103,7 @@ def to_script(arm: IdentifiedArm) -> Export:
         "",
     ]
     for entry in entries(arm):
-        unit = entry.unit.replace("\n", " ")
+        unit = " ".join(entry.unit.split())  # one line, or it would end the comment
         lines.append(f"parameters.{entry.name} = {_number(entry.value)}; % [{unit}]")
         if not entry.known:
             lines.append(f"parameters_std.{entry.name} = {_number(entry.std)};")

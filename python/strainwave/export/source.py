@@ -104,7 +104,11 @@ class IdentifiedArm:
             "link_viscous_friction is not known: the model has all viscous friction, "
             "total_viscous_friction, at the motor"
         )
-        found = [Caution("assumed", f"joint {number}", message) for number in self._lumped()]
+        found = [
+            Caution("assumed", f"joint {number}", message)
+            for number in self._lumped()
+            if self.joint(number).spring != "rigid"  # motor and link of which are one
+        ]
         leads = {("alpha", None), ("link_inertia", 1), ("motor_inertia", 1)}
         told = self._told()
         if ("rigid_inertia", 1) in told and not told.keys() & leads:
@@ -252,7 +256,11 @@ def _find_study(path: Path, named: str, given: Path | str | None) -> Path:
     if given is not None:
         return Path(given)
     for candidate in (Path(named), path.parent / Path(named).name):
-        if candidate.is_file():
+        try:
+            there = candidate.is_file()
+        except OSError:  # a name no file can have
+            there = False
+        if there:
             return candidate
     raise InvalidInput(
         f"the study file {named!r} is not there any more",
