@@ -94,6 +94,38 @@ def simulate(
         typer.echo(f"{written} logs and study.toml are in {out}")
 
 
+@app.command(epilog="Example: strainwave export results/result.json --out arm.xml")
+def export(
+    result: Annotated[
+        Path, typer.Argument(help="A result.json of identify.", metavar="RESULT.json")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="The file to write.", metavar="FILE")],
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="mjcf, urdf, state-space, matlab, c or json; without it, by FILE's ending.",
+            metavar="FORMAT",
+        ),
+    ] = None,
+    study: Annotated[
+        Path | None,
+        typer.Option(
+            "--study", help="The study file, if not where the result says.", metavar="STUDY.toml"
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write the identified arm for MuJoCo, ROS, MATLAB, C or as plain numbers."""
+    from strainwave.export import export_file
+
+    cautions = export_file(result, out, form=form, study=study)
+    if not quiet:
+        typer.echo(f"the arm is in {out}")
+        for caution in cautions:
+            typer.echo(f"warning: {caution.where}: {caution.message}")
+
+
 @app.command(epilog="Example: strainwave demo --out demo")
 def demo(
     out: Out,

@@ -1,0 +1,194 @@
+"""An arm for MuJoCo: motors and links as bodies of their own, gears as tendons between them.
+
+A fixed tendon over motor and link joint with coefficients n and -1 has the length
+delta = n theta_M - theta_L; its stiffness and damping pull at both sides as in (1) and (2). A
+tendon with a slack range pulls beyond it only: three side by side are the three-slope law. Motors
+turn against the world, since (1) leaves out what their links' turning does to them.
+"""
+
+from __future__ import annotations
+
+import math
+from xml.etree import ElementTree as ET
+
+from strainwave.export.bodies import (
+    Body,
+    effective_gravity,
+    holds_motor,
+    link_bodies,
+    told_of_gravity,
+)
+from strainwave.export.markup import numbers, remark, root, to_bytes
+from strainwave.export.source import Export, IdentifiedArm
+from strainwave.records import Caution
+
+_STEP = 1e-4  # [s] the motors' friction, a constraint, takes two steps to bring them to rest
+_THIN = 0.02  # [m] radius of the drawn links
+
+
+def to_mjcf(arm: IdentifiedArm) -> Export:
+    """MuJoCo's XML of the arm (1), (2): voltages in, or torques where no voltage was logged.
+
+    Parameters
+    ----------
+    arm : IdentifiedArm
+
+    Returns
+    -------
+    Export
+
+    Raises
+    ------
+    InvalidInput
+        A parameter the model needs is null or impossible.
+    """
+    gravity = effective_gravity(arm)
+    bodies = link_bodies(arm, gravity)
+    mujoco = root("mujoco", "model")
+    ET.SubElement(mujoco, "compiler", angle="radian")
+    if gravity and arm.study.n_joints > 1:
+        remark(
+            mujoco, "Gravity is gravity_torque_2 link_length/gamma, so that all torques are right"
+        )
+    option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP), integrator="RK4")
+    option.set("gravity", numbers(0, -gravity, 0))
+    world = ET.SubElement(mujoco, "worldbody")
+    remark(world, "Of many masses with the same motion one set; see docs/export.md.")
+    parent = world
+    for number, body in enumerate(bodies, start=1):
+        parent = _link(parent, arm, number, body)
+    elastic = [i for i, joint in enumerate(arm.study.joints, start=1) if joint.spring != "rigid"]
+    for number in elastic:
+        _motor(world, arm, number)
+    if elastic:
+        tendons = ET.SubElement(mujoco, "tendon")
+        for number in elastic:
+            _gear(tendons, arm, number)
+    actuators = ET.SubElement(mujoco, "actuator")
+    for number in range(1, arm.study.n_joints + 1):
+        _actuator(actuators, arm, number)
+    cautions = arm.cautions + arm.assumed() + _left_out(arm) + told_of_gravity(arm)
+    return Export(to_bytes(mujoco), cautions)
+
+
+def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET.Element:
+    """One link, its joint and what the joint carries of the motor behind a rigid gear."""
+    length = arm.study.arm.link_length or 0.0
+    at = numbers(length if number == 2 else 0.0, 0.0, 0.0)
+    element = ET.SubElement(parent, "body", name=f"link{number}", pos=at)
+    _inertial(element, body.mass, body.centre, body.inertia)
+    attributes = {"name": f"joint{number}", **_kind(arm, number)}
+    viscous = arm.need("link_viscous_friction", number)
+    joint = arm.joint(number)
+    if joint.spring == "rigid":
+        n2 = joint.gear_ratio**2
+        viscous += arm.need("motor_viscous_friction", number) / n2
+        friction = arm.need("motor_coulomb_friction", number) / joint.gear_ratio
+        attributes |= {"frictionloss": numbers(friction), **_settling(arm, number)}
+        if not holds_motor(arm):
+            attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
+    ET.SubElement(element, "joint", attributes, damping=numbers(viscous))
+    drawn = length if number == 1 and length else 2.0 * body.centre or 10.0 * _THIN
+    ET.SubElement(
+        element,
+        "geom",
+        type="capsule",
+        fromto=numbers(0, 0, 0, drawn, 0, 0),
+        size=numbers(_THIN),
+        contype="0",
+        conaffinity="0",
+    )
+    return element
+
+
+def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
+    """A motor and its friction; its axis goes through its centre of mass."""
+    inertia = arm.need("motor_inertia", number)
+    element = ET.SubElement(world, "body", name=f"motor{number}")
+    _inertial(element, inertia, 0.0, inertia)  # a slide moves the mass, a hinge turns the inertia
+    ET.SubElement(
+        element,
+        "joint",
+        {"name": f"motor_joint{number}", **_kind(arm, number), **_settling(arm, number)},
+        damping=numbers(arm.need("motor_viscous_friction", number)),
+        frictionloss=numbers(arm.need("motor_coulomb_friction", number)),
+    )
+
+
+def _inertial(element: ET.Element, mass: float, centre: float, inertia: float) -> None:
+    """Mass and inertia; a planar arm shows only the inertia about z."""
+    ET.SubElement(
+        element,
+        "inertial",
+        pos=numbers(centre, 0.0, 0.0),
+        mass=numbers(mass),
+        diaginertia=numbers(inertia, inertia, inertia),
+    )
+
+
+def _kind(arm: IdentifiedArm, number: int) -> dict[str, str]:
+    if arm.joint(number).motion == "prismatic":
+        return {"type": "slide", "axis": "1 0 0"}
+    return {"type": "hinge", "axis": "0 0 1"}
+
+
+def _settling(arm: IdentifiedArm, number: int) -> dict[str, str]:
+    """Friction stiff enough to stand: MuJoCo's time constant is twice our settling time (S9)."""
+    settling = arm.values.get(("friction_settling_time", number), 0.0)
+    constant = max(2.0 * settling, 2.0 * _STEP)
+    return {"solreffriction": numbers(constant, 1.0), "solimpfriction": "0.9999 0.9999 0.001"}
+
+
+def _gear(tendons: ET.Element, arm: IdentifiedArm, number: int) -> None:
+    """The spring as tendons side by side, (1): one a slope; the first has the damping."""
+    for part, (stiffness, slack) in enumerate(_springs(arm, number), start=1):
+        name = f"gear{number}" if part == 1 else f"gear{number}_beyond_t{part - 1}"
+        fixed = ET.SubElement(tendons, "fixed", name=name, stiffness=numbers(stiffness))
+        fixed.set("springlength", numbers(-slack, slack) if slack else "0")
+        if part == 1:
+            fixed.set("damping", numbers(arm.need("gear_damping", number)))
+        ratio = arm.joint(number).gear_ratio
+        ET.SubElement(fixed, "joint", joint=f"motor_joint{number}", coef=numbers(ratio))
+        ET.SubElement(fixed, "joint", joint=f"joint{number}", coef="-1")
+
+
+def _springs(arm: IdentifiedArm, number: int) -> list[tuple[float, float]]:
+    """(stiffness [N m/rad], twist [rad] from which it acts), to be added up."""
+    if arm.joint(number).spring == "linear":
+        return [(arm.need("gear_stiffness", number), 0.0)]
+    k1, k2, k3 = (arm.need(f"gear_stiffness_k{i}", number) for i in (1, 2, 3))
+    t1, t2 = (arm.need(f"gear_knee_t{i}", number) for i in (1, 2))
+    first = t1 / k1
+    second = first + (t2 - t1) / k2
+    beyond = [(k2 - k1, first), (k3 - k2, second)]
+    return [(k1, 0.0), *(spring for spring in beyond if spring[0] != 0.0)]
+
+
+def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int) -> None:
+    """Voltage to torque, (1): e u less the friction's constant part, through the current loop."""
+    joint = arm.joint(number)
+    rigid = joint.spring == "rigid"
+    element = ET.SubElement(
+        actuators,
+        "general",
+        name=f"drive{number}",
+        joint=f"joint{number}" if rigid else f"motor_joint{number}",
+        gear=numbers(1.0 / joint.gear_ratio if rigid else 1.0),
+        gainprm=numbers(joint.torque_per_volt or 1.0),
+        biastype="affine",
+        biasprm=numbers(-arm.values.get(("friction_offset", number), 0.0), 0, 0),
+    )
+    if joint.current_loop_hz:
+        lag = 1.0 / (2.0 * math.pi * joint.current_loop_hz)
+        element.set("dyntype", "filterexact")
+        element.set("dynprm", numbers(lag))
+
+
+def _left_out(arm: IdentifiedArm) -> tuple[Caution, ...]:
+    """What MuJoCo has no element for."""
+    found = []
+    for number, joint in enumerate(arm.study.joints, start=1):
+        if joint.effects:
+            message = f"MuJoCo has no {', '.join(joint.effects)}; the model goes without"
+            found.append(Caution("left-out", f"joint {number}", message))
+    return tuple(found)

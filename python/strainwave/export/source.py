@@ -1,0 +1,281 @@
+"""result.json and its study -> the arm to export, every fault told by file, place and remedy."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from strainwave.errors import InvalidInput
+from strainwave.files import decode, read_bytes
+from strainwave.parameters import Values, completed
+from strainwave.records import Caution, Joint, Parameter, Study
+from strainwave.study import read_study
+
+_SCHEMA = "strainwave/result/1"
+_NOT_A_RESULT = "give the result.json that strainwave identify wrote"
+_POSITIVE = ("alpha", "beta", "motor_inertia", "gear_stiffness", "gear_knee")
+_SIGNED = ("gamma", "friction_offset", "gravity_torque_1", "gravity_torque_2")
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """A file's contents, and what its reader must know."""
+
+    data: bytes
+    cautions: tuple[Caution, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifiedArm:
+    """What is exported: a study and the parameters found for it."""
+
+    study: Study
+    parameters: tuple[Parameter, ...]  # the best of each; None is what could not be told
+    source: str  # where they come from, for messages
+    cautions: tuple[Caution, ...] = ()  # what the reader of any export must know
+
+    @property
+    def values(self) -> Values:
+        """(name, joint) -> value, with what follows from what was told.
+
+        Of viscous friction, whose sum is known better than its parts, the motor has all where the
+        link's is not known.
+        """
+        told = self._told()
+        for number in self._lumped():
+            told.pop(("motor_viscous_friction", number), None)
+        return completed(told, self.study)
+
+    def need(self, name: str, joint: int | None = None) -> float:
+        """The value of a parameter that cannot be done without.
+
+        Parameters
+        ----------
+        name : str
+            As in docs/notation.md.
+        joint : int, optional
+            From 1; None for the arm's own.
+
+        Returns
+        -------
+        float [SI]
+
+        Raises
+        ------
+        InvalidInput
+            It is null or not there, or has a sign that no arm has.
+        """
+        value = self.values.get((name, joint))
+        if value is None:
+            named = any((p.name, p.joint) == (name, joint) for p in self.parameters)
+            raise self._refuse(name, joint, "null" if named else "not there")
+        positive = name.startswith(_POSITIVE)
+        if joint and name == "motor_inertia" and self.joint(joint).spring == "rigid":
+            positive = False  # it may be counted with the link's
+        if (value <= 0.0 and positive) or (value < 0.0 and name not in _SIGNED):
+            least = "positive" if positive else "zero or positive"
+            raise self._refuse(name, joint, f"{value:g} and not {least}")
+        return value
+
+    def joint(self, number: int) -> Joint:
+        """A joint's configuration, by its number from 1.
+
+        Raises
+        ------
+        InvalidInput
+            There is no such joint.
+        """
+        if not 1 <= number <= self.study.n_joints:
+            raise InvalidInput(
+                f"there is no joint {number}: the arm has {self.study.n_joints}",
+                where=self.source,
+                remedy="joints are numbered from 1, from the base",
+            )
+        return self.study.joints[number - 1]
+
+    def assumed(self) -> tuple[Caution, ...]:
+        """Where a known sum stands for its parts, which models with forces of both need."""
+        message = (
+            "link_viscous_friction is not known: the model has all viscous friction, "
+            "total_viscous_friction, at the motor"
+        )
+        found = [
+            Caution("assumed", f"joint {number}", message)
+            for number in self._lumped()
+            if self.joint(number).spring != "rigid"  # motor and link of which are one
+        ]
+        leads = {("alpha", None), ("link_inertia", 1), ("motor_inertia", 1)}
+        told = self._told()
+        if ("rigid_inertia", 1) in told and not told.keys() & leads:
+            message = (
+                "of alpha and motor_inertia only rigid_inertia is known; their split is made up"
+            )
+            found.append(Caution("assumed", "joint 1", message))
+        return tuple(found)
+
+    def _told(self) -> Values:
+        return {(p.name, p.joint): p.value for p in self.parameters if p.value is not None}
+
+    def _lumped(self) -> list[int]:
+        """Joints of whose viscous friction only the sum is known, or the sum and the motor's."""
+        told = self._told()
+        return [
+            number
+            for number in range(1, self.study.n_joints + 1)
+            if ("total_viscous_friction", number) in told
+            and ("link_viscous_friction", number) not in told
+        ]
+
+    def _refuse(self, name: str, joint: int | None, problem: str) -> InvalidInput:
+        of = f" of joint {joint}" if joint else ""
+        return InvalidInput(
+            f"{name}{of} is {problem}, and this format needs it",
+            where=f"{self.source}: parameters",
+            remedy="see the result's warnings for what to record, or export to json or c",
+        )
+
+
+def read_result(path: Path | str, study_path: Path | str | None = None) -> IdentifiedArm:
+    """Read a result.json and the study it belongs to.
+
+    Parameters
+    ----------
+    path : Path
+    study_path : Path, optional
+        Where the study file is now; None: where the result says, or beside the result under the
+        same name. Logs need not be there.
+
+    Returns
+    -------
+    IdentifiedArm
+
+    Raises
+    ------
+    InvalidInput
+        A file is missing, is not what it should be, or the two do not belong together.
+    """
+    path = Path(path)
+    document = _document(path)
+    parameters = _parameters(document["parameters"], path)
+    named, sha256 = _named_study(document, path)
+    study_file = _find_study(path, named, study_path)
+    study = read_study(study_file, logs_exist=False)
+    _check_joints(parameters, study, path)
+    cautions: tuple[Caution, ...] = ()
+    if study.sha256 != sha256:
+        message = (
+            f"{study_file} is not the study file as it was identified; "
+            "its ratios, lengths and torques per volt are taken as they are now"
+        )
+        cautions = (Caution("study-changed", str(study_file), message),)
+    return IdentifiedArm(study, parameters, str(path), cautions)
+
+
+def _document(path: Path) -> dict[str, Any]:
+    text = decode(read_bytes(path, "the result file"), path)
+    try:
+        document = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidInput(
+            f"is not JSON ({error})", where=str(path), remedy=_NOT_A_RESULT
+        ) from error
+    if not isinstance(document, dict) or "schema" not in document:
+        raise InvalidInput('has no key "schema"', where=str(path), remedy=_NOT_A_RESULT)
+    if document["schema"] != _SCHEMA:
+        raise InvalidInput(
+            f"its schema is {document['schema']!r}, not {_SCHEMA!r}",
+            where=f"{path}: schema",
+            remedy=_NOT_A_RESULT,
+        )
+    if not isinstance(document.get("parameters"), list) or not document["parameters"]:
+        raise InvalidInput(
+            "holds no parameters",
+            where=f"{path}: parameters",
+            remedy="identify again; the result's reason says what was missing",
+        )
+    return document
+
+
+def _parameters(entries: list[Any], path: Path) -> tuple[Parameter, ...]:
+    from pydantic import TypeAdapter, ValidationError
+
+    adapter = TypeAdapter(Parameter)
+    found: dict[tuple[str, int | None], Parameter] = {}
+    for number, entry in enumerate(entries, start=1):
+        place = f"{path}: parameters, entry {number}"
+        try:
+            parameter = adapter.validate_json(json.dumps(entry), strict=True)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(str(part) for part in first["loc"]) or "the entry"
+            said = first["msg"].replace("Input should be ", "it should be ")
+            raise InvalidInput(
+                f"'{key}' is at fault: {said[0].lower() + said[1:]}",
+                where=place,
+                remedy=_NOT_A_RESULT,
+            ) from error
+        _check_entry(parameter, place)
+        if (parameter.name, parameter.joint) in found:
+            raise InvalidInput(
+                f"{parameter.name} is there twice", where=place, remedy=_NOT_A_RESULT
+            )
+        found[parameter.name, parameter.joint] = parameter
+    return tuple(found.values())
+
+
+def _check_entry(parameter: Parameter, place: str) -> None:
+    """Numbers are finite, and a name can be one in other languages."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", parameter.name):
+        raise InvalidInput(
+            f"{parameter.name!r} is no parameter's name", where=place, remedy=_NOT_A_RESULT
+        )
+    for number in (parameter.value, parameter.std):
+        if number is not None and not math.isfinite(number):
+            raise InvalidInput(
+                f"{number!r} is no finite number", where=place, remedy="write a number or null"
+            )
+
+
+def _named_study(document: dict[str, Any], path: Path) -> tuple[str, str]:
+    entry = document.get("study")
+    texts = [entry.get(key) for key in ("path", "sha256")] if isinstance(entry, dict) else []
+    if not texts or not all(isinstance(text, str) for text in texts):
+        raise InvalidInput(
+            "does not name its study file", where=f"{path}: study", remedy=_NOT_A_RESULT
+        )
+    named, sha256 = map(str, texts)
+    return named, sha256
+
+
+def _find_study(path: Path, named: str, given: Path | str | None) -> Path:
+    if given is not None:
+        return Path(given)
+    for candidate in (Path(named), path.parent / Path(named).name):
+        try:
+            there = candidate.is_file()
+        except OSError:  # a name no file can have
+            there = False
+        if there:
+            return candidate
+    raise InvalidInput(
+        f"the study file {named!r} is not there any more",
+        where=f"{path}: study",
+        remedy="name it with --study STUDY.toml",
+    )
+
+
+def _check_joints(parameters: Sequence[Parameter], study: Study, path: Path) -> None:
+    for number, parameter in enumerate(parameters, start=1):
+        joint = parameter.joint
+        if joint is not None and not 1 <= joint <= study.n_joints:
+            raise InvalidInput(
+                f"{parameter.name} belongs to joint {joint}, but the arm of {study.path} has "
+                f"{study.n_joints}",
+                where=f"{path}: parameters, entry {number}",
+                remedy="give the study that was identified, with --study",
+            )

@@ -1,0 +1,103 @@
+"""The command: which format, what it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import exports
+from strainwave.errors import InvalidInput
+from strainwave.export import FORMATS, export_file
+
+BEGINS = {
+    "arm.xml": b"<?xml version='1.0' encoding='utf-8'?>\n<mujoco",
+    "arm.mjcf": b"<?xml version='1.0' encoding='utf-8'?>\n<mujoco",
+    "arm.urdf": b"<?xml version='1.0' encoding='utf-8'?>\n<robot",
+    "arm.mat": b"MATLAB 5.0 MAT-file",
+    "arm.m": b"% An arm",
+    "arm.h": b"/* Parameters",
+    "arm.json": b'{\n  "schema": "strainwave/parameters/1"',
+}
+
+
+@pytest.fixture
+def result(tmp_path: Path) -> Path:
+    study = exports.two_links(tmp_path)
+    return exports.write(study, exports.values_of(study))
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "strainwave", "export", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "COLUMNS": "100", "PYTHONWARNINGS": "error"},
+    )
+
+
+@pytest.mark.parametrize("name", BEGINS)
+def test_the_ending_names_the_format(name: str, result: Path) -> None:
+    out = result.parent / "new" / name
+    export_file(result, out)
+    assert out.read_bytes().startswith(BEGINS[name])
+    assert [path.name for path in out.parent.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_format_goes_before_the_ending(form: str, result: Path) -> None:
+    out = result.parent / "arm.txt"
+    export_file(result, out, form=form)
+    assert out.stat().st_size > 500
+
+
+def test_what_cannot_be_written_is_refused(result: Path) -> None:
+    folder = result.parent
+    before = sorted(folder.iterdir())
+    for out, form, said in [
+        (folder / "arm.txt", None, r"'\.txt' names no format"),
+        (folder / "arm.xml", "urfd", "did you mean 'urdf'"),
+        (result, "json", "write over the file it reads"),
+        (folder / "study.toml", "json", "write over the file it reads"),
+        (folder, "json", "is a directory"),
+    ]:
+        with pytest.raises(InvalidInput, match=said):
+            export_file(result, out, form=form)
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_fault_leaves_an_earlier_export_alone(result: Path) -> None:
+    out = result.parent / "arm.xml"
+    out.write_text("earlier")
+    text = result.read_text()
+    result.write_text(text.replace('"gear_damping"', '"gear_dumping"'))
+    with pytest.raises(InvalidInput, match="gear_damping of joint 1 is not there"):
+        export_file(result, out)
+    assert out.read_text() == "earlier"
+
+
+def test_the_command_exports(result: Path) -> None:
+    out = result.parent / "arm.xml"
+    done = run(str(result), "--out", str(out))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"the arm is in {out}\n"
+    assert out.read_bytes().startswith(BEGINS["arm.xml"])
+
+
+def test_the_command_says_what_to_know(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path, "three-slope")
+    result = exports.write(study, exports.values_of(study))
+    moved = study.path.rename(tmp_path / "elsewhere.toml")
+    arguments = [str(result), "--format", "state-space", "--out", str(tmp_path / "arm.json")]
+    missing = run(*arguments)
+    assert (missing.returncode, missing.stdout) == (2, "")
+    assert missing.stderr.startswith(f"strainwave: {result}: study: ")
+    assert missing.stderr.count("\n") == 1
+    done = run(*arguments, "--study", str(moved))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("warning: joint") == 2
+    assert run(*arguments, "--study", str(moved), "--quiet").stdout == ""

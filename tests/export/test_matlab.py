@@ -1,0 +1,93 @@
+"""What MATLAB would read: the same numbers from the .mat file and from the script."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+import exports
+from strainwave.export import IdentifiedArm, state_space
+from strainwave.export.matlab import to_mat, to_script
+from strainwave.export.state_space import INPUTS, OUTPUTS, STATES
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> IdentifiedArm:
+    """The rig, its friction offsets null."""
+    study = exports.two_links(tmp_path)
+    arm = exports.arm_of(study, exports.values_of(study))
+    offset = "friction_offset"
+    nulled = [replace(p, value=None, std=None) if p.name == offset else p for p in arm.parameters]
+    return replace(arm, parameters=tuple(nulled))
+
+
+def test_the_mat_file_reads_back(arm: IdentifiedArm) -> None:
+    content = loadmat(io.BytesIO(to_mat(arm).data), simplify_cells=True)
+    for p in arm.parameters:
+        name = p.name if p.joint is None else f"{p.name}_{p.joint}"
+        for table, wanted in (("parameters", p.value), ("parameters_std", p.std)):
+            found = content[table][name]
+            assert found == wanted or (wanted is None and math.isnan(found)), name
+        assert content["units"][name] == p.unit
+    assert content["parameters"]["gear_ratio_2"] == 0.01
+    for joint in (1, 2):
+        for name, matrix in zip("ABCD", state_space(arm, joint), strict=True):
+            np.testing.assert_array_equal(content["joints"][joint - 1][name], matrix)
+    for key, names in (("states", STATES), ("inputs", INPUTS), ("outputs", OUTPUTS)):
+        assert content[key].tolist() == list(names)
+
+
+def assigned(script: str, name: str, end: str = "") -> str:
+    found = re.search(rf"^{re.escape(name)} = (.*?);{end}", script, re.MULTILINE | re.DOTALL)
+    assert found is not None, name
+    return found[1]
+
+
+def matrix_of(text: str) -> list[list[float]]:
+    return [[float(x) for x in row.split(",")] for row in text.strip("[]").split(";")]
+
+
+def test_the_script_has_the_same_numbers(arm: IdentifiedArm) -> None:
+    script = to_script(arm).data.decode()
+    for p in arm.parameters:
+        name = p.name if p.joint is None else f"{p.name}_{p.joint}"
+        found = float(assigned(script, f"parameters.{name}"))
+        assert found == p.value or (p.value is None and math.isnan(found)), name
+    for joint in (1, 2):
+        for name, matrix in zip("ABCD", state_space(arm, joint), strict=True):
+            assert matrix_of(assigned(script, f"joints({joint}).{name}", "\n")) == matrix.tolist()
+
+
+def test_the_grey_model_in_the_script_is_the_joints(arm: IdentifiedArm) -> None:
+    """Its function, read as Python, gives the matrices from the parameters the script lists."""
+    script = to_script(arm).data.decode()
+    names = re.search(r"= two_inertia\((.*)\)", script)
+    assert names is not None
+    listed = assigned(script, "grey(1).parameters", "\n").strip("{}").split(";")
+    values = [float(pair.split(",")[1]) for pair in listed]
+    ratio = float(assigned(script, "grey(1).args").strip("{}"))
+    symbols = dict(zip(names[1].split(", "), [*values, 0.0, ratio], strict=True))
+    found: dict[str, list[list[float]]] = {}
+    for name in "ABCD":
+        rows = assigned(script[names.end() :], name, "\n").strip("[]").split(";")
+        found[name] = [row_of(row, symbols, found) for row in rows]
+    for name, wanted in zip("ABCD", state_space(arm, 1), strict=True):
+        assert np.array(found[name]) == pytest.approx(wanted, rel=1e-14)
+
+
+def row_of(
+    text: str, symbols: dict[str, float], found: dict[str, list[list[float]]]
+) -> list[float]:
+    """A row of a matrix as MATLAB writes it: expressions, or the third row of an earlier matrix."""
+    taken = re.fullmatch(r"\s*([AB])\(3, :\)\s*", text)
+    if taken:
+        return found[taken[1]][2]
+    python = text.replace("...", "").replace("^", "**")
+    return [eval(cell.strip(), {}, dict(symbols)) for cell in python.split(",")]

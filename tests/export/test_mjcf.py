@@ -1,0 +1,168 @@
+"""The exported arm moves in MuJoCo as it does in our own simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import exports
+from strainwave import excitation
+from strainwave.export.mjcf import to_mjcf
+from strainwave.parameters import Values
+from strainwave.records import FloatArray, Motion, Prbs, Spring, Study
+from strainwave.simulation import Drive, Quantity, simulate
+
+TICK = 1e-3
+RECORDED: list[Quantity] = ["motor_velocity", "link_velocity", "link_angle"]
+
+
+@pytest.fixture(scope="module")
+def mujoco() -> ModuleType:
+    found: ModuleType = pytest.importorskip(
+        "mujoco", reason="MuJoCo is not installed (extra: bench)"
+    )
+    return found
+
+
+def drive(study: Study, amplitude: float, seconds: float = 0.4) -> Drive:
+    """Pseudo-random voltages on all joints, from rest."""
+    samples = round(seconds / TICK)
+    sequence = excitation.prbs(Prbs(10, TICK, 1, amplitude))
+    shifted = [np.roll(sequence, 341 * i)[:samples] for i in range(study.n_joints)]
+    voltage = np.column_stack(shifted)
+    still = (0.0,) * study.n_joints
+    off = (False,) * study.n_joints
+    # without joints' own link angles the core hangs the links on their gears; MuJoCo starts at zero
+    return Drive(
+        TICK, voltage, 0.0 * voltage, off, still, still, link_angle=still, link_velocity=still
+    )
+
+
+def in_mujoco(
+    mujoco: ModuleType, study: Study, values: Values, applied: Drive
+) -> dict[Quantity, FloatArray]:
+    """What MuJoCo makes of the exported file under the same voltages."""
+    model = mujoco.MjModel.from_xml_string(to_mjcf(exports.arm_of(study, values)).data.decode())
+    data = mujoco.MjData(model)
+    numbers = range(1, study.n_joints + 1)
+    links = [data.joint(f"joint{i}") for i in numbers]
+    rigid = study.joints[0].spring == "rigid"
+    motors = links if rigid else [data.joint(f"motor_joint{i}") for i in numbers]
+    ratio = np.array([joint.gear_ratio if rigid else 1.0 for joint in study.joints])
+    found: dict[Quantity, list[FloatArray]] = {name: [] for name in RECORDED}
+    for voltage in applied.voltage:
+        found["motor_velocity"].append(np.array([m.qvel[0] for m in motors]) / ratio)
+        found["link_velocity"].append(np.array([link.qvel[0] for link in links]))
+        found["link_angle"].append(np.array([link.qpos[0] for link in links]))
+        data.ctrl[:] = voltage
+        mujoco.mj_step(model, data, round(TICK / model.opt.timestep))
+    return {name: np.array(rows) for name, rows in found.items()}
+
+
+def misfit(mujoco: ModuleType, study: Study, values: Values, amplitude: float) -> float:
+    """Largest relative difference (root mean square) over all quantities and joints."""
+    applied = drive(study, amplitude)
+    ours = simulate(
+        study, values, applied, sample_time=TICK, samples=len(applied.voltage), record=RECORDED
+    )
+    theirs = in_mujoco(mujoco, study, values, applied)
+    off = [
+        np.linalg.norm(theirs[name] - ours[name], axis=0) / np.linalg.norm(ours[name], axis=0)
+        for name in RECORDED
+    ]
+    return float(np.max(off))
+
+
+def frictionless(values: Values) -> Values:
+    return {
+        (name, joint): 0.0 if name == "motor_coulomb_friction" else value
+        for (name, joint), value in values.items()
+    }
+
+
+@pytest.mark.parametrize("gravity", [None, 9.81])
+@pytest.mark.parametrize("spring", ["linear", "rigid"])
+def test_without_dry_friction_the_motion_is_ours(
+    mujoco: ModuleType, spring: Spring, gravity: float | None, tmp_path: Path
+) -> None:
+    """The same equations by Runge-Kutta of order four, at 0.1 ms and 0.125 ms: a few 1e-8."""
+    study = exports.two_links(tmp_path, spring, gravity)
+    values = frictionless(exports.values_of(study))
+    for joint in (1, 2):
+        values["friction_offset", joint] = 0.01
+    assert misfit(mujoco, study, values, 10.0) < 1e-7
+
+
+@pytest.mark.parametrize("motion", ["revolute", "prismatic"])
+@pytest.mark.parametrize("spring", ["linear", "rigid"])
+def test_so_is_that_of_one_joint(
+    mujoco: ModuleType, spring: Spring, motion: Motion, tmp_path: Path
+) -> None:
+    gravity = 9.81 if motion == "revolute" else None
+    study, values = exports.single(tmp_path, motion, spring, gravity)
+    assert misfit(mujoco, study, values, 3.0) < 1e-9
+
+
+def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> None:
+    """At amplitudes that go through both knees; ours are rounded over 5e-6 rad, MuJoCo's sharp."""
+    study = exports.two_links(tmp_path, "three-slope")
+    values = frictionless(exports.values_of(study))
+    applied = drive(study, 10.0)
+    ours = simulate(study, values, applied, sample_time=TICK, samples=400, record=["gear_torque"])
+    for joint in (1, 2):
+        assert np.abs(ours["gear_torque"][:, joint - 1]).max() > values["gear_knee_t2", joint]
+    assert misfit(mujoco, study, values, 10.0) < 2e-5
+    middle = replace(study, joints=tuple(replace(j, spring="linear") for j in study.joints))
+    linear = values | {("gear_stiffness", j): values["gear_stiffness_k2", j] for j in (1, 2)}
+    (tmp_path / "linear").mkdir()
+    middle = replace(middle, path=tmp_path / "linear" / "study.toml")
+    wrong = simulate(middle, linear, applied, sample_time=TICK, samples=400, record=RECORDED)
+    theirs = in_mujoco(mujoco, study, values, applied)["motor_velocity"]
+    assert np.linalg.norm(theirs - wrong["motor_velocity"]) > 0.01 * np.linalg.norm(theirs)
+
+
+@pytest.mark.parametrize(("amplitude", "tolerance"), [(10.0, 0.005), (2.0, 0.05)])
+@pytest.mark.parametrize("spring", ["linear", "rigid"])
+def test_dry_friction_is_nearly_ours(
+    mujoco: ModuleType, spring: Spring, amplitude: float, tolerance: float, tmp_path: Path
+) -> None:
+    """MuJoCo's friction settles within two steps at best; ours stops a motor at once."""
+    study = exports.two_links(tmp_path, spring)
+    assert misfit(mujoco, study, exports.values_of(study), amplitude) < tolerance
+
+
+def test_friction_that_settles_in_a_known_time_is_ours(mujoco: ModuleType, tmp_path: Path) -> None:
+    """The laws are the same one; its corners are resolved to MuJoCo's step, a tenth of the time."""
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study)
+    for joint in (1, 2):
+        values["friction_settling_time", joint] = 1e-3
+    assert misfit(mujoco, study, values, 2.0) < 2e-3
+
+
+def test_the_current_loop_lags(mujoco: ModuleType, tmp_path: Path) -> None:
+    """MuJoCo holds the lagging torque over its step: 0.05 ms late, 0.3 % of a signal at 10 Hz."""
+    study = exports.two_links(tmp_path)
+    lagging = tuple(replace(joint, current_loop_hz=50.0) for joint in study.joints)
+    values = frictionless(exports.values_of(study))
+    assert misfit(mujoco, replace(study, joints=lagging), values, 10.0) < 0.01
+
+
+def test_what_mujoco_lacks_is_told_once_a_joint(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    first = replace(study.joints[0], effects=("hysteresis", "kinematic-error"))
+    study = replace(study, joints=(first, study.joints[1]))
+    cautions = to_mjcf(exports.arm_of(study, exports.values_of(study))).cautions
+    assert [(c.code, c.where) for c in cautions] == [("left-out", "joint 1")]
+    assert "hysteresis, kinematic-error" in cautions[0].message
+
+
+def test_a_gravity_torque_that_no_body_has_is_told(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path, gravity=9.81)
+    cautions = to_mjcf(exports.arm_of(study, exports.values_of(study))).cautions
+    assert [c.code for c in cautions] == ["gravity-torque"]
+    assert "+2.0 %" in cautions[0].message

@@ -1,0 +1,165 @@
+"""Reading a result: what is taken, what is refused, and what is said."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import exports
+from strainwave.errors import InvalidInput
+from strainwave.export import IdentifiedArm, read_result
+from strainwave.parameters import Values
+
+Change = Callable[[dict[str, Any]], Any]
+
+
+def test_study_and_parameters_come_back(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study)
+    arm = exports.arm_of(study, values)
+    assert arm.values == values
+    assert arm.study.joints == study.joints
+    assert arm.cautions == ()
+    assert arm.parameters[0].std == pytest.approx(0.01 * values["alpha", None])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.pop("schema"), 'has no key "schema"'),
+        (lambda d: d.update(schema="strainwave/comparisons/1"), "strainwave/comparisons/1"),
+        (lambda d: d.update(parameters=[]), "holds no parameters"),
+        (lambda d: d.update(parameters={"alpha": 1.0}), "holds no parameters"),
+        (lambda d: d["parameters"].insert(2, "alpha"), "entry 3"),
+        (lambda d: d["parameters"][1].update(value="1.0"), "entry 2: 'value' is at fault"),
+        (lambda d: d["parameters"][1].update(joint=True), "entry 2: 'joint' is at fault"),
+        (lambda d: d["parameters"][1].update(value=float("inf")), "entry 2"),
+        (lambda d: d["parameters"][1].pop("unit"), "entry 2: 'unit' is at fault"),
+        (lambda d: d["parameters"][1].update(name="a b"), "'a b' is no parameter's name"),
+        (lambda d: d["parameters"].append(d["parameters"][0]), "alpha is there twice"),
+        (lambda d: d["parameters"][5].update(joint=3), "belongs to joint 3"),
+        (lambda d: d["parameters"][5].update(joint=0), "belongs to joint 0"),
+        (lambda d: d.pop("study"), "does not name its study file"),
+        (lambda d: d["study"].update(path="gone.toml"), "--study"),
+        (lambda d: d["study"].update(path="x" * 5000), "--study"),
+        (lambda d: d["study"].update(path="a\0b"), "--study"),
+    ],
+)
+def test_what_is_no_result_is_refused(change: Change, said: str, tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    path = exports.write(study, exports.values_of(study))
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(InvalidInput) as caught:
+        read_result(path)
+    assert said in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100000, "[1]", '"alpha"'])
+def test_other_files_are_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(text)
+    with pytest.raises(InvalidInput, match=r"result\.json: "):
+        read_result(path)
+
+
+def test_a_missing_result_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="does not exist"):
+        read_result(tmp_path / "result.json")
+
+
+def test_a_study_that_moved_with_its_result_is_found(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    path = exports.write(study, exports.values_of(study))
+    moved = tmp_path.rename(tmp_path.with_name("moved"))
+    assert read_result(moved / path.name).study.path == moved / "study.toml"
+    (moved / "study.toml").rename(moved / "other.toml")
+    with pytest.raises(InvalidInput, match="not there any more"):
+        read_result(moved / path.name)
+    assert read_result(moved / path.name, moved / "other.toml").cautions == ()
+
+
+def test_a_changed_study_is_told(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    path = exports.write(study, exports.values_of(study))
+    text = study.path.read_text()
+    study.path.write_text(text.replace("0.35", "0.36"))
+    arm = read_result(path)
+    assert arm.study.arm.link_length == 0.36
+    assert [caution.code for caution in arm.cautions] == ["study-changed"]
+
+
+def arm_without(folder: Path, *names: str) -> IdentifiedArm:
+    """The rig with some parameters null."""
+    study = exports.two_links(folder)
+    arm = exports.arm_of(study, exports.values_of(study))
+    nulled = tuple(replace(p, value=None) if p.name in names else p for p in arm.parameters)
+    return replace(arm, parameters=nulled)
+
+
+def test_what_is_needed_is_named(tmp_path: Path) -> None:
+    arm = arm_without(tmp_path, "gear_damping")
+    assert arm.need("beta") == arm.values["beta", None]
+    with pytest.raises(InvalidInput, match="gear_damping of joint 2 is null"):
+        arm.need("gear_damping", 2)
+    with pytest.raises(InvalidInput, match="gravity_torque_1 is not there"):
+        arm.need("gravity_torque_1")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [("motor_inertia", 0.0, "positive"), ("gear_damping", -1.0, "zero or positive")],
+)
+def test_what_no_arm_has_is_refused(name: str, value: float, said: str, tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    values: Values = exports.values_of(study) | {(name, 1): value}
+    with pytest.raises(InvalidInput, match=f"{name} of joint 1 is {value:g} and not {said}"):
+        exports.arm_of(study, values).need(name, 1)
+
+
+def test_a_sum_stands_for_its_parts_and_says_so(tmp_path: Path) -> None:
+    """The motor's own value, without the link's, would make another sum."""
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study)
+    del values["link_viscous_friction", 1]
+    del values["motor_viscous_friction", 2]
+    for joint in (1, 2):
+        values["total_viscous_friction", joint] = 2.5e-4
+    arm = exports.arm_of(study, values)
+    assert arm.need("motor_viscous_friction", 1) == 2.5e-4
+    assert arm.need("link_viscous_friction", 1) == 0.0
+    own = 2.5e-4 - 0.01**2 * values["link_viscous_friction", 2]
+    assert arm.need("motor_viscous_friction", 2) == pytest.approx(own)
+    assert [(c.code, c.where) for c in arm.assumed()] == [("assumed", "joint 1")]
+    assert exports.arm_of(study, exports.values_of(study)).assumed() == ()
+    behind_rigid_gears = exports.two_links(tmp_path, "rigid")
+    assert exports.arm_of(behind_rigid_gears, values).assumed() == ()
+
+
+def test_a_motor_without_inertia_is_one_behind_a_rigid_gear(tmp_path: Path) -> None:
+    weightless: Values = {("motor_inertia", 1): 0.0}
+    study = exports.two_links(tmp_path, "rigid")
+    arm = exports.arm_of(study, exports.values_of(study) | weightless)
+    assert arm.need("motor_inertia", 1) == 0.0
+    study = exports.two_links(tmp_path, "linear")
+    arm = exports.arm_of(study, exports.values_of(study) | weightless)
+    with pytest.raises(InvalidInput, match="not positive"):
+        arm.need("motor_inertia", 1)
+
+
+def test_a_split_that_is_made_up_is_told(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path, "rigid")
+    values = exports.values_of(study)
+    total = values["alpha", None] + values["motor_inertia", 1] / 0.01**2
+    del values["alpha", None], values["motor_inertia", 1]
+    arm = exports.arm_of(study, values | {("rigid_inertia", 1): total})
+    assert arm.need("alpha") + arm.need("motor_inertia", 1) / 0.01**2 == pytest.approx(total)
+    assert ["made up" in caution.message for caution in arm.assumed()] == [True]

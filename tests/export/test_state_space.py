@@ -1,0 +1,115 @@
+"""Exported joint models have the frequency response of (17), for those who read them elsewhere."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import exports
+from strainwave.errors import InvalidInput
+from strainwave.export import state_space
+from strainwave.export.state_space import to_state_space
+from strainwave.parameters import Values
+from strainwave.physical.two_inertia import NAMES, TwoInertia, coefficients, joint_of
+from strainwave.records import ComplexArray, FloatArray
+
+OMEGA: FloatArray = np.geomspace(1.0, 1e3, 40)
+
+
+def truth(values: Values, joint: int) -> TwoInertia:
+    """The rig's joint, its link's inertia by (3)."""
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    known = values | {
+        ("link_inertia", 1): alpha + beta + 2.0 * gamma,
+        ("link_inertia", 2): beta,
+    }
+    return joint_of(np.array([known[name, joint] for name in NAMES]), 0.01)
+
+
+def expected(p: TwoInertia) -> tuple[ComplexArray, ComplexArray]:
+    """Motor velocity by motor torque, (17); link acceleration by it, s n (k + d_G s)/k / a(s)."""
+    s: ComplexArray = np.asarray(1j * OMEGA)
+    b, a = coefficients(p)
+    lag = np.polyval(a[::-1], s)
+    twist = p.gear_ratio * (1.0 + p.gear_damping / p.gear_stiffness * s)
+    return np.polyval(b[::-1], s) / lag, s * twist / lag
+
+
+# SciPy goes through numerators, whose vanishing leading coefficients it warns of
+@pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
+@pytest.mark.parametrize("joint", [1, 2])
+def test_scipy_sees_the_transfer_functions(joint: int, tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study)
+    A, B, C, D = state_space(exports.arm_of(study, values), joint)
+    motor, link = expected(truth(values, joint))
+    for output, wanted in enumerate((motor, link)):
+        system = signal.StateSpace(A, B[:, :1], C[[output]], D[[output], :1])
+        _, response = signal.freqresp(system, OMEGA)
+        assert response == pytest.approx(wanted, rel=1e-8)
+
+
+def test_python_control_sees_them(tmp_path: Path) -> None:
+    control = pytest.importorskip("control", reason="python-control is not installed")
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study)
+    response = control.ss(*state_space(exports.arm_of(study, values), 1))(1j * OMEGA)
+    for output, wanted in enumerate(expected(truth(values, 1))):
+        assert response[output, 0] == pytest.approx(wanted, rel=1e-8)
+
+
+def test_the_interaction_torque_moves_the_link_at_once(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study)
+    A, B, C, D = state_space(exports.arm_of(study, values), 2)
+    assert D.tolist() == [[0.0, 0.0], [0.0, 1.0 / values["beta", None]]]
+    # beyond all resonances the link is free, at rest the velocity does not change
+    s = 1e9
+    G = C @ np.linalg.solve(s * np.eye(3) - A, B) + D
+    assert G[1, 1] == pytest.approx(1.0 / values["beta", None], rel=1e-6)
+    assert (C @ np.linalg.solve(-A, B) + D)[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_file_holds_the_matrices(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    arm = exports.arm_of(study, exports.values_of(study))
+    export = to_state_space(arm)
+    document = json.loads(export.data)
+    assert export.cautions == ()
+    assert document["states"] == ["twist", "motor_velocity", "link_velocity"]
+    for joint in (1, 2):
+        found = [document["joints"][joint - 1][name] for name in "ABCD"]
+        assert found == [matrix.tolist() for matrix in state_space(arm, joint)]
+
+
+def test_three_slopes_become_the_middle_one(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path, "three-slope")
+    values = exports.values_of(study)
+    arm = exports.arm_of(study, values)
+    A = state_space(arm, 1)[0]
+    assert A[1, 0] == -0.01 * values["gear_stiffness_k2", 1] / values["motor_inertia", 1]
+    cautions = to_state_space(arm).cautions
+    assert [(c.code, c.where) for c in cautions] == [
+        ("linearised", "joint 1"),
+        ("linearised", "joint 2"),
+    ]
+
+
+def test_a_link_inertia_that_was_told_is_taken(tmp_path: Path) -> None:
+    study, values = exports.single(tmp_path, spring="linear")
+    B = state_space(exports.arm_of(study, values), 1)[1]
+    assert B[2, 1] == 1.0 / values["link_inertia", 1]
+
+
+def test_what_has_no_such_model_is_refused(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path, "rigid")
+    arm = exports.arm_of(study, exports.values_of(study))
+    with pytest.raises(InvalidInput, match="joint 1 has a rigid gear"):
+        state_space(arm, 1)
+    for number in (0, 3):
+        with pytest.raises(InvalidInput, match=f"there is no joint {number}"):
+            state_space(arm, number)

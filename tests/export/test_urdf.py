@@ -1,0 +1,145 @@
+"""The exported bodies have the base parameters they were made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import exports
+from strainwave.errors import InvalidInput
+from strainwave.export import IdentifiedArm
+from strainwave.export.bodies import Body, about_axis, link_bodies
+from strainwave.export.urdf import to_urdf
+from strainwave.parameters import Values
+from strainwave.records import Parameter
+
+LENGTH, GRAVITY = 0.35, 9.81
+
+
+def number(root: ET.Element, path: str, attribute: str) -> float:
+    found = root.find(path)
+    assert found is not None, path
+    return float(found.attrib[attribute])
+
+
+def parsed(arm: IdentifiedArm) -> ET.Element:
+    return ET.fromstring(to_urdf(arm).data)
+
+
+def body_of(robot: ET.Element, link: int) -> Body:
+    place = f"link[@name='link{link}']/inertial/"
+    centre = robot.find(f"{place}origin")
+    assert centre is not None
+    return Body(
+        number(robot, f"{place}mass", "value"),
+        float(centre.attrib["xyz"].split()[0]),
+        number(robot, f"{place}inertia", "izz"),
+    )
+
+
+def base_parameters(first: Body, second: Body) -> Values:
+    """(3) and (S1) by their definitions."""
+    moment = second.mass * second.centre
+    return {
+        ("alpha", None): first.inertia + first.mass * first.centre**2 + second.mass * LENGTH**2,
+        ("beta", None): second.inertia + second.mass * second.centre**2,
+        ("gamma", None): LENGTH * moment,
+        ("gravity_torque_1", None): GRAVITY * (first.mass * first.centre + second.mass * LENGTH),
+        ("gravity_torque_2", None): GRAVITY * moment,
+    }
+
+
+def test_base_parameters_come_back_from_the_file(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path, gravity=GRAVITY)
+    values = exports.values_of(study)
+    values["gravity_torque_2", None] = GRAVITY * values["gamma", None] / LENGTH
+    robot = parsed(exports.arm_of(study, values))
+    for name, found in base_parameters(body_of(robot, 1), body_of(robot, 2)).items():
+        assert found == pytest.approx(values[name], rel=1e-12), name
+    assert robot.findall("joint/origin")[1].attrib["xyz"] == f"{LENGTH} 0.0 0.0"
+
+
+def size(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(np.log(low), np.log(high)).map(lambda x: float(np.exp(x)))
+
+
+@given(size(1e-3, 1e2), size(1e-3, 1e2), st.floats(-0.999, 0.999), st.floats(-200.0, 200.0))
+def test_every_arm_with_a_definite_inertia_matrix_has_bodies(
+    alpha: float, beta: float, coupling: float, torque: float
+) -> None:
+    gamma = coupling * float(np.sqrt(alpha * beta))
+    base: Values = {
+        ("alpha", None): alpha,
+        ("beta", None): beta,
+        ("gamma", None): gamma,
+        ("gravity_torque_1", None): torque,
+        ("gravity_torque_2", None): GRAVITY * gamma / LENGTH,
+    }
+    parameters = tuple(Parameter(n, j, v, None, "", "tuned") for (n, j), v in base.items())
+    study = exports.two_links(Path("nowhere"), gravity=GRAVITY)
+    bodies = link_bodies(IdentifiedArm(study, parameters, "nowhere"), GRAVITY)
+    assert all(body.mass > 0.0 and body.inertia > 0.0 for body in bodies)
+    first, second = bodies
+    # a heavy counterweight's moment is the difference of large ones
+    scale = {"gravity_torque_1": abs(torque) + GRAVITY * second.mass * LENGTH}
+    for (name, _), found in base_parameters(first, second).items():
+        size = scale.get(name, alpha + beta)
+        assert found == pytest.approx(base[name, None], rel=1e-9, abs=1e-9 * size), name
+
+
+@given(size(1e-3, 1e2), st.floats(-50.0, 50.0), size(0.05, 3.0))
+def test_a_body_has_the_moments_asked_for(inertia: float, moment: float, length: float) -> None:
+    body = about_axis(inertia, moment, length)
+    assert body.mass > 0.0
+    assert body.inertia > 0.0
+    assert body.mass * body.centre == pytest.approx(moment, rel=1e-12)
+    found = body.inertia + body.mass * body.centre**2
+    assert found == pytest.approx(inertia, rel=1e-9)
+
+
+def test_an_indefinite_inertia_matrix_is_refused(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study) | {("gamma", None): 1.1}
+    with pytest.raises(InvalidInput, match="not positive definite"):
+        to_urdf(exports.arm_of(study, values))
+
+
+def test_friction_and_gear_are_seen_from_the_link(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study)
+    robot = parsed(exports.arm_of(study, values))
+    n = study.joints[1].gear_ratio
+    viscous = values["motor_viscous_friction", 2] / n**2 + values["link_viscous_friction", 2]
+    place = "joint[@name='joint2']/dynamics"
+    assert number(robot, place, "damping") == pytest.approx(viscous)
+    coulomb = values["motor_coulomb_friction", 2] / n
+    assert number(robot, place, "friction") == pytest.approx(coulomb)
+    reductions = [e.text for e in robot.iterfind("transmission/actuator/mechanicalReduction")]
+    assert reductions == ["100.0", "100.0"]
+
+
+def test_a_single_link_behind_a_rigid_gear_carries_its_motor(tmp_path: Path) -> None:
+    study, values = exports.single(tmp_path, gravity=GRAVITY)
+    body = body_of(parsed(exports.arm_of(study, values)), 1)
+    carried = values["link_inertia", 1] + values["motor_inertia", 1] / 0.1**2
+    assert body.inertia + body.mass * body.centre**2 == pytest.approx(carried)
+    assert GRAVITY * body.mass * body.centre == pytest.approx(11.0)
+
+
+def test_a_slide_has_the_limits_that_urdf_asks_for(tmp_path: Path) -> None:
+    study, values = exports.single(tmp_path, "prismatic", "linear")
+    robot = parsed(exports.arm_of(study, values))
+    assert body_of(robot, 1).mass == values["link_inertia", 1]
+    joint = robot.find("joint[@type='prismatic']")
+    assert joint is not None
+    assert joint.find("limit") is not None
+    arm = exports.arm_of(study, values)
+    nothing = replace(arm, parameters=tuple(replace(p, value=None) for p in arm.parameters))
+    with pytest.raises(InvalidInput, match="link_inertia of joint 1 is null"):
+        to_urdf(nothing)
