@@ -353,9 +353,10 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     let (mut kept, mut f_kept) = (0.0, begin);
     let (mut last, mut f_last) = (1.0, end);
     if begin <= tiny {
-        // It begins at zero. If it rises from there, the event is where it comes back: beyond the
-        // top, which half the parabola's way may already have passed.
-        if slope <= 0.0 {
+        // It begins below zero, where a torque jumps, or at zero. If it rises from there, the event
+        // is where it comes back: beyond the top, which half the parabola's way may already have
+        // passed.
+        if slope <= 0.0 || begin < -1e3 * tiny || bend >= 0.0 {
             return 0.0;
         }
         let mut part = -0.5 * slope / bend;

@@ -144,6 +144,34 @@ fn a_motor_that_settles_faster_and_faster_stops_at_once() {
     assert!(near < 1e-3 * at_once[0].abs(), "{near}");
 }
 
+#[test]
+fn torques_that_jump_turn_settling_motors_within_the_step() {
+    // Without a current loop a voltage's change is a jump: a motor that slides one way is pushed the
+    // other, past all that friction holds, at the very beginning of a step. No torque here makes
+    // more than 3000 rad/s^2 at motor 1 and 9000 at motor 2.
+    let mut config = config::<TwoLink<false>, 2>([GearKind::Linear; 2]);
+    for joint in &mut config.joints {
+        joint.current_loop_hz = None;
+    }
+    for seed in 0..40 {
+        let mut parameters = scara(1.0, 0.0);
+        (parameters[12], parameters[20]) = (3e-3, 3e-3);
+        let run = Run {
+            config,
+            parameters: &parameters,
+            voltage: &telegraph::<2>(seed, 200, 3.0),
+            steps_per_tick: 8,
+            initial: at_rest([0.0; 2]),
+            step: 1.25e-4,
+            steps: 1600,
+        };
+        for pair in run.record(&[Quantity::MotorVelocity])[0].windows(2) {
+            let change = [0, 1].map(|i| (pair[1][i] - pair[0][i]).abs() / 1.25e-4);
+            assert!(change[0] < 5e3 && change[1] < 1.5e4, "{seed} {change:?}");
+        }
+    }
+}
+
 /// Energy now = energy at the start + work of the motors - losses, over a run sampled every step.
 fn energy_error<A: Arm<N>, const N: usize>(run: &Run<'_, A, N>) -> f64 {
     let mut quantities = STATE.to_vec();
