@@ -117,6 +117,10 @@ def excite(
         str | None,
         typer.Option("--limit-voltage", help="Of the drives [V]; the servo's limit without."),
     ] = None,
+    limit_torque: Annotated[
+        str | None,
+        typer.Option("--limit-torque", help="Of the gears, at the link [N m]; none without."),
+    ] = None,
     kind: Annotated[
         str, typer.Option("--kind", help="Of the voltages: prbs or multisine.")
     ] = "prbs",
@@ -134,6 +138,7 @@ def excite(
             limit_angle=limit_angle,
             limit_velocity=limit_velocity,
             limit_voltage=limit_voltage,
+            limit_torque=limit_torque,
             kind=kind,
             seed=seed,
             progress=tell,

@@ -1,4 +1,4 @@
-"""Study, guessed parameters, limits -> Design: which experiments will tell the arm, and for how long.
+"""Study, guessed parameters, limits -> Design: which records tell the arm, and how long ones.
 
 `band` says where a joint rings, `voltages` plans what makes it ring, `rigid_motion` searches the
 motion that tells the rigid parameters apart and `motions` makes a record of it; `foreseen` runs
@@ -37,6 +37,7 @@ def excite_study_file(
     limit_angle: str,
     limit_velocity: str,
     limit_voltage: str | None,
+    limit_torque: str | None,
     kind: str,
     seed: int,
     progress: Callable[[str], None],
@@ -49,8 +50,8 @@ def excite_study_file(
     parameters_path : Path, optional
         A guess of the arm, or an earlier result.
     folder : Path
-    limit_angle, limit_velocity, limit_voltage : str
-        As `limits_of` reads them.
+    limit_angle, limit_velocity, limit_voltage, limit_torque : str
+        As `limits_of` reads them; the last two may be None.
     kind : "prbs" or "multisine"
     seed : int
     progress : callable
@@ -84,7 +85,7 @@ def excite_study_file(
         )
     study = read_study(study_path, logs_exist=False)
     values = read_parameters(parameters_path)
-    limits = limits_of(study, limit_angle, limit_velocity, limit_voltage)
+    limits = limits_of(study, limit_angle, limit_velocity, limit_voltage, limit_torque)
     chosen: Kind = "prbs" if kind == "prbs" else "multisine"
     planned = design(study, values, limits, kind=chosen, seed=seed, progress=progress)
     write(planned, folder)
@@ -136,7 +137,7 @@ def design(
             progress(f"sizing the excitation of joint {joint}")
             records += (voltage_record(study, values, limits, band, joint, kind=kind, seed=seed),)
     known = completed(values, study)
-    warnings = tuple(c for record in records for c in _cautions(study, known, limits, record))
+    warnings = tuple(c for record in records for c in _cautions(study, known, record))
     for joint, band in bands.items():
         of_it = [record for record in records if record.experiment.joint == joint]
         if band and of_it and of_it[0].band_hz[1] < 0.99 * band.high_hz:
@@ -147,12 +148,10 @@ def design(
     return Design(replace(study, experiments=experiments), limits, records, warnings)
 
 
-def _cautions(study: Study, known: Values, limits: Limits, record: Planned) -> tuple[Caution, ...]:
+def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ...]:
     """What to know before one record is taken."""
     name, seen = record.experiment.name, record.foreseen
     found = []
-    if seen.use_of(limits) > 1.0 + 1e-9:
-        found.append(Caution("limit-broken", name, "the guessed arm breaks a limit; do not run it"))
     for i in range(study.n_joints):
         joint = i + 1
         moved = record.experiment.joint in (None, joint)

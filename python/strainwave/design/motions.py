@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.design.foreseen import foreseen, run
-from strainwave.design.plan import Limits, Planned, servo_of
+from strainwave.design.plan import HELD, Limits, Planned, servo_of
 from strainwave.design.rigid_motion import (
     HARMONICS,
     Fourier,
@@ -98,13 +98,12 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
     else:
         raise InvalidInput(
             "no motion of the guessed arm keeps to the limits",
-            where="--limit-angle, --limit-velocity, --limit-voltage",
+            where="--limit-angle, --limit-velocity, --limit-voltage, --limit-torque",
             remedy="give wider limits, or check the servo's gains and the parameters",
         )
-    servos = ("servo",) * study.n_joints
     condition = condition_number(study, limits, series.at(search.time))
     return Planned(
-        experiment=Experiment(name, f"{name}.csv", use, servos),
+        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * study.n_joints),
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / series.period, HARMONICS / series.period),
@@ -129,11 +128,11 @@ def _drive(
     rest = (still, still, still)
     joint_state = [x[0] for x in series.at(np.zeros(1))]
     for lead in _LEADS:
-        time = tick * np.arange(round(lead / tick))
+        time = _ticks(lead, tick)
         into, out = quintic(rest, joint_state, time), quintic(joint_state, rest, time)
         if search.within(into) and search.within(out):
             break
-    steady = series.at(tick * np.arange(round(periods * series.period / tick)))
+    steady = series.at(_ticks(periods * series.period, tick))
     ratio = gear_ratios(study)
     angle = np.concatenate([into[0], steady[0], out[0]]) / ratio
     # the servo counts the encoder's steps, so what it is told is the angle's difference
@@ -148,6 +147,11 @@ def _drive(
         initial_voltage=holding_voltage(study, values, start),
     )
     return drive, angle, float(lead)
+
+
+def _ticks(duration: float, tick: float) -> FloatArray:
+    time: FloatArray = tick * np.arange(round(duration / tick), dtype=np.float64)
+    return time
 
 
 def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]:
@@ -218,7 +222,7 @@ def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: Float
     Motion
     """
     T = float(time[-1] + time[1] - time[0])
-    powers = np.arange(6)
+    powers = np.arange(6.0)
     rows = []
     for at in (0.0, T):
         for order in range(3):

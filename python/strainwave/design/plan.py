@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from strainwave.errors import InvalidInput
-from strainwave.records import Caution, Experiment, FloatArray, Servo, Study
+from strainwave.records import Caution, Control, Experiment, FloatArray, Servo, Study
 from strainwave.simulation import Drive
+
+FREE: Control = "open"
+HELD: Control = "servo"
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +19,7 @@ class Limits:
     angle: tuple[float, ...]  # [rad] of the link, to both sides of zero
     velocity: tuple[float, ...]  # [rad/s] of the motor
     voltage: tuple[float, ...]  # [V] of the drive; [N m] where torque is commanded
+    gear_torque: tuple[float, ...]  # [N m] at the link; infinite: not asked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +38,7 @@ class Foreseen:
             (self.angle, limits.angle),
             (self.velocity, limits.velocity),
             (self.voltage, limits.voltage),
+            (self.gear_torque, limits.gear_torque),
         )
         return max(float((used / limit).max()) for used, limit in pairs)
 
@@ -66,7 +71,9 @@ class Design:
     warnings: tuple[Caution, ...]
 
 
-def limits_of(study: Study, angle: str, velocity: str, voltage: str | None) -> Limits:
+def limits_of(
+    study: Study, angle: str, velocity: str, voltage: str | None, gear_torque: str | None
+) -> Limits:
     """The limits as they are written on the command line.
 
     Parameters
@@ -77,6 +84,8 @@ def limits_of(study: Study, angle: str, velocity: str, voltage: str | None) -> L
         One number, or one a joint with commas between.
     voltage : str, optional
         The servo's limit without.
+    gear_torque : str, optional
+        None without.
 
     Returns
     -------
@@ -90,10 +99,14 @@ def limits_of(study: Study, angle: str, velocity: str, voltage: str | None) -> L
     servo = servo_of(study)
     top = (servo.limit,) * study.n_joints
     given = top if voltage is None else _numbers(voltage, study.n_joints, "--limit-voltage")
+    any_torque = (float("inf"),) * study.n_joints
     return Limits(
         angle=_numbers(angle, study.n_joints, "--limit-angle"),
         velocity=_numbers(velocity, study.n_joints, "--limit-velocity"),
         voltage=tuple(min(pair) for pair in zip(given, top, strict=True)),
+        gear_torque=any_torque
+        if gear_torque is None
+        else _numbers(gear_torque, study.n_joints, "--limit-torque"),
     )
 
 

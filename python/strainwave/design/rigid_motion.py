@@ -163,7 +163,7 @@ class Search:
         self.study, self.limits, self.period = study, limits, period
         self.arm = build_arm(study)
         self.vector = parameter_vector(self.arm, values, study)
-        self.time = period / _GRID * np.arange(_GRID)
+        self.time: FloatArray = period / _GRID * np.arange(_GRID, dtype=np.float64)
         self.n_unknowns = study.n_joints * (2 * HARMONICS + 1)
 
     def cost(self, point: FloatArray) -> float:

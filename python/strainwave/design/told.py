@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -43,14 +44,15 @@ def print_design(design: Design, folder: Path, *, console: Console | None = None
 def _table(design: Design) -> Table:
     """A row a record and joint, with the limits at the end."""
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
-    table.add_column("foreseen", no_wrap=True)
+    table.add_column("foreseen, SI units", no_wrap=True)
     for head in ("joint", "angle", "motor speed", "voltage", "gear torque", "at rest"):
         table.add_column(head, justify="right")
     rows = [cells for record in design.records for cells in _rows(record)]
     limits = design.limits
     for i in range(design.study.n_joints):
-        three = (limits.angle[i], limits.velocity[i], limits.voltage[i])
-        rows.append(("limit", str(i + 1), *(f"{value:.3g}" for value in three), "", ""))
+        bounds = (limits.angle, limits.velocity, limits.voltage, limits.gear_torque)
+        shown = (f"{bound[i]:.3g}" if np.isfinite(bound[i]) else "" for bound in bounds)
+        rows.append(("limit", str(i + 1), *shown, ""))
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     return table

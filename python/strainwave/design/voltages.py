@@ -10,7 +10,7 @@ import numpy as np
 from strainwave import excitation
 from strainwave.design.band import Band
 from strainwave.design.foreseen import foreseen, run
-from strainwave.design.plan import Foreseen, Limits, Planned, servo_of
+from strainwave.design.plan import FREE, HELD, Foreseen, Limits, Planned, servo_of
 from strainwave.errors import InvalidInput
 from strainwave.parameters import Values
 from strainwave.records import Control, Experiment, FloatArray, Prbs, Study
@@ -116,9 +116,11 @@ def voltage_record(
         No amplitude keeps to the limits, or a multisine would have to be held by a servo.
     """
     signal = _signal(study, values, band, joint, kind, seed)
-    free: tuple[Control, ...] = ("open",) * study.n_joints
-    held: tuple[Control, ...] = ("servo",) * study.n_joints
-    controls = (held,) if study.arm.gravity else (free,) if kind == "multisine" else (free, held)
+    free: tuple[Control, ...] = (FREE,) * study.n_joints
+    held: tuple[Control, ...] = (HELD,) * study.n_joints
+    controls: tuple[tuple[Control, ...], ...] = (
+        (held,) if study.arm.gravity else (free,) if kind == "multisine" else (free, held)
+    )
     if kind == "multisine" and study.arm.gravity:
         raise InvalidInput(
             "under gravity a servo holds the arm, and a study cannot tell of a multisine under one",
@@ -132,7 +134,7 @@ def voltage_record(
         if not feasible:
             raise InvalidInput(
                 f"no voltage on joint {joint} keeps the guessed arm within the limits",
-                where="--limit-angle, --limit-velocity",
+                where="--limit-angle, --limit-velocity, --limit-torque",
                 remedy="give wider limits, or check the parameters",
             )
         amplitude, control, seen = max(feasible, key=lambda f: f[2].gear_torque[joint - 1])
@@ -245,7 +247,7 @@ def _lines(
     last = seen[name][-samples:, signal.joint - 1]
     size = 2.0 / samples * np.abs(np.fft.rfft(last))
     smooth = np.sqrt(np.convolve(size**2, np.ones(_SMOOTH) / _SMOOTH, mode="same"))
-    frequency = np.fft.rfftfreq(samples, tick)
+    frequency: FloatArray = np.asarray(np.fft.rfftfreq(samples, tick), dtype=float)
     low, high = _AROUND[0] * band.anti_resonance_hz, _AROUND[1] * band.resonance_hz
     near = (frequency >= low) & (frequency <= high)
     return frequency[near], np.maximum(smooth[near], 1e-300)

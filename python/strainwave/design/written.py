@@ -58,7 +58,8 @@ def table_name(record: Planned) -> str:
 def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
     """What is to be applied, a value a tick, with the unit in the name; zeros are left out."""
     drive = record.drive
-    columns = {"t [s]": drive.tick * np.arange(len(drive.voltage))}
+    time: FloatArray = drive.tick * np.arange(len(drive.voltage), dtype=np.float64)
+    columns = {"t [s]": time}
     for i, joint in enumerate(study.joints):
         angle = "rad" if joint.motion == "revolute" else "m"
         number = i + 1
