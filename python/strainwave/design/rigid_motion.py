@@ -30,6 +30,9 @@ _SHARE_ANGLE, _SHARE_VELOCITY, _SHARE_VOLTAGE = 0.95, 0.90, 0.80
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """(n_samples, n_joints) link angles, velocities, accelerations."""
 
+Waves = tuple[FloatArray, FloatArray, FloatArray]
+"""Rates of harmonics, their sines, their cosines."""
+
 
 @dataclass(frozen=True, slots=True)
 class Fourier:
@@ -42,8 +45,11 @@ class Fourier:
 
     def at(self, time: FloatArray) -> Motion:
         """Link angles, velocities and accelerations at given times."""
-        rate = 2.0 * np.pi / self.period * np.arange(1, len(self.sine) + 1)
-        sine, cosine = np.sin(np.outer(time, rate)), np.cos(np.outer(time, rate))
+        return self.of(waves(self.period, len(self.sine), time))
+
+    def of(self, basis: Waves) -> Motion:
+        """The same where the series' waves are at hand, as `waves` gives them."""
+        rate, sine, cosine = basis
         angle = (sine / rate) @ self.sine - (cosine / rate) @ self.cosine
         velocity = cosine @ self.sine + sine @ self.cosine
         acceleration = (cosine * rate) @ self.cosine - (sine * rate) @ self.sine
@@ -52,6 +58,24 @@ class Fourier:
     def scaled(self, factor: float | FloatArray) -> Fourier:
         """The same shape about the same centre, larger or smaller."""
         return Fourier(self.period, self.offset, factor * self.sine, factor * self.cosine)
+
+
+def waves(period: float, harmonics: int, time: FloatArray) -> Waves:
+    """Rates (n_harmonics,) [rad/s] of a period's harmonics, their sines and cosines at given times.
+
+    Parameters
+    ----------
+    period : float [s]
+    harmonics : int
+    time : (n_samples,) [s]
+
+    Returns
+    -------
+    (n_harmonics,), (n_samples, n_harmonics), (n_samples, n_harmonics)
+    """
+    rate: FloatArray = 2.0 * np.pi / period * np.arange(1, harmonics + 1, dtype=np.float64)
+    angle = np.outer(time, rate)
+    return rate, np.sin(angle), np.cos(angle)
 
 
 def full_regressor(study: Study, motion: Motion) -> FloatArray:
@@ -164,6 +188,7 @@ class Search:
         self.arm = build_arm(study)
         self.vector = parameter_vector(self.arm, values, study)
         self.time: FloatArray = period / _GRID * np.arange(_GRID, dtype=np.float64)
+        self.waves = waves(period, HARMONICS, self.time)
         self.n_unknowns = study.n_joints * (2 * HARMONICS + 1)
 
     def cost(self, point: FloatArray) -> float:
@@ -172,7 +197,7 @@ class Search:
 
     def motion_of(self, point: FloatArray) -> Motion:
         """One period of the series that a point stands for."""
-        return self.series(point).at(self.time)
+        return self.series(point).of(self.waves)
 
     def series(self, point: FloatArray) -> Fourier:
         """The largest feasible series of a point's shape and centre.
@@ -192,7 +217,7 @@ class Search:
         shape = Fourier(
             self.period, np.zeros_like(offset), table[1 : HARMONICS + 1], table[HARMONICS + 1 :]
         )
-        angle, velocity, _ = shape.at(self.time)
+        angle, velocity, _ = shape.of(self.waves)
         fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * gear_ratios(self.study)
         room = np.minimum((most - offset) / angle.max(0), (most + offset) / -angle.min(0))
         largest = np.minimum(room, fastest / np.abs(velocity).max(0))
@@ -201,12 +226,12 @@ class Search:
 
     def _voltage_factor(self, series: Fourier) -> float:
         """What a series must be scaled by to be within the voltage limits."""
-        if self.within_voltage(series.at(self.time)):
+        if self.within_voltage(series.of(self.waves)):
             return 1.0
         low, high = 0.0, 1.0
         for _ in range(8):
             middle = 0.5 * (low + high)
-            if self.within_voltage(series.scaled(middle).at(self.time)):
+            if self.within_voltage(series.scaled(middle).of(self.waves)):
                 low = middle
             else:
                 high = middle
