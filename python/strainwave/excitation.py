@@ -11,8 +11,8 @@ import numpy as np
 from strainwave.errors import InvalidInput
 from strainwave.records import ComplexArray, FloatArray, IntArray, Prbs
 
-_CLIPPINGS = 200  # the crest has then settled within a per cent
-_CLIPPED_AT = 0.9  # of the peak; lower is faster at first and worse in the end
+_CLIPPINGS = 300  # the crest has then settled within a few per cent
+_CLIPPED_AT = 0.85  # of the peak; lower is faster at first and worse in the end
 
 
 def prbs(sequence: Prbs) -> FloatArray:

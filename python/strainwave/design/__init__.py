@@ -25,7 +25,7 @@ from strainwave.study import read_study
 __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
 
 _STARTS = 3  # of the search for the motion; the best two of them become records
-_RESTING = 0.2  # of a record; more, and Coulomb friction at rest hides what is asked
+_RESTING = 0.3  # of a record; more, and Coulomb friction at rest hides what is asked
 _KNEES = ("gear_knee_t1", "gear_knee_t2")
 
 

@@ -19,10 +19,12 @@ from strainwave.records import FloatArray, Study
 from strainwave.regressor import body_regressor, gear_ratios
 from strainwave.simulation import build_arm, parameter_vector
 
-HARMONICS = 5
-_GRID = 128  # points a period: 25 in the highest harmonic's
+HARMONICS = 8  # a period of eight seconds or more stays below 1 Hz
+_GRID = 128  # points a period: 16 in the highest harmonic's
 _DRAWN = 60  # random series, of which the best are starts
-_ITERATIONS = 50
+_ITERATIONS = 40
+_CUTS = 3
+_LEAST_SCALE = 1e-3  # where gravity alone takes the voltage: told apart by its poor condition
 _STANDING = 0.01  # of the largest velocity, over which the sign of the friction is rounded
 # What is left of each limit for the servo's error, the gears' vibration and the way in and out.
 _SHARE_ANGLE, _SHARE_VELOCITY, _SHARE_VOLTAGE = 0.95, 0.90, 0.80
@@ -225,27 +227,34 @@ class Search:
         return whole.scaled(self._voltage_factor(whole))
 
     def _voltage_factor(self, series: Fourier) -> float:
-        """What a series must be scaled by to be within the voltage limits."""
-        if self.within_voltage(series.of(self.waves)):
-            return 1.0
-        low, high = 0.0, 1.0
-        for _ in range(8):
-            middle = 0.5 * (low + high)
-            if self.within_voltage(series.scaled(middle).of(self.waves)):
-                low = middle
-            else:
-                high = middle
-        return max(low, 1e-3)
+        """What a series must be scaled by to be within the voltage limits.
 
-    def within_voltage(self, motion: Motion) -> bool:
-        """Whether the drives can move the rigid arm so, with something to spare."""
+        The voltage is nearly straight in the scale, curving upward: false position comes from below.
+        """
+        high, above = 1.0, self.voltage_use(series.of(self.waves))
+        if above <= 1.0:
+            return 1.0
+        low, below = 0.0, self.voltage_use(series.scaled(0.0).of(self.waves))
+        for _ in range(_CUTS):
+            if below >= 1.0:
+                break
+            middle = low + (1.0 - below) / (above - below) * (high - low)
+            use = self.voltage_use(series.scaled(middle).of(self.waves))
+            if use <= 1.0:
+                low, below = middle, use
+            else:
+                high, above = middle, use
+        return max(low, _LEAST_SCALE)
+
+    def voltage_use(self, motion: Motion) -> float:
+        """Share that a motion of the rigid arm takes of what the drives may give it."""
         torque = self.arm.inverse_dynamics(self.vector, *(np.ascontiguousarray(x) for x in motion))
-        volts = np.abs(torque) / torque_per_volt(self.study)
-        return bool((volts <= _SHARE_VOLTAGE * np.array(self.limits.voltage)).all())
+        given = _SHARE_VOLTAGE * np.array(self.limits.voltage) * torque_per_volt(self.study)
+        return float((np.abs(torque) / given).max())
 
     def within(self, motion: Motion) -> bool:
         """Whether a motion keeps to all limits, with something to spare."""
         fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * gear_ratios(self.study)
         near = np.abs(motion[0]).max(0) <= _SHARE_ANGLE * np.array(self.limits.angle) + 1e-12
         slow = np.abs(motion[1]).max(0) <= fastest + 1e-12
-        return bool(near.all() and slow.all()) and self.within_voltage(motion)
+        return bool(near.all() and slow.all()) and self.voltage_use(motion) <= 1.0 + 1e-9
