@@ -229,7 +229,7 @@ class Search:
     def _voltage_factor(self, series: Fourier) -> float:
         """What a series must be scaled by to be within the voltage limits.
 
-        The voltage is nearly straight in the scale, curving upward: false position comes from below.
+        Nearly straight in the scale, and curving upward: false position comes from below.
         """
         high, above = 1.0, self.voltage_use(series.of(self.waves))
         if above <= 1.0:
