@@ -59,7 +59,8 @@ def drive(**changes: float) -> tuple[Study, Values]:
         ("gear_stiffness", 1): 3000.0,
         ("gear_damping", 1): 2.0,
     }
-    values |= {(name, 1): value for name, value in changes.items()}
+    for name, value in changes.items():
+        values[name, None if name.startswith("gravity") else 1] = value
     return Study(Path("nowhere"), "", Arm("single-joint"), (joint,), (), servo), values
 
 
@@ -256,11 +257,22 @@ def test_all_limits_hold(designed: design.Design) -> None:
 
 
 def test_narrow_limits_are_warned_of() -> None:
-    weak = Limits((1.2, 1.0), (180.0, 150.0), (1.2, 1.2), ANY)
-    found = design.design(STUDY, GUESS, weak)
+    study, values = drive()
+    study = replace(study, joints=(replace(study.joints[0], spring="three-slope"),))
+    values |= {("gear_knee_t1", 1): 5.0, ("gear_knee_t2", 1): 20.0}
+    # 0.4 V overcome the friction, and a fifth is kept back
+    found = design.design(study, values, Limits((1.5,), (200.0,), (0.8,), ANY[:1]))
     codes = {(w.code, w.where) for w in found.warnings}
     assert ("knee-not-reached", "prbs-j1") in codes
-    assert any(code == "standing" for code, _ in codes)
+    assert ("standing", "motion") in codes
+
+
+def test_a_motion_that_tells_little_is_warned_of() -> None:
+    study, values = drive(gravity_torque_1=1.0)
+    study = replace(study, arm=replace(study.arm, gravity=9.81))
+    # over a fiftieth of a radian gravity looks like an offset of the friction
+    found = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), ANY[:1]))
+    assert ("poor-excitation", "motion") in {(w.code, w.where) for w in found.warnings}
 
 
 def test_a_slow_servo_is_warned_of() -> None:

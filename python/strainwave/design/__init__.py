@@ -26,6 +26,7 @@ __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
 
 _STARTS = 3  # of the search for the motion; the best two of them become records
 _RESTING = 0.3  # of a record; more, and Coulomb friction at rest hides what is asked
+_POOR = 300.0  # condition number; designs that have room reach 10
 _KNEES = ("gear_knee_t1", "gear_knee_t2")
 
 
@@ -152,6 +153,10 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ..
     """What to know before one record is taken."""
     name, seen = record.experiment.name, record.foreseen
     found = []
+    if record.condition_number and record.condition_number > _POOR:
+        text = f"condition number {record.condition_number:.0f}: the motion hardly tells the rigid "
+        text += "parameters apart; allow more voltage, velocity or angle"
+        found.append(Caution("poor-excitation", name, text))
     for i in range(study.n_joints):
         joint = i + 1
         moved = record.experiment.joint in (None, joint)

@@ -182,10 +182,9 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
     if needed == 1:
         return 1, f"{once}, and the encoders' leaves {100.0 * worst:.2g} % of the worst parameter"
     periods = min(needed, _MOST_PERIODS)
-    return periods, (
-        f"{periods} periods, as the encoders' noise leaves {100.0 * worst / periods**0.5:.2g} % of "
-        "the worst parameter"
-    )
+    many = f"{periods} periods" if needed == periods else f"{periods} periods at most"
+    left = 100.0 * worst / np.sqrt(periods)
+    return periods, f"{many}, as the encoders' noise leaves {left:.2g} % of the worst parameter"
 
 
 def _inertia_at_motor(search: Search) -> FloatArray:

@@ -236,7 +236,8 @@ def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
     left = f"{100.0 * worst / periods**0.5:.2g} % on the weakest line near the resonances"
     if needed <= _LEAST_PERIODS:
         return periods, f"{always}; the {sensor} is then {left}"
-    return periods, f"{_LEAD} period to settle and {periods} as the {sensor} is then {left}"
+    many = f"{periods}" if needed == periods else f"{periods} at most"
+    return periods, f"{_LEAD} period to settle and {many}, as the {sensor} is then {left}"
 
 
 def _lines(
