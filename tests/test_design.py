@@ -90,7 +90,7 @@ def worst_use(study: Study, values: Values, limits: Limits, record: design.Plann
 # --- the rigid motion ---------------------------------------------------------------------------
 
 
-def test_the_motion_is_conditioned_twice_as_well_as_the_built_in_one(
+def test_the_motion_is_conditioned_three_times_as_well_as_the_built_in_one(
     designed: design.Design,
 ) -> None:
     def built_in(seed: int) -> float:
@@ -114,8 +114,8 @@ def test_the_motion_is_conditioned_twice_as_well_as_the_built_in_one(
 
     found = designed.records[0].condition_number
     assert found is not None
-    # of ten seeds the built-in motion's lies between 7.6 and 17
-    assert 2.0 * found < min(built_in(seed) for seed in range(10))
+    # of ten seeds the built-in motion's lies between 10 and 24
+    assert 3.0 * found < min(built_in(seed) for seed in range(10))
 
 
 def test_a_series_has_the_derivatives_it_says() -> None:
