@@ -178,6 +178,34 @@ def test_simulate_keeps_off_the_study_it_reads(tmp_path: Path) -> None:
     assert "another directory" in done.stderr
 
 
+def test_excite_designs_for_a_guess_and_refuses_to_without(tmp_path: Path) -> None:
+    study = scara.study(tmp_path, "rigid")
+    write_study(study, study.path)
+    values = scara.parameters(spring="rigid")
+    document = {"parameters": [{"name": n, "joint": j, "value": v} for (n, j), v in values.items()]}
+    (tmp_path / "p.json").write_text(json.dumps(document))
+    out = tmp_path / "designed"
+    limits = ["--limit-angle", "1.2,1.0", "--limit-velocity", "180"]
+    arguments = ["excite", str(study.path), *limits]
+    guess = ["--parameters", str(tmp_path / "p.json")]
+    faults = [
+        ([*arguments, "--out", str(out)], "unknown size"),
+        ([*arguments, *guess, "--out", str(tmp_path)], "another directory"),
+        ([*arguments, *guess, "--out", str(out), "--kind", "noise"], "multisine"),
+    ]
+    for given, said in faults:
+        done = run(*given)
+        assert done.returncode == 2
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert not out.exists()
+    done = run(*arguments, *guess, "--out", str(out))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "condition number" in done.stdout
+    names = ["apply-motion-check.csv", "apply-motion.csv", "excitation.h", "study.toml"]
+    assert sorted(p.name for p in out.iterdir()) == names
+
+
 def test_version_help_and_wrong_usage() -> None:
     import strainwave
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from strainwave import excitation
 from strainwave.errors import InvalidInput
-from strainwave.records import Prbs
+from strainwave.records import FloatArray, Prbs
 
 
 @given(order=st.integers(2, 12), amplitude=st.floats(0.1, 100.0))
@@ -95,3 +95,20 @@ def test_smooth_motion_keeps_its_limits_and_comes_back(
     assert abs(angle[-1]) < 1e-9 * excursion
     assert velocity[0] == 0.0
     assert max(np.abs(velocity).max() / speed, np.abs(angle).max() / excursion) > 0.999
+
+
+def test_random_phases_are_given_a_low_crest_and_keep_their_lines() -> None:
+    lines = np.arange(3.0, 103.0)
+
+    def wave(seed: int) -> FloatArray:
+        rng = np.random.default_rng(seed)
+        return excitation.multisine(lines, period=1.0, clock=1e-3, periods=1, peak=1.0, rng=rng)
+
+    first, second = wave(0), wave(1)
+    spectrum = np.abs(np.fft.rfft(first))
+    excited = lines.astype(int)
+    np.testing.assert_allclose(spectrum[excited], spectrum[excited].mean(), rtol=1e-12)
+    assert np.delete(spectrum, excited).max() < 1e-10 * spectrum.max()
+    for u in (first, second):
+        assert np.abs(u).max() / u.std() < 1.6  # random phases alone give some 3, Schroeder's 1.7
+    assert not np.array_equal(first, second)

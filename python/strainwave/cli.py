@@ -126,6 +126,61 @@ def export(
             typer.echo(f"warning: {caution.where}: {caution.message}")
 
 
+@app.command(
+    epilog="Example: strainwave excite study.toml --parameters arm.json --out designed "
+    "--limit-angle 1.2 --limit-velocity 180"
+)
+def excite(
+    study: StudyFile,
+    out: Out,
+    limit_angle: Annotated[
+        str, typer.Option("--limit-angle", help="Of the links, either side of zero [rad].")
+    ],
+    limit_velocity: Annotated[
+        str, typer.Option("--limit-velocity", help="Of the motors [rad/s]; one a joint: 180,150.")
+    ],
+    parameters: Annotated[
+        Path | None,
+        typer.Option(
+            "--parameters", help="A guess of the arm, or an earlier result.json.", metavar="P.json"
+        ),
+    ] = None,
+    limit_voltage: Annotated[
+        str | None,
+        typer.Option("--limit-voltage", help="Of the drives [V]; the servo's limit without."),
+    ] = None,
+    limit_torque: Annotated[
+        str | None,
+        typer.Option("--limit-torque", help="Of the gears, at the link [N m]; none without."),
+    ] = None,
+    kind: Annotated[
+        str, typer.Option("--kind", help="Of the voltages: prbs or multisine.")
+    ] = "prbs",
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the search and of phases.")] = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Design the experiments to record: what to apply, for how long, and what the arm will do."""
+    from strainwave import design
+
+    with _progress(quiet) as tell:
+        planned = design.excite_study_file(
+            study,
+            parameters,
+            out,
+            limit_angle=limit_angle,
+            limit_velocity=limit_velocity,
+            limit_voltage=limit_voltage,
+            limit_torque=limit_torque,
+            kind=kind,
+            seed=seed,
+            progress=tell,
+        )
+    if not quiet:
+        from strainwave.design.told import print_design
+
+        print_design(planned, out)
+
+
 @app.command(epilog="Example: strainwave demo --out demo")
 def demo(
     out: Out,

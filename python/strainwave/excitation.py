@@ -9,7 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.records import FloatArray, Prbs
+from strainwave.records import ComplexArray, FloatArray, IntArray, Prbs
+
+_CLIPPINGS = 300  # the crest has then settled within a few per cent
+_CLIPPED_AT = 0.85  # of the peak; lower is faster at first and worse in the end
 
 
 def prbs(sequence: Prbs) -> FloatArray:
@@ -45,11 +48,20 @@ def prbs(sequence: Prbs) -> FloatArray:
 
 
 def multisine(
-    lines: FloatArray, *, period: float, clock: float, periods: int, peak: float
+    lines: FloatArray,
+    *,
+    period: float,
+    clock: float,
+    periods: int,
+    peak: float,
+    rng: np.random.Generator | None = None,
 ) -> FloatArray:
-    """Sum of sines at chosen spectral lines with Schroeder's phases, which keep the peaks low.
+    """Sum of sines at chosen spectral lines with phases that keep the peaks low.
 
     u(t) = c sum_k cos(2 pi l_k t / period - pi k (k - 1) / K)   (Schroeder 1970, flat spectrum)
+
+    With `rng` the phases are random, then swapped: what sticks out is clipped and the lines are
+    given back their size, over and over (Van der Ouderaa, Schoukens, Renneboog 1988).
 
     Parameters
     ----------
@@ -61,6 +73,8 @@ def multisine(
         Repetitions.
     peak : float [V]
         Largest magnitude of the result.
+    rng : numpy.random.Generator, optional
+        Schroeder's phases without.
 
     Returns
     -------
@@ -84,11 +98,30 @@ def multisine(
             f"spectral lines must lie between 1 and {(n - 1) // 2}, got {lines.tolist()}",
             remedy="choose harmonics of the period below half the clock rate",
         )
-    k = np.arange(1, lines.size + 1)
-    phase = -np.pi * k * (k - 1) / lines.size
-    angle = 2.0 * np.pi * np.outer(np.arange(n) / n, lines) + phase
-    one = np.cos(angle).sum(axis=1)
+    at = lines.astype(int)
+    spectrum = np.zeros(n // 2 + 1, dtype=complex)
+    if rng is None:
+        k = np.arange(1, lines.size + 1)
+        spectrum[at] = np.exp(-1j * np.pi * k * (k - 1) / lines.size)
+    else:
+        spectrum[at] = np.exp(2j * np.pi * rng.random(lines.size))
+        spectrum = _with_low_peaks(spectrum, at, n)
+    one = np.fft.irfft(spectrum, n)
     return np.tile(one * (peak / np.abs(one).max()), periods)
+
+
+def _with_low_peaks(spectrum: ComplexArray, at: IntArray, samples: int) -> ComplexArray:
+    """The phases, of all that the clipping goes through, whose peak is lowest."""
+    best, lowest = spectrum, np.inf
+    for _ in range(_CLIPPINGS):
+        wave = np.fft.irfft(spectrum, samples)
+        top = float(np.abs(wave).max())
+        if top < lowest:
+            best, lowest = spectrum, top
+        clipped = np.fft.rfft(np.clip(wave, -_CLIPPED_AT * top, _CLIPPED_AT * top))
+        spectrum = np.zeros_like(spectrum)
+        spectrum[at] = np.exp(1j * np.angle(clipped[at]))
+    return best
 
 
 def steps(levels: FloatArray, *, hold: float, clock: float) -> FloatArray:

@@ -141,6 +141,39 @@ def parameter_vector(arm: _core.Arm, values: Values, study: Study) -> FloatArray
     return np.array(vector)
 
 
+def holding_voltage(
+    study: Study, values: Values, motor_angle: tuple[float, ...]
+) -> tuple[float, ...]:
+    """What keeps an arm up where it stands: gravity's torque over the torque per volt.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        (name, joint) -> value.
+    motor_angle : (n_joints,) [rad]
+
+    Returns
+    -------
+    (n_joints,) [V], or [N m] where the study has no torque per volt
+
+    Raises
+    ------
+    InvalidInput
+        A parameter is missing or impossible.
+    """
+    arm = build_arm(study)
+    vector = parameter_vector(arm, values, study)
+    ratio = np.array([joint.gear_ratio for joint in study.joints])
+    still = np.zeros((1, study.n_joints))
+    try:
+        holding = arm.inverse_dynamics(vector, np.array([motor_angle]) * ratio, still, still)[0]
+    except ValueError as error:
+        raise InvalidInput(str(error), where="--parameters", remedy="mend that value") from error
+    per_volt = [joint.torque_per_volt or 1.0 for joint in study.joints]
+    return tuple(float(t / e) for t, e in zip(holding, per_volt, strict=True))
+
+
 def simulate(
     study: Study,
     values: Values,

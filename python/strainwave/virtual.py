@@ -24,9 +24,8 @@ from strainwave.simulation import (
     Drive,
     Quantity,
     SensorNoise,
-    build_arm,
+    holding_voltage,
     measure,
-    parameter_vector,
     simulate,
 )
 
@@ -272,7 +271,7 @@ def _invent(
         reference=reference,
         servo=tuple(control == "servo" for control in experiment.control),
         motor_angle=still,
-        initial_voltage=_holding_voltage(study, values, still),
+        initial_voltage=holding_voltage(study, values, still),
     )
     return _Plan(drive, sample_time, round(len(excited) * tick / sample_time))
 
@@ -301,22 +300,6 @@ def _steps(study: Study, experiment: Experiment) -> FloatArray:
     level = _STEP_SHARE.get(experiment.use, 0.48) * study.servo.limit / max(kp, 1e-9)
     levels = np.array([0.0, level, 0.0])
     return excitation.steps(levels, hold=_STEP_SECONDS, clock=study.servo.period)
-
-
-def _holding_voltage(
-    study: Study, values: Values, motor_angle: tuple[float, ...]
-) -> tuple[float, ...]:
-    """What keeps the arm up where it begins."""
-    arm = build_arm(study)
-    vector = parameter_vector(arm, values, study)
-    ratio = np.array([joint.gear_ratio for joint in study.joints])
-    still = np.zeros((1, study.n_joints))
-    try:
-        holding = arm.inverse_dynamics(vector, np.array([motor_angle]) * ratio, still, still)[0]
-    except ValueError as error:
-        raise InvalidInput(str(error), where="--parameters", remedy="mend that value") from error
-    per_volt = [joint.torque_per_volt or 1.0 for joint in study.joints]
-    return tuple(float(t / e) for t, e in zip(holding, per_volt, strict=True))
 
 
 def _columns(

@@ -1,0 +1,175 @@
+"""Study, guessed parameters, limits -> Design: which records tell the arm, and how long ones.
+
+`band` says where a joint rings, `voltages` plans what makes it ring, `rigid_motion` searches the
+motion that tells the rigid parameters apart and `motions` makes a record of it; `foreseen` runs
+every plan on the guessed arm, `written` makes files of it and `told` the table for the terminal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from strainwave.design.band import band_of
+from strainwave.design.motions import motion_records
+from strainwave.design.plan import Design, Limits, Planned, limits_of
+from strainwave.design.voltages import Kind, voltage_record
+from strainwave.design.written import write
+from strainwave.errors import InvalidInput
+from strainwave.parameters import Values, completed, read_parameters
+from strainwave.records import Caution, Study
+from strainwave.simulation import build_arm, parameter_vector
+from strainwave.study import read_study
+
+__all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
+
+_STARTS = 3  # of the search for the motion; the best two of them become records
+_RESTING = 0.3  # of a record; more, and Coulomb friction at rest hides what is asked
+_POOR = 300.0  # condition number; designs that have room reach 10
+_KNEES = ("gear_knee_t1", "gear_knee_t2")
+
+
+def excite_study_file(
+    study_path: Path,
+    parameters_path: Path | None,
+    folder: Path,
+    *,
+    limit_angle: str,
+    limit_velocity: str,
+    limit_voltage: str | None,
+    limit_torque: str | None,
+    kind: str,
+    seed: int,
+    progress: Callable[[str], None],
+) -> Design:
+    """Design the experiments of a study file's arm and write them to a folder.
+
+    Parameters
+    ----------
+    study_path : Path
+    parameters_path : Path, optional
+        A guess of the arm, or an earlier result.
+    folder : Path
+    limit_angle, limit_velocity, limit_voltage, limit_torque : str
+        As `limits_of` reads them; the last two may be None.
+    kind : "prbs" or "multisine"
+    seed : int
+    progress : callable
+        Told what is being done.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    InvalidInput
+        A file, a limit or the kind is at fault, or the limits leave no experiment.
+    """
+    if parameters_path is None:
+        raise InvalidInput(
+            "nothing can be designed for an arm of unknown size",
+            where="--parameters",
+            remedy="give a guess of every parameter, from a data sheet or a drawing, or an earlier "
+            "result.json; docs/parameters.md has the layout",
+        )
+    if kind not in ("prbs", "multisine"):
+        raise InvalidInput(
+            f"{kind!r} is no kind of excitation", where="--kind", remedy="use prbs or multisine"
+        )
+    if folder.resolve() == study_path.resolve().parent:
+        raise InvalidInput(
+            "would write the designed study over the one it reads",
+            where=f"--out {folder}",
+            remedy="choose another directory than the study's",
+        )
+    study = read_study(study_path, logs_exist=False)
+    values = read_parameters(parameters_path)
+    limits = limits_of(study, limit_angle, limit_velocity, limit_voltage, limit_torque)
+    chosen: Kind = "prbs" if kind == "prbs" else "multisine"
+    planned = design(study, values, limits, kind=chosen, seed=seed, progress=progress)
+    write(planned, folder)
+    return planned
+
+
+def design(
+    study: Study,
+    values: Values,
+    limits: Limits,
+    *,
+    kind: Kind = "prbs",
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Design:
+    """Plan the records that tell an arm: its rigid motion, and each elastic joint's ringing.
+
+    Parameters
+    ----------
+    study : Study
+        Its experiments are not looked at.
+    values : dict
+        (name, joint) -> value of the guessed arm.
+    limits : Limits
+    kind : "prbs" or "multisine"
+        Of the voltages.
+    seed : int
+        Of the search's starts and of a multisine's phases.
+    progress : callable
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    InvalidInput
+        A parameter is missing, or the limits leave no experiment.
+    """
+    parameter_vector(build_arm(study), values, study)  # tells what is missing
+    bands = {j: band_of(study, values, j) for j in range(1, study.n_joints + 1)}
+    lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
+    progress("searching the rigid motion")
+    records = motion_records(
+        study, values, limits, anti_resonance_hz=lowest, starts=_STARTS, seed=seed
+    )
+    for joint, band in bands.items():
+        if band:
+            progress(f"sizing the excitation of joint {joint}")
+            records += (voltage_record(study, values, limits, band, joint, kind=kind, seed=seed),)
+    known = completed(values, study)
+    warnings = tuple(c for record in records for c in _cautions(study, known, record))
+    for joint, band in bands.items():
+        of_it = [record for record in records if record.experiment.joint == joint]
+        if band and of_it and of_it[0].band_hz[1] < 0.99 * band.high_hz:
+            text = f"the servo's clock lets {of_it[0].band_hz[1]:.3g} Hz through at most, and "
+            text += f"{band.high_hz:.3g} Hz are wanted; drive the voltages by a faster clock"
+            warnings += (Caution("slow-clock", of_it[0].experiment.name, text),)
+    experiments = tuple(record.experiment for record in records)
+    return Design(replace(study, experiments=experiments), limits, records, warnings)
+
+
+def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ...]:
+    """What to know before one record is taken."""
+    name, seen = record.experiment.name, record.foreseen
+    found = []
+    if record.condition_number and record.condition_number > _POOR:
+        text = f"condition number {record.condition_number:.0f}: the motion hardly tells the rigid "
+        text += "parameters apart; allow more voltage, velocity or angle"
+        found.append(Caution("poor-excitation", name, text))
+    for i in range(study.n_joints):
+        joint = i + 1
+        moved = record.experiment.joint in (None, joint)
+        if moved and seen.rest_share[i] > _RESTING:
+            text = f"the motor of joint {joint} stands for {100.0 * seen.rest_share[i]:.0f} % of "
+            text += "the record, where friction hides the rest; allow more voltage or velocity"
+            found.append(Caution("standing", name, text))
+        knees = [known[knee, joint] for knee in _KNEES if (knee, joint) in known]
+        beyond = [knee for knee in knees if knee > seen.gear_torque[i]]
+        excited = record.experiment.joint == joint and study.joints[i].spring == "three-slope"
+        if excited and beyond:
+            text = f"the gear of joint {joint} sees {seen.gear_torque[i]:.3g} N m, and its knees "
+            text += f"are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: its stiffness "
+            text += "beyond will not be told; allow more voltage, velocity or angle"
+            found.append(Caution("knee-not-reached", name, text))
+    return tuple(found)

@@ -1,0 +1,107 @@
+"""A design as files: tables, a C header with the same arrays, and the study to identify from."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from strainwave.design.plan import Design, Planned
+from strainwave.files import write_whole
+from strainwave.records import FloatArray, Study
+from strainwave.study import write_study
+
+HEADER = "excitation.h"
+_PER_LINE = 8
+
+
+def write(design: Design, folder: Path) -> None:
+    """Write one table a record, the header, and then study.toml, whose logs are to be recorded.
+
+    Parameters
+    ----------
+    design : Design
+    folder : Path
+        Made where it does not exist.
+
+    Raises
+    ------
+    InvalidInput
+        The folder cannot be written to.
+    """
+    contents = {
+        table_name(record): _csv(_columns(design.study, record)).encode()
+        for record in design.records
+    }
+    contents[HEADER] = _c_header(design).encode()
+    write_whole(folder, contents)
+    study = replace(design.study, path=folder / "study.toml")
+    write_study(study, study.path)
+
+
+def table_name(record: Planned) -> str:
+    """The file of what is to be applied; the log that is recorded has the experiment's name.
+
+    Parameters
+    ----------
+    record : Planned
+
+    Returns
+    -------
+    str
+    """
+    return f"apply-{record.experiment.name}.csv"
+
+
+def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
+    """What is to be applied, a value a tick, with the unit in the name; zeros are left out."""
+    drive = record.drive
+    time: FloatArray = drive.tick * np.arange(len(drive.voltage), dtype=np.float64)
+    columns = {"t [s]": time}
+    for i, joint in enumerate(study.joints):
+        angle = "rad" if joint.motion == "revolute" else "m"
+        number = i + 1
+        if record.motor_angle is not None:
+            columns[f"ref{number} [{angle}/s]"] = drive.reference[:, i]
+            columns[f"theta_m{number} [{angle}]"] = record.motor_angle[:, i]
+        elif record.experiment.joint == number:
+            force = "N m" if joint.motion == "revolute" else "N"
+            name = f"u{number} [V]" if joint.torque_per_volt else f"torque{number} [{force}]"
+            columns[name] = drive.voltage[:, i]
+    return columns
+
+
+def _csv(columns: dict[str, FloatArray]) -> str:
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns), *(",".join(f"{value:.9g}" for value in row) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _c_header(design: Design) -> str:
+    """The tables' columns but time as C arrays, and each record's tick."""
+    parts = [
+        "/* Experiments by strainwave, SI units, one value a tick. A joint without an array gets",
+        "   no voltage of its own; under a servo its velocity reference is zero. */",
+        "#ifndef STRAINWAVE_EXCITATION_H",
+        "#define STRAINWAVE_EXCITATION_H",
+    ]
+    for record in design.records:
+        name = re.sub(r"\W", "_", record.experiment.name)
+        columns = _columns(design.study, record)
+        time, *values = columns.items()
+        parts += [
+            "",
+            f"#define {name.upper()}_TICKS {len(time[1])}",
+            f"#define {name.upper()}_TICK_SECONDS {record.drive.tick:.9g}",
+        ]
+        for column, array in values:
+            channel, unit = column.split(" ", 1)
+            parts.append(f"static const double {name}_{channel}[{len(array)}] = {{ /* {unit} */")
+            texts = [f"{value:.9g}" for value in array]
+            parts += [
+                ",".join(texts[k : k + _PER_LINE]) + "," for k in range(0, len(texts), _PER_LINE)
+            ]
+            parts.append("};")
+    return "\n".join([*parts, "", "#endif", ""])
