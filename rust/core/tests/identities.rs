@@ -150,9 +150,8 @@ fn torques_that_jump_turn_settling_motors_within_the_step() {
     // other, past all that friction holds, at the very beginning of a step. No torque here makes
     // more than 3000 rad/s^2 at motor 1 and 9000 at motor 2.
     let mut config = config::<TwoLink<false>, 2>([GearKind::Linear; 2]);
-    for joint in &mut config.joints {
-        joint.current_loop_hz = None;
-    }
+    config.joints[0].torque_per_volt = 0.08;
+    config.joints[1].torque_per_volt = 0.03;
     for seed in 0..40 {
         let mut parameters = scara(1.0, 0.0);
         (parameters[12], parameters[20]) = (3e-3, 3e-3);
