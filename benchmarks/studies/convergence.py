@@ -31,15 +31,19 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     all_logs = logs.read_logs(study)
     before = pipeline.identify(path, stages=("rigid", "decoupled"))
     rng = np.random.default_rng(int(1e12 * values["motor_inertia", 1]))
-    starts = values, {key: value * _factor(key[0], rng) for key, value in values.items()}
+    starts = values, _far_from(values, rng)
     ends = [
         tune(all_logs, before.rigid, before.joints, study, TuningOptions(start=start))
         for start in starts
     ]
+    home = {(q.name, q.joint): q for q in ends[0].parameters if q.value is not None}
     apart = {
         f"{p.name} {p.joint or ''}".strip(): abs(p.value - q.value) / q.std
-        for p, q in zip(ends[1].parameters, ends[0].parameters, strict=True)
-        if p.value is not None and q.value is not None and q.std
+        for p in ends[1].parameters
+        if (q := home.get((p.name, p.joint))) is not None
+        and p.value is not None
+        and q.value is not None
+        and q.std
     }
     worst = max(apart, key=lambda name: apart[name])
     return {
@@ -48,6 +52,14 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
         "statuses": [end.status for end in ends],
         "iterations": [end.iterations for end in ends],
     }
+
+
+def _far_from(values: Values, rng: np.random.Generator) -> Values:
+    """A start whose inertia matrix is one in every posture."""
+    while True:
+        start = {key: value * _factor(key[0], rng) for key, value in values.items()}
+        if start["alpha", None] * start["beta", None] > 1.02 * start["gamma", None] ** 2:
+            return start
 
 
 def _factor(name: str, rng: np.random.Generator) -> float:
