@@ -493,10 +493,10 @@ def test_a_curve_whose_knee_starts_out_of_reach_is_found() -> None:
 
 
 def test_a_start_may_be_given() -> None:
-    """From the truth, with nothing left to search for but weights."""
+    """From the truth the search is short, and stays there."""
     study, known, records = rig_records()
     model = from_wrong_starts(records, study, known, TuningOptions(start=known), 0.2)
-    for p, q in zip(model.parameters, standard().parameters, strict=True):
-        if p.value is not None and q.value is not None and q.std:
-            assert abs(p.value - q.value) < 0.5 * q.std, p.name
-    assert model.iterations < standard().iterations
+    assert model.status == "converged"
+    assert model.iterations < 0.7 * standard().iterations
+    for (name, joint), (_, deviations) in errors_of(model, known).items():
+        assert abs(deviations) < 4.0, (name, joint, deviations)
