@@ -10,6 +10,7 @@ from scipy import signal
 
 from strainwave.parameters import EFFECT_PARAMETERS
 from strainwave.records import Effect, FloatArray, ResidualTest
+from strainwave.tuning.effects import sizes_of
 from strainwave.tuning.replayed import low_pass_kernels
 from strainwave.tuning.residuals import (
     coloured_alike,
@@ -17,7 +18,6 @@ from strainwave.tuning.residuals import (
     residual_cautions,
     spectral_density,
 )
-from strainwave.tuning.richer import sizes_of
 from test_tuning_effects import SIZES, tuned
 
 T = 1e-3

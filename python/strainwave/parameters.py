@@ -162,6 +162,27 @@ def _number(value: Any, place: str) -> float:
     return float(value)
 
 
+def link_inertia(values: Values, study: Study, joint: int) -> float:
+    """m_L of a joint: its own, or of two links alpha + beta + 2 gamma, or beta (3).
+
+    Parameters
+    ----------
+    values : dict
+        (name, joint) -> value.
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    float [kg m^2], or [kg] of a prismatic joint
+    """
+    if study.n_joints == 1:
+        return values["link_inertia", 1]
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    return alpha + beta + 2.0 * gamma if joint == 1 else beta
+
+
 def completed(values: Values, study: Study) -> Values:
     """What an arm needs for being simulated, made of what an identification told.
 

@@ -16,7 +16,7 @@ from strainwave import comparisons, excitation, logs, pipeline, scara
 from strainwave import study as studies
 from strainwave.errors import InvalidInput
 from strainwave.files import write_whole
-from strainwave.parameters import Values, read_parameters
+from strainwave.parameters import Values, link_inertia, read_parameters
 from strainwave.records import Comparison, Experiment, FloatArray, Identification, Prbs, Study
 from strainwave.replay import replay as replay_log
 from strainwave.report import render_comparisons
@@ -223,11 +223,10 @@ def derived(values: Values, study: Study) -> Values:
             values["motor_viscous_friction", joint] + drive.gear_ratio**2 * link_viscous
         )
     if study.arm.kind == "planar-two-link":
-        alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
-        known["link_inertia", 1] = alpha + beta + 2.0 * gamma
-        known["link_inertia", 2] = beta
+        for joint in (1, 2):
+            known["link_inertia", joint] = link_inertia(values, study, joint)
         reflected = values["motor_inertia", 1] / study.joints[0].gear_ratio ** 2
-        known["rigid_inertia", 1] = alpha + reflected
+        known["rigid_inertia", 1] = values["alpha", None] + reflected
     return known
 
 

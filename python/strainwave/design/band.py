@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.parameters import Values, completed
+from strainwave.parameters import Values, completed, link_inertia
 from strainwave.physical.two_inertia import TwoInertia, anti_resonance, resonance
 from strainwave.records import Study
 
@@ -70,7 +70,7 @@ def band_of(study: Study, values: Values, joint: int) -> Band | None:
         TwoInertia(
             motor_inertia=known["motor_inertia", joint],
             motor_viscous_friction=known["motor_viscous_friction", joint],
-            link_inertia=_link_inertia(study, known, joint),
+            link_inertia=link_inertia(known, study, joint),
             link_viscous_friction=known["link_viscous_friction", joint],
             gear_stiffness=stiffness,
             gear_damping=known["gear_damping", joint],
@@ -84,10 +84,3 @@ def band_of(study: Study, values: Values, joint: int) -> Band | None:
         resonance_hz=resonance(stiff).frequency_hz,
         width_hz=damping / soft.link_inertia / (2.0 * np.pi),
     )
-
-
-def _link_inertia(study: Study, known: Values, joint: int) -> float:
-    if study.n_joints == 1:
-        return known["link_inertia", 1]
-    alpha, beta, gamma = (known[name, None] for name in ("alpha", "beta", "gamma"))
-    return alpha + beta + 2.0 * gamma if joint == 1 else beta

@@ -41,6 +41,22 @@ def tried(study: Study) -> list[Tried]:
     return [(j, effect) for j, joint in enumerate(study.joints, 1) for effect in joint.effects]
 
 
+def sizes_of(one: Tried) -> list[Key]:
+    """The parameters that are zero where an effect is not there.
+
+    Parameters
+    ----------
+    one : (joint, effect)
+
+    Returns
+    -------
+    list of (name, joint)
+    """
+    joint, effect = one
+    names = EFFECT_PARAMETERS[effect]
+    return [(name, joint) for name in (names if effect == "kinematic-error" else names[:1])]
+
+
 def with_effects(
     search: Search, study: Study, values: Values, largest_torque: Sequence[float]
 ) -> tuple[Search, FloatArray]:
@@ -119,10 +135,9 @@ def idle(search: Search, z: FloatArray, covariance: FloatArray) -> Iterator[Trie
     values = search.parameters(z)
     at: dict[Key, int] = {key: k for k, key in enumerate(search.keys)}
     for effect, names in EFFECT_PARAMETERS.items():
-        sizes = names if effect == "kinematic-error" else names[:1]
         for name, joint in list(at):
             if name == names[0] and joint is not None:
-                own = [at[size, joint] for size in sizes]
+                own = [at[key] for key in sizes_of((joint, effect))]
                 size = values[own]
                 if size @ np.linalg.solve(covariance[np.ix_(own, own)], size) < _EVIDENT**2:
                     yield joint, effect

@@ -16,7 +16,7 @@ import numpy as np
 
 from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.records import FloatArray, IntArray
+from strainwave.records import ComplexArray, FloatArray, IntArray
 from strainwave.tuning.replayed import Replayed
 from strainwave.tuning.trust_region import Linearised, minimise
 from strainwave.tuning.unknowns import Search
@@ -303,9 +303,26 @@ def _shifts(record: Replayed) -> FloatArray:
 
 def _repeats(column: FloatArray) -> float:
     """How many errors in succession say the same thing."""
+    return repetitions(lagged_products(column)[1][: len(column) // 2])
+
+
+def lagged_products(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """The spectrum of a series with as many zeros behind it, and its autocovariances.
+
+    Parameters
+    ----------
+    column : (n,)
+
+    Returns
+    -------
+    spectrum : (n + 1,)
+        Without the mean.
+    autocovariance : (n,)
+        Times n, from lag zero on.
+    """
     n = len(column)
-    spectrum = np.fft.rfft(column - column.mean(), 2 * n)
-    return repetitions(np.fft.irfft(np.abs(spectrum) ** 2)[: n // 2])
+    spectrum = np.asarray(np.fft.rfft(column - column.mean(), 2 * n))
+    return spectrum, np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n]
 
 
 def _lagged(taps: FloatArray, step: int) -> FloatArray:

@@ -8,7 +8,7 @@ from math import erfc, sqrt
 import numpy as np
 
 from strainwave.records import Caution, FloatArray, ResidualTest
-from strainwave.tuning.misfit import Misfit
+from strainwave.tuning.misfit import Misfit, lagged_products
 from strainwave.tuning.replayed import Replayed
 
 _SEGMENTS = 8  # of a record, half of each in common with the next, over which spectra are averaged
@@ -158,10 +158,10 @@ def follows(
     """
     n = len(left)
     delays = min(n // 4, max(1, round(_DELAYS / row_time)))
-    own, own_lagged = _spectrum(left)
+    own, own_lagged = lagged_products(left)
     found = (1, 0.0, 0.0, 1.0)
     for j in range(inputs.shape[1]):
-        given, lagged = _spectrum(inputs[:, j])
+        given, lagged = lagged_products(inputs[:, j])
         if not (own_lagged[0] > 0.0 and lagged[0] > 0.0):
             continue
         cross = np.fft.irfft(own * given.conj(), 2 * n)[:delays]
@@ -174,13 +174,6 @@ def follows(
         if odds < found[3] or (odds == found[3] and abs(correlation[at]) > abs(found[1])):
             found = (j + 1, float(correlation[at]), at * row_time, odds)
     return found
-
-
-def _spectrum(x: FloatArray) -> tuple[np.ndarray[tuple[int], np.dtype[np.complex128]], FloatArray]:
-    """Transform of a series and as many zeros, and its autocovariances times their number."""
-    n = len(x)
-    transform = np.fft.rfft(x - x.mean(), 2 * n)
-    return transform, np.fft.irfft(np.abs(transform) ** 2, 2 * n)[:n]
 
 
 def residual_cautions(tests: Sequence[ResidualTest]) -> Iterator[Caution]:

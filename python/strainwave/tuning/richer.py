@@ -16,7 +16,13 @@ from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.parameters import EFFECT_PARAMETERS, Values
 from strainwave.records import Caution, Effect, FloatArray, RicherModel, Study
-from strainwave.tuning.effects import HYSTERESIS_TWIST, STRIBECK_VELOCITY, Tried
+from strainwave.tuning.effects import (
+    HYSTERESIS_TWIST,
+    STRIBECK_VELOCITY,
+    Tried,
+    records_with,
+    sizes_of,
+)
 from strainwave.tuning.misfit import LEAST_BEND, Evaluated
 from strainwave.tuning.replayed import Replayed
 from strainwave.tuning.told import Fit
@@ -24,13 +30,13 @@ from strainwave.tuning.unknowns import Key
 
 _EVIDENT = 5.0  # deviations from nothing
 _MATTERS = 0.01  # and share of the cost
-_AT_NOTHING: Values = {
-    ("stribeck_friction", None): 0.0,
-    ("stribeck_velocity", None): STRIBECK_VELOCITY,
-    ("hysteresis_torque", None): 0.0,
-    ("hysteresis_twist", None): HYSTERESIS_TWIST,
-    ("kinematic_error_cos", None): 0.0,
-    ("kinematic_error_sin", None): 0.0,
+_AT_NOTHING = {
+    "stribeck_friction": 0.0,
+    "stribeck_velocity": STRIBECK_VELOCITY,
+    "hysteresis_torque": 0.0,
+    "hysteresis_twist": HYSTERESIS_TWIST,
+    "kinematic_error_cos": 0.0,
+    "kinematic_error_sin": 0.0,
 }
 _EXPERIMENTS: Mapping[Effect, str] = {
     "stribeck": "turn the motor slowly, at several constant speeds of either sign",
@@ -64,22 +70,6 @@ def richer_models(fit: Fit, study: Study) -> list[RicherModel]:
     return list(_chosen(candidates, factor, fit.cost))
 
 
-def sizes_of(candidate: Tried) -> list[Key]:
-    """The parameters that are zero where an effect is not there.
-
-    Parameters
-    ----------
-    candidate : (joint, effect)
-
-    Returns
-    -------
-    list of (name, joint)
-    """
-    joint, effect = candidate
-    names = EFFECT_PARAMETERS[effect]
-    return [(name, joint) for name in (names if effect == "kinematic-error" else names[:1])]
-
-
 def _missing(fit: Fit, study: Study) -> list[Tried]:
     known = fit.misfit.search.keys
     return [
@@ -94,21 +84,19 @@ def _bordered(fit: Fit, study: Study, keys: Sequence[Key]) -> FloatArray:
     """R of [effects residual] in what the fit's unknowns cannot imitate: (n_keys + 1,) squared."""
     misfit, n = fit.misfit, len(fit.misfit.search.unknowns)
     numbers = range(1, study.n_joints + 1)
-    nothing = {(name, j): value for (name, _), value in _AT_NOTHING.items() for j in numbers}
-    values = nothing | misfit.search.values(fit.z)
-    rich = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in study.joints)
+    nothing = {(name, j): value for name, value in _AT_NOTHING.items() for j in numbers}
+    values: Values = nothing | misfit.search.values(fit.z)
+    joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in study.joints)
+    rich = records_with(misfit.records, replace(study, joints=joints), values)
 
     def factor(k: int, record: Replayed, evaluated: Evaluated) -> FloatArray:
-        pairs = zip(record.study.joints, rich, strict=True)
-        joints = tuple(replace(joint, effects=other.effects) for joint, other in pairs)
-        other = replace(record, study=replace(record.study, joints=joints))
         begun = misfit.memory.own[k][: len(record.local)]
-        _, tangent = other.linearised(values, begun, keys)
+        _, tangent = record.linearised(values, begun, keys)
         shared = np.concatenate([evaluated.shared, tangent[..., : len(keys)]], axis=2)
         whole = replace(evaluated, shared=shared)
         return whole.weighted(misfit.weights[k]).factor(LEAST_BEND)
 
-    evaluated = enumerate(zip(misfit.records, misfit.evaluate(fit.z), strict=True))
+    evaluated = enumerate(zip(rich, misfit.evaluate(fit.z), strict=True))
     parts = side_by_side([partial(factor, k, record, one) for k, (record, one) in evaluated])
     prior = misfit.search.prior
     known = prior.rows @ misfit.search.slope(fit.z)

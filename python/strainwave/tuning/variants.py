@@ -99,6 +99,8 @@ def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
     -------
     Fit
     """
+    if all(name != SETTLING for name, _ in fit.misfit.search.keys):
+        return fit
     values = fit.misfit.search.values(fit.z)
     deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).local))
     idle = {
