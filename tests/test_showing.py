@@ -16,7 +16,14 @@ from joint_records import case
 from results import arm_model, identification, prediction
 from strainwave import frequency, physical
 from strainwave.errors import InvalidInput
-from strainwave.records import Caution, JointModel, RecordModel, Sweep, SweepPoint
+from strainwave.records import (
+    Caution,
+    FrequencyResponse,
+    JointModel,
+    RecordModel,
+    Sweep,
+    SweepPoint,
+)
 from strainwave.shown import Shown
 
 
@@ -99,11 +106,30 @@ def test_a_prediction_shows_the_channel_that_fits_worst_unless_one_is_named() ->
         made.plot(channel="a1")
 
 
-def test_a_response_shows_the_channels_asked_for() -> None:
+def test_a_response_shows_what_is_asked_for_and_known() -> None:
     response = frequency.respond([case(1).decoupled])
-    first, second = response.plot(), response.plot(output=1, input=1)
-    assert "output 1 to input 1" in title(second)
-    assert not np.allclose(first.axes[0].lines[0].get_ydata(), second.axes[0].lines[0].get_ydata())
+    first, second = response.plot(band_hz=(5.0, 60.0)), response.plot(output=1)
+    assert "input 0 to output 1" in title(second)
+    drawn = np.asarray(first.axes[0].lines[0].get_xdata(), dtype=float)
+    assert 5.0 <= drawn.min() < drawn.max() <= 60.0
+    assert response.noise_variance is not None
+    known = np.sqrt(response.noise_variance / 2.0)[:, 1, 0] < 0.3 * np.abs(
+        response.response[:, 1, 0]
+    )
+    assert 0 < len(np.asarray(second.axes[0].lines[0].get_xdata())) == known.sum() < known.size
+    with pytest.raises(InvalidInput, match="no point"):
+        response.plot(band_hz=(1e6, 2e6))
+
+
+def test_a_model_s_response_has_the_band_of_its_covariance() -> None:
+    f = np.geomspace(1.0, 100.0, 30)
+    response = (10.0 / (1.0 + 1j * f))[:, None, None]
+    spread = 1e-4 * np.abs(response[..., None, None]) ** 2 * np.eye(2)
+    sure = FrequencyResponse(f, response, covariance=spread)
+    assert len(sure.plot().axes[0].patches) == 1
+    assert len(replace(sure, covariance=None).plot().axes[0].patches) == 0
+    with pytest.raises(InvalidInput, match="no point"):
+        replace(sure, covariance=1e4 * spread).plot()
 
 
 def test_a_record_without_a_model_says_why_and_draws_nothing() -> None:

@@ -20,6 +20,7 @@ from strainwave.records import (
     ArmModel,
     Caution,
     Decoupled,
+    FloatArray,
     FrequencyResponse,
     Identification,
     JointModel,
@@ -36,6 +37,7 @@ from strainwave.report import curves, elastic, figures
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_NOISY = 0.3  # relative deviation from which a point of a response is left out
 _PARAMETER_HEADS = ("parameter", "joint", "value", "± std", "unit")
 
 
@@ -62,8 +64,9 @@ def picture_of(record: object, **which: Any) -> Figure:
     record : record of `strainwave.records`
     **which
         Of a `Prediction` its `channel`, without it the one that fits worst; of a
-        `FrequencyResponse` its `output` and `input`, from 0; of a `JointModel` its `gear_ratio`,
-        which it does not know, and the `measured` response to draw beside it.
+        `FrequencyResponse` its `output` and `input`, from 0, and the `band_hz` to show; of a
+        `JointModel` its `gear_ratio`, which it does not know, and the `measured` response to draw
+        beside it.
 
     Returns
     -------
@@ -271,16 +274,49 @@ def _(record: RecordModel) -> figures.Figure:
 
 
 @_figure.register
-def _(response: FrequencyResponse, *, output: int = 0, input: int = 0) -> figures.Figure:
-    size, phase = response.magnitude_std, response.phase_std
+def _(
+    response: FrequencyResponse,
+    *,
+    output: int = 0,
+    input: int = 0,
+    band_hz: tuple[float, float] | None = None,
+) -> figures.Figure:
+    """Where it is told: a point less sure than `_NOISY` would hide the others."""
+    f, G = response.frequencies_hz, response.response[:, output, input]
+    low, high = band_hz or (0.0, np.inf)
+    size, phase = _spread(response, output, input)
+    shown = (f > 0.0) & (f >= low) & (f <= high)
+    if size is not None:
+        shown &= size < _NOISY * np.abs(G)
+    if not shown.any():
+        raise InvalidInput(
+            "no point of the response is known well enough to draw",
+            remedy="average more periods, or draw another input, output or band_hz",
+        )
     curve = curves.Curve(
         response.method,
-        response.frequencies_hz,
-        response.response[:, output, input],
-        None if size is None else size[:, output, input],
-        None if phase is None else phase[:, output, input],
+        f[shown],
+        G[shown],
+        None if size is None else size[shown],
+        None if phase is None else phase[shown],
     )
-    return curves.bode([curve], f"output {output} to input {input}")
+    return curves.bode([curve], f"input {input} to output {output}")
+
+
+def _spread(
+    response: FrequencyResponse, output: int, input: int
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Deviations of modulus and phase: a model's by its covariance, a measured one's by its noise.
+
+    Noise has no direction, so half of its variance lies along the modulus.
+    """
+    if response.noise_variance is not None:
+        size = np.sqrt(0.5 * response.noise_variance[:, output, input])
+        return size, size / np.abs(response.response[:, output, input])
+    modulus, phase = response.magnitude_std, response.phase_std
+    if modulus is None or phase is None:
+        return None, None
+    return modulus[:, output, input], phase[:, output, input]
 
 
 @_figure.register
