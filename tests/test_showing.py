@@ -123,7 +123,7 @@ def test_a_response_shows_what_is_asked_for_and_known() -> None:
 
 def test_a_model_s_response_has_the_band_of_its_covariance() -> None:
     f = np.geomspace(1.0, 100.0, 30)
-    response = (10.0 / (1.0 + 1j * f))[:, None, None]
+    response = np.asarray(10.0 / (1.0 + 1j * f), dtype=np.complex128)[:, None, None]
     spread = 1e-4 * np.abs(response[..., None, None]) ** 2 * np.eye(2)
     sure = FrequencyResponse(f, response, covariance=spread)
     assert len(sure.plot().axes[0].patches) == 1
