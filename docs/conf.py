@@ -8,6 +8,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "python")]
 
+from matplotlib import get_data_path  # noqa: E402
+
 from strainwave import __version__  # noqa: E402
 
 project = "strainwave"
@@ -49,7 +51,8 @@ highlight_language = "none"  # of blocks in docstrings: equations
 html_theme = "furo"
 html_title = f"strainwave {__version__}"
 html_math_renderer = "mathml"
-html_static_path = ["_static"]
+# Matplotlib is there for the notebooks, and its font has what equations need
+html_static_path = ["_static", str(Path(get_data_path()) / "fonts/ttf/DejaVuSerif.ttf")]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False

@@ -68,7 +68,7 @@ def _fields(record: type) -> list[str]:
             said = [_COMMENT.search(line) for line in above + lines[first:last]]
             text = _literal(" ".join(comment[1] for comment in said if comment))
             kind = ast.unparse(field.annotation)
-            found.append(f"- ``{ast.unparse(field.target)}``: ``{kind}``{' – ' * bool(text)}{text}")
+            found.append(f"- ``{ast.unparse(field.target)}``: ``{kind}``{', ' * bool(text)}{text}")
     return found
 
 

@@ -11,8 +11,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_SIZE = (7.0, 3.2)  # [inch]
-_TALL = (7.0, 4.6)
+_WIDTH = 7.0  # [inch]
+_HEIGHT, _TALL = 320.0, 460.0  # [pixels] where a figure does not say
+_DENSITY = 100.0  # pixels of a plotly layout that make an inch
 _DASHES = {"solid": "-", "dot": ":", "dash": "--"}
 
 
@@ -42,7 +43,8 @@ def draw(figure: Mapping[str, Any]) -> Figure:
         ) from None
     layout = figure["layout"]
     tall = "yaxis2" in layout
-    drawn = Canvas(figsize=_TALL if tall else _SIZE, layout="constrained")
+    height = layout.get("height", _TALL if tall else _HEIGHT) / _DENSITY
+    drawn = Canvas(figsize=(_WIDTH, height), layout="constrained")
     upper: Axes = drawn.add_subplot(211 if tall else 111)
     axes = {"y": upper}
     if tall:

@@ -368,6 +368,7 @@ def certainty(parameters: Iterable[Parameter]) -> figures.Figure:
             }
         ],
         "layout": {
+            "height": 480,  # the names stand upright
             "xaxis": {"title": {"text": ""}, "tickangle": -90},
             "yaxis": {"type": "log", "title": {"text": "deviation [% of the value]"}},
         },
