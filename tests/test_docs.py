@@ -13,6 +13,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -192,7 +193,7 @@ def codes_of_warnings() -> set[str]:
     """Every code a caution can have: written out, or made from a check, a step or an effect."""
     made = [node for node in first_arguments("Caution") if not isinstance(node, ast.Constant)]
     assert {ast.unparse(node) for node in made} == {"check.name", "code", "f'{one.effect}-likely'"}
-    likely = {f"{effect}-likely" for effect in records.Effect.__args__}
+    likely = {f"{effect}-likely" for effect in get_args(records.Effect)}
     return constants("Caution") | constants("Check") | constants("tried") | likely
 
 

@@ -39,9 +39,9 @@ def _block(translator: Any, node: nodes.Element) -> None:
     tag = _TAG.search(text)
     number = escape(tag[1]) if tag else ""
     anchor = f' id="eq-{number.lower()}"' if number else ""
-    shown = f'<span class="eqno">({number})</span>' if number else ""
+    shown = f'<span class="number">({number})</span>' if number else ""
     equation = _converted(_TAG.sub("", text), "block")
-    translator.body.append(f'<div class="math equation"{anchor}>{equation}{shown}</div>\n')
+    translator.body.append(f'<div class="equation"{anchor}>{equation}{shown}</div>\n')
     raise nodes.SkipNode
 
 
