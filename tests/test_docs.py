@@ -12,6 +12,7 @@ import re
 import shlex
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -174,14 +175,21 @@ def test_no_equation_stands_twice() -> None:
     assert {f"S{k}" for k in range(1, 14)} <= set(numbers)
 
 
+@cache
+def calls() -> list[ast.Call]:
+    """Every call in the package's code."""
+    files = ROOT.glob("python/strainwave/**/*.py")
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
+    return [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
+
+
 def first_arguments(function: str) -> list[ast.expr]:
     """What the package's code calls a function with, as its first argument."""
-    found = []
-    for path in ROOT.glob("python/strainwave/**/*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) == function:
-                found.append(node.args[0])
-    return found
+    return [
+        call.args[0]
+        for call in calls()
+        if isinstance(call.func, ast.Name) and call.func.id == function
+    ]
 
 
 def constants(function: str) -> set[str]:
