@@ -48,7 +48,7 @@ def test_study_files_are_read(tmp_path: Path) -> None:
     for part in texts:
         if part not in whole:
             path.write_text(whole[0] + part, encoding="utf-8")
-            assert read_study(path, logs_exist=False).channels["theta_m1"].scale < 1.0
+            assert read_study(path, logs_exist=False).channels["theta_m1"].scale != 1.0
 
 
 @pytest.mark.parametrize(("name", "text"), blocks("json"))
