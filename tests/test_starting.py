@@ -188,6 +188,18 @@ def test_what_is_not_understood_is_listed_with_what_it_resembles(tmp_path: Path)
     assert '"temperature": not understood' in text
 
 
+def test_a_sensor_that_names_no_joint_goes_to_the_last_link(tmp_path: Path) -> None:
+    truth = motion()
+    columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
+    write_log(tmp_path / "run.csv", columns | {"acc_y": truth["a2"], "acc_x": truth["a1"]})
+    start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
+    text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
+    assert 'a2 = "acc_y"' in text
+    assert "of 2 columns the one that goes with the motor (r = 1.00)" in text
+    assert "no joint in its name: the last is a guess" in text
+    assert '"acc_x": another axis of the same sensor' in text
+
+
 def test_text_and_nan_columns_are_left_out_and_told(tmp_path: Path) -> None:
     truth = motion()
     names = ["t", "u1", "u2", "theta_m1", "theta_m2", "omega_m1", "state"]

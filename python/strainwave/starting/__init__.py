@@ -1,8 +1,8 @@
 """Logs -> a study file to complete: `strainwave init`.
 
-`looked_at` reads what can be read, `names` and `nature` say what a column is, `joints` and
-`channels` join what they say, `uses` proposes what each record is for, `written` writes it down
-with reasons.
+`looked_at` reads what can be read; `names`, `nature` and `units` say what a column may be, `joints`
+whose it is; `joint_columns` and `axes` join what they say of one joint, `channels` of the arm;
+`uses` proposes what each record is for, and `written` writes it all down with reasons.
 """
 
 from __future__ import annotations

@@ -93,6 +93,7 @@ class Named:
     word: str = ""  # that decided
     sure: bool = False
     own: bool = False  # the name is a channel's
+    placed: bool = True  # the joint is known, not guessed
 
 
 def parse(name: str) -> Named:

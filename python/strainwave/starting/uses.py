@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.records import Control, FloatArray, Prbs, Use
-from strainwave.starting.channels import Mapping
+from strainwave.starting.guesses import Mapping
 from strainwave.starting.looked_at import Record
 from strainwave.starting.nature import levels, runs_alike, sequence_of, smooth_share, switches
 

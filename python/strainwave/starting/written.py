@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from strainwave.starting.channels import Guess, JointFacts, Mapping
+from strainwave.starting.guesses import Guess, JointFacts, Mapping
 from strainwave.starting.looked_at import Record
 from strainwave.starting.nature import is_usual
 from strainwave.starting.uses import Proposed
@@ -33,7 +33,8 @@ _EXPERIMENTS = (
 )
 _WHERE = {
     "link_length": "[m] from axis 1 to axis 2: the drawing, or measure it",
-    "gear_ratio": "link turns per motor turn, 0.01 for 100:1: the gear's data sheet",
+    "gear_ratio": "link turns per motor turn, 0.01 for 100:1: the gear's data sheet; "
+    "1 where torque and angle are both logged behind the gear",
     "torque_per_volt": "[N m/V] at the motor: amplifier gain [A/V] times the motor's torque "
     "constant [N m/A], from their data sheets",
     "accelerometer_distance": "[m] from this link's own axis to the sensor: measure it",
