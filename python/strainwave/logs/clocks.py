@@ -77,11 +77,12 @@ def one_clock(
     columns: dict[str, FloatArray] = {}
     foreign = []
     for track in windowed:
-        if not _is_grid(track.time, grid):
+        rows = _rows_on(grid, track.time)
+        if rows is None:
             foreign.append(track)
             columns |= {name: _at(grid, track, name, name in held) for name in track.columns}
         else:
-            columns |= track.columns
+            columns |= _cut(track, rows).columns
     others = [track for track in foreign if track is not windowed[0]]
     if others:
         cautions.append(_told_foreign(windowed[0], others, path))
@@ -192,16 +193,20 @@ def _overlap(tracks: list[Track], held: Collection[str], path: Path) -> list[Tra
     return [_cut(clock, inside), *others]
 
 
-def _is_grid(time: FloatArray, grid: FloatArray) -> bool:
-    if len(time) != len(grid):
-        return False
-    return float(np.max(np.abs(time - grid))) <= ROUNDING * float(grid[1] - grid[0])
+def _rows_on(grid: FloatArray, time: FloatArray) -> slice | None:
+    """The rows whose stamps are the grid's; None: they are not."""
+    tolerance = ROUNDING * float(grid[1] - grid[0])
+    first = int(np.searchsorted(time, grid[0] - tolerance))
+    rows = slice(first, first + len(grid))
+    if len(time[rows]) < len(grid) or np.max(np.abs(time[rows] - grid)) > tolerance:
+        return None
+    return rows
 
 
 def _grid(time: FloatArray) -> tuple[FloatArray, str]:
     """A uniform grid, and what to say where the stamps are not one already."""
     grid = np.linspace(time[0], time[-1], len(time))
-    if _is_grid(time, grid):
+    if _rows_on(grid, time) is not None:
         return grid, ""
     period = float(np.median(np.diff(time)))
     grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-9) + 1)
