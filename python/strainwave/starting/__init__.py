@@ -14,6 +14,7 @@ from pathlib import Path
 from strainwave.errors import InvalidInput
 from strainwave.files import write_whole
 from strainwave.starting.channels import map_channels
+from strainwave.starting.guesses import Mapping
 from strainwave.starting.looked_at import Record, in_common, look_at
 from strainwave.starting.uses import propose
 from strainwave.starting.written import study_text, todos
@@ -61,7 +62,7 @@ def start_study(logs: Sequence[Path], out: Path) -> Started:
     records = [look_at(path) for path in logs]
     fullest = in_common(records)
     mapping = map_channels(fullest)
-    _check_alike(records, fullest, [guess.column for guess in mapping.guesses.values()])
+    _check_alike(records, fullest, mapping)
     elastic = any(facts.link_sensors for facts in mapping.joints)
     experiments = propose(records, mapping, elastic)
     if not elastic and any(each.prbs for each in experiments):
@@ -73,17 +74,20 @@ def start_study(logs: Sequence[Path], out: Path) -> Started:
     return Started(out, len(mapping.joints), tuple(mapping.guesses), len(records), todos(text))
 
 
-def _check_alike(records: Sequence[Record], fullest: Record, wanted: Sequence[str]) -> None:
-    """One [channels] serves all logs of a study."""
+def _check_alike(records: Sequence[Record], fullest: Record, mapping: Mapping) -> None:
+    """One [channels] serves all logs of a study; angles and inputs must be in every one."""
+    needed = [
+        guess.column
+        for guess in mapping.guesses.values()
+        if guess.channel.startswith(("theta_m", "u", "torque"))
+    ]
     for record in records:
+        lacking = [column for column in needed if column not in record.columns]
         if record.time_column != fullest.time_column:
-            lacking = str(fullest.time_column)
-        elif not any(column in record.columns for column in wanted):
-            lacking = ", ".join(wanted)
-        else:
-            continue
-        raise InvalidInput(
-            f"its columns are named differently from those of {fullest.path.name}: {lacking}",
-            where=str(record.path),
-            remedy="run init for each kind of log, or rename the columns",
-        )
+            lacking.append(str(fullest.time_column))
+        if lacking:
+            raise InvalidInput(
+                f"has no {', '.join(lacking)}, as {fullest.path.name} has",
+                where=str(record.path),
+                remedy="run init for each kind of log, or rename the columns",
+            )

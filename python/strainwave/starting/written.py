@@ -63,7 +63,7 @@ def study_text(
     for number, facts in enumerate(mapping.joints, start=1):
         parts.append(_joint(number, facts, elastic))
     parts.append(_servo(records[0], mapping))
-    parts.append(_channels(records[0], mapping))
+    parts.append(_channels(records, mapping))
     parts.append("\n".join(_wrapped(_EXPERIMENTS)))
     parts += [_experiment(each, out) for each in experiments]
     body = "\n\n".join(parts) + "\n"
@@ -173,16 +173,25 @@ def _gear(facts: JointFacts) -> str:
     return _line("gear_ratio", TODO, _WHERE["gear_ratio"])
 
 
-def _channels(record: Record, mapping: Mapping) -> str:
+def _channels(records: Sequence[Record], mapping: Mapping) -> str:
+    """[channels]; what has its channel's own name needs no line, and may be missing in a log."""
+    record = records[0]
     lines = ["[channels]                  # value = scale * column + offset, in SI units"]
+    own = [g.channel for g in mapping.guesses.values() if g.column == g.channel and g.scale == 1.0]
     if record.time_column is not None:
         rate = 1.0 / record.period
         why = f"sure: increases by {record.period / record.time_scale:.4g} {record.time_unit}, "
         unit = record.time_unit
         why += f"{rate:.4g} Hz" if unit == "s" else f"{rate:.4g} Hz if it counts {unit}"
-        lines.append(_line("t", _entry(record.time_column, record.time_scale), why))
+        if record.time_column == "t" and record.time_scale == 1.0:
+            lines += _wrapped(f"t: {why}")
+        else:
+            lines.append(_line("t", _entry(record.time_column, record.time_scale), why))
+    if own:
+        lines += _wrapped(f"sure: under their own names, in SI units: {', '.join(own)}")
     for guess in mapping.guesses.values():
-        lines.append(_guess(guess))
+        if guess.channel not in own:
+            lines.append(_guess(guess, records))
     for channel, what in mapping.missing.items():
         lines.append(_line(channel, f'"{TODO}"', f"no column was found for {what}"))
     for column, why in mapping.unused.items():
@@ -192,8 +201,16 @@ def _channels(record: Record, mapping: Mapping) -> str:
     return "\n".join(lines)
 
 
-def _guess(guess: Guess) -> str:
+def _guess(guess: Guess, records: Sequence[Record]) -> str:
+    """One channel; where a log lacks its column, a line to be taken in once all have it."""
     comment = f"{guess.sure}: {guess.why}"
+    lacking = [record.path.name for record in records if guess.column not in record.columns]
+    if lacking:
+        comment = (
+            f"not in {', '.join(lacking)}, and a mapped column must be in every log. {comment}"
+        )
+        code = f"{guess.channel} = {_entry(guess.column, guess.scale)}"
+        return "\n".join([*_wrapped(comment), f"# {code}"])
     if guess.scale is None:
         comment = f"{TODO}: {guess.todo}. {comment}"
     return _line(guess.channel, _entry(guess.column, guess.scale), comment)
