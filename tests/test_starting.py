@@ -143,6 +143,24 @@ def test_columns_of_any_name_and_unit_come_out_in_si(vocabulary: str, tmp_path: 
         np.testing.assert_allclose(log.channels[name], truth[name], rtol=1e-9, atol=1e-9)
 
 
+def test_the_third_joint_alone_is_an_arm_of_one_joint(tmp_path: Path) -> None:
+    truth = motion()
+    columns = {"t": truth["t"], "q3": truth["theta_m2"], "tau": truth["u2"]}
+    log = started(tmp_path, columns | {"link_acc": truth["a2"]})
+    for ours, theirs in (("theta_m1", "theta_m2"), ("torque1", "u2"), ("a1", "a2")):
+        np.testing.assert_allclose(log.channels[ours], truth[theirs], rtol=1e-9, atol=1e-9)
+
+
+def test_a_drive_at_its_limit_is_told(tmp_path: Path) -> None:
+    truth = motion()
+    limit = 0.7 * np.abs(truth["u1"]).max()
+    columns = {"t": truth["t"], "pos": truth["theta_m1"]}
+    write_log(tmp_path / "run.csv", columns | {"volt": np.clip(truth["u1"], -limit, limit)})
+    start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
+    text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
+    assert f"now and then it stays at {limit:.4g}: the drive's limit?" in text
+
+
 def test_the_gear_ratio_is_told_by_two_encoders(tmp_path: Path) -> None:
     rename, _ = VOCABULARIES["motor and link encoders"]
     write_log(tmp_path / "run.csv", rename(motion()))

@@ -11,7 +11,7 @@ from strainwave.starting.axes import chosen_axis, scale_and_reason
 from strainwave.starting.guesses import AGREES, Guess, JointFacts, Mapping, Sure
 from strainwave.starting.looked_at import Record
 from strainwave.starting.names import COUNTS, LINEAR, UNITS, Named
-from strainwave.starting.nature import levels, proportion, quantum, wraps
+from strainwave.starting.nature import flat_top, levels, proportion, quantum, wraps
 from strainwave.starting.nature import relation as relation_of
 from strainwave.starting.units import NEAR, nearest_unit, unit_pair
 
@@ -198,6 +198,9 @@ class JointColumns:
         found = levels(self._values(column))
         if found is not None and len(found) > 1:
             why += f"; it takes {len(found)} levels"
+        limit = flat_top(self._values(column))
+        if found is None and limit is not None:
+            why += f"; now and then it stays at {limit:.4g}: the drive's limit?"
         if each.word in ("pwm", "duty"):
             scale, todo = None, "volts at full duty"
         if each.unit is None and quantity != "current":

@@ -43,10 +43,12 @@ def named_columns(record: Record) -> tuple[dict[str, Named], tuple[str, ...]]:
             f"taken as the first and second are {', '.join(_called(numbered, j) for j in chosen)}"
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}
-    if len(chosen) > 1:  # what sits on no joint by its name, sits on the last link
-        for name, each in numbered.items():
-            if each.number is None and each.quantity in ("acceleration", "gyro", "deflection"):
-                numbered[name] = replace(each, number=chosen[-1], placed=False)
+    for name, each in numbered.items():
+        on_link = each.quantity in ("acceleration", "gyro", "deflection")
+        if each.number is None and chosen and (on_link or len(chosen) == 1):
+            # what sits on no joint by its name, sits on the last link
+            placed = len(chosen) == 1
+            numbered[name] = replace(each, number=chosen[-1], placed=placed)
     kept = {
         name: replace(each, number=order[each.number or 1])
         for name, each in numbered.items()

@@ -12,6 +12,7 @@ _SAME = 1e-6  # of the range: levels closer are one
 _JUMP = 0.3  # of the range, within one sample
 _ALIKE = 0.98  # share of a sequence's samples that come again
 _WHOLE = 0.02  # of a unit: how far from a whole number
+_FLAT = 2e-3  # share of a record that a drive is at its limit, to be worth a word
 _USUAL = 2e-4  # how far from an encoder's counts, as far as logged digits tell
 _MOST_LOOKED_AT = 200_000
 
@@ -166,6 +167,14 @@ def runs_alike(values: FloatArray) -> bool:
     edges = np.flatnonzero(np.abs(np.diff(values)) > _JUMP * float(np.ptp(values)))
     runs = np.diff(edges)
     return len(runs) > 1 and bool(runs.max() < 1.5 * np.median(runs))
+
+
+def flat_top(values: FloatArray) -> float | None:
+    """The magnitude at which a column stays now and then, as a drive at its limit does."""
+    top = float(np.abs(values).max())
+    at_top = np.abs(values) > (1.0 - 1e-6) * top
+    stays = at_top[1:] & at_top[:-1]
+    return top if top > 0.0 and stays.mean() > _FLAT else None
 
 
 def wraps(values: FloatArray, turn: float) -> bool:
