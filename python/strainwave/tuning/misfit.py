@@ -16,6 +16,7 @@ import numpy as np
 
 from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.matrices import triangular_factor
 from strainwave.records import ComplexArray, FloatArray, IntArray
 from strainwave.tuning.replayed import Replayed
 from strainwave.tuning.trust_region import Flat, Linearised, minimise
@@ -30,6 +31,7 @@ _LEAST = 1e-3  # of it: no model is better than that
 _ROBUST = 1.4826  # standard deviation of normal errors over their median magnitude
 
 _ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
+_STAYS = 1e-3  # deviations by which another round moves nothing that matters
 _BEGUN = 0.1  # gain still foretold of moving a beginning, in units of the cost
 _BEGINNINGS = 12  # of a record that are tried for one point
 
@@ -63,8 +65,8 @@ class Evaluated:
             [self.local / weights.deviation[:, None], residual[..., None]], axis=2
         )
         table = table * root[..., None]
-        factor = np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r")
-        return Linearised(_loss(residual, weights), np.asarray(factor))
+        factor = triangular_factor(table.reshape(-1, table.shape[2]))
+        return Linearised(_loss(residual, weights), factor)
 
     def weighted(self, weights: Weights) -> Rows:
         """Divided by their deviations, the record's own unknowns at their best."""
@@ -76,8 +78,10 @@ class Evaluated:
         for _ in range(_ROUNDS if len(step) else 0):
             flat = root.reshape(-1, 1)
             step = np.asarray(np.linalg.lstsq(columns * flat, -(begun.ravel() * flat[:, 0]))[0])
-            residual = begun + (columns @ step).reshape(begun.shape)
+            before, residual = residual, begun + (columns @ step).reshape(begun.shape)
             root = _root(residual, weights)
+            if np.max(np.abs(residual - before)) < _STAYS:
+                break
         return Rows(residual, root, self.shared / weights.deviation[:, None], local, step)
 
 
@@ -103,7 +107,7 @@ class Rows:
         parts = [bend * self.local, bend * self.shared, self.residual[..., None]]
         table = np.concatenate(parts, axis=2) * (self.root[..., None] / np.sqrt(bend))
         n = len(self.step)
-        return np.asarray(np.linalg.qr(table.reshape(-1, table.shape[2]), mode="r"))[n:, n:]
+        return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
 
     def cost(self, weights: Weights) -> float:
         """The soft L1 loss."""
@@ -165,8 +169,7 @@ class Misfit:
         prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
         slope = self.search.prior.rows @ self.search.slope(z)
         stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
-        factor = np.linalg.qr(stacked, mode="r")
-        return Linearised(float(cost + np.sum(prior**2)), np.asarray(factor))
+        return Linearised(float(cost + np.sum(prior**2)), triangular_factor(stacked))
 
     def rows(self, z: FloatArray) -> list[Rows]:
         """Every record's rows, its own unknowns at their best for z."""
