@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from html import escape
-
 import numpy as np
 
 from strainwave.formatting import plus_minus
 from strainwave.records import Criticism, ResidualTest, RicherModel
-from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, rounded
-from strainwave.report.html import figure, table
+from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, panels, rounded, unit_of
+from strainwave.report.html import figure, row, table
 
 _CHANCE = 1e-3  # probabilities below are not told apart
 
@@ -51,7 +49,9 @@ def criticised(criticism: Criticism, plots: dict[str, Figure]) -> str:
         own = [test for test in criticism.residuals if test.channel == channel]
         worst = max(own, key=_loudness)
         label = f"{worst.experiment}, {channel}: what is left, over frequency"
-        parts.append(figure(label, spectrum(worst), plots))
+        words = f"What is left is {_loudness(worst):.2g} times the sensor's noise, and exceeds it"
+        words += f" most near {worst.worst_hz:.3g} Hz."
+        parts.append(figure(f"left {channel}", label, spectrum(worst), plots, words=words))
     return "".join(parts)
 
 
@@ -70,15 +70,15 @@ def spectrum(test: ResidualTest) -> Figure:
     seen = test.frequency_hz > 0.0
     at = rounded(test.frequency_hz[seen])
     densities = [np.sqrt(d[seen]) for d in (test.density, test.noise_density)]
+    quantity = f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]"
+    layout = panels("frequency [Hz]", [quantity], log=True)
+    layout["yaxis"]["type"] = "log"
     return {
         "data": [
             line(at, densities[0], "left", MEASURED),
             line(at, densities[1], "noise of the sensor", RESIDUAL, dash="4px,2px"),
         ],
-        "layout": {
-            "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}},
-            "yaxis": {"type": "log", "title": {"text": f"{test.channel} [unit/sqrt(Hz)]"}},
-        },
+        "layout": layout,
     }
 
 
@@ -91,12 +91,8 @@ def _row(test: ResidualTest) -> str:
     if test.input_probability < _CHANCE:
         follows = f"joint {test.input_joint}'s, r = {test.input_correlation:.2f},"
         follows += f" {1e3 * test.input_delay:.3g} ms behind"
-    cells = (f"{_loudness(test):.2g}", f"{test.worst_hz:.3g} Hz", _odds(test.whiteness))
-    numbers = "".join(f'<td class="number">{cell}</td>' for cell in cells)
-    return (
-        f"<tr><td>{escape(test.experiment)}</td><td>{escape(test.channel)}</td>{numbers}"
-        f"<td>{escape(follows)}</td></tr>"
-    )
+    numbers = (f"#{_loudness(test):.2g}", f"#{test.worst_hz:.3g} Hz", f"#{_odds(test.whiteness)}")
+    return row((test.experiment, test.channel, *numbers, follows))
 
 
 def _richer(one: RicherModel) -> str:
@@ -105,13 +101,17 @@ def _richer(one: RicherModel) -> str:
         f"{name.removeprefix(prefix)} {' ± '.join(plus_minus(size, one.stds[name]))}"
         for name, size in one.sizes.items()
     )
-    return (
-        f"<tr><td>{escape(one.effect)}</td><td>{one.joint}</td><td>{escape(sizes)}</td>"
-        f'<td class="number">{np.sqrt(max(one.gain, 0.0)):.2g}</td>'
-        f'<td class="number">{100.0 * one.share:.2g} %</td>'
-        f"<td>{'likely' if one.evident else 'no sign of it'}</td></tr>"
+    return row(
+        (
+            one.effect,
+            str(one.joint),
+            sizes,
+            f"#{np.sqrt(max(one.gain, 0.0)):.2g}",
+            f"#{100.0 * one.share:.2g} %",
+            "likely" if one.evident else "no sign of it",
+        )
     )
 
 
 def _odds(probability: float) -> str:
-    return f"p = {probability:.2g}" if probability >= _CHANCE else f"p &lt; {_CHANCE:g}"
+    return f"p = {probability:.2g}" if probability >= _CHANCE else f"p < {_CHANCE:g}"

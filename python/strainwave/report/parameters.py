@@ -1,0 +1,67 @@
+"""The table of parameters: one row each, the arm's own first, then joint by joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from strainwave.formatting import plus_minus
+from strainwave.records import Parameter
+from strainwave.report.html import row, table
+
+_HEADS = (
+    "parameter",
+    "unit",
+    "#value",
+    "#± one sigma",
+    "#95 % interval",
+    "#half of it, %",
+    "told by",
+)
+
+
+def parameter_table(parameters: Sequence[Parameter]) -> str:
+    """All parameters with their intervals.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        The best of each, once.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    rows = []
+    last: int | None = -1
+    for p in parameters:
+        if p.joint != last:
+            title = f"joint {p.joint}" if p.joint else "arm"
+            rows.append(
+                f'<tr class="group"><th scope="rowgroup" colspan="{len(_HEADS)}">{title}</th></tr>'
+            )
+            last = p.joint
+        rows.append(_row(p))
+    return table("Parameters", _HEADS, "".join(rows), heading=False)
+
+
+def _row(p: Parameter) -> str:
+    value, spread = plus_minus(p.value, p.std)
+    if p.value is None:
+        cells = [p.name, p.unit, "#not told", "#", "#the data do not tell it", "#"]
+        return row([*cells, p.stage])
+    interval, half = "#not known", "#"
+    if p.ci95 is not None:
+        low, high = p.ci95
+        interval = f"#{_like(value, low)} … {_like(value, high)}"
+        half = f"#{100.0 * 0.5 * (high - low) / abs(p.value):.2g}" if p.value else "#"
+    return row([p.name, p.unit, f"#{value}", f"#{spread}", interval, half, p.stage])
+
+
+def _like(shown: str, number: float) -> str:
+    """A number with the decimals, and the exponent, of another that is written already."""
+    digits, _, exponent = shown.partition("e")
+    decimals = len(digits.partition(".")[2])
+    if not exponent:
+        return f"{number:.{decimals}f}"
+    return f"{number / 10.0 ** int(exponent):.{decimals}f}e{exponent}"
