@@ -68,7 +68,7 @@ def draw(figure: Mapping[str, Any]) -> Figure:
     square = any(trace.get("type") == "heatmap" for trace in figure["data"])
     height = _SQUARE if square else _AROUND + _PANEL * len(names)
     drawn = Figure(figsize=(_WIDTH, height), layout="constrained")
-    shares = [_share(layout.get(name, {})) for name in names]
+    shares = [high - low for low, high in (_domain(layout, k) for k in range(len(names)))]
     grid = drawn.add_gridspec(len(names), 1, height_ratios=shares)
     axes: dict[str, Axes] = {}
     for k, name in enumerate(names):
@@ -112,11 +112,6 @@ def images(figure: Mapping[str, Any]) -> dict[str, bytes]:
             drawn.savefig(file, format=ending, dpi=_RESOLUTION, metadata=metadata)
             found[ending] = file.getvalue()
     return found
-
-
-def _share(axis: Mapping[str, Any]) -> float:
-    low, high = axis.get("domain", (0.0, 1.0))
-    return float(high - low)
 
 
 def _trace(drawn: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
@@ -204,16 +199,31 @@ def _marks(axes: list[Axes], layout: Mapping[str, Any]) -> None:
         for own in axes:
             own.axvline(shape["x0"], linestyle=_dashes(shape["line"]["dash"], width), **look)
     for word in layout.get("annotations", ()):
-        axes[0].annotate(
+        panel, height = _within(word["y"], [_domain(layout, k) for k in range(len(axes))])
+        axes[panel].annotate(
             word["text"],
-            (10.0 ** word["x"] if logarithmic else word["x"], 1.0),
+            (10.0 ** word["x"] if logarithmic else word["x"], height),
             xycoords=("data", "axes fraction"),
-            rotation=90,
-            ha="right",
-            va="top",
+            xytext=(-3.0 if word["xanchor"] == "right" else 3.0, -2.0),
+            textcoords="offset points",
+            ha=word["xanchor"],
+            va=word["yanchor"],
             fontsize=_WORDS - 1.0,
             parse_math=False,
         )
+
+
+def _domain(layout: Mapping[str, Any], panel: int) -> tuple[float, float]:
+    low, high = layout.get(f"yaxis{panel + 1 if panel else ''}", {}).get("domain", (0.0, 1.0))
+    return float(low), float(high)
+
+
+def _within(height: float, domains: list[tuple[float, float]]) -> tuple[int, float]:
+    """The panel that a height of the whole figure lies in, and how high in it."""
+    for panel, (low, high) in enumerate(domains):
+        if low <= height <= high:
+            return panel, (height - low) / (high - low)
+    return 0, 1.0
 
 
 def _legend(drawn: Figure, axes: list[Axes], data: list[Mapping[str, Any]]) -> None:

@@ -12,6 +12,7 @@ from strainwave.records import (
     ComplexArray,
     FloatArray,
     FrequencyResponse,
+    Joint,
     JointModel,
     Mode,
     StateSpace,
@@ -45,7 +46,7 @@ _BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
 
 def bode(
     joint: JointModel,
-    gear_ratio: float,
+    own: Joint,
     measured: FrequencyResponse | None,
     sampled: Sequence[tuple[str, StateSpace]] = (),
 ) -> Figure:
@@ -55,11 +56,13 @@ def bode(
     ----------
     joint : JointModel
         The physical model, drawn with its 95 % band.
-    gear_ratio : float
+    own : Joint
+        Of the study.
     measured : FrequencyResponse or None
         The nonparametric one; points of low coherence are grey.
     sampled : sequence of (str, StateSpace)
-        State-space models by the names of their records.
+        State-space models by the names of their records, drawn within the band of the fit: beyond
+        it they were not asked.
 
     Returns
     -------
@@ -68,7 +71,8 @@ def bode(
     """
     low, high = joint.band_hz[0] / _OUTSIDE, joint.band_hz[1] * _OUTSIDE
     data: list[Figure] = []
-    titles, heights = ["dB re rad/s/(N m)", "phase [°]"], [1.0, 0.7]
+    unit = "m/s/N" if own.motion == "prismatic" else "rad/s/(N m)"
+    titles, heights = [f"dB re {unit}", "phase [°]"], [1.0, 0.7]
     if measured is not None:
         seen = _lines_between(measured, low, high)
         data += _measured(measured, seen)
@@ -77,18 +81,19 @@ def bode(
             titles.append("coherence")
             heights.append(0.4)
     for k, (name, model) in enumerate(sampled):
-        top = min(high, _NYQUIST * 0.5 / model.sample_time)
-        f: FloatArray = np.geomspace(low, top, _POINTS)
+        top = min(joint.band_hz[1], _NYQUIST * 0.5 / model.sample_time)
+        f: FloatArray = np.geomspace(joint.band_hz[0], top, _POINTS)
         G = frequency_response(model, f).response[:, 0, 0]
         dash = ("6px,3px", "2px,2px", "8px,3px,2px,3px")[k % 3]
         data += _curve(f, G, f"state space, {name}", LINEAR, dash)
     f = np.geomspace(low, high, _POINTS)
-    data += _physical(joint, gear_ratio, f)
+    data += _physical(joint, own.gear_ratio, f)
     layout = panels("frequency [Hz]", titles, log=True, heights=heights)
     layout["yaxis2"]["dtick"] = 90
     if "yaxis3" in layout:
         layout["yaxis3"]["range"] = [0.0, 1.05]
-    return {"data": data, "layout": marked(layout, _marks(joint))}
+    marks = _marks(joint, layout["yaxis2"]["domain"][1])
+    return {"data": data, "layout": marked(layout, marks)}
 
 
 def words(joint: JointModel, measured: FrequencyResponse | None) -> str:
@@ -202,10 +207,20 @@ def _modes(joint: JointModel) -> list[tuple[str, Mode]]:
     return [(name, mode) for name, mode in both if mode is not None]
 
 
-def _marks(joint: JointModel) -> list[Figure]:
-    """Lines at both modes, and at the edges of the band that was fitted."""
+def _marks(joint: JointModel, height: float) -> list[Figure]:
+    """Lines at both modes, and at the edges of the band that was fitted.
+
+    The words stand in the phase's panel, which is empty there: left of one, right of the other.
+    """
     marks = [
-        upright(mode.frequency_hz, f"{name} {mode.frequency_hz:.4g} Hz", log=True, dash="solid")
+        upright(
+            mode.frequency_hz,
+            f"{name} {mode.frequency_hz:.4g} Hz",
+            height=height,
+            before=name == "anti-resonance",
+            log=True,
+            dash="solid",
+        )
         for name, mode in _modes(joint)
     ]
     return marks + [upright(edge, "", log=True) for edge in joint.band_hz]

@@ -12,6 +12,7 @@ from strainwave.report.figures import MEASURED, MODEL, Figure, panels
 
 STRONG = 0.95  # from which two parameters are said to be told only together
 _MOST_PAIRS = 8
+_LETTERS = 10  # pixels high, so that thirty names stand one below the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +98,10 @@ def heat_map(found: Correlations) -> Figure:
     """
     names = list(found.names)
     layout = panels("", [""])
-    layout["yaxis"]["autorange"] = "reversed"
-    layout["xaxis"]["tickangle"] = -90
+    layout["yaxis"] |= {"autorange": "reversed", "tickfont": {"size": _LETTERS}}
+    layout["xaxis"] |= {"tickangle": -90, "tickfont": {"size": _LETTERS}}
+    room = 10 + round(0.6 * _LETTERS * max(len(name) for name in names))
+    layout["margin"] = {"l": room, "b": room}
     return {
         "data": [
             {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from strainwave.formatting import plus_minus
@@ -26,33 +28,31 @@ def criticised(criticism: Criticism, plots: dict[str, Figure]) -> str:
     str
         HTML.
     """
-    parts = [
-        table(
-            "What the fit leaves, beside the sensors' own noise",
-            (
-                "record",
-                "channel",
-                "#times its noise",
-                "#most at",
-                "#like noise",
-                "follows an input",
-            ),
-            "".join(_row(test) for test in criticism.residuals),
-        ),
+    tests = criticism.residuals
+    channels = list(dict.fromkeys(test.channel for test in tests))
+    worst = [max((t for t in tests if t.channel == name), key=_loudness) for name in channels]
+    parts = [_tests("What the fit leaves, the worst record of each channel", worst)]
+    if len(tests) > len(worst):
+        every = _tests(f"What the fit leaves, all {len(tests)} tests", tests, heading=False)
+        parts.append(f"<details><summary>All {len(tests)} tests</summary>{every}</details>")
+    parts.append(
         table(
             "What a richer model would explain of it",
             ("effect", "joint", "of the size", "#deviations", "#share of the cost", "in the data"),
             "".join(_richer(one) for one in criticism.richer),
-        ),
-    ]
-    for channel in dict.fromkeys(test.channel for test in criticism.residuals):
-        own = [test for test in criticism.residuals if test.channel == channel]
-        worst = max(own, key=_loudness)
-        label = f"{worst.experiment}, {channel}: what is left, over frequency"
-        words = f"What is left is {_loudness(worst):.2g} times the sensor's noise, and exceeds it"
-        words += f" most near {worst.worst_hz:.3g} Hz."
-        parts.append(figure(f"left {channel}", label, spectrum(worst), plots, words=words))
+        )
+    )
+    for test in worst:
+        label = f"{test.experiment}, {test.channel}: what is left, over frequency"
+        words = f"What is left is {_loudness(test):.2g} times the sensor's noise, and exceeds it"
+        words += f" most near {test.worst_hz:.3g} Hz."
+        parts.append(figure(f"left {test.channel}", label, spectrum(test), plots, words=words))
     return "".join(parts)
+
+
+def _tests(title: str, tests: Sequence[ResidualTest], *, heading: bool = True) -> str:
+    heads = ("record", "channel", "#times its noise", "#most at", "#like noise", "follows an input")
+    return table(title, heads, "".join(_row(test) for test in tests), heading=heading)
 
 
 def spectrum(test: ResidualTest) -> Figure:

@@ -27,7 +27,7 @@ def stiffness(sweep: Sweep) -> Figure:
     points["error_y"] = {"type": "data", "array": rounded(bars), "color": MEASURED}
     return {
         "data": [points],
-        "layout": panels("amplitude of excitation [V]", ["equivalent stiffness [N m/rad]"]),
+        "layout": panels("amplitude of excitation [V]", ["k [N m/rad]"]),
     }
 
 

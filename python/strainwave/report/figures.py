@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.records import FloatArray, IntArray, Prediction
+from strainwave.records import FloatArray, IntArray, Joint, Prediction
 
 MEASURED = "#0072B2"
 MODEL = "#D55E00"
@@ -23,15 +23,20 @@ MOST_POINTS = 1200  # of a line; one with more is thinned: a screen is no wider
 Figure = dict[str, Any]
 
 _UNITS = {"u": "V", "torque": "N m", "omega_m": "rad/s", "a": "m/s²"}
+_STRAIGHT = {"u": "V", "torque": "N", "omega_m": "m/s", "a": "m/s²"}
 _BETWEEN = 0.08  # of the height of one panel, left free above the next
 
 
-def of_prediction(prediction: Prediction, most: int = MOST_POINTS) -> Figure:
+def of_prediction(
+    prediction: Prediction, joints: Sequence[Joint] = (), most: int = MOST_POINTS
+) -> Figure:
     """A record's channels over time, one above the other: measured, predicted, and the difference.
 
     Parameters
     ----------
     prediction : Prediction
+    joints : sequence of Joint
+        Of the arm: a prismatic one has other units.
     most : int
         Points of a line.
 
@@ -46,29 +51,35 @@ def of_prediction(prediction: Prediction, most: int = MOST_POINTS) -> Figure:
         pick = thinned(np.column_stack([measured, predicted, measured - predicted]), most)
         time = rounded(prediction.time[pick])
         looks = (
-            (measured, "measured", MEASURED, "solid", 1.5),
-            (predicted, "model", MODEL, "4px,2px", 1.5),
             (measured - predicted, "difference", RESIDUAL, "solid", 1.0),
+            (measured, "measured", MEASURED, "solid", 2.5),
+            (predicted, "model", MODEL, "4px,2px", 1.2),
         )
         for y, name, colour, dash, width in looks:
             drawn = line(time, y[pick], name, colour, dash=dash, width=width)
             data.append(drawn | place(k, name, first=k == 0))
-    titles = [f"{name} [{unit_of(name)}]" for name in prediction.channels]
+    titles = [f"{name} [{unit_of(name, joints)}]" for name in prediction.channels]
     return {"data": data, "layout": panels("time [s]", titles)}
 
 
-def unit_of(channel: str) -> str:
+def unit_of(channel: str, joints: Sequence[Joint] = ()) -> str:
     """The unit of a log's channel.
 
     Parameters
     ----------
     channel : str
+        `u1`, `omega_m2`, ...
+    joints : sequence of Joint
+        Revolute where there are none.
 
     Returns
     -------
     str
     """
-    return _UNITS.get(channel.rstrip("0123456789"), "")
+    kind = channel.rstrip("0123456789")
+    number = int(channel[len(kind) :] or 1)
+    straight = number <= len(joints) and joints[number - 1].motion == "prismatic"
+    return (_STRAIGHT if straight else _UNITS).get(kind, "")
 
 
 def panels(
@@ -192,14 +203,26 @@ def band(x: list[float | None], low: FloatArray, high: FloatArray, colour: str) 
     }
 
 
-def upright(x: float, text: str, *, log: bool = False, dash: str = "dot") -> Figure:
-    """A vertical line through all panels, with a word at its top: `shapes` and `annotations`.
+def upright(
+    x: float,
+    text: str,
+    *,
+    height: float = 1.0,
+    before: bool = False,
+    log: bool = False,
+    dash: str = "dot",
+) -> Figure:
+    """A vertical line through all panels, with words beside it: `shapes` and `annotations`.
 
     Parameters
     ----------
     x : float
     text : str
         Empty: the line alone.
+    height : float
+        Of the words' upper edge, as a share of the figure.
+    before : bool
+        Whether the words stand left of the line, not right of it.
     log : bool
         Whether the horizontal axis is logarithmic: words then stand at the logarithm.
     dash : str
@@ -222,10 +245,9 @@ def upright(x: float, text: str, *, log: bool = False, dash: str = "dot") -> Fig
         "xref": "x",
         "yref": "paper",
         "x": float(np.log10(x)) if log else x,
-        "y": 1.0,
+        "y": height,
         "text": text,
-        "textangle": -90,
-        "xanchor": "right",
+        "xanchor": "right" if before else "left",
         "yanchor": "top",
         "showarrow": False,
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,17 @@ class Curve:
     largest: float  # [N m] up to which it is drawn
     carried: TorqueHistogram | None  # None: not known
     equivalent: bool = False  # one slope for the whole of a bent curve
+    straight: bool = False  # whether it is a prismatic joint's: N and m, not N m and rad
+
+    @property
+    def unit(self) -> str:
+        """Of the torque."""
+        return "N" if self.straight else "N m"
+
+    @property
+    def slope_unit(self) -> str:
+        """Of a slope."""
+        return "N/m" if self.straight else "N m/rad"
 
 
 def curves(identification: Identification) -> list[Curve]:
@@ -69,17 +80,8 @@ def curves(identification: Identification) -> list[Curve]:
                 curve = _curve(number, own.parameters, own.covariance[:size, :size], carried)
         if curve is not None:
             equivalent = joint.spring == "three-slope" and len(curve.slopes) == 1
-            found.append(
-                Curve(
-                    number,
-                    curve.slopes,
-                    curve.knees,
-                    curve.covariance,
-                    curve.largest,
-                    carried,
-                    equivalent,
-                )
-            )
+            straight = joint.motion == "prismatic"
+            found.append(replace(curve, equivalent=equivalent, straight=straight))
     return found
 
 
@@ -104,14 +106,18 @@ def slope_figure(curve: Curve) -> Figure:
         band(at, slope - reach, slope + reach, MODEL) | place(0, "slope", first=False),
         line(at, slope, "slope", MODEL, width=2.0) | place(0, "slope", first=True),
     ]
-    titles = ["slope [N m/rad]"]
+    titles = [f"slope [{curve.slope_unit}]"]
     if curve.carried is not None:
         titles.append("records [%]")
         data.append(_bars(curve.carried) | place(1, "torques in the records", first=True))
     heights = [1.0, 0.8][: len(titles)]
-    layout = panels("|torque| of the gear, at the link [N m]", titles, heights=heights)
+    layout = panels(f"|torque| of the gear, at the link [{curve.unit}]", titles, heights=heights)
+    if curve.carried is not None:
+        layout["yaxis2"]["type"] = "log"  # the rare large torques tell the last slope
     layout["yaxis"]["range"] = [0.0, 1.1 * float((slope + reach).max())]
-    return {"data": data, "layout": marked(layout, _marks(curve))}
+    low, high = layout["yaxis"]["domain"]
+    marks = _marks(curve, curve.knees, low + 0.25 * (high - low))
+    return {"data": data, "layout": marked(layout, marks)}
 
 
 def twist_figure(curve: Curve) -> Figure:
@@ -139,13 +145,12 @@ def twist_figure(curve: Curve) -> Figure:
     ]
     if len(curve.knees):
         data.append(line(at, straight, "its first slope", RESIDUAL, dash="4px,2px", width=1.0))
-    layout = panels("twist of the gear, at the link [mrad]", ["torque [N m]"])
+    layout = panels(
+        f"twist of the gear, at the link [{'mm' if curve.straight else 'mrad'}]",
+        [f"torque [{curve.unit}]"],
+    )
     knees = 1e3 * twisted(curve, curve.knees)[0]
-    marks = [
-        upright(float(x), f"knee {k}, {torque:.3g} N m")
-        for k, (x, torque) in enumerate(zip(knees, curve.knees, strict=True), start=1)
-    ]
-    return {"data": data, "layout": marked(layout, marks)}
+    return {"data": data, "layout": marked(layout, _marks(curve, knees, 1.0))}
 
 
 def twisted(curve: Curve, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -187,18 +192,17 @@ def words(curve: Curve) -> str:
     stds = _stds(curve)
     count = len(curve.slopes)
     slopes = [" ± ".join(plus_minus(v, s)) for v, s in zip(curve.slopes, stds, strict=False)]
-    text = f"Slope {', then '.join(slopes)} N m/rad"
+    text = f"Slope {', then '.join(slopes)} {curve.slope_unit}"
     if count > 1:
         knees = zip(curve.knees, stds[count:], strict=True)
         told = " and ".join(" ± ".join(plus_minus(*knee)) for knee in knees)
-        text += f", with knees at {told} N m"
+        text += f", with knees at {told} {curve.unit}"
     text += "."
     if curve.equivalent:
         text += " One slope for the whole of a bent curve."
     if curve.carried is not None:
-        text += (
-            f" The records load the gear up to {curve.largest:.3g} N m; beyond that nothing is known."
-        )
+        reach = f"{curve.largest:.3g} {curve.unit}"
+        text += f" The records load the gear up to {reach}, and tell nothing beyond."
     return text
 
 
@@ -249,8 +253,9 @@ def _bars(carried: TorqueHistogram) -> Figure:
     }
 
 
-def _marks(curve: Curve) -> list[Figure]:
+def _marks(curve: Curve, at: FloatArray, height: float) -> list[Figure]:
+    """A line at each knee."""
     return [
-        upright(float(knee), f"knee {k}, {knee:.3g} N m")
-        for k, knee in enumerate(curve.knees, start=1)
+        upright(float(x), f"{torque:.3g} {curve.unit}", height=height)
+        for x, torque in zip(at, curve.knees, strict=True)
     ]

@@ -147,7 +147,7 @@ def figure(
     square = any(trace.get("type") == "heatmap" for trace in drawn["data"])
     below = f"<figcaption>{escape(words)}</figcaption>" if words else ""
     return (
-        f'<figure><h3>{escape(label)}</h3><div class="plot" id="{key}" role="img" '
+        f'<figure><h3>{escape(label)}</h3><div class="plot" id="figure-{key}" role="img" '
         f'style="--panels:{3 if square else panels}" '
         f'aria-label="{escape(f"{label}. {words}".strip())}"></div>{below}</figure>'
     )

@@ -10,6 +10,7 @@
   const narrow = window.matchMedia("(max-width: 40rem)");
   const finger = window.matchMedia("(pointer: coarse)");
   const waiting = new Set(Object.keys(figures));
+  const place = (name) => document.getElementById(`figure-${name}`);
   let printing = false;
 
   const inks = () => printing || !dark.matches
@@ -18,40 +19,48 @@
   const coloured = (figure) => printing || !dark.matches ? figure : JSON.parse(
     JSON.stringify(figure).replace(/#[0-9A-Fa-f]{6}/g, (c) => DARK[c.toUpperCase()] ?? c));
 
-  const framed = (given) => {
+  // at beforeprint the page still has its screen's size
+  const onPaper = (name) => {
+    const panels = Number(getComputedStyle(place(name)).getPropertyValue("--panels"));
+    return { width: PAPER_WIDTH, height: 90 + 115 * panels };
+  };
+
+  const framed = (given, name) => {
     const { ink, rule, paper } = inks();
-    const axis = { gridcolor: rule, zerolinecolor: rule, linecolor: rule, automargin: true };
+    const axis = { gridcolor: rule, zerolinecolor: rule, linecolor: rule, automargin: !given.margin };
     const axes = Object.keys(given).filter((name) => /^[xy]axis\d*$/.test(name));
-    const titled = (own) => ({ ...own, title: { standoff: 6, ...own.title } });
+    const titled = (own) => ({ ...own, title: { standoff: 6, font: { size: 11 }, ...own.title } });
     const layout = {
       ...given,
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: ink, family: "system-ui, sans-serif", size: narrow.matches ? 11 : 12 },
-      margin: { l: 56, r: 12, t: 12, b: 40 },
+      margin: { l: 56, r: 12, t: 12, b: 40, ...given.margin },
       legend: { orientation: "h", x: 0, xanchor: "left", y: 1.01, yanchor: "bottom" },
       hovermode: "closest",
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: rule, activecolor: ink },
       hoverlabel: { bgcolor: paper, bordercolor: rule, font: { color: ink } },
       dragmode: finger.matches ? false : "zoom", // a finger scrolls the page
       ...Object.fromEntries(axes.map((name) => [name, { ...axis, ...titled(given[name]) }])),
     };
-    return printing ? { ...layout, width: PAPER_WIDTH } : layout;
+    return printing ? { ...layout, ...onPaper(name) } : layout;
   };
 
-  const draw = (id) => {
-    const { data, layout } = coloured(figures[id]);
+  const draw = (name) => {
+    const { data, layout } = coloured(figures[name]);
     const how = { responsive: !printing, displaylogo: false, displayModeBar: narrow.matches ? false : "hover" };
-    waiting.delete(id);
-    Plotly.react(id, data, framed(layout), how);
+    waiting.delete(name);
+    Plotly.react(place(name), data, framed(layout, name), how);
     document.documentElement.dataset.drawn = Object.keys(figures).length - waiting.size;
   };
-  const drawn = () => Object.keys(figures).filter((id) => !waiting.has(id));
+  const drawn = () => Object.keys(figures).filter((name) => !waiting.has(name));
   const drawWaiting = () => [...waiting].forEach(draw);
 
   // what is seen comes first; the rest follows one by one, so that the page answers meanwhile
   const seen = new IntersectionObserver((entries) => entries.forEach((entry) => {
-    if (entry.isIntersecting && waiting.has(entry.target.id)) draw(entry.target.id);
+    const name = entry.target.id.replace("figure-", "");
+    if (entry.isIntersecting && waiting.has(name)) draw(name);
   }), { rootMargin: "400px" });
-  for (const id of waiting) seen.observe(document.getElementById(id));
+  for (const name of waiting) seen.observe(place(name));
   const rest = () => {
     const [next] = waiting;
     if (next === undefined) return;

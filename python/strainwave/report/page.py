@@ -6,7 +6,7 @@ import math
 from html import escape
 
 from strainwave.formatting import percent
-from strainwave.records import ArmModel, Identification
+from strainwave.records import ArmModel, Identification, Prediction
 from strainwave.report import bode, correlations, elastic, gears, torques
 from strainwave.report.criticism import criticised
 from strainwave.report.figures import MOST_POINTS, Figure, of_prediction
@@ -87,20 +87,20 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
     """Bode plots of every joint, where it rings, and its stiffness over the amplitude."""
     parts = []
     for joint in found.joints:
-        ratio = found.study.joints[joint.joint - 1].gear_ratio
+        own = found.study.joints[joint.joint - 1]
         measured = found.responses.get(joint.joint)
         sampled = [
             (r.signals.experiment.name, r.state_space)
             for r in found.records
             if r.signals.joint == joint.joint and r.state_space is not None
         ]
-        drawn = bode.bode(joint, ratio, measured, sampled)
+        drawn = bode.bode(joint, own, measured, sampled)
         label = f"Joint {joint.joint} alone: motor torque to motor velocity"
         name = f"bode joint {joint.joint}"
         parts.append(figure(name, label, drawn, plots, words=bode.words(joint, measured)))
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = "".join(row(cells) for cells in elastic.resonance_rows(found))
-    parts.append(table("Where the joints ring", (*heads, "equivalent stiffness [N m/rad]"), rows))
+    parts.append(table("Where the joints ring", (*heads, "stiffness [N m/rad]"), rows))
     for sweep in found.sweeps:
         label = f"Joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
         name = f"amplitude joint {sweep.joint}"
@@ -113,7 +113,7 @@ def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
     tuned = found.tuned
     groups = (
         ("check", "never seen", found.checks),
-        ("tuning", "fitted, simulated under its servo", tuned.simulated if tuned else ()),
+        ("tuning", "fitted", tuned.simulated if tuned else ()),
         ("fitted", "fitted", found.fitted),
     )
     channels = sum(len(p.channels) for _, _, group in groups for p in group)
@@ -121,13 +121,13 @@ def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
     parts = []
     for kind, seen, group in groups:
         for prediction in group:
-            label = f"{prediction.experiment}, {seen}"
+            label = f"{prediction.experiment}, {seen}: {_what(prediction)}"
             fits = [f"{name} {percent(fit)}" for name, fit in prediction.fit_percent.items()]
             parts.append(
                 figure(
                     f"{kind} {prediction.experiment}",
                     label,
-                    of_prediction(prediction, most),
+                    of_prediction(prediction, found.study.joints, most),
                     plots,
                     words=f"Fit: {', '.join(fits)}.",
                 )
@@ -135,24 +135,28 @@ def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
     return "".join(parts) + (_fits(tuned) if tuned else "")
 
 
+def _what(prediction: Prediction) -> str:
+    if prediction.channels[0].startswith(("u", "torque")):
+        return "drive, from the measured motion by the rigid model"
+    return "motion, simulated by the elastic model"
+
+
 def _fits(tuned: ArmModel) -> str:
-    """Fits of the whole arm before and after tuning."""
+    """Fits of the whole arm before and after tuning, one row a record."""
+    channels = list(dict.fromkeys(name for fits in tuned.fit_percent.values() for name in fits))
     rows = []
     for experiment, fits in tuned.fit_percent.items():
         before = tuned.initial_fit_percent.get(experiment, {})
-        rows += [
-            row(
-                (
-                    experiment,
-                    channel,
-                    f"#{percent(before.get(channel, math.nan))}",
-                    f"#{percent(fit)}",
-                )
-            )
-            for channel, fit in fits.items()
+        cells = [
+            f"#{percent(before.get(name, math.nan))} → {percent(fits[name])}"
+            if name in fits
+            else "#"
+            for name in channels
         ]
-    title = f"The whole arm at once: {tuned.status} after {tuned.iterations} evaluations"
-    return table(title, ("record", "channel", "#fit before", "#fit after"), "".join(rows))
+        rows.append(row((experiment, *cells)))
+    title = f"Fits before → after the whole-arm fit: {tuned.status}"
+    title += f" after {tuned.iterations} evaluations"
+    return table(title, ("record", *(f"#{name}" for name in channels)), "".join(rows))
 
 
 def _interaction(found: Identification, plots: dict[str, Figure]) -> str:

@@ -54,8 +54,13 @@ def _row(p: Parameter) -> str:
     if p.ci95 is not None:
         low, high = p.ci95
         interval = f"#{_like(value, low)} … {_like(value, high)}"
-        half = f"#{100.0 * 0.5 * (high - low) / abs(p.value):.2g}" if p.value else "#"
+        half = f"#{_share(0.5 * (high - low), p.value)}"
     return row([p.name, p.unit, f"#{value}", f"#{spread}", interval, half, p.stage])
+
+
+def _share(half: float, value: float) -> str:
+    """In percent of the value; beyond all of it the number says nothing more."""
+    return f"{100.0 * half / abs(value):.2g}" if half < abs(value) else "over 100"
 
 
 def _like(shown: str, number: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import PurePath
 
 from strainwave.records import Caution
 from strainwave.report.html import row, table
@@ -16,7 +17,6 @@ REMEDIES = {
     "not-tuned": (
         "Use the values of single joints meanwhile; log the angle and the voltage of every motor."
     ),
-    "no-rigid-model": 'Add a record with use = "motion": slow, smooth, over the whole workspace.',
     "no-frequency-record": (
         'Add a record with use = "frequency": pseudo-random voltage on one joint.'
     ),
@@ -36,6 +36,7 @@ REMEDIES = {
     "residual-not-noise": (
         "Read the tests of what the fit leaves: they name the frequency and what might explain it."
     ),
+    "no-rigid-model": 'Add a record with use = "motion": slow, smooth, over the whole workspace.',
     "stribeck-likely": 'Give the joint effects = ["stribeck"], and a record of slow motion.',
     "hysteresis-likely": 'Give the joint effects = ["hysteresis"], and a record of slow reversals.',
     "kinematic-error-likely": (
@@ -118,11 +119,16 @@ def warnings_table(warnings: Iterable[Caution]) -> str:
         HTML.
     """
     rows = "".join(
-        row((w.where, f"¶{w.message}", f"¶{REMEDIES.get(w.code, 'See the message.')}", w.code))
+        row((place_of(w), f"¶{w.message}", f"¶{REMEDIES.get(w.code, 'See the message.')}", w.code))
         for w in sorted(warnings, key=_weight)
     )
     heads = ("where", "what", "what to do", "code")
     return table("Warnings", heads, rows, heading=False)
+
+
+def place_of(warning: Caution) -> str:
+    """Where it is; of a file its name alone, the folders stand at the end of the page."""
+    return PurePath(warning.where).name
 
 
 def _weight(warning: Caution) -> int:

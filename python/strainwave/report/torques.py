@@ -21,9 +21,8 @@ _NAMES = ("motor torque", "interaction torque, at the motor")
 _COLOURS = (MEASURED, MODEL)
 _DASHES = ("solid", "4px,2px")
 _SEGMENTS = 8  # Welch segments in a record
-_LONGEST = 2.0  # [s] shown over time: more would be a smear
-_ROOM = 5.0  # times the band of the excitation up to which spectra are drawn
-_MOST = 99.0  # [%] of the power of the motor torque, which ends that band
+_LONGEST = 0.5  # [s] shown over time: more would be a smear
+_ROOM = 5.0  # times the band in which the motor moves, up to which spectra are drawn
 
 
 def interacting(identification: Identification) -> list[Decoupled]:
@@ -90,9 +89,8 @@ def over_frequency(record: Decoupled) -> Figure:
     segment = min(len(torques), max(16, 2 * len(torques) // (_SEGMENTS + 1)))
     frequency, density = spectra(torques, record.sample_time, segment)
     power = np.einsum("fii->fi", density).real
-    reached = np.cumsum(power[:, 0])
-    end = frequency[np.searchsorted(reached, 0.01 * _MOST * reached[-1])]
-    shown = (frequency > 0.0) & (frequency <= max(_ROOM * end, 2.0 * frequency[1]))
+    end = _ROOM * float(record.richness_hz.max(initial=0.0)) or np.inf
+    shown = (frequency > 0.0) & (frequency <= end)
     layout = panels("frequency [Hz]", ["N m/sqrt(Hz)"], log=True)
     layout["yaxis"]["type"] = "log"
     at = rounded(frequency[shown])

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from strainwave.records import Identification, Parameter, Prediction
-from strainwave.report.remedies import most_serious
+from strainwave.report.remedies import most_serious, place_of
 
 _CLASSES = (
     (0.01, "Told to 1 % or better"),
@@ -115,7 +115,7 @@ def _on_new_data(checks: Sequence[Prediction]) -> list[str]:
     return [
         f"On records it never saw the model explains at least {worst[0]:.1f} % "
         f"(fit of {escape(worst[2])} in “{escape(worst[1])}”), and {middle:.1f} % in the middle "
-        f"of {len(fits)} channel(s)."
+        f"of {_count(len(fits), 'channel')}."
     ]
 
 
@@ -123,7 +123,13 @@ def _of_warnings(identification: Identification) -> list[str]:
     if not identification.warnings:
         return []
     worst = most_serious(identification.warnings)
+    several = len(identification.warnings) > 1
+    lead = "the most serious, of" if several else "of"
     return [
-        f"{len(identification.warnings)} <a href='#warnings'>warning(s)</a>; the most serious, of "
-        f"{escape(worst.where)}: {escape(worst.message)}."
+        f'<a href="#warnings">{_count(len(identification.warnings), "warning")}</a>; {lead} '
+        f"{escape(place_of(worst))}: {escape(worst.message)}."
     ]
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
