@@ -111,6 +111,7 @@ def images(figure: Mapping[str, Any]) -> dict[str, bytes]:
             file = BytesIO()
             drawn.savefig(file, format=ending, dpi=_RESOLUTION, metadata=metadata)
             found[ending] = file.getvalue()
+            drawn.set_layout_engine("none")  # the first file has settled it
     return found
 
 
@@ -173,6 +174,7 @@ def _vertical(axes: Axes, axis: Mapping[str, Any]) -> None:
         axes.yaxis.set_major_locator(MultipleLocator(axis["dtick"]))
     if not axes.images:
         axes.grid(color=_GRID, linewidth=0.5)
+        axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
 
 

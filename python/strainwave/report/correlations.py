@@ -12,6 +12,8 @@ from strainwave.report.figures import MEASURED, MODEL, Figure, panels
 
 STRONG = 0.95  # from which two parameters are said to be told only together
 _MOST_PAIRS = 8
+# what follows from others goes with them of necessity, and is left out beside them
+_PARTS = {"total_viscous_friction": "motor_viscous_friction", "link_inertia": "beta"}
 _LETTERS = 10  # pixels high, so that thirty names stand one below the other
 
 
@@ -120,10 +122,14 @@ def heat_map(found: Correlations) -> Figure:
 
 def _of(parameters: Sequence[Parameter], covariance: FloatArray) -> Correlations | None:
     variance = np.diag(covariance)
+    names = {p.name for p in parameters}
     known = [
         k
         for k, p in enumerate(parameters)
-        if p.value is not None and np.isfinite(variance[k]) and variance[k] > 0.0
+        if p.value is not None
+        and np.isfinite(variance[k])
+        and variance[k] > 0.0
+        and _PARTS.get(p.name) not in names
     ]
     if len(known) < 2:
         return None

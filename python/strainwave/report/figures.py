@@ -53,7 +53,7 @@ def of_prediction(
         looks = (
             (measured - predicted, "difference", RESIDUAL, "solid", 1.0),
             (measured, "measured", MEASURED, "solid", 2.5),
-            (predicted, "model", MODEL, "4px,2px", 1.2),
+            (predicted, "model", MODEL, "6px,4px", 1.5),
         )
         for y, name, colour, dash, width in looks:
             drawn = line(time, y[pick], name, colour, dash=dash, width=width)

@@ -121,7 +121,7 @@ def slope_figure(curve: Curve) -> Figure:
 
 
 def twist_figure(curve: Curve) -> Figure:
-    """Torque over twist, with its 95 % band and knees; dotted: no record reaches there.
+    """Torque over twist, with its 95 % band, knees, and how it would go on without.
 
     Parameters
     ----------
@@ -142,9 +142,8 @@ def twist_figure(curve: Curve) -> Figure:
     data = [
         band(at, torque - reach, torque + reach, MODEL),
         line(at, torque, "gear", MODEL, width=2.0),
+        line(at, straight, "its first slope", RESIDUAL, dash="4px,2px", width=1.0),
     ]
-    if len(curve.knees):
-        data.append(line(at, straight, "its first slope", RESIDUAL, dash="4px,2px", width=1.0))
     layout = panels(
         f"twist of the gear, at the link [{'mm' if curve.straight else 'mrad'}]",
         [f"torque [{curve.unit}]"],

@@ -179,8 +179,9 @@ def _gears(found: Identification, plots: dict[str, Figure]) -> str:
         label = f"Gear {curve.joint}: slope over torque, and the torques in the records"
         name = f"gear joint {curve.joint}"
         parts.append(figure(f"{name} slope", label, gears.slope_figure(curve), plots, words=words))
-        label = f"Gear {curve.joint}: torque over twist"
-        parts.append(figure(f"{name} twist", label, gears.twist_figure(curve), plots))
+        if len(curve.knees):
+            label = f"Gear {curve.joint}: torque over twist"
+            parts.append(figure(f"{name} twist", label, gears.twist_figure(curve), plots))
     return "".join(parts)
 
 
