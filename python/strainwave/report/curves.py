@@ -88,10 +88,13 @@ def bode(curves: Sequence[Curve], caption: str) -> Figure:
         if curve.magnitude_std is not None:
             reach = _REACH * curve.magnitude_std
             low = np.maximum(size - reach, 1e-2 * size)  # a band down to zero has no bottom in dB
-            data.append(band(frequency, decibel(low), decibel(size + reach), colour))
+            edges = decibel(low), decibel(size + reach)
+            drawn = band(frequency, *edges, colour)
+            data.append(drawn | place(0, curve.name, first=False))
         if curve.phase_std is not None:
             reach = np.minimum(np.rad2deg(_REACH * curve.phase_std), 180.0)
-            data.append(band(frequency, phase - reach, phase + reach, colour) | {"yaxis": "y2"})
+            drawn = band(frequency, phase - reach, phase + reach, colour)
+            data.append(drawn | place(1, curve.name, first=False))
         for panel, y in enumerate((decibel(size), phase)):
             drawn = line(frequency, y, curve.name, colour, dash=dash, width=width)
             data.append(drawn | place(panel, curve.name, first=panel == 0))

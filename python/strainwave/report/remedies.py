@@ -133,4 +133,4 @@ def place_of(warning: Caution) -> str:
 
 def _weight(warning: Caution) -> int:
     order = list(REMEDIES)
-    return order.index(warning.code) if warning.code in REMEDIES else 0
+    return order.index(warning.code) if warning.code in REMEDIES else -1
