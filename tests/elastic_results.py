@@ -119,7 +119,7 @@ def sampled() -> StateSpace:
 
 def decoupled(name: str, size: float, *, use: str = "frequency", joint: int = 1) -> Decoupled:
     """A record in which the motor turns at 10 Hz and the others answer at 20 Hz."""
-    time = SAMPLE * np.arange(4000)
+    time: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
     motor = np.sin(2.0 * np.pi * 10.0 * time)
     other = size / JOINT.gear_ratio * np.sin(2.0 * np.pi * 20.0 * time)
     experiment = Experiment(name, f"{name}.csv", use, ("open", "open"), joint)  # type: ignore[arg-type]

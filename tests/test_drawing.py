@@ -49,8 +49,8 @@ def test_a_bode_plot_has_panels_bands_and_marks() -> None:
     assert len(drawn.axes[0].patches) == 1  # the band
     words = [text for axes in drawn.axes for text in axes.texts]
     assert [text.get_text().split()[0] for text in words] == ["anti-resonance", "resonance"]
-    place: Any = words[0].xy
-    assert place[0] == pytest.approx(12.9, abs=0.1)  # [Hz], not its logarithm
+    marked: Any = words[0]
+    assert marked.xy[0] == pytest.approx(12.9, abs=0.1)  # [Hz], not its logarithm
     tops = [axes.get_position().y0 for axes in drawn.axes]
     assert tops == sorted(tops, reverse=True)
 

@@ -206,7 +206,7 @@ def test_the_summary_names_all() -> None:
 
     text = StringIO()
     console = Console(file=text, width=80, highlight=False)
-    truth = {("inertia", 1): 0.02}
+    truth: dict[tuple[str, int | None], float] = {("inertia", 1): 0.02}
     print_summary(identification(), Path("out"), truth=truth, figures=True, console=console)
     printed = text.getvalue()
     for said in (

@@ -105,7 +105,7 @@ def codes() -> set[str]:
                 continue
             first = node.args[0] if node.args else None
             if isinstance(first, ast.Constant) and node.func.id in ("Caution", "Check", "tried"):
-                found.add(first.value)
+                found.add(str(first.value))
     return found
 
 
