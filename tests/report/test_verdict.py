@@ -53,8 +53,10 @@ def test_each_parameter_is_classed_by_its_interval(
 
 
 def test_it_counts_what_was_told() -> None:
-    assert "All 2 parameters" in of(told("alpha", 1.0, 0.1, None), told("beta", 1.0, 0.1, None))
-    assert "1 of 2 parameters" in of(told("alpha", 1.0, 0.1, None), told("beta", None, None))
+    alpha = told("alpha", 1.0, 0.05, None)
+    assert "All 2 parameters have a value, 1 of them to 10 %" in of(alpha, told("beta", 1.0, 0.2))
+    assert "1 of 2 parameters have a value, 1 of them" in of(alpha, told("beta", None, None))
+    assert "No parameter was found." in of()
     assert "Not everything could be told.| nothing moved" in of(reason="nothing moved")
 
 
@@ -73,6 +75,26 @@ def test_fits_of_the_records_it_never_saw() -> None:
     assert "at least 91.2 % (fit of torque1 in “a”), and 95.0 % in the middle of 3 channels" in text
     assert "No record was kept" in of(checks=())
     assert "hardly move" in of(checks=(prediction("a", float("nan")),))
+
+
+def test_the_grade_is_that_of_the_middle() -> None:
+    for middle, grade in ((96.0, "very well"), (86.0, "well"), (61.0, "in part"), (5.0, "badly")):
+        text = of(checks=(prediction("a", 1.0, middle, 99.0),))
+        assert f"foretells {grade}: it explains at least 1.0 %" in text
+
+
+def test_only_what_is_found_and_foretold_is_green() -> None:
+    one = replace(identification(), warnings=())
+    assert one.rigid is not None
+    fine = replace(one, rigid=replace(one.rigid, parameters=one.rigid.parameters[:1]))
+    for found, mark in (
+        (fine, ""),
+        (one, "doubt"),  # a parameter was not told
+        (replace(fine, checks=(prediction("a", 50.0),)), "doubt"),
+        (replace(fine, warnings=identification().warnings), "doubt"),
+        (replace(fine, reason="nothing moved"), "bad"),
+    ):
+        assert f'class="verdict {mark}"' in verdict(found)
 
 
 def test_the_most_serious_warning_is_named() -> None:

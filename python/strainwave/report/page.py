@@ -122,7 +122,7 @@ def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
     for kind, seen, group in groups:
         for prediction in group:
             label = f"{prediction.experiment}, {seen}: {_what(prediction)}"
-            fits = [f"{name} {percent(fit)}" for name, fit in prediction.fit_percent.items()]
+            fits = [f"{name} {_fit(fit)}" for name, fit in prediction.fit_percent.items()]
             parts.append(
                 figure(
                     f"{kind} {prediction.experiment}",
@@ -133,6 +133,11 @@ def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
                 )
             )
     return "".join(parts) + (_fits(tuned) if tuned else "")
+
+
+def _fit(fit: float) -> str:
+    """A fit, where there was something to judge it by."""
+    return percent(fit) if math.isfinite(fit) else "at rest, not judged"
 
 
 def _what(prediction: Prediction) -> str:
@@ -148,7 +153,9 @@ def _fits(tuned: ArmModel) -> str:
     for experiment, fits in tuned.fit_percent.items():
         before = tuned.initial_fit_percent.get(experiment, {})
         cells = [
-            f"#{percent(before.get(name, math.nan))} → {percent(fits[name])}"
+            f"#{percent(before[name])} → {percent(fits[name])}"
+            if math.isfinite(before.get(name, math.nan)) and math.isfinite(fits[name])
+            else f"#{_fit(fits[name])}"
             if name in fits
             else "#"
             for name in channels

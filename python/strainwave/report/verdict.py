@@ -18,6 +18,9 @@ _CLASSES = (
     (math.inf, "Not to be told from zero"),
 )
 """Half of the 95 % interval over the value, and what is said of it."""
+_USEFUL = 0.1  # of these: up to which a parameter is good to simulate with
+_WELL = 85.0  # [%] fit in the middle from which a model foretells well
+_GRADES = ((95.0, "very well"), (_WELL, "well"), (60.0, "in part"), (-math.inf, "badly"))
 
 
 def verdict(identification: Identification) -> str:
@@ -34,17 +37,14 @@ def verdict(identification: Identification) -> str:
     """
     parameters = identification.parameters
     missing = [p for p in parameters if p.value is None]
+    fits = _fits(identification.checks)
+    good = not (missing or identification.warnings or (fits and _middle(fits) < _WELL))
+    mark = "" if good else "doubt"
+    lead = f"<strong>{_found(parameters)}</strong>"
     if identification.reason is not None:
-        mark, lead = "bad", "<strong>Not everything could be told.</strong> "
-        lead += escape(identification.reason)
-    elif missing:
-        mark = "doubt"
-        told = len(parameters) - len(missing)
-        lead = f"<strong>{told} of {len(parameters)} parameters are told by the data.</strong>"
-    else:
-        mark = "doubt" if identification.warnings else ""
-        lead = f"<strong>All {len(parameters)} parameters are told by the data.</strong>"
-    said = [lead, *_on_new_data(identification.checks), *_of_warnings(identification)]
+        mark = "bad"
+        lead = "<strong>Not everything could be told.</strong> " + escape(identification.reason)
+    said = [lead, _on_new_data(identification.checks, fits), *_of_warnings(identification)]
     text = "".join(f"<p>{one}</p>" for one in said)
     return f'<div class="verdict {mark}">{text}{_trust(identification)}</div>'
 
@@ -96,27 +96,45 @@ def named(parameters: Iterable[Parameter]) -> str:
     )
 
 
-def _on_new_data(checks: Sequence[Prediction]) -> list[str]:
+def _found(parameters: Sequence[Parameter]) -> str:
+    """How many have a value, and how many of these are good for something."""
+    if not parameters:
+        return "No parameter was found."
+    told = sum(p.value is not None for p in parameters)
+    sure = sum(
+        _class(p) in (name for limit, name in _CLASSES if limit <= _USEFUL) for p in parameters
+    )
+    whole = f"All {told}" if told == len(parameters) else f"{told} of {len(parameters)}"
+    return f"{whole} parameters have a value, {sure} of them to {100.0 * _USEFUL:.0f} % or better."
+
+
+def _on_new_data(checks: Sequence[Prediction], fits: Sequence[tuple[float, str, str]]) -> str:
     """How well the records are foretold that were not fitted."""
     if not checks:
-        return [
-            "No record was kept for checking: nothing here says how the model does on new data."
-        ]
-    fits = [
+        return "No record was kept for checking: nothing says how the model does on new data."
+    if not fits:
+        return "The check records hardly move: nothing says how the model does on new data."
+    worst, middle = min(fits), _middle(fits)
+    grade = next(word for least, word in _GRADES if middle >= least)
+    return (
+        f"Records it never saw the model foretells {grade}: it explains at least {worst[0]:.1f} % "
+        f"(fit of {escape(worst[2])} in “{escape(worst[1])}”), and {middle:.1f} % in the middle "
+        f"of {_count(len(fits), 'channel')}."
+    )
+
+
+def _fits(checks: Sequence[Prediction]) -> list[tuple[float, str, str]]:
+    """Fit, record and channel of all that moves."""
+    return [
         (fit, prediction.experiment, channel)
         for prediction in checks
         for channel, fit in prediction.fit_percent.items()
         if math.isfinite(fit)
     ]
-    if not fits:
-        return ["The check records hardly move: nothing here says how the model does on new data."]
-    worst = min(fits)
-    middle = float(np.median([fit for fit, _, _ in fits]))
-    return [
-        f"On records it never saw the model explains at least {worst[0]:.1f} % "
-        f"(fit of {escape(worst[2])} in “{escape(worst[1])}”), and {middle:.1f} % in the middle "
-        f"of {_count(len(fits), 'channel')}."
-    ]
+
+
+def _middle(fits: Sequence[tuple[float, str, str]]) -> float:
+    return float(np.median([fit for fit, _, _ in fits]))
 
 
 def _of_warnings(identification: Identification) -> list[str]:
