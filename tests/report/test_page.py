@@ -12,7 +12,7 @@ import pytest
 
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
-from strainwave.records import Identification, Parameter
+from strainwave.records import Caution, Identification, Parameter
 from strainwave.report import figures, figures_of, render
 from strainwave.summary import print_summary
 
@@ -170,6 +170,12 @@ def test_names_cannot_leave_their_place() -> None:
     assert evil not in page
     assert "onload" not in {name for _, own in Outline(page).elements for name in own}
     figures_in(page)
+
+
+def test_a_name_is_a_name_whatever_it_begins_with() -> None:
+    caution = Caution("saturated", "#1.csv", "#2 is at its limit")
+    page = render(replace(identification(), warnings=(caution,)))
+    assert '<th scope="row">#1.csv</th><td class="text">#2 is at its limit</td>' in page
 
 
 def test_long_records_share_the_room() -> None:

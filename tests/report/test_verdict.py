@@ -114,6 +114,7 @@ def test_warnings_stand_in_their_order_with_what_to_do() -> None:
     )
     assert rows.index("b.csv") < rows.index("a.csv")
     assert "Lower the amplitude" in rows
+    assert "See the message" in remedies.warnings_table([Caution("unheard-of", "c", "odd")])
 
 
 def codes() -> set[str]:

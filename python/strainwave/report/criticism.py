@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.formatting import plus_minus
 from strainwave.records import Criticism, ResidualTest, RicherModel
 from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, panels, rounded, unit_of
-from strainwave.report.html import figure, row, table
+from strainwave.report.html import figure, number, row, table
 
 _CHANCE = 1e-3  # probabilities below are not told apart
 
@@ -91,8 +91,8 @@ def _row(test: ResidualTest) -> str:
     if test.input_probability < _CHANCE:
         follows = f"joint {test.input_joint}'s, r = {test.input_correlation:.2f},"
         follows += f" {1e3 * test.input_delay:.3g} ms behind"
-    numbers = (f"#{_loudness(test):.2g}", f"#{test.worst_hz:.3g} Hz", f"#{_odds(test.whiteness)}")
-    return row((test.experiment, test.channel, *numbers, follows))
+    numbers = (f"{_loudness(test):.2g}", f"{test.worst_hz:.3g} Hz", _odds(test.whiteness))
+    return row((test.experiment, test.channel, *map(number, numbers), follows))
 
 
 def _richer(one: RicherModel) -> str:
@@ -106,8 +106,8 @@ def _richer(one: RicherModel) -> str:
             one.effect,
             str(one.joint),
             sizes,
-            f"#{np.sqrt(max(one.gain, 0.0)):.2g}",
-            f"#{100.0 * one.share:.2g} %",
+            number(f"{np.sqrt(max(one.gain, 0.0)):.2g}"),
+            number(f"{100.0 * one.share:.2g} %"),
             "likely" if one.evident else "no sign of it",
         )
     )

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
+from typing import Literal
 
 from strainwave.report.figures import Figure
 
@@ -23,6 +24,14 @@ class Section:
     key: str  # its element's id
     title: str
     body: str  # HTML, escaped; empty: the section is left out
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A cell of a table that is not a plain word."""
+
+    text: str
+    kind: Literal["", "number", "text"] = ""
 
 
 def document(
@@ -100,25 +109,35 @@ def table(label: str, heads: Iterable[str], rows: str, *, heading: bool = True) 
     )
 
 
-def row(cells: Iterable[str]) -> str:
-    """A row of a table; a cell that begins with # is a number, one that begins with ¶ is prose.
+def row(cells: Iterable[str | Cell]) -> str:
+    """A row of a table.
 
     Parameters
     ----------
-    cells : iterable of str
-        Plain text; the first is the row's head.
+    cells : iterable of str or Cell
+        The first is the row's head.
 
     Returns
     -------
     str
     """
-    kinds = {"#": ' class="number"', "¶": ' class="text"'}
     parts = []
     for k, cell in enumerate(cells):
-        kind = kinds.get(cell[:1], "")
-        text = escape(cell[1:] if kind else cell)
+        own = cell if isinstance(cell, Cell) else Cell(cell)
+        kind = f' class="{own.kind}"' if own.kind else ""
+        text = escape(own.text)
         parts.append(f"<td{kind}>{text}</td>" if k else f'<th scope="row"{kind}>{text}</th>')
     return f"<tr>{''.join(parts)}</tr>"
+
+
+def number(text: str) -> Cell:
+    """A cell of a column of numbers."""
+    return Cell(text, "number")
+
+
+def prose(text: str) -> Cell:
+    """A cell of sentences, which may take several lines."""
+    return Cell(text, "text")
 
 
 def figure(

@@ -10,7 +10,7 @@ from strainwave.records import ArmModel, Identification, Prediction
 from strainwave.report import bode, correlations, elastic, gears, torques
 from strainwave.report.criticism import criticised
 from strainwave.report.figures import MOST_POINTS, Figure, of_prediction
-from strainwave.report.html import Section, document, figure, row, table
+from strainwave.report.html import Cell, Section, document, figure, number, prose, row, table
 from strainwave.report.parameters import parameter_table
 from strainwave.report.remedies import warnings_table
 from strainwave.report.verdict import verdict
@@ -140,6 +140,14 @@ def _fit(fit: float) -> str:
     return percent(fit) if math.isfinite(fit) else "at rest, not judged"
 
 
+def _change(before: float, after: float | None) -> Cell:
+    if after is None:
+        return number("")
+    if not math.isfinite(before) or not math.isfinite(after):
+        return number(_fit(after))
+    return number(f"{percent(before)} → {percent(after)}")
+
+
 def _what(prediction: Prediction) -> str:
     if prediction.channels[0].startswith(("u", "torque")):
         return "drive, from the measured motion by the rigid model"
@@ -152,14 +160,7 @@ def _fits(tuned: ArmModel) -> str:
     rows = []
     for experiment, fits in tuned.fit_percent.items():
         before = tuned.initial_fit_percent.get(experiment, {})
-        cells = [
-            f"#{percent(before[name])} → {percent(fits[name])}"
-            if math.isfinite(before.get(name, math.nan)) and math.isfinite(fits[name])
-            else f"#{_fit(fits[name])}"
-            if name in fits
-            else "#"
-            for name in channels
-        ]
+        cells = [_change(before.get(name, math.nan), fits.get(name)) for name in channels]
         rows.append(row((experiment, *cells)))
     title = f"Fits before → after the whole-arm fit: {tuned.status}"
     title += f" after {tuned.iterations} evaluations"
@@ -195,7 +196,7 @@ def _gears(found: Identification, plots: dict[str, Figure]) -> str:
 def _residuals(found: Identification, plots: dict[str, Figure]) -> str:
     criticism = found.tuned.criticism if found.tuned else None
     parts = [criticised(criticism, plots)] if criticism is not None else []
-    rows = "".join(row((*cells[:-1], f"¶{cells[-1]}")) for cells in elastic.judgement_rows(found))
+    rows = "".join(row((*cells[:-1], prose(cells[-1]))) for cells in elastic.judgement_rows(found))
     title = "State-space models on the last quarter of their records, fitted to the rest"
     parts.append(table(title, ("joint", "record", "one step ahead", "residuals"), rows))
     return "".join(parts)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from strainwave.formatting import plus_minus
 from strainwave.records import Parameter
-from strainwave.report.html import row, table
+from strainwave.report.html import number, row, table
 
 _HEADS = (
     "parameter",
@@ -48,14 +48,14 @@ def parameter_table(parameters: Sequence[Parameter]) -> str:
 def _row(p: Parameter) -> str:
     value, spread = plus_minus(p.value, p.std)
     if p.value is None:
-        cells = [p.name, p.unit, "#not told", "#", "#the data do not tell it", "#"]
-        return row([*cells, p.stage])
-    interval, half = "#not known", "#"
-    if p.ci95 is not None:
+        value, spread, interval, half = "not told", "", "the data do not tell it", ""
+    elif p.ci95 is None:
+        interval, half = "not known", ""
+    else:
         low, high = p.ci95
-        interval = f"#{_like(value, low)} … {_like(value, high)}"
-        half = f"#{_share(0.5 * (high - low), p.value)}"
-    return row([p.name, p.unit, f"#{value}", f"#{spread}", interval, half, p.stage])
+        interval = f"{_like(value, low)} … {_like(value, high)}"
+        half = _share(0.5 * (high - low), p.value)
+    return row([p.name, p.unit, *map(number, (value, spread, interval, half)), p.stage])
 
 
 def _share(half: float, value: float) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import PurePath
 
 from strainwave.records import Caution
-from strainwave.report.html import row, table
+from strainwave.report.html import prose, row, table
 
 REMEDIES = {
     # the answer itself is in doubt
@@ -89,6 +89,7 @@ REMEDIES = {
     "resampled": "Nothing, if the motion is slow; else log at even steps.",
 }
 """By code, the most serious first."""
+_UNHEARD = "See the message."
 
 
 def most_serious(warnings: Iterable[Caution]) -> Caution:
@@ -119,7 +120,7 @@ def warnings_table(warnings: Iterable[Caution]) -> str:
         HTML.
     """
     rows = "".join(
-        row((place_of(w), f"¶{w.message}", f"¶{REMEDIES.get(w.code, 'See the message.')}", w.code))
+        row((place_of(w), prose(w.message), prose(REMEDIES.get(w.code, _UNHEARD)), w.code))
         for w in sorted(warnings, key=_weight)
     )
     heads = ("where", "what", "what to do", "code")
