@@ -92,6 +92,7 @@ def test_only_what_is_found_and_foretold_is_green() -> None:
         (one, "doubt"),  # a parameter was not told
         (replace(fine, checks=(prediction("a", 50.0),)), "doubt"),
         (replace(fine, warnings=identification().warnings), "doubt"),
+        (replace(fine, warnings=(Caution("resampled", "a.csv", "uneven"),)), ""),
         (replace(fine, reason="nothing moved"), "bad"),
     ):
         assert f'class="verdict {mark}"' in verdict(found)
@@ -134,4 +135,5 @@ def codes() -> set[str]:
 
 def test_every_warning_has_a_remedy() -> None:
     assert {"saturated", "sliding", "modes-failed"} <= codes()
+    assert remedies.REMEDIES.keys() >= remedies.MILD
     assert codes() - remedies.REMEDIES.keys() == set()

@@ -89,6 +89,16 @@ REMEDIES = {
     "resampled": "Nothing, if the motion is slow; else log at even steps.",
 }
 """By code, the most serious first."""
+MILD = frozenset(
+    {
+        "equivalent-stiffness",
+        "effect-left-out",
+        "friction-settles",
+        "nothing-to-predict",
+        "resampled",
+    }
+)
+"""Of the codes those that take nothing from the answer."""
 _UNHEARD = "See the message."
 
 

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from strainwave.records import Identification, Parameter, Prediction
-from strainwave.report.remedies import most_serious, place_of
+from strainwave.report.remedies import MILD, most_serious, place_of
 
 _CLASSES = (
     (0.01, "Told to 1 % or better"),
@@ -38,7 +38,8 @@ def verdict(identification: Identification) -> str:
     parameters = identification.parameters
     missing = [p for p in parameters if p.value is None]
     fits = _fits(identification.checks)
-    good = not (missing or identification.warnings or (fits and _middle(fits) < _WELL))
+    grave = [w for w in identification.warnings if w.code not in MILD]
+    good = not (missing or grave or (fits and _middle(fits) < _WELL))
     mark = "" if good else "doubt"
     lead = f"<strong>{_found(parameters)}</strong>"
     if identification.reason is not None:
