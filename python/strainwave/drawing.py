@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDTH, _PANEL, _AROUND = 8.0, 2.2, 1.1  # [in] of a figure, of a panel, of titles and legend
-_SQUARE = 7.0  # [in] of a heat map's height
+_ROW = 0.19  # [in] of a row of a heat map
 _POINT = 0.75  # points in a pixel
 _RESOLUTION = 150  # [1/in] of a PNG
 _GRID = "#d9dee5"
@@ -65,8 +65,8 @@ def draw(figure: Mapping[str, Any]) -> Figure:
 
     layout = figure["layout"]
     names = [key for key in layout if key.startswith("yaxis")] or ["yaxis"]
-    square = any(trace.get("type") == "heatmap" for trace in figure["data"])
-    height = _SQUARE if square else _AROUND + _PANEL * len(names)
+    rows = max((len(t["y"]) for t in figure["data"] if t.get("type") == "heatmap"), default=0)
+    height = _AROUND + max(_PANEL * len(names), _PANEL + _ROW * rows if rows else 0.0)
     drawn = Figure(figsize=(_WIDTH, height), layout="constrained")
     shares = [high - low for low, high in (_domain(layout, k) for k in range(len(names)))]
     grid = drawn.add_gridspec(len(names), 1, height_ratios=shares)
@@ -168,7 +168,7 @@ def _vertical(axes: Axes, axis: Mapping[str, Any]) -> None:
         axes.set_yscale("log")
     if "range" in axis:
         axes.set_ylim(*axis["range"])
-    if "dtick" in axis:
+    if "dtick" in axis and not axes.images:
         from matplotlib.ticker import MultipleLocator
 
         axes.yaxis.set_major_locator(MultipleLocator(axis["dtick"]))

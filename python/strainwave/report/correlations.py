@@ -100,8 +100,9 @@ def heat_map(found: Correlations) -> Figure:
     """
     names = list(found.names)
     layout = panels("", [""])
-    layout["yaxis"] |= {"autorange": "reversed", "tickfont": {"size": _LETTERS}}
-    layout["xaxis"] |= {"tickangle": -90, "tickfont": {"size": _LETTERS}}
+    every = {"dtick": 1, "tickfont": {"size": _LETTERS}}  # every name is written
+    layout["yaxis"] |= {"autorange": "reversed", **every}
+    layout["xaxis"] |= {"tickangle": -90, **every}
     room = 10 + round(0.6 * _LETTERS * max(len(name) for name in names))
     layout["margin"] = {"l": room, "b": room}
     return {

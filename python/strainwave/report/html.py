@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,9 @@ _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 )
 """Nothing may be fetched, and nothing be evaluated but what stands in the page."""
+
+
+_ROWS = 6  # of a heat map in the height of a panel: their names still stand apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +167,11 @@ def figure(
     key = _free(slug(name), plots)
     plots[key] = drawn
     panels = sum(axis.startswith("yaxis") for axis in drawn["layout"]) or 1
-    square = any(trace.get("type") == "heatmap" for trace in drawn["data"])
+    rows = max((len(t["y"]) for t in drawn["data"] if t.get("type") == "heatmap"), default=0)
     below = f"<figcaption>{escape(words)}</figcaption>" if words else ""
     return (
         f'<figure><h3>{escape(label)}</h3><div class="plot" id="figure-{key}" role="img" '
-        f'style="--panels:{3 if square else panels}" '
+        f'style="--panels:{max(panels, 1 + math.ceil(rows / _ROWS) if rows else 0)}" '
         f'aria-label="{escape(f"{label}. {words}".strip())}"></div>{below}</figure>'
     )
 
