@@ -74,7 +74,7 @@ def test_no_band_without_a_covariance() -> None:
 
 def test_what_is_not_coherent_is_grey() -> None:
     drawn = bode.bode(joint_model(), OWN, measured())
-    (grey,) = traces(drawn, "coherence < 0.8")
+    (grey,) = traces(drawn, "measured, doubtful")
     assert grey["marker"]["color"] == RESIDUAL
     assert min(grey["x"]) > 60.0
     f, _ = line_of(drawn, "measured")
@@ -83,6 +83,17 @@ def test_what_is_not_coherent_is_grey() -> None:
     unknown = bode.bode(joint_model(), OWN, replace(measured(), coherence=None))
     assert "yaxis3" not in unknown["layout"]
     assert max(line_of(unknown, "measured")[0]) > 100.0
+
+
+def test_noise_and_distortion_make_a_point_doubtful() -> None:
+    """Each alone is a quarter of the response, together a third."""
+    found = replace(measured(), coherence=None)
+    quarter = (0.25 * np.abs(found.response)) ** 2
+    assert bode.trusted(found).all()
+    assert bode.trusted(replace(found, noise_variance=quarter)).all()
+    assert bode.trusted(replace(found, distortion_variance=quarter)).all()
+    both = replace(found, noise_variance=quarter, distortion_variance=quarter)
+    assert not bode.trusted(both).any()
 
 
 def test_modes_are_marked_where_the_response_dips_and_peaks() -> None:
@@ -108,7 +119,7 @@ def test_a_long_response_is_thinned_evenly_on_its_axis() -> None:
 def test_the_words_say_where_it_rings_and_what_was_seen() -> None:
     said = bode.words(joint_model(), measured())
     assert said.startswith("Anti-resonance at 12.")
-    assert "100 % of the lines" in said
+    assert "100 % of the measured lines" in said
 
 
 def test_a_sliding_joint_has_its_own_units() -> None:

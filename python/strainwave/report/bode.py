@@ -9,6 +9,7 @@ import numpy as np
 from strainwave.formatting import plus_minus
 from strainwave.physical.two_inertia import jacobian, joint_of, state_space
 from strainwave.records import (
+    BoolArray,
     ComplexArray,
     FloatArray,
     FrequencyResponse,
@@ -38,7 +39,8 @@ from strainwave.statespace import frequency_response
 _POINTS = 300  # of a model's curve
 _OUTSIDE = 3.0  # how far a response is drawn beyond the band of the fit
 _MOST_LINES = 500  # measured; of more, those evenly spread over the logarithm of frequency
-_COHERENT = 0.8  # below that a point is drawn grey
+_COHERENT = 0.8  # below that a point is doubtful
+_BLURRED = 0.3  # and so it is above this relative deviation
 _NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
 _REACH = 1.96  # of a 95 % band, in deviations
 _BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
@@ -59,7 +61,7 @@ def bode(
     own : Joint
         Of the study.
     measured : FrequencyResponse or None
-        The nonparametric one; points of low coherence are grey.
+        The nonparametric one; doubtful points are grey.
     sampled : sequence of (str, StateSpace)
         State-space models by the names of their records, drawn within the band of the fit: beyond
         it they were not asked.
@@ -96,6 +98,27 @@ def bode(
     return {"data": data, "layout": marked(layout, marks)}
 
 
+def trusted(measured: FrequencyResponse) -> BoolArray:
+    """Where the output follows the input, and neither noise nor distortion blurs by how much.
+
+    Parameters
+    ----------
+    measured : FrequencyResponse
+
+    Returns
+    -------
+    (n_frequencies,)
+    """
+    variance = np.zeros(len(measured.frequencies_hz))
+    for part in (measured.noise_variance, measured.distortion_variance):
+        if part is not None:
+            variance += part[:, 0, 0]
+    sure = np.sqrt(variance) <= _BLURRED * np.abs(measured.response[:, 0, 0])
+    if measured.coherence is not None:
+        sure &= measured.coherence[:, 0] >= _COHERENT
+    return np.asarray(sure)
+
+
 def words(joint: JointModel, measured: FrequencyResponse | None) -> str:
     """What the figure shows, for those who do not see it.
 
@@ -112,13 +135,12 @@ def words(joint: JointModel, measured: FrequencyResponse | None) -> str:
     for name, mode in _modes(joint):
         value, spread = plus_minus(mode.frequency_hz, mode.frequency_std_hz)
         said.append(f"{name} at {value} ± {spread} Hz")
-    if measured is not None and measured.coherence is not None:
-        inside = _lines_between(measured, *joint.band_hz)
-        share = float(np.mean(measured.coherence[inside, 0] >= _COHERENT)) if inside.size else 0.0
-        said.append(
-            f"the coherence is {_COHERENT:g} or more at {100.0 * share:.0f} % of the lines within"
-            " the fit's band"
-        )
+    if measured is not None:
+        f = measured.frequencies_hz
+        inside = (f >= joint.band_hz[0]) & (f <= joint.band_hz[1])
+        share = float(np.mean(trusted(measured)[inside])) if inside.any() else 0.0
+        lines = f"{100.0 * share:.0f} % of the measured lines in the fit's band"
+        said.append(f"{lines} stand out of their noise")
     text = "; ".join(said)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
@@ -133,14 +155,12 @@ def _lines_between(measured: FrequencyResponse, low: float, high: float) -> np.n
 
 
 def _measured(measured: FrequencyResponse, seen: np.ndarray) -> list[Figure]:
-    """Points, grey where little of the output follows the input."""
+    """Points, grey where they say little."""
     G = measured.response[seen, 0, 0]
     f = measured.frequencies_hz[seen]
-    sure = np.ones(len(seen), dtype=bool)
-    if measured.coherence is not None:
-        sure = measured.coherence[seen, 0] >= _COHERENT
+    sure = trusted(measured)[seen]
     data = []
-    kinds = (("measured", MEASURED, sure), (f"coherence < {_COHERENT:g}", RESIDUAL, ~sure))
+    kinds = (("measured", MEASURED, sure), ("measured, doubtful", RESIDUAL, ~sure))
     for name, colour, chosen in kinds:
         if chosen.any():
             at = rounded(f[chosen])
