@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from elastic_results import BAND, JOINT, SPREAD, joint_model, measured, response, sampled, study
+from elastic_results import BAND, JOINT, SPREAD, joint_model, measured, response, sampled
 from strainwave.report import bode
 from strainwave.report.figures import RESIDUAL, Figure
 
-OWN = study().joints[0]
+RATIO = JOINT.gear_ratio
 
 
 def traces(drawn: Figure, name: str, panel: str = "y") -> list[Figure]:
@@ -24,7 +24,7 @@ def line_of(drawn: Figure, name: str, panel: str = "y") -> tuple[np.ndarray, np.
 
 
 def test_measured_and_both_models_are_one_curve() -> None:
-    drawn = bode.bode(joint_model(), OWN, measured(), [("prbs", sampled())])
+    drawn = bode.bode(joint_model(), RATIO, measured(), [("prbs", sampled())])
     # numbers of a figure have five digits; the held input of a sampled model costs half a sample,
     # 9 degrees at the band's upper edge, and hardly any size
     exact, held = (0.005, 0.1), (0.2, 10.0)
@@ -42,7 +42,7 @@ def test_measured_and_both_models_are_one_curve() -> None:
 
 def test_the_band_is_that_of_the_parameters() -> None:
     """Drawn parameters scatter as the delta method says."""
-    drawn = bode.bode(joint_model(), OWN, None)
+    drawn = bode.bode(joint_model(), RATIO, None)
     (fill,) = (t for t in drawn["data"] if t.get("fill") and t["yaxis"] == "y")
     half = len(fill["x"]) // 2
     low, high = np.array(fill["y"][:half]), np.array(fill["y"][half:])[::-1]
@@ -69,18 +69,18 @@ def _modes() -> list:  # type: ignore[type-arg]
 
 def test_no_band_without_a_covariance() -> None:
     unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
-    assert not any(t.get("fill") for t in bode.bode(unknown, OWN, None)["data"])
+    assert not any(t.get("fill") for t in bode.bode(unknown, RATIO, None)["data"])
 
 
 def test_what_is_not_coherent_is_grey() -> None:
-    drawn = bode.bode(joint_model(), OWN, measured())
+    drawn = bode.bode(joint_model(), RATIO, measured())
     (grey,) = traces(drawn, "measured, doubtful")
     assert grey["marker"]["color"] == RESIDUAL
     assert min(grey["x"]) > 60.0
     f, _ = line_of(drawn, "measured")
     assert max(f) <= 60.0
     assert len(traces(drawn, "coherence", "y3")) == 1
-    unknown = bode.bode(joint_model(), OWN, replace(measured(), coherence=None))
+    unknown = bode.bode(joint_model(), RATIO, replace(measured(), coherence=None))
     assert "yaxis3" not in unknown["layout"]
     assert max(line_of(unknown, "measured")[0]) > 100.0
 
@@ -97,7 +97,7 @@ def test_noise_and_distortion_make_a_point_doubtful() -> None:
 
 
 def test_modes_are_marked_where_the_response_dips_and_peaks() -> None:
-    drawn = bode.bode(joint_model(), OWN, None)
+    drawn = bode.bode(joint_model(), RATIO, None)
     words = {a["text"].split(" ")[0]: 10.0 ** a["x"] for a in drawn["layout"]["annotations"]}
     f, size = line_of(drawn, "physical model")
     assert words["anti-resonance"] == pytest.approx(f[np.argmin(size[f < 20])], rel=0.02)
@@ -110,7 +110,7 @@ def test_a_long_response_is_thinned_evenly_on_its_axis() -> None:
     f = np.linspace(0.1, 2000.0, 100_000)
     G = response(f)[:, None, None]
     found = replace(measured(), frequencies_hz=f, response=G, coherence=None)
-    x, _ = line_of(bode.bode(joint_model(), OWN, found), "measured")
+    x, _ = line_of(bode.bode(joint_model(), RATIO, found), "measured")
     assert 300 < len(x) <= 500
     steps = np.diff(np.log(x[x > 10.0]))
     assert steps.max() < 2.0 * steps.min()
@@ -123,6 +123,6 @@ def test_the_words_say_where_it_rings_and_what_was_seen() -> None:
 
 
 def test_a_sliding_joint_has_its_own_units() -> None:
-    slides = replace(OWN, motion="prismatic")
-    title = bode.bode(joint_model(), slides, None)["layout"]["yaxis"]["title"]["text"]
+    drawn = bode.bode(joint_model(), RATIO, None, straight=True)
+    title = drawn["layout"]["yaxis"]["title"]["text"]
     assert title == "dB re m/s/N"

@@ -13,7 +13,6 @@ from strainwave.records import (
     ComplexArray,
     FloatArray,
     FrequencyResponse,
-    Joint,
     JointModel,
     Mode,
     StateSpace,
@@ -48,9 +47,11 @@ _BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
 
 def bode(
     joint: JointModel,
-    own: Joint,
+    gear_ratio: float,
     measured: FrequencyResponse | None,
     sampled: Sequence[tuple[str, StateSpace]] = (),
+    *,
+    straight: bool = False,
 ) -> Figure:
     """Motor torque to motor velocity: magnitude, phase, and coherence where it is known.
 
@@ -58,13 +59,14 @@ def bode(
     ----------
     joint : JointModel
         The physical model, drawn with its 95 % band.
-    own : Joint
-        Of the study.
+    gear_ratio : float
     measured : FrequencyResponse or None
         The nonparametric one; doubtful points are grey.
     sampled : sequence of (str, StateSpace)
         State-space models by the names of their records, drawn within the band of the fit: beyond
         it they were not asked.
+    straight : bool
+        Whether the joint is prismatic.
 
     Returns
     -------
@@ -73,7 +75,7 @@ def bode(
     """
     low, high = joint.band_hz[0] / _OUTSIDE, joint.band_hz[1] * _OUTSIDE
     data: list[Figure] = []
-    unit = "m/s/N" if own.motion == "prismatic" else "rad/s/(N m)"
+    unit = "m/s/N" if straight else "rad/s/(N m)"
     titles, heights = [f"dB re {unit}", "phase [°]"], [1.0, 0.7]
     if measured is not None:
         seen = _lines_between(measured, low, high)
@@ -89,7 +91,7 @@ def bode(
         dash = ("6px,3px", "2px,2px", "8px,3px,2px,3px")[k % 3]
         data += _curve(f, G, f"state space, {name}", LINEAR, dash)
     f = np.geomspace(low, high, _POINTS)
-    data += _physical(joint, own.gear_ratio, f)
+    data += _physical(joint, gear_ratio, f)
     layout = panels("frequency [Hz]", titles, log=True, heights=heights)
     layout["yaxis2"]["dtick"] = 90
     if "yaxis3" in layout:

@@ -8,8 +8,9 @@ import numpy as np
 
 from strainwave.formatting import plus_minus
 from strainwave.records import Criticism, ResidualTest, RicherModel
-from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, panels, rounded, unit_of
+from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, panels, rounded
 from strainwave.report.html import figure, number, row, table
+from strainwave.report.predictions import unit_of
 
 _CHANCE = 1e-3  # probabilities below are not told apart
 

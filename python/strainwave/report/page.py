@@ -9,9 +9,10 @@ from strainwave.formatting import percent
 from strainwave.records import ArmModel, Identification, Prediction
 from strainwave.report import bode, correlations, elastic, gears, torques
 from strainwave.report.criticism import criticised
-from strainwave.report.figures import MOST_POINTS, Figure, of_prediction
+from strainwave.report.figures import MOST_POINTS, Figure
 from strainwave.report.html import Cell, Section, document, figure, number, prose, row, table
 from strainwave.report.parameters import parameter_table
+from strainwave.report.predictions import of_prediction
 from strainwave.report.remedies import warnings_table
 from strainwave.report.verdict import verdict
 
@@ -94,7 +95,9 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
             for r in found.records
             if r.signals.joint == joint.joint and r.state_space is not None
         ]
-        drawn = bode.bode(joint, own, measured, sampled)
+        drawn = bode.bode(
+            joint, own.gear_ratio, measured, sampled, straight=own.motion == "prismatic"
+        )
         label = f"Joint {joint.joint} alone: motor torque to motor velocity"
         name = f"bode joint {joint.joint}"
         parts.append(figure(name, label, drawn, plots, words=bode.words(joint, measured)))
