@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 DEMO   := build/demo
 RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.toml Cargo.lock
 
-.PHONY: setup demo test check bench wheel lock clean
+.PHONY: setup demo test check bench docs wheel lock clean
 
 setup: $(VENV)/.built
 
@@ -43,6 +43,10 @@ check: setup
 
 bench: setup
 	$(BIN)/python -m benchmarks
+
+# Runs the notebooks; a warning is an error. Open build/docs/index.html.
+docs: setup
+	$(BIN)/python -m sphinx -b html -W --keep-going -q -d build/doctrees docs build/docs
 
 wheel: $(VENV)/.installed
 	$(BIN)/maturin build --release --locked --out dist

@@ -1,32 +1,65 @@
-"""What the docs show works: study files, parameter files, commands, code, links, examples."""
+"""What the docs show works, and what they list is complete.
+
+Study files, parameter files, commands, code, links and examples; codes, keys and equations.
+"""
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
 import shlex
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-from strainwave import scara, virtual
+from strainwave import cli, records, scara, virtual
 from strainwave.parameters import read_parameters
 from strainwave.study import read_study
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+NOTEBOOKS = sorted(ROOT.glob("docs/notebooks/*.ipynb"))
+STAGES = (
+    "read",
+    "rigid",
+    "links",
+    "statespace",
+    "physical",
+    "sweep",
+    "tuning",
+    "criticism",
+    "report",
+)
 EXAMPLES = sorted(ROOT.glob("examples/*.py"))
+
+
+def blocks_of(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
 def blocks(language: str) -> list[tuple[str, str]]:
     found = []
     for page in PAGES:
-        code = re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-        found += [(f"{page.name}-{k}", text) for k, text in enumerate(code)]
+        texts = blocks_of(page, language)
+        found += [(f"{page.relative_to(ROOT)}-{k}", text) for k, text in enumerate(texts)]
     return found
+
+
+def programs() -> list[tuple[str, str]]:
+    """Python of the docs: page by page, but that of the stages is one program."""
+    stages = [ROOT / f"docs/stages/{name}.md" for name in STAGES]
+    own = [page for page in PAGES if page not in stages and blocks_of(page, "python")]
+    groups = {page.stem: [page] for page in own} | {"stages": stages}
+    return [
+        (name, "\n".join(text for page in pages for text in blocks_of(page, "python")))
+        for name, pages in groups.items()
+    ]
 
 
 def commands() -> list[tuple[str, str]]:
@@ -45,15 +78,17 @@ def test_study_files_are_read(tmp_path: Path) -> None:
     for text in whole:
         path.write_text(text, encoding="utf-8")
         read_study(path, logs_exist=False)
-    for part in texts:
-        if part not in whole:
-            path.write_text(whole[0] + part, encoding="utf-8")
-            assert read_study(path, logs_exist=False).channels["theta_m1"].scale < 1.0
+    parts = [text for text in texts if text not in whole]
+    path.write_text("\n".join([whole[0], *parts]), encoding="utf-8")
+    study = read_study(path, logs_exist=False)
+    assert study.channels["theta_m1"].scale < 1.0
+    assert study.servo is not None
+    assert study.experiments[-1].prbs is not None
 
 
 @pytest.mark.parametrize(("name", "text"), blocks("json"))
 def test_parameter_files_are_read(name: str, text: str, tmp_path: Path) -> None:
-    path = tmp_path / f"{name}.json"
+    path = tmp_path / f"{Path(name).name}.json"
     path.write_text(text, encoding="utf-8")
     assert set(read_parameters(path)) <= set(scara.parameters()) | set(
         scara.parameters(spring="linear")
@@ -94,9 +129,9 @@ def run(arguments: list[str], folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize(("name", "text"), blocks("python"))
+@pytest.mark.parametrize(("name", "text"), programs())
 def test_code_runs(name: str, text: str, demo: Path) -> None:
-    assert "rigid_inertia" in run(["-c", text], demo), name
+    assert run(["-c", text], demo), name
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
@@ -122,3 +157,66 @@ def test_every_key_of_a_result_is_documented(demo: Path) -> None:
     assert [key for key in keys if f"`{key}`" not in page and f"stages.{key}" not in page] == [
         "stages"
     ]
+
+
+def test_notebooks_are_committed_without_what_running_them_gives() -> None:
+    assert len(NOTEBOOKS) == 3
+    for path in NOTEBOOKS:
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        code = [cell for cell in cells if cell["cell_type"] == "code"]
+        assert [cell["outputs"] for cell in code] == [[]] * len(code), path.name
+        assert [cell["execution_count"] for cell in code] == [None] * len(code), path.name
+
+
+def test_no_equation_stands_twice() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    numbers = re.findall(r"\\tag\{(.*?)\}", text)
+    assert sorted(numbers) == sorted(set(numbers))
+    assert {f"S{k}" for k in range(1, 14)} <= set(numbers)
+
+
+@cache
+def calls() -> list[ast.Call]:
+    """Every call in the package's code."""
+    files = ROOT.glob("python/strainwave/**/*.py")
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
+    return [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
+
+
+def first_arguments(function: str) -> list[ast.expr]:
+    """What the package's code calls a function with, as its first argument."""
+    return [
+        call.args[0]
+        for call in calls()
+        if isinstance(call.func, ast.Name) and call.func.id == function
+    ]
+
+
+def constants(function: str) -> set[str]:
+    arguments = first_arguments(function)
+    return {ast.literal_eval(node) for node in arguments if isinstance(node, ast.Constant)}
+
+
+def codes_of_warnings() -> set[str]:
+    """Every code a caution can have: written out, or made from a check, a step or an effect."""
+    made = [node for node in first_arguments("Caution") if not isinstance(node, ast.Constant)]
+    assert {ast.unparse(node) for node in made} == {"check.name", "code", "f'{one.effect}-likely'"}
+    likely = {f"{effect}-likely" for effect in get_args(records.Effect)}
+    return constants("Caution") | constants("Check") | constants("tried") | likely
+
+
+def test_every_warning_has_its_place_in_troubleshooting() -> None:
+    page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    told = re.findall(r"^### `(.*)`$", page, re.MULTILINE)
+    assert sorted(told) == sorted(codes_of_warnings())
+    for section in page.split("### `")[1:]:
+        text = " ".join(section.split())
+        for part in ("*Cause.*", "*For the numbers.*", "*Remedy.*"):
+            assert part in text, text[:40]
+
+
+def test_every_exit_code_is_explained() -> None:
+    page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    table = page.split("## Exit codes")[1].split("## ")[0]
+    told = {int(code) for code in re.findall(r"^\| (\d) \|", table, re.MULTILINE)}
+    assert told == {cli.DONE, cli.AT_FAULT, cli.NOT_ANSWERED, 1}

@@ -94,6 +94,20 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         draw({"data": [{"type": "pie"}], "layout": {}})
 
 
+def test_title_height_and_names_along_the_axis() -> None:
+    data = [figures.dots([], np.array([1.0, 2.0]), "a", "#0072B2") | {"x": ["one", "two"]}]
+    layout = figures.panels("", ["y"])
+    layout["xaxis"]["tickangle"] = -90
+    drawn = draw({"data": data, "layout": layout | {"meta": "caption", "height": 480}})
+    assert drawn.get_suptitle() == "caption"
+    assert drawn.get_figheight() == 5.0  # [in], of 96 pixels each
+    labels = drawn.axes[0].get_xticklabels()
+    assert [(label.get_text(), label.get_rotation()) for label in labels] == [
+        ("one", 90.0),
+        ("two", 90.0),
+    ]
+
+
 def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InvalidInput, match=r"pip install 'strainwave\[plot\]'"):

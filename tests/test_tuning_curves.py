@@ -38,6 +38,7 @@ def test_a_curve_that_bends_twice_is_left_alone() -> None:
         curve(1e4, 1.5e4, 1.5e4, 8.0, 20.0),  # the slopes beyond are one
         curve(3e4, 1e4, 1.5e4, 0.1, 8.0),  # the first knee is at zero
         curve(1e4, 1e4, 1.5e4, 3.0, 8.0),  # the slopes before are one
+        curve(1e4, 1.2e4, 1.5e4, 7.5, 8.5),  # the knees are one
     ],
 )
 def test_one_bend_is_split(lost: Values) -> None:

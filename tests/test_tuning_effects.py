@@ -98,9 +98,9 @@ def test_an_arm_without_effects_gets_none() -> None:
 
 
 def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
-    model = tuned(ALL, ALL, most=15)
+    model = tuned(ALL, ALL, most=8)
     assert model.status == "iteration-limit"
-    assert 15 < model.iterations <= 2 * 15
+    assert 8 < model.iterations <= 2 * 8
 
 
 def test_only_what_is_there_stays() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, lsq_linear
 
-from strainwave.records import FloatArray
-from strainwave.tuning.trust_region import Found, Linearised, minimise
+from strainwave.records import BoolArray, FloatArray
+from strainwave.tuning.trust_region import Flat, Found, Linearised, minimise
 
 Residual = Callable[[FloatArray], FloatArray]
 FAR = 1e6
@@ -29,6 +30,24 @@ def two_decays(x: FloatArray) -> FloatArray:
 def badly_scaled(x: FloatArray) -> FloatArray:
     """Unknowns whose sizes are a million apart."""
     return np.array([1e3 * (x[0] - 1e-3), 1e-3 * (x[1] - 1e3), x[0] * x[1] - 1.5])
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounds, and how long a step may be."""
+
+    reach: FloatArray
+    farthest: float = np.inf
+
+    def moved(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        return np.asarray(np.clip(x + step, -self.reach, self.reach))
+
+    def bounded(self, x: FloatArray, gradient: FloatArray) -> BoolArray:
+        return np.asarray((np.abs(x) >= self.reach) & (np.sign(x) * gradient < 0.0))
+
+    def trusted(self, x: FloatArray, step: FloatArray, share: float) -> FloatArray:
+        near = np.clip(step, -share * self.farthest, share * self.farthest)
+        return np.asarray(np.clip(near, -self.reach - x, self.reach - x))
 
 
 class Problem:
@@ -58,6 +77,7 @@ def found_for(
     start: list[float],
     reach: list[float] | float = FAR,
     *,
+    farthest: float = np.inf,
     tolerance: float = 1e-14,
     max_evaluations: int = 300,
 ) -> Found:
@@ -66,7 +86,7 @@ def found_for(
     found = minimise(
         problem.linearise,
         x,
-        np.broadcast_to(np.asarray(reach), x.shape),
+        Box(np.broadcast_to(np.asarray(reach), x.shape), farthest),
         tolerance=tolerance,
         max_evaluations=max_evaluations,
     )
@@ -142,6 +162,25 @@ def test_a_start_at_a_bound_comes_away_from_it() -> None:
     np.testing.assert_allclose(found.x, [1.0, 1.0], rtol=1e-5)
 
 
+def test_short_steps_stay_in_a_narrow_valley() -> None:
+    """The sum is told a thousand times better than its parts, which are 8 away."""
+    A = np.array([[1.0, 1.0], [0.0, 1e-3]])
+    there = np.array([-8.0, 8.0])
+    problem = Problem(lambda x: np.asarray(A @ (x - there)))
+    found = minimise(
+        problem.linearise,
+        np.zeros(2),
+        Box(np.full(2, FAR), farthest=1.0),
+        tolerance=1e-12,
+        max_evaluations=100,
+    )
+    assert found is not None
+    np.testing.assert_allclose(found.x, there, rtol=1e-3)
+    # hardly more steps than there are lengths, and each along the valley
+    assert found.evaluations < 16
+    assert max(abs(np.sum(x)) for x in problem.looked_at) < 1e-3
+
+
 def test_what_nothing_tells_of_stays_where_it_is() -> None:
     A, b = linear(0)
     A[:, 2] = 0.0
@@ -162,7 +201,7 @@ def test_twins_do_not_run_away() -> None:
         factor = np.linalg.qr(np.column_stack([A, A @ x - b]), mode="r")
         return Linearised(cost(x), np.asarray(factor))
 
-    found = minimise(linearise, np.zeros(4), np.full(4, FAR), tolerance=1e-9, max_evaluations=50)
+    found = minimise(linearise, np.zeros(4), Flat(), tolerance=1e-9, max_evaluations=50)
     least = np.linalg.pinv(A) @ b
     assert found is not None
     assert found.converged
@@ -182,9 +221,7 @@ def test_steps_into_nowhere_are_refused() -> None:
         at = problem.linearise(x)
         return None if x[0] > 0.0 else at
 
-    found = minimise(
-        walled, np.array([-2.0]), np.array([FAR]), tolerance=1e-12, max_evaluations=100
-    )
+    found = minimise(walled, np.array([-2.0]), Flat(), tolerance=1e-12, max_evaluations=100)
     assert found is not None
     assert found.converged
     assert found.x[0] == pytest.approx(-0.1, abs=1e-6)
@@ -198,7 +235,7 @@ def test_there_is_nothing_to_find_where_there_is_no_problem() -> None:
     def nowhere(x: FloatArray) -> None:
         looked_at.append(x)
 
-    found = minimise(nowhere, np.ones(1), np.ones(1), tolerance=1e-12, max_evaluations=100)
+    found = minimise(nowhere, np.ones(1), Flat(), tolerance=1e-12, max_evaluations=100)
     assert found is None
     assert len(looked_at) == 1
 
@@ -210,9 +247,7 @@ def test_it_ends_where_no_step_helps(tolerance: float, converged: bool) -> None:
     def linearise(x: FloatArray) -> Linearised:
         return Linearised(1.0 + float(np.sum(x**2)), np.array([[1.0, 1.0], [0.0, 0.0]]))
 
-    found = minimise(
-        linearise, np.zeros(1), np.array([FAR]), tolerance=tolerance, max_evaluations=100
-    )
+    found = minimise(linearise, np.zeros(1), Flat(), tolerance=tolerance, max_evaluations=100)
     assert found is not None
     assert found.x[0] == 0.0
     assert found.converged is converged
@@ -225,7 +260,9 @@ def test_no_step_is_taken_that_raises_the_cost() -> None:
     reach = np.full(4, 10.0)
     costs = []
     for most in range(1, 20):
-        found = minimise(problem.linearise, start, reach, tolerance=1e-10, max_evaluations=most)
+        found = minimise(
+            problem.linearise, start, Box(reach), tolerance=1e-10, max_evaluations=most
+        )
         assert found is not None
         assert found.at.cost == problem.cost(found.x)
         costs.append(found.at.cost)
@@ -262,7 +299,7 @@ def test_a_cliff_ends_the_search_at_its_edge() -> None:
         cost = off**2 + (1e6 if x[0] > 0.5 else 0.0)
         return Linearised(cost, np.array([[100.0, off], [0.0, 0.0]]))
 
-    found = minimise(linearise, np.zeros(1), np.ones(1), tolerance=0.01, max_evaluations=200)
+    found = minimise(linearise, np.zeros(1), Box(np.ones(1)), tolerance=0.01, max_evaluations=200)
     assert found is not None
     assert found.evaluations < 60
     assert found.converged

@@ -83,6 +83,35 @@ def test_coordinates_undo_parameters(seed: int) -> None:
     np.testing.assert_allclose(search.coordinates(search.values(z)), z, atol=1e-8)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_are_straight_in_the_values(seed: int) -> None:
+    """Not so among the coordinates, which are logarithms."""
+    _, _, search = mixed()
+    z = 0.5 * somewhere(search, seed)
+    rng = np.random.default_rng(seed)
+    step = search.trusted(z, rng.uniform(-0.5, 1.0, len(z)), 1.0)
+    path = [search.parameters(search.moved(z, t * step)) for t in (0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(path[1], 0.5 * (path[0] + path[2]), rtol=1e-12, atol=1e-15)
+    # and begin as the coordinates' own
+    nearby = search.moved(z, 1e-7 * step)
+    np.testing.assert_allclose(nearby, z + 1e-7 * step, atol=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_trusted_steps_stay_in_reach(seed: int) -> None:
+    _, _, search = mixed()
+    z = somewhere(search, seed)
+    wild = np.random.default_rng(seed).uniform(-50.0, 50.0, len(z))
+    step = search.trusted(z, wild, 1.0)
+    values, after = search.parameters(z), search.parameters(search.moved(z, step))
+    assert np.all(np.abs(search.moved(z, step)) <= search.reach)
+    assert np.all(np.sign(step) * np.sign(wild) >= 0.0)
+    positive = [k for k, u in enumerate(search.unknowns) if not u.signed and u.name != KNEES[1]]
+    assert np.all(after[positive] < 2.6 * values[positive])
+    # twice cut is cut once
+    np.testing.assert_array_equal(search.trusted(z, step, 1.0), step)
+
+
 def test_coordinates_stay_in_reach() -> None:
     _, _, search = mixed()
     outside = search.values(1.5 * search.reach)

@@ -1,4 +1,4 @@
-"""Plotly dictionaries -> Matplotlib figures, PNG and SVG, without a browser.
+"""Plotly dictionaries -> Matplotlib figures, PNG and SVG: for notebooks, papers and plain pages.
 
 Only what this package's figures are made of is drawn: lines, points, error bars, filled outlines,
 bars, heat maps; panels one above the other, logarithmic axes, upright lines and words. Anything
@@ -34,13 +34,12 @@ def require_matplotlib() -> None:
         It is not.
     """
     try:
-        import matplotlib  # noqa: F401 - whether it is there is the question
-    except ImportError as error:
+        import matplotlib.figure  # noqa: F401 - whether it is there is the question
+    except ImportError:
         raise InvalidInput(
-            "figures as files need Matplotlib, which is not installed",
-            where="--figures",
-            remedy="install the extra: pip install 'strainwave[plot]'",
-        ) from error
+            "drawing figures needs Matplotlib, which is not installed",
+            remedy="install it with: pip install 'strainwave[plot]'",
+        ) from None
 
 
 def draw(figure: Mapping[str, Any]) -> Figure:
@@ -49,7 +48,7 @@ def draw(figure: Mapping[str, Any]) -> Figure:
     Parameters
     ----------
     figure : dict
-        `data` and `layout`.
+        `data` and `layout`; the title is `layout.meta`, the height `layout.height` in pixels.
 
     Returns
     -------
@@ -66,7 +65,8 @@ def draw(figure: Mapping[str, Any]) -> Figure:
     layout = figure["layout"]
     names = [key for key in layout if key.startswith("yaxis")] or ["yaxis"]
     rows = max((len(t["y"]) for t in figure["data"] if t.get("type") == "heatmap"), default=0)
-    height = _AROUND + max(_PANEL * len(names), _PANEL + _ROW * rows if rows else 0.0)
+    panels = _AROUND + max(_PANEL * len(names), _PANEL + _ROW * rows if rows else 0.0)
+    height = layout["height"] * _POINT / 72.0 if "height" in layout else panels
     drawn = Figure(figsize=(_WIDTH, height), layout="constrained")
     shares = [high - low for low, high in (_domain(layout, k) for k in range(len(names)))]
     grid = drawn.add_gridspec(len(names), 1, height_ratios=shares)
@@ -81,6 +81,8 @@ def draw(figure: Mapping[str, Any]) -> Figure:
     _horizontal(list(axes.values()), layout.get("xaxis", {}))
     _marks(list(axes.values()), layout)
     _legend(drawn, list(axes.values()), figure["data"])
+    if layout.get("meta"):
+        drawn.suptitle(str(layout["meta"]), fontsize=_WORDS + 2.0, parse_math=False)
     return drawn
 
 
@@ -132,7 +134,9 @@ def _trace(drawn: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
 
 def _scatter(axes: Axes, trace: Mapping[str, Any]) -> None:
     """A line, points, or both, with error bars where there are any."""
-    x, y = _numbers(trace["x"]), _numbers(trace["y"])
+    words = all(isinstance(value, str) for value in trace["x"])
+    x: Any = list(trace["x"]) if words else _numbers(trace["x"])
+    y = _numbers(trace["y"])
     look: dict[str, Any] = {"label": trace.get("name", "")}
     if "lines" in trace["mode"]:
         own = trace["line"]
@@ -185,6 +189,8 @@ def _horizontal(axes: list[Axes], axis: Mapping[str, Any]) -> None:
         axes[-1].set_xlim(*axis["range"])
     for upper in axes[:-1]:
         upper.tick_params(labelbottom=False)
+    if "tickangle" in axis and not axes[-1].images:
+        axes[-1].tick_params(axis="x", labelrotation=-axis["tickangle"], labelsize=_WORDS)
     _named(axes[-1].set_xlabel, axis)
 
 

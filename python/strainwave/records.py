@@ -17,6 +17,8 @@ import numpy as np
 from annotated_types import Ge, Gt, MinLen
 from numpy.typing import NDArray
 
+from strainwave.shown import Shown
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int_]
@@ -162,7 +164,7 @@ class Caution:
 
 
 @dataclass(frozen=True, slots=True)
-class Log:
+class Log(Shown):
     """One experiment's measured channels on a uniform time base, in SI units."""
 
     experiment: Experiment
@@ -221,7 +223,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class RigidModel:
+class RigidModel(Shown):
     """The rigid-joint arm (5)-(7) as estimated."""
 
     parameters: tuple[Parameter, ...]
@@ -250,7 +252,7 @@ class RigidModel:
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
+class Prediction(Shown):
     """What a model says a record's channels should have been."""
 
     experiment: str
@@ -382,7 +384,7 @@ class Modes:
 
 
 @dataclass(frozen=True, slots=True)
-class FrequencyResponse:
+class FrequencyResponse(Shown):
     """Response of every output to every input, with its uncertainty."""
 
     frequencies_hz: FloatArray  # (n_frequencies,)
@@ -558,7 +560,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class Decoupled:
+class Decoupled(Shown):
     """One joint on its own: the other links act on it as an input like any other.
 
     m_M ddtheta_M + d_M dtheta_M = u - n [k delta + d_G ddelta]
@@ -596,7 +598,7 @@ class Resonance:
 
 
 @dataclass(frozen=True, slots=True)
-class JointModel:
+class JointModel(Shown):
     """One joint's physical parameters, as one or several records of it tell them."""
 
     joint: int  # from 1
@@ -614,7 +616,7 @@ class JointModel:
 
 
 @dataclass(frozen=True, slots=True)
-class RecordModel:
+class RecordModel(Shown):
     """Everything one record tells of the joint that was excited in it."""
 
     signals: Decoupled
@@ -639,7 +641,7 @@ class SweepPoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Sweep:
+class Sweep(Shown):
     """How one joint's equivalent stiffness goes with the amplitude."""
 
     joint: int  # from 1
@@ -699,7 +701,7 @@ class TorqueHistogram:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmModel:
+class ArmModel(Shown):
     """All parameters of the arm, fitted at once to all records that excite its gears."""
 
     parameters: tuple[Parameter, ...]
@@ -717,7 +719,7 @@ class ArmModel:
 
 
 @dataclass(frozen=True, slots=True)
-class Identification:
+class Identification(Shown):
     """Everything one run learnt: what result.json and the report are made of."""
 
     study: Study

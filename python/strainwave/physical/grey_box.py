@@ -50,9 +50,9 @@ _SAME_BAND = 0.05
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
 _ROUNDS = 8  # of weights and linearisation at one band, at most
 # of a deviation, by which a round still moves the unknowns: in an answer, and where all that is
-# looked for is the next band
-_SETTLED, _ROUGHLY = 0.01, 1.0
-_NEARLY = 0.1  # the same where the answer serves to see how much the band matters
+# looked for is the next band, whose edges need no more than percents
+_SETTLED, _ROUGHLY = 0.05, 10.0
+_NEARLY = 0.5  # the same where the answer serves to see how much the band matters
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
+from strainwave.cores import one_blas_thread
 from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, Criticism, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
@@ -83,7 +84,18 @@ def tune(
     InvalidInput
         A record lacks something that going through it again needs.
     """
-    chosen = options or TuningOptions()
+    with one_blas_thread():  # thousands of small factorisations
+        return _tuned(logs, model, joints, study, options or TuningOptions())
+
+
+def _tuned(
+    logs: Sequence[Log],
+    model: RigidModel | None,
+    joints: Sequence[JointModel],
+    study: Study,
+    chosen: TuningOptions,
+) -> ArmModel:
+    """What `tune` promises, however many threads BLAS may have."""
     used = usable(logs, study)
     if not used:
         raise NotIdentifiable(

@@ -1,7 +1,8 @@
 """Other starts for stiffness curves that ended as fewer slopes than they have.
 
 A knee beyond the largest torque, one near zero, and one between equal slopes bend nothing: no
-derivative would ever bring them back.
+derivative would ever bring them back. Two knees close together are as good as one: the slope
+between them is hardly felt, and a search that came there from far seldom gets them apart again.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from strainwave.tuning.unknowns import CURVE, KNEES
 
 _SAME = 0.01  # relative difference below which two slopes are one
 _NOTHING = 0.02  # share of the largest torque below which a knee is at zero
+_CLOSE = 0.3  # relative distance below which two knees are one
 _FEW = ((0.1, 0.3), (0.3, 0.7))  # of the largest torque: knees where no bend was found
 _RISE = 1.05  # of slopes to start from that are one
 
@@ -64,4 +66,6 @@ def _bends(values: Values, joint: int, largest: float) -> tuple[list[float], lis
         elif torque < largest and abs(slope / slopes[-1] - 1.0) > _SAME:
             slopes.append(slope)
             knees.append(torque)
+    if len(knees) == 2 and knees[1] < (1.0 + _CLOSE) * knees[0]:
+        return [slopes[0], slopes[2]], [float(np.sqrt(knees[0] * knees[1]))]
     return slopes, knees

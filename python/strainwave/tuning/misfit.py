@@ -18,7 +18,7 @@ from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.records import ComplexArray, FloatArray, IntArray
 from strainwave.tuning.replayed import Replayed
-from strainwave.tuning.trust_region import Linearised, minimise
+from strainwave.tuning.trust_region import Flat, Linearised, minimise
 from strainwave.tuning.unknowns import Search
 
 BLOCKS = 10
@@ -70,14 +70,15 @@ class Evaluated:
         """Divided by their deviations, the record's own unknowns at their best."""
         begun = self.difference / weights.deviation
         local = self.local / weights.deviation[:, None]
-        residual, step = begun, np.zeros(local.shape[2])
-        for _ in range(_ROUNDS if local.shape[2] else 0):
+        columns = local.reshape(begun.size, -1)
+        residual, root = begun, _root(begun, weights)
+        step = np.zeros(columns.shape[1])
+        for _ in range(_ROUNDS if len(step) else 0):
+            flat = root.reshape(-1, 1)
+            step = np.asarray(np.linalg.lstsq(columns * flat, -(begun.ravel() * flat[:, 0]))[0])
+            residual = begun + (columns @ step).reshape(begun.shape)
             root = _root(residual, weights)
-            columns = (local * root[..., None]).reshape(begun.size, -1)
-            step = np.asarray(np.linalg.lstsq(columns, -(begun * root).ravel())[0], dtype=float)
-            residual = begun + local @ step
-        shared = self.shared / weights.deviation[:, None]
-        return Rows(residual, _root(residual, weights), shared, local, step)
+        return Rows(residual, root, self.shared / weights.deviation[:, None], local, step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,32 +151,30 @@ class Misfit:
 
     def linearise(self, z: FloatArray) -> Linearised | None:
         """The cost with its least squares problem in the unknowns; None where no arm can be."""
+        least = 1.0 if self.guessed else LEAST_BEND
+
+        def linearised(k: int, evaluated: Evaluated) -> Linearised:
+            rows = evaluated.weighted(self.weights[k])
+            return Linearised(rows.cost(self.weights[k]), rows.factor(least))
+
         try:
-            rows = self.rows(z)
+            parts = self._at(z, linearised)
         except (InvalidInput, NumericalFailure):
             return None
-        least = 1.0 if self.guessed else LEAST_BEND
-        factors = side_by_side([partial(one.factor, least) for one in rows])
-        cost = sum(one.cost(w) for one, w in zip(rows, self.weights, strict=True))
+        cost = sum(part.cost for part in parts)
         prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
         slope = self.search.prior.rows @ self.search.slope(z)
-        stacked = np.concatenate([*factors, np.column_stack([slope, prior])])
+        stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
         factor = np.linalg.qr(stacked, mode="r")
         return Linearised(float(cost + np.sum(prior**2)), np.asarray(factor))
 
     def rows(self, z: FloatArray) -> list[Rows]:
         """Every record's rows, its own unknowns at their best for z."""
-        evaluated = self.evaluate(z)
-        pairs = zip(evaluated, self.weights, strict=True)
-        return side_by_side([partial(one.weighted, weights) for one, weights in pairs])
+        return self._at(z, lambda k, evaluated: evaluated.weighted(self.weights[k]))
 
     def evaluate(self, z: FloatArray) -> list[Evaluated]:
-        """Every record at z; what was looked at last is remembered."""
-        at = z.tobytes()
-        if self.memory.last is None or self.memory.last[0] != at:
-            found = self._each(lambda k, record: self._evaluated(k, record, z))
-            self.memory.last = at, found
-        return self.memory.last[1]
+        """Every record at z."""
+        return self._at(z, lambda _, evaluated: evaluated)
 
     def reweighted(self, z: FloatArray) -> Misfit:
         """With deviations and repetitions as the residuals at z show them."""
@@ -240,6 +239,19 @@ class Misfit:
             found[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
         return found
 
+    def _at(self, z: FloatArray, work: Callable[[int, Evaluated], T]) -> list[T]:
+        """Work on every record at z; what was looked at last is remembered."""
+        at, last = z.tobytes(), self.memory.last
+        known = last[1] if last is not None and last[0] == at else None
+
+        def both(k: int, record: Replayed) -> tuple[Evaluated, T]:
+            evaluated = known[k] if known is not None else self._evaluated(k, record, z)
+            return evaluated, work(k, evaluated)
+
+        found = self._each(both)
+        self.memory.last = at, [evaluated for evaluated, _ in found]
+        return [made for _, made in found]
+
     def _evaluated(self, k: int, record: Replayed, z: FloatArray) -> Evaluated:
         """A record at z; if it begins in motion, begun where it fits best."""
         if not record.moving:
@@ -257,7 +269,7 @@ class Misfit:
         found = minimise(
             linearise,
             own,
-            np.full(len(own), np.inf),
+            Flat(),
             tolerance=_BEGUN,
             max_evaluations=_BEGINNINGS,
         )
@@ -273,7 +285,7 @@ class Misfit:
         shifts = _shifts(record)
         return Evaluated(
             seen + shifts[0] @ own[n_begin:] - record.measured,
-            tangent[..., :n] @ self.search.slope(z),
+            (tangent[..., :n].reshape(-1, n) @ self.search.slope(z)).reshape(*seen.shape, n),
             np.concatenate([tangent[..., n:], shifts], axis=2),
         )
 
@@ -290,7 +302,7 @@ def _loss(residual: FloatArray, weights: Weights) -> float:
 
 def _root(residual: FloatArray, weights: Weights) -> FloatArray:
     """Roots of the weights (1 + r^2)^(-1/2) of the soft L1 loss, over the repetitions."""
-    return np.asarray((1.0 + residual**2) ** -0.25 / np.sqrt(weights.repeats))
+    return np.asarray(1.0 / np.sqrt(np.sqrt(1.0 + residual**2) * weights.repeats))
 
 
 def _shifts(record: Replayed) -> FloatArray:

@@ -18,8 +18,9 @@ from strainwave.tuning.unknowns import Key
 SOON, ROUGHLY = 1.0, 2e-3  # gain still foretold at a rough end, in units of the cost and as a share
 _FINE, _GUESSED = 1e-2, 2e-2  # the same of the fit itself, and by weights that are guessed
 _ROUNDS = 4  # of new weights; the third seldom moves anything
+_ROUGH_ROUNDS = 8  # of the same far from the minimum
 _SETTLED = 0.2  # relative change of the weights
-_FARTHEST = 1.0  # step of a logarithm
+_SMALLER = 0.7  # of what they were: errors that show a search had ended early
 _NEAR = 1e-8  # damping of a search that is close
 
 
@@ -36,7 +37,10 @@ class TuningOptions:
 
 
 def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
-    """By weights that are guessed, and again by those that the first search shows.
+    """By weights that are guessed, and then by those that each search shows.
+
+    A search from far ends early by weights that its own errors made too lenient: new ones follow
+    for as long as the errors become much smaller.
 
     Parameters
     ----------
@@ -51,10 +55,16 @@ def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
     first = search_from(misfit, start, 0, options, tolerance=SOON, relative=_GUESSED)
     if not first.converged or first.iterations >= options.max_iterations:
         return replace(first, converged=False)
-    renewed = misfit.reweighted(first.z)
-    return search_from(
-        renewed, first.z, first.iterations, options, tolerance=SOON, relative=ROUGHLY
-    )
+    fit = replace(first, misfit=misfit.reweighted(first.z))
+    for _ in range(_ROUGH_ROUNDS):
+        search = partial(search_from, options=options, tolerance=SOON, relative=ROUGHLY)
+        fit = search(fit.misfit, fit.z, fit.iterations)
+        renewed = fit.misfit.reweighted(fit.z)
+        spent = not fit.converged or fit.iterations >= options.max_iterations
+        if spent or not _smaller(fit.misfit, renewed):
+            break
+        fit = replace(fit, misfit=renewed)
+    return fit
 
 
 def finely(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
@@ -128,10 +138,9 @@ def search_from(
     found = minimise(
         misfit.linearise,
         z,
-        misfit.search.reach,
+        misfit.search,
         tolerance=tolerance,
         relative=relative,
-        farthest=_FARTHEST,
         damping=damping,
         max_evaluations=max(1, left if most is None else min(left, most)),
     )
@@ -143,3 +152,8 @@ def search_from(
 def _settled(old: Misfit, new: Misfit) -> bool:
     pairs = zip(old.weights, new.weights, strict=True)
     return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
+
+
+def _smaller(old: Misfit, new: Misfit) -> bool:
+    pairs = zip(old.weights, new.weights, strict=True)
+    return any(np.min(b.deviation / a.deviation) < _SMALLER for a, b in pairs)

@@ -10,19 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.records import BoolArray, FloatArray
 
 _GOOD, _POOR = 0.75, 0.25  # share of the foretold gain from which the region grows, or shrinks
 # Friction's events make a cost rough: below some roughness no foretold gain is to be had.
 _PATIENCE = 4  # evaluations without
 _STUCK = 30.0  # tolerances of gain, after which the search ends
-_HOPE = 1000.0  # unless as many are foretold still
+_HOPE, _LITTLE = 1000.0, 0.2  # unless as many, and this share of the cost, are foretold still
 _LOST = 12  # evaluations without, after which nothing foretold is believed: a cliff in the cost
 _HELPS = 1e-4  # share from which a step is taken
 _LEAST_DAMPING, _FELT = 1e-9, 1e-3  # to which it may fall; to which it rises at once
+_SHORTER = 0.3  # share of the last one that is trusted after a step that did not help
 _SMALLEST = 1e-12  # of the largest singular value: directions below it are not stepped along
 
 
@@ -32,6 +34,36 @@ class Linearised:
 
     cost: float
     factor: FloatArray  # (n + 1, n + 1) R of [J r]; the sum of squares is near the cost
+
+
+class Space(Protocol):
+    """Where coordinates may lie, and what is a straight step among them."""
+
+    def moved(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Where a step leads, to first order x + step: (n,)."""
+
+    def bounded(self, x: FloatArray, gradient: FloatArray) -> BoolArray:
+        """Which coordinates stand at a bound beyond which the cost falls: (n,)."""
+
+    def trusted(self, x: FloatArray, step: FloatArray, share: float) -> FloatArray:
+        """The step, cut to the bounds and to a share of what is linear as a rule: (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flat:
+    """Coordinates without bounds, in which every step is straight and may be trusted."""
+
+    def moved(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Their sum."""
+        return np.asarray(x + step)
+
+    def bounded(self, x: FloatArray, _: FloatArray) -> BoolArray:
+        """None."""
+        return np.zeros(len(x), dtype=bool)
+
+    def trusted(self, _x: FloatArray, step: FloatArray, _share: float) -> FloatArray:
+        """All of it."""
+        return step
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,30 +79,26 @@ class Found:
 def minimise(
     linearise: Callable[[FloatArray], Linearised | None],
     start: FloatArray,
-    reach: FloatArray,
+    space: Space,
     *,
     tolerance: float,
     relative: float = 0.0,
-    farthest: float = np.inf,
     damping: float = 1e-3,
     max_evaluations: int,
 ) -> Found | None:
-    """Levenberg and Marquardt's method in scaled coordinates, with bounds on each.
+    """Levenberg and Marquardt's method in scaled coordinates, with limits to each step.
 
     Parameters
     ----------
     linearise : callable
         (n,) -> the cost and its least squares problem, or None where there is none.
     start : (n,)
-    reach : (n,)
-        Bounds are minus and plus this.
+    space : Space
     tolerance : float
         The search has converged when the foretold gain is below this, in units of the cost: where
         residuals are in deviations, a hundredth is a tenth of a parameter's standard deviation.
     relative : float
         The same as a share of the cost, to be added.
-    farthest : float
-        Step of a coordinate beyond which nothing linear is to be trusted.
     damping : float
         To begin with, beside squared singular values of columns of unit length: small where the
         start is near.
@@ -87,59 +115,90 @@ def minimise(
     if first is None:
         return None
     at = first
-    growth = 2.0
+    growth, share = 2.0, 1.0
     evaluations = 1
     costs: list[float] = []
     while True:
-        bounded = _pushed_out(x, reach, at.factor)
-        gain, _ = _step(at.factor, 0.0, bounded)
+        free = ~space.bounded(x, at.factor[:, :-1].T @ at.factor[:, -1])
+        gain, _ = _step(at.factor, 0.0, free)
         costs.append(at.cost)
         enough = tolerance + relative * at.cost
         if gain < enough:
             return Found(x, at, evaluations, True)
         stalled = len(costs) > _PATIENCE and costs[-_PATIENCE - 1] - at.cost < _STUCK * enough
         lost = len(costs) > _LOST and costs[-_LOST - 1] - at.cost < _STUCK * enough
-        if lost or (stalled and gain < _HOPE * enough):
+        hopeless = gain < max(_HOPE * tolerance, _LITTLE * at.cost)
+        if lost or (stalled and hopeless):
             return Found(x, at, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
-        foretold, step = _step(at.factor, damping, bounded)
-        step = np.clip(step, -farthest, farthest)
-        trial = np.asarray(np.clip(x + step, -reach, reach))
+        foretold, step = _trusted_step(at.factor, damping, free, _Trust(space, x, share))
+        trial = space.moved(x, step)
         there = linearise(trial)
         evaluations += 1
         quality = (at.cost - there.cost) / max(foretold, 1e-300) if there else -np.inf
         if there is None or quality < _HELPS:
             damping, growth = max(damping * growth, _FELT), growth * 2.0
-            if foretold < tolerance:  # no step helps
-                return Found(x, at, evaluations, gain < _HOPE * enough)
+            share *= _SHORTER
+            if abs(foretold) < tolerance:  # no step helps
+                return Found(x, at, evaluations, hopeless)
             continue
         if quality > _GOOD:
             damping = max(damping / 5.0, _LEAST_DAMPING)
         elif quality < _POOR:
             damping *= 2.0
-        growth = 2.0
+        growth, share = 2.0, min(1.0, share / _SHORTER)
         x, at = trial, there
 
 
-def _step(factor: FloatArray, damping: float, bounded: FloatArray) -> tuple[float, FloatArray]:
-    """The step that minimises |R (step, 1)|^2 + damping |D step|^2, and the gain it foretells."""
-    free = ~bounded.astype(bool)
-    R, right = factor[:, :-1][:, free], factor[:, -1]
-    scale = np.linalg.norm(R, axis=0)
-    scale[scale == 0.0] = 1.0
-    U, s, Vt = np.linalg.svd(R / scale, full_matrices=False)
-    along = U.T @ right
-    sure = s > _SMALLEST * s[0]
-    s, along, Vt = s[sure], along[sure], Vt[sure]
-    coefficients = -s * along / (s**2 + damping)
-    step = np.zeros(len(bounded))
-    step[free] = Vt.T @ coefficients / scale
-    gain = -np.sum(coefficients * (2.0 * s * along + s**2 * coefficients))
-    return float(gain), step
+@dataclass(frozen=True, slots=True)
+class _Trust:
+    """How far a step may go."""
+
+    space: Space
+    x: FloatArray
+    share: float  # of what is linear as a rule
 
 
-def _pushed_out(x: FloatArray, reach: FloatArray, factor: FloatArray) -> FloatArray:
-    """Which coordinates stand at a bound and would go beyond it: the gradient points outward."""
-    gradient = factor[:, :-1].T @ factor[:, -1]
-    return np.asarray((np.abs(x) >= reach) & (np.sign(x) * gradient < 0.0))
+def _trusted_step(
+    factor: FloatArray,
+    damping: float,
+    free: BoolArray,
+    trust: _Trust,
+) -> tuple[float, FloatArray]:
+    """A damped step in which what would go too far goes as far as it may.
+
+    The others make the best of that: along a narrow valley a step that is merely cut off would
+    leave it. What that foretells may be a loss; more damping follows then.
+    """
+    held = np.zeros(len(free))
+    while True:
+        foretold, step = _step(factor, damping, free, held)
+        cut = trust.space.trusted(trust.x, step, trust.share)
+        beyond = free & (cut != step)
+        if not np.any(beyond):
+            return foretold, step
+        held[beyond] = cut[beyond]
+        free = free & ~beyond
+
+
+def _step(
+    factor: FloatArray, damping: float, free: BoolArray, held: FloatArray | None = None
+) -> tuple[float, FloatArray]:
+    """The step that minimises |R (step, 1)|^2 + damping |D step|^2, and the gain it foretells.
+
+    Coordinates that are not free move as `held` says, or not at all.
+    """
+    R, right = factor[:, :-1], factor[:, -1]
+    step = np.zeros(len(free)) if held is None else held.copy()
+    if np.any(free):
+        scale = np.linalg.norm(R[:, free], axis=0)
+        scale[scale == 0.0] = 1.0
+        U, s, Vt = np.linalg.svd(R[:, free] / scale, full_matrices=False)
+        along = U.T @ (right + R @ step)
+        sure = s > _SMALLEST * s[0]
+        coefficients = -s[sure] * along[sure] / (s[sure] ** 2 + damping)
+        step[free] = Vt[sure].T @ coefficients / scale
+    # |right|^2 - |R step + right|^2, without the cancellation
+    moved = R @ step
+    return float(-np.sum(moved * (2.0 * right + moved))), step

@@ -9,7 +9,7 @@ import numpy as np
 
 from strainwave.errors import NotIdentifiable
 from strainwave.parameters import Values, unit_of
-from strainwave.records import FloatArray, JointModel, RigidModel, Study
+from strainwave.records import BoolArray, FloatArray, JointModel, RigidModel, Study
 
 Key = tuple[str, int | None]
 
@@ -29,6 +29,8 @@ _LEAST_COULOMB = 0.01  # of the torque of the largest voltage, where none was fo
 _SPREAD = (0.8, 1.0, 1.15)  # of the one stiffness found: the slopes of a curve to start from
 _KNEES = (0.2, 0.6)  # of the largest gear torque: its knees
 _FAR = np.log(3.0)  # how far an inertia or a slope may go
+_LOWEST, _HIGHEST = -0.8, 1.5  # shares of a value by which one step may change it
+_TO_NOTHING = -0.99  # the same of a settling time, which may well be nothing
 _VERY_FAR = np.log(30.0)  # and a friction, damping or knee
 
 
@@ -108,6 +110,34 @@ class Search:
         for first, second in self._knees():
             found[second, first] = found[first, first]
         return np.asarray(found)
+
+    def moved(self, z: FloatArray, step: FloatArray) -> FloatArray:
+        """Where a step leads that is straight in the values, not in the coordinates: (n_unknowns,).
+
+        What the data tell best are sums: of an inertia with a motor's, of a joint's two viscous
+        frictions. Their valleys are straight among values and bent among logarithms.
+        """
+        end, positive = z + step, self._positive
+        end[positive] = z[positive] + np.log1p(step[positive])
+        return np.asarray(np.clip(end, -self.reach, self.reach))
+
+    def bounded(self, z: FloatArray, gradient: FloatArray) -> BoolArray:
+        """Which unknowns stand at the end of their range and would go beyond: (n_unknowns,)."""
+        return np.asarray((np.abs(z) >= self.reach) & (np.sign(z) * gradient < 0.0))
+
+    def trusted(self, z: FloatArray, step: FloatArray, share: float) -> FloatArray:
+        """A step that stays in reach and changes no positive value by too much at once."""
+        positive = self._positive
+        down, up = -self.reach - z, self.reach - z
+        down[positive], up[positive] = np.expm1(down[positive]), np.expm1(up[positive])
+        least = [_TO_NOTHING if u.name == SETTLING else _LOWEST for u in self.unknowns]
+        down[positive] = np.maximum(down, share * np.array(least))[positive]
+        up[positive] = np.minimum(up, share * _HIGHEST)[positive]
+        return np.asarray(np.clip(step, np.minimum(down, 0.0), np.maximum(up, 0.0)))
+
+    @property
+    def _positive(self) -> BoolArray:
+        return np.array([not unknown.signed for unknown in self.unknowns])
 
     def values(self, z: FloatArray) -> Values:
         """All that simulating the arm needs."""

@@ -11,6 +11,7 @@ use crate::arm::Arm;
 use crate::follow::Followed;
 #[cfg(target_arch = "x86_64")]
 use crate::lanes::{F64x4, F64x8};
+use crate::onset::without_effects;
 #[cfg(target_arch = "x86_64")]
 use crate::real::Fused;
 use crate::real::Real;
@@ -174,8 +175,23 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
+    let asked = (task, member);
     if task.config.is_elastic() && !task.config.has_effects() {
-        return followed(task, member, directions, width);
+        return followed::<A, N, false>(task, member, asked, directions, width);
+    }
+    if task.config.is_elastic()
+        && let Some((config, parameters)) = without_effects(&task.config, member.parameters)
+    {
+        let plain = Task {
+            config,
+            record: task.record.clone(),
+            ..*task
+        };
+        let member = Member {
+            parameters: &parameters,
+            ..*member
+        };
+        return followed::<A, N, true>(&plain, &member, asked, directions, width);
     }
     by_duals_at(task, member, directions, width)
 }
@@ -214,23 +230,26 @@ fn duals<A: Arm<N>, const N: usize, const EFFECTS: bool>(
     }
 }
 
-fn followed<A: Arm<N>, const N: usize>(
+fn followed<A: Arm<N>, const N: usize, const EFFECTS: bool>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
+    asked: (&Task<A, N>, &Member<'_, N>),
     directions: &[Source],
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     match width {
-        Width::Portable => f64::scope(Followed::<A, f64, f64, f64, N> {
+        Width::Portable => f64::scope(Followed::<A, f64, f64, f64, N, EFFECTS> {
             task,
             member,
+            asked,
             directions,
             scalars: PhantomData,
         }),
         #[cfg(target_arch = "x86_64")]
-        _ => F64x4::scope(Followed::<A, Fused, F64x4, F64x4, N> {
+        _ => F64x4::scope(Followed::<A, Fused, F64x4, F64x4, N, EFFECTS> {
             task,
             member,
+            asked,
             directions,
             scalars: PhantomData,
         }),

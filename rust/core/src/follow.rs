@@ -19,21 +19,25 @@ use crate::variation::{Column, Linearised, Response, Tangent, Trace};
 
 /// One arm with elastic gears, derivatives in some directions: scalars `S`, `V::LANES` directions
 /// a column, and lanes `L` for the stages of a step side by side.
-pub(crate) struct Followed<'a, A, S, V, L, const N: usize> {
+///
+/// With `EFFECTS` the directions may be by the sizes of effects that the arm does not have:
+/// `asked` is the arm with them at nothing, and is the arm itself otherwise.
+pub(crate) struct Followed<'a, A, S, V, L, const N: usize, const EFFECTS: bool> {
     pub(crate) task: &'a Task<A, N>,
     pub(crate) member: &'a Member<'a, N>,
+    pub(crate) asked: (&'a Task<A, N>, &'a Member<'a, N>),
     pub(crate) directions: &'a [Source],
     pub(crate) scalars: PhantomData<(S, V, L)>,
 }
 
-impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
-    for Followed<'_, A, S, V, L, N>
+impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool> Work
+    for Followed<'_, A, S, V, L, N, EFFECTS>
 {
     type Output = Result<Sensitivities<N>, Diverged>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut chain = Chain::<'_, A, S, V, L, N>::new(&self);
+        let mut chain = Chain::<'_, A, S, V, L, N, EFFECTS>::new(&self);
         for (step, event) in self.task.clock.instants() {
             chain.step(step, &event);
         }
@@ -51,21 +55,25 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
     }
 }
 
-struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> {
+struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool>
+{
     task: &'a Task<A, N>,
     nominal: Group<'a, A, S, N, true>,
     moving: Moving<A, S, N>,
     trace: Trace<N>,
     linear: Linearised<A, L, N>,
-    followers: Vec<Follower<'a, A, S, V, N>>,
+    followers: Vec<Follower<'a, A, S, V, N, EFFECTS>>,
     /// For each quantity samples times joints times directions.
     tangents: Vec<Vec<f64>>,
     sampled: usize,
 }
 
-impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a, A, S, V, L, N> {
-    fn new(of: &Followed<'a, A, S, V, L, N>) -> Self {
+impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool>
+    Chain<'a, A, S, V, L, N, EFFECTS>
+{
+    fn new(of: &Followed<'a, A, S, V, L, N, EFFECTS>) -> Self {
         let (task, width) = (of.task, of.directions.len());
+        let (asked, member) = of.asked;
         let plain = |_, value| S::splat(value);
         Self {
             task,
@@ -78,10 +86,14 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
                 ratio: task.config.joints.map(|joint| joint.ratio),
             },
             trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
-            linear: Linearised::new(&task.config, of.member.parameters),
+            linear: Linearised::new(
+                &task.config,
+                of.member.parameters,
+                (&asked.config, member.parameters),
+            ),
             followers: (0..width)
                 .step_by(V::LANES)
-                .map(|first| Follower::new(task, of.member, &of.directions[first..]))
+                .map(|first| Follower::new(asked, member, &of.directions[first..]))
                 .collect(),
             tangents: vec![vec![0.0; task.clock.samples * N * width]; task.record.len()],
             sampled: 0,
@@ -109,6 +121,11 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
         let h = self.task.clock.step;
         self.linear.update(&self.trace, &before.modes, h);
         self.follow(event, &before, &now);
+        if let Some(onset) = &mut self.linear.onset
+            && self.nominal.stretches.is_empty()
+        {
+            onset.passed(&self.trace, &self.nominal.motion.state, h);
+        }
     }
 
     fn command(&mut self, step: usize, event: &Event) {
@@ -178,6 +195,9 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
                 .plant
                 .retrace(from, &target, current, whole, &mut self.trace);
             self.linear.update(&self.trace, &from.modes, part * length);
+            if let Some(onset) = &mut self.linear.onset {
+                onset.passed(&self.trace, &end.state, part * length);
+            }
             let rates = moving.rates(stretch, &target, part);
             let at_once = |i: usize| nominal.plant.joints[i].settling_time.lane(0) == 0.0;
             let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
@@ -188,6 +208,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
                 decay: current.over(&one, &zero, S::splat(part * length)),
                 duration: part * length,
                 end,
+                hysteresis: self.linear.onset.as_ref().map_or([0.0; N], |onset| onset.z),
                 joint: event.map(|event| event.1),
                 rates,
             };
@@ -204,12 +225,19 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Chain<'a
 }
 
 /// [`Chain::redo`] in a scope of its own: it is rare, and long.
-struct Redo<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize>(
-    &'c mut Chain<'a, A, S, V, L, N>,
-);
+struct Redo<
+    'c,
+    'a,
+    A: Arm<N>,
+    S: Real<One = S>,
+    V: Real,
+    L: Real,
+    const N: usize,
+    const EFFECTS: bool,
+>(&'c mut Chain<'a, A, S, V, L, N, EFFECTS>);
 
-impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
-    for Redo<'_, '_, A, S, V, L, N>
+impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool> Work
+    for Redo<'_, '_, A, S, V, L, N, EFFECTS>
 {
     type Output = ();
     #[inline(always)]
@@ -219,8 +247,8 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize> Work
 }
 
 /// [`Follower::record`] in a scope of its own: few steps are sampled.
-struct Put<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> {
-    follower: &'c Follower<'a, A, S, V, N>,
+struct Put<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> {
+    follower: &'c Follower<'a, A, S, V, N, EFFECTS>,
     task: &'c Task<A, N>,
     tangents: &'c mut [Vec<f64>],
     /// Sample, and first of the column's directions.
@@ -228,7 +256,9 @@ struct Put<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> {
     response: &'c Response<V, N>,
 }
 
-impl<A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Work for Put<'_, '_, A, S, V, N> {
+impl<A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> Work
+    for Put<'_, '_, A, S, V, N, EFFECTS>
+{
     type Output = ();
     #[inline(always)]
     fn run(self) {
@@ -296,6 +326,8 @@ struct Through<S, const N: usize> {
     /// How long it takes [s].
     duration: f64,
     end: Motion<S, N>,
+    /// Where hysteresis would be then.
+    hysteresis: [f64; N],
     /// Whose event ends it.
     joint: Option<usize>,
     rates: Rates<S, N>,
@@ -340,10 +372,10 @@ impl<const N: usize> Readings<N> {
 }
 
 /// A column of directions on its way.
-struct Follower<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> {
+struct Follower<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> {
     column: Column<V, N>,
     /// The chain over numbers with derivatives, for what is not smooth.
-    dual: Group<'a, A, Dual<S, V>, N, true>,
+    dual: Group<'a, A, Dual<S, V>, N, true, EFFECTS>,
     /// Whether the torques depend on anything: they do where a servo closes the loop.
     driven: bool,
     torque: [V; N],
@@ -358,10 +390,12 @@ struct Follower<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> {
     lanes: usize,
 }
 
-impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S, V, N> {
+impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool>
+    Follower<'a, A, S, V, N, EFFECTS>
+{
     fn new(task: &'a Task<A, N>, member: &'a Member<'a, N>, directions: &[Source]) -> Self {
         let given = |source, value| seeded(source, value, directions);
-        let dual: Group<'a, A, Dual<S, V>, N, true> =
+        let dual: Group<'a, A, Dual<S, V>, N, true, EFFECTS> =
             Group::new(task, std::slice::from_ref(member), &given);
         let zero = [V::splat(0.0); N];
         let ratio = task.config.joints.map(|joint| joint.ratio);
@@ -442,7 +476,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize> Follower<'a, A, S
         let rates = &through.rates;
         let mut later = self.left;
         if let Some(joint) = through.joint {
-            let end = self.lifted(&through.end);
+            let mut end = self.lifted(&through.end);
+            end.state.hysteresis = through.hysteresis.map(Dual::splat);
             let margins = self
                 .dual
                 .plant

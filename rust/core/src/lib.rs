@@ -19,6 +19,7 @@ pub mod friction;
 pub mod gear;
 #[cfg(target_arch = "x86_64")]
 mod lanes;
+mod onset;
 pub mod plant;
 pub mod real;
 pub mod rigid;

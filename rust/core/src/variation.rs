@@ -15,21 +15,22 @@
 use crate::arm::{Arm, MOST_BASE};
 use crate::config::{Config, GearKind, SETTLING};
 use crate::gear::PerSlope;
+use crate::onset::{Drive, Onset};
 use crate::plant::{Acceleration, Modes, Plant, State, StepTorque, Watch, solve};
 use crate::real::{MOST_LANES, Real};
 use crate::simulate::Source;
 
 /// A number at each of the four stages.
-type Stages = [f64; 4];
+pub(crate) type Stages = [f64; 4];
 
 /// What the nominal step went through.
 #[derive(Clone, Copy)]
 pub(crate) struct Trace<const N: usize> {
-    ratio: [f64; N],
+    pub(crate) ratio: [f64; N],
     angle: [Stages; N],
-    velocity: [Stages; N],
-    twist: [Stages; N],
-    motor_velocity: [Stages; N],
+    pub(crate) velocity: [Stages; N],
+    pub(crate) twist: [Stages; N],
+    pub(crate) motor_velocity: [Stages; N],
     motor_acceleration: [Stages; N],
     link_acceleration: [Stages; N],
 }
@@ -75,21 +76,44 @@ enum Row {
     Links,
 }
 
-/// Which row, and of which joint, each parameter enters.
-fn rows<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<(Row, usize)> {
-    let row = |name: &str| match name {
-        "motor_inertia"
-        | "motor_viscous_friction"
-        | "motor_coulomb_friction"
-        | "friction_offset" => Row::Motor,
-        // its entry stays zero: it acts through `Settling` alone
-        SETTLING => Row::Motor,
-        _ if name.starts_with("gear_") => Row::Gear,
-        _ => Row::Links,
-    };
+/// Where a parameter enters: a row, of which joint, and the entry that says how much.
+#[derive(Clone, Copy)]
+pub(crate) struct Place {
+    row: Row,
+    joint: usize,
+    pub(crate) entry: usize,
+}
+
+/// Every parameter's places.
+pub(crate) type Places = Vec<Vec<Place>>;
+
+/// Of a configuration's parameters, each with N entries of its own from the second on; those of a
+/// kinematic error, which enters two rows, have their second ones behind all these.
+fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Places {
     let names = config.parameter_names();
-    let place = |&(name, joint): &(&str, Option<usize>)| (row(name), joint.unwrap_or(1) - 1);
-    names.iter().map(place).collect()
+    let behind = 1 + names.len() * N;
+    let place = |(k, &(name, joint)): (usize, &(&str, Option<usize>))| {
+        let (i, entry) = (joint.unwrap_or(1) - 1, 1 + k * N);
+        let at = |row, joint, entry| Place { row, joint, entry };
+        match name {
+            "motor_inertia"
+            | "motor_viscous_friction"
+            | "motor_coulomb_friction"
+            | "friction_offset"
+            | "stribeck_friction" => vec![at(Row::Motor, i, entry)],
+            // theirs stay zero: the first acts through `Settling` alone, the others not at all
+            // where the effect itself is nothing
+            SETTLING | "stribeck_velocity" | "hysteresis_twist" => vec![at(Row::Motor, i, entry)],
+            "hysteresis_torque" => vec![at(Row::Gear, i, entry)],
+            "kinematic_error_cos" | "kinematic_error_sin" => {
+                let other = behind + 2 * i + usize::from(name.ends_with("sin"));
+                vec![at(Row::Gear, i, entry), at(Row::Motor, i, other)]
+            }
+            _ if name.starts_with("gear_") => vec![at(Row::Gear, i, entry)],
+            _ => (0..N).map(|j| at(Row::Links, j, entry + j)).collect(),
+        }
+    };
+    names.iter().enumerate().map(place).collect()
 }
 
 /// Coefficients of the linear equations at the four stages.
@@ -106,6 +130,10 @@ pub(crate) struct Linearised<A: Arm<N>, L: Real, const N: usize> {
     motor: [[f64; N]; 3],
     /// What each parameter adds to its row: N places each, from the second on.
     entries: Vec<Stages>,
+    /// How many parameters each joint's effects have.
+    of_effects: [usize; N],
+    /// What a little of the effects that the arm lacks would add.
+    pub(crate) onset: Option<Onset<N>>,
     settling: [Option<Settling>; N],
 }
 
@@ -138,8 +166,15 @@ impl Settling {
 }
 
 impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
-    pub(crate) fn new(config: &Config<A, N>, parameters: &[f64]) -> Self {
+    /// Of an arm without effects. Directions are by the parameters of `asked`, which may have
+    /// effects whose sizes are nothing.
+    pub(crate) fn new(
+        config: &Config<A, N>,
+        parameters: &[f64],
+        (asked, all): (&Config<A, N>, &[f64]),
+    ) -> Self {
         let plant: Plant<A, L, N, true> = config.plant_of(|k| L::splat(parameters[k]));
+        let places = places(asked);
         Self {
             per_slope: plant.joints.map(|joint| joint.spring.per_slope()),
             gears: config.joints.map(|joint| joint.gear),
@@ -149,7 +184,9 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
             by_velocity: [[[0.0; 4]; N]; N],
             damping: plant.joints.map(|joint| joint.gear_damping.lane(0)),
             motor: [[0.0; N]; 3],
-            entries: vec![[0.0; 4]; 1 + parameters.len() * N],
+            entries: vec![[0.0; 4]; 1 + all.len() * N + 2 * N],
+            of_effects: asked.joints.map(|joint| joint.effects.names().count()),
+            onset: asked.has_effects().then(|| Onset::new(asked, all, &places)),
             settling: [None; N],
             plant,
         }
@@ -175,6 +212,9 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
         for first in (0..4).step_by(L::LANES) {
             self.links(trace, first);
             self.drives(trace, modes, first);
+        }
+        if let Some(onset) = &self.onset {
+            onset.twist(&mut self.entries, trace, h);
         }
     }
 
@@ -220,7 +260,7 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
                 let entry = &mut self.entries[1 + (k + 4) * N + i];
                 (-columns[j][i] * dq[j]).store(&mut entry[first..]);
             }
-            k += 5 + self.gears[j].parameters();
+            k += 5 + self.gears[j].parameters() + self.of_effects[j];
         }
     }
 
@@ -251,6 +291,19 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
             }
             k += self.gears[i].parameters();
             store(&mut self.entries, (k - 2, N, first), &[rate]);
+            k += self.of_effects[i];
+            if let Some(onset) = &self.onset {
+                let angle = L::load(&trace.angle[i][first..]);
+                let drive = Drive {
+                    motor_angle: (twist + angle) * L::splat(1.0 / trace.ratio[i]),
+                    motor_velocity: velocity,
+                    direction,
+                    push,
+                    stiffness,
+                    transmitted: joint.gear_damping.mul_add(rate, joint.spring.torque(twist)),
+                };
+                onset.enter(&mut self.entries, (i, first), joint, &drive);
+            }
         }
     }
 }
@@ -328,7 +381,7 @@ impl<V: Real, const N: usize> Column<V, N> {
         directions: &[Source],
         tangent: Tangent<V, N>,
     ) -> Self {
-        let rows = rows(config);
+        let places = places(config);
         let mut plan: Vec<(Row, usize, [usize; MOST_LANES])> = Vec::new();
         let mut settling = [V::splat(0.0); N];
         let names = config.parameter_names();
@@ -336,24 +389,18 @@ impl<V: Real, const N: usize> Column<V, N> {
             let &Source::Parameter(k) = direction else {
                 continue;
             };
-            let (row, joint) = rows[k];
             if names[k].0 == SETTLING {
-                settling[joint].set_lane(lane, 1.0);
+                settling[places[k][0].joint].set_lane(lane, 1.0);
             }
-            let places = if row == Row::Links {
-                0..N
-            } else {
-                joint..joint + 1
-            };
-            for (own, place) in places.enumerate() {
+            for place in &places[k] {
                 let known = plan
                     .iter()
-                    .position(|known| (known.0, known.1) == (row, place));
+                    .position(|known| (known.0, known.1) == (place.row, place.joint));
                 let at = known.unwrap_or_else(|| {
-                    plan.push((row, place, [0; MOST_LANES]));
+                    plan.push((place.row, place.joint, [0; MOST_LANES]));
                     plan.len() - 1
                 });
-                plan[at].2[lane] = 1 + k * N + own;
+                plan[at].2[lane] = place.entry;
             }
         }
         Self {

@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::iter::zip;
+
 use common::{Draw, config};
 use proptest::prelude::*;
 use strainwave_core::arm::{Arm, OneLink, TwoLink};
@@ -33,6 +35,8 @@ const SLIDING: usize = 11;
 struct Case<A, const N: usize> {
     task: Task<A, N>,
     parameters: Vec<f64>,
+    /// How large each parameter is as a rule, where it is not nothing.
+    usual: Vec<f64>,
     initial: Initial<N>,
     voltage: Vec<[f64; N]>,
     reference: Vec<[f64; N]>,
@@ -103,11 +107,23 @@ impl<A: Arm<N>, const N: usize> Case<A, N> {
                 servo,
                 record: RECORDED.to_vec(),
             },
+            usual: parameters.clone(),
             parameters,
             initial,
             voltage,
             reference,
         }
+    }
+
+    /// The same arm without the effects, whose sizes it may still be asked about.
+    fn without_effects(mut self) -> Self {
+        for (value, (name, _)) in zip(&mut self.parameters, self.task.config.parameter_names()) {
+            let sizes = ["stribeck_friction", "hysteresis_torque", "kinematic_error"];
+            if sizes.iter().any(|size| name.starts_with(size)) {
+                *value = 0.0;
+            }
+        }
+        self
     }
 
     /// All parameters and all initial states.
@@ -165,7 +181,7 @@ impl<A: Arm<N>, const N: usize> Case<A, N> {
     /// What changes the motion by about as much as `part` of a parameter does.
     fn size(&self, source: Source, part: f64) -> f64 {
         part * match source {
-            Source::Parameter(k) => self.parameters[k].abs(),
+            Source::Parameter(k) => self.usual[k].abs(),
             Source::MotorAngle(_) | Source::MotorVelocity(_) => 10.0,
             Source::LinkAngle(_) => 0.01,
             Source::LinkVelocity(_) => 1.0,
@@ -360,6 +376,12 @@ fn check_ways<A: Arm<N>, const N: usize>(case: &Case<A, N>) {
     }
 }
 
+const ALL: EffectKinds = EffectKinds {
+    stribeck: true,
+    hysteresis: true,
+    kinematic_error: true,
+};
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(4))]
 
@@ -381,12 +403,11 @@ proptest! {
         let mut shares = Vec::new();
         let gears = [ThreeSlope, Linear, Rigid];
         let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
-        let all = EffectKinds { stribeck: true, hysteresis: true, kinematic_error: true };
-        let some = EffectKinds { hysteresis: seed % 3 == 0, ..all };
-        shares.push(check(&Case::<TwoLink<false>, 2>::drawn_with(all, [one, other], seed, servo, 240)));
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(all, [other, Rigid], seed, servo, 240)));
+        let some = EffectKinds { hysteresis: seed % 3 == 0, ..ALL };
+        shares.push(check(&Case::<TwoLink<false>, 2>::drawn_with(ALL, [one, other], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(ALL, [other, Rigid], seed, servo, 240)));
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(some, [other, one], seed, servo, 240)));
-        shares.push(check(&Case::<OneLink<true>, 1>::drawn_with(all, [one], seed, servo, 240)));
+        shares.push(check(&Case::<OneLink<true>, 1>::drawn_with(ALL, [one], seed, servo, 240)));
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
     }
 
@@ -396,5 +417,13 @@ proptest! {
         check_ways(&Case::<TwoLink<true>, 2>::drawn([Linear, ThreeSlope], seed, servo, 400));
         check_ways(&Case::<OneLink<false>, 1>::drawn([ThreeSlope], seed, servo, 400));
         check_ways(&Case::<OneLink<true>, 1>::drawn([Linear], seed, servo, 400));
+    }
+
+    #[test]
+    fn effects_that_an_arm_lacks_are_followed(seed in any::<u64>(), servo in any::<bool>()) {
+        let some = EffectKinds { hysteresis: seed % 3 == 0, stribeck: seed % 3 == 1, ..ALL };
+        check_ways(&Case::<TwoLink<false>, 2>::drawn_with(ALL, [ThreeSlope, Linear], seed, servo, 400).without_effects());
+        check_ways(&Case::<TwoLink<true>, 2>::drawn_with(some, [Linear, ThreeSlope], seed, servo, 400).without_effects());
+        check_ways(&Case::<OneLink<true>, 1>::drawn_with(ALL, [ThreeSlope], seed, servo, 400).without_effects());
     }
 }

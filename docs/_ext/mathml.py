@@ -1,0 +1,51 @@
+r"""Equations as MathML, made when the pages are built: no script, no network.
+
+A `\tag{S1}` at the end of an equation becomes its number at the margin and the anchor `eq-s1`.
+"""
+
+from __future__ import annotations
+
+import re
+from html import escape
+from typing import Any
+
+from docutils import nodes
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+
+_TAG = re.compile(r"\s*\\tag\{([^}]*)\}\s*$")
+
+
+_FUNCTION = re.compile(r"<mi>(sin|cos|exp)</mi>(?!<mo[^>]*>&#x00028;)|<mi>(exp|cos|sin)</mi>")
+_SPACE = '<mspace width="0.17em"/>'
+
+
+def _converted(text: str, display: str) -> str:
+    """MathML with the spaces around functions that TeX would set."""
+
+    def spaced(found: re.Match[str]) -> str:
+        return _SPACE + (f"<mi>{found[1]}</mi>{_SPACE}" if found[1] else f"<mi>{found[2]}</mi>")
+
+    return _FUNCTION.sub(spaced, convert(text, display=display))
+
+
+def _inline(translator: Any, node: nodes.Element) -> None:
+    translator.body.append(_converted(node.astext(), "inline"))
+    raise nodes.SkipNode
+
+
+def _block(translator: Any, node: nodes.Element) -> None:
+    text = node.astext().strip()
+    tag = _TAG.search(text)
+    number = escape(tag[1]) if tag else ""
+    anchor = f' id="eq-{number.lower()}"' if number else ""
+    shown = f'<span class="number">({number})</span>' if number else ""
+    equation = _converted(_TAG.sub("", text), "block")
+    translator.body.append(f'<div class="equation"{anchor}>{equation}{shown}</div>\n')
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Offer the renderer `mathml` to the HTML builders."""
+    app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,58 @@
+"""The documentation site: `make docs` builds it into build/docs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "python")]
+
+from matplotlib import get_data_path  # noqa: E402
+
+from strainwave import __version__  # noqa: E402
+
+project = "strainwave"
+author = copyright = "The strainwave authors"
+version = release = __version__
+
+extensions = [
+    "myst_nb",
+    "plain_docstrings",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "mathml",
+]
+exclude_patterns = ["_ext"]
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+nb_merge_streams = True
+
+napoleon_use_param = False  # types are prose, "(n_samples, n_joints) [rad]", and not names
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_type_aliases = {
+    name: f"strainwave.records.{name}"
+    for name in ("FloatArray", "BoolArray", "IntArray", "ComplexArray")
+}
+python_use_unqualified_type_names = True
+nitpicky = True
+# what a signature names that is not documented here: other libraries, aliases of types
+nitpick_ignore_regex = [("py:(class|obj|data)", r".*")]
+
+highlight_language = "none"  # of blocks in docstrings: equations
+
+html_theme = "furo"
+html_title = f"strainwave {__version__}"
+html_math_renderer = "mathml"
+# Matplotlib is there for the notebooks, and its font has what equations need
+html_static_path = ["_static", str(Path(get_data_path()) / "fonts/ttf/DejaVuSerif.ttf")]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sphinx = False
