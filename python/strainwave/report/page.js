@@ -37,7 +37,7 @@
       margin: { l: 56, r: 12, t: 12, b: 40, ...given.margin },
       legend: { orientation: "h", x: 0, xanchor: "left", y: 1.01, yanchor: "bottom" },
       hovermode: "closest",
-      modebar: { bgcolor: "rgba(0,0,0,0)", color: rule, activecolor: ink },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: "#7d8794", activecolor: ink },
       hoverlabel: { bgcolor: paper, bordercolor: rule, font: { color: ink } },
       dragmode: finger.matches ? false : "zoom", // a finger scrolls the page
       ...Object.fromEntries(axes.map((name) => [name, { ...axis, ...titled(given[name]) }])),
