@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strainwave import design, excitation, logs, pipeline, scara, simulation
+from strainwave import applied, design, excitation, logs, pipeline, scara, simulation, virtual
 from strainwave.design import motions, rigid_motion
 from strainwave.design.band import LINES, band_of
 from strainwave.design.plan import Limits, limits_of
 from strainwave.design.told import print_design
 from strainwave.design.voltages import voltage_record
-from strainwave.design.written import HEADER, table_name, write
+from strainwave.design.written import HEADER, write
 from strainwave.errors import InvalidInput
 from strainwave.logs.tables import open_table
 from strainwave.parameters import Values
-from strainwave.records import Arm, FloatArray, Joint, Servo, Study
+from strainwave.records import Arm, Experiment, FloatArray, Joint, Servo, Study
 from strainwave.study import read_study
 
 ANY = (float("inf"), float("inf"))
@@ -281,6 +281,75 @@ def test_a_slow_servo_is_warned_of() -> None:
     assert "slow-clock" in {w.code for w in found.warnings}
 
 
+def test_a_record_that_breaks_a_limit_is_left_out_and_told() -> None:
+    """The motor's friction alone puts 1 N m into the gear; fast voltages mostly miss it."""
+    study, values = drive()
+    found = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (0.5,)))
+    assert [record.experiment.name for record in found.records] == ["prbs-j1"]
+    assert [(w.code, w.where) for w in found.warnings] == [("limit-broken", "motion")]
+    said = found.warnings[0].message
+    assert re.search(r"gear torque of joint 1 would be \S+ N m of 0.5 \(--limit-torque\)", said)
+    assert "give a wider limit" in said
+    assert worst_use(study, values, found.limits, found.records[0]) < 1.005
+
+
+def test_an_excitation_that_only_friction_holds_is_left_out_and_told() -> None:
+    study, values = drive()
+    found = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), (0.01,)))
+    told = {w.where: w.message for w in found.warnings if w.code == "limit-broken"}
+    assert re.search(r"with \S+ V the gear torque of joint 1 would be", told["prbs-j1"])
+
+
+def test_without_a_servo_voltages_are_planned_in_open_loop() -> None:
+    study, values = drive()
+    limits = limits_of(replace(study, servo=None), "1.5", "200", "10", None)
+    found = design.design(replace(study, servo=None), values, limits)
+    assert [r.experiment.name for r in found.records] == ["prbs-j1"]
+    assert found.records[0].experiment.control == ("open",)
+    assert [w.code for w in found.warnings] == ["no-servo"]
+    assert 'kind = "pi-velocity", period [s], kp' in found.warnings[0].message
+
+
+def test_a_planned_study_is_simulated_as_planned(designed: design.Design, tmp_path: Path) -> None:
+    write(designed, tmp_path / "plan")
+    study = read_study(tmp_path / "plan" / "study.toml", logs_exist=False)
+    virtual.simulate_study(study, GUESS, tmp_path / "run")
+    again = read_study(tmp_path / "run" / "study.toml")
+    for record, experiment in zip(designed.records, again.experiments, strict=True):
+        log = logs.read_log(again, experiment)
+        # the files have nine digits
+        assert log.time[-1] == pytest.approx(record.duration, abs=2e-3)
+        if record.motor_angle is not None:
+            ticks = np.arange(len(record.motor_angle)) * round(record.drive.tick / log.sample_time)
+            for i in range(2):
+                meant = record.motor_angle[:, i]
+                followed = log.channels[f"theta_m{i + 1}"][ticks]
+                # the servo lags; an invented motion would be as far off as the motion is wide
+                assert np.abs(followed - meant).max() < 0.05 * np.ptp(meant)
+        elif record.experiment.control == ("open", "open"):
+            j = record.experiment.joint or 0
+            looks = round(record.drive.tick / log.sample_time)
+            wanted = np.repeat(record.drive.voltage[:, j - 1], looks)
+            np.testing.assert_allclose(log.channels[f"u{j}"], wanted, rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t [s],u1 [V]\n0,1\n0.001,2\n0.005,1\n", r"no even column t \[s\]"),
+        ("u1 [V],x\n1,2\n2,1\n", r"no even column t \[s\]"),
+        ("t [s],x\n0,1\n0.001,2\n", "applies nothing"),
+    ],
+)
+def test_a_plan_that_was_spoilt_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    study, values = drive()
+    experiment = Experiment("p", "p.csv", "frequency", ("open",), joint=1)
+    study = replace(study, path=tmp_path / "study.toml", experiments=(experiment,))
+    (tmp_path / "apply-p.csv").write_text(text)
+    with pytest.raises(InvalidInput, match=said):
+        virtual.simulate_study(study, values, tmp_path / "out")
+
+
 def test_what_was_written_reads_back(designed: design.Design, tmp_path: Path) -> None:
     write(designed, tmp_path)
     again = read_study(tmp_path / "study.toml", logs_exist=False)
@@ -288,7 +357,7 @@ def test_what_was_written_reads_back(designed: design.Design, tmp_path: Path) ->
     assert again.joints == STUDY.joints
     header = (tmp_path / HEADER).read_text()
     for record in designed.records:
-        table = open_table(tmp_path / table_name(record))
+        table = open_table(tmp_path / applied.table_name(record.experiment))
         columns = table.read(table.names)
         time = columns.pop("t [s]")
         np.testing.assert_allclose(
@@ -371,8 +440,18 @@ def test_the_table_says_how_long_and_why(
 # --- refusals -----------------------------------------------------------------------------------
 
 
-def no_servo() -> None:
-    limits_of(replace(STUDY, servo=None), "1", "1", "1", None)
+def no_voltage() -> None:
+    limits_of(replace(STUDY, servo=None), "1", "1", None, None)
+
+
+def no_servo_under_gravity() -> None:
+    study, values = upright()
+    design.design(replace(study, servo=None), values, LIMITS)
+
+
+def no_servo_of_a_rigid_arm() -> None:
+    study = replace(scara.study(Path("nowhere"), "rigid"), servo=None)
+    design.design(study, scara.parameters(spring="rigid"), LIMITS)
 
 
 def unheld() -> None:
@@ -381,7 +460,8 @@ def unheld() -> None:
 
 
 def immovable() -> None:
-    design.design(STUDY, GUESS, replace(LIMITS, gear_torque=(0.5, 0.5)))
+    study, values = drive()
+    design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (0.1,)))
 
 
 def unstiff() -> None:
@@ -392,9 +472,11 @@ def unstiff() -> None:
 @pytest.mark.parametrize(
     ("ask", "said"),
     [
-        (no_servo, "servo"),
+        (no_voltage, r"--limit-voltage: .*add \[servo\]"),
+        (no_servo_under_gravity, r"under gravity .* no servo.*add \[servo\]"),
+        (no_servo_of_a_rigid_arm, r"a rigid arm is told by motions.*add \[servo\]"),
         (unheld, "hold"),
-        (immovable, "keeps to the limits"),
+        (immovable, r"keeps to the limits.*gear torque of joint 1 would be .* of 0.1"),
         (unstiff, "gear_stiffness_k2 of joint 1"),
         (lambda: limits_of(STUDY, "1,2,3", "1", None, None), "--limit-angle"),
         (lambda: limits_of(STUDY, "1", "fast", None, None), "--limit-velocity"),

@@ -185,3 +185,26 @@ def test_binary_files(name: str, data: st.DataObject, folder: Path) -> None:
     whole = {"log.parquet": _parquet(), "log.mat": _mat(), "log.csv.gz": gzip.compress(CSV)}
     log = data.draw(mutated(whole.get(name, b"\x89HDF\r\n\x1a\n" + bytes(100))))
     read_or_refuse(folder, STUDY.replace(b"motion.csv", name.encode()), name, log)
+
+
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
+def test_a_spoilt_bag_is_read_or_refused(
+    storage: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    pytest.importorskip("rosbags", reason="the extra `bags` is not installed")
+    import bags
+
+    folder = tmp_path_factory.mktemp("bag")
+    bags.write(folder / "run", bags.of_columns(studies.columns()), storage)
+    text = studies.STUDY.replace("motion.csv", "run") + bags.CHANNELS
+    whole = {path.name: path.read_bytes() for path in (folder / "run").iterdir()}
+
+    @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+    @given(data=st.data())
+    def spoilt(data: st.DataObject) -> None:
+        name = data.draw(st.sampled_from(sorted(whole)))
+        for other, content in whole.items():
+            (folder / "run" / other).write_bytes(content)
+        read_or_refuse(folder, text.encode(), f"run/{name}", data.draw(mutated(whole[name])))
+
+    spoilt()

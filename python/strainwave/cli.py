@@ -45,6 +45,30 @@ def _root(
         raise typer.Exit
 
 
+@app.command(epilog="Example: strainwave init run1.csv run2.csv --out study.toml")
+def init(
+    logs: Annotated[
+        list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG...")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="The study file to write.", metavar="STUDY.toml")
+    ] = Path("study.toml"),
+    quiet: Quiet = False,
+) -> None:
+    """Look at logs and write a study file to complete: guesses with reasons, and what is TODO."""
+    from strainwave.starting import start_study
+
+    with _progress(quiet) as tell:
+        tell("looking at the logs")
+        started = start_study(logs, out)
+    if not quiet:
+        typer.echo(
+            f"{started.path}: {started.joints} joint(s), {started.experiments} record(s), "
+            f"{len(started.channels)} channel(s) guessed ({', '.join(started.channels)}); "
+            f"{started.todos} value(s) are TODO"
+        )
+
+
 @app.command(epilog="Example: strainwave identify study.toml --out results")
 def identify(
     study: StudyFile,

@@ -84,6 +84,23 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True)
+class TopicChannel:
+    """Where a channel comes from in a bag: a number in each message of a topic."""
+
+    topic: Annotated[str, MinLen(1)]
+    field: Annotated[str, MinLen(1)]  # as in a message: "position", "data[0]", "a.b.c"
+    name: str | None = None  # of the joint, where the field has one number a joint
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def channel(self) -> Channel:
+        """The same, with the name that the bag's reader gives to the column."""
+        at = "" if self.name is None else f"[{self.name}]"
+        return Channel(f"{self.topic}.{self.field}{at}", self.scale, self.offset)
+
+
+@dataclass(frozen=True, slots=True)
 class Prbs:
     """A maximum-length binary sequence, `2**order - 1` clocks long."""
 

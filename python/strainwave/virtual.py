@@ -1,7 +1,8 @@
 """Experiments on a virtual arm: study and parameters in; logs and a study to identify from out.
 
 An experiment whose log is there is run again with the log's references and open-loop voltages; one
-whose log is not gets an excitation that fits its use.
+that was planned and not recorded yet with what was planned; any other gets an excitation that fits
+its use.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from strainwave import comparisons, excitation, logs, pipeline, scara
 from strainwave import study as studies
+from strainwave.applied import read_applied
 from strainwave.errors import InvalidInput
 from strainwave.files import write_whole
 from strainwave.parameters import Values, link_inertia, read_parameters
@@ -116,7 +118,8 @@ def simulate_study(
     noise : SensorNoise, optional
         Ideal sensors without.
     replay : bool
-        Where an experiment's log exists, apply what was applied then, not an excitation of its use.
+        Where an experiment's log exists, apply what was applied then, and where its plan exists,
+        what was planned; not an excitation of its use.
     progress : callable
 
     Returns
@@ -135,8 +138,8 @@ def simulate_study(
     for number, experiment in enumerate(study.experiments):
         progress(f"simulating {experiment.name}")
         rng = np.random.default_rng([seed, number])
-        replayed = replay and study.log_path(experiment).exists()
-        plan = _replayed(study, experiment) if replayed else _invent(study, experiment, values, rng)
+        plan = _known(study, experiment, values) if replay else None
+        plan = plan or _invent(study, experiment, values, rng)
         written.append(_columns(study, plan, values, noise, rng))
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE):
@@ -234,9 +237,17 @@ def derived(values: Values, study: Study) -> Values:
     return known
 
 
-def _replayed(study: Study, experiment: Experiment) -> _Plan:
-    log = logs.read_log(study, experiment)
-    return _Plan(replay_log(study, log), log.sample_time, len(log))
+def _known(study: Study, experiment: Experiment, values: Values) -> _Plan | None:
+    """What was applied, by the log, or what is to be, by the plan; None: there is neither."""
+    if study.log_path(experiment).exists():
+        log = logs.read_log(study, experiment)
+        return _Plan(replay_log(study, log), log.sample_time, len(log))
+    drive = read_applied(study, experiment, values)
+    if drive is None:
+        return None
+    fast = experiment.use in ("frequency", "sweep") or experiment.joint is not None
+    looks = int(np.ceil(drive.tick / _FAST_SAMPLE - 1e-9)) if fast else 1  # a tick
+    return _Plan(drive, drive.tick / looks, looks * len(drive.voltage))
 
 
 def _invent(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import math
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,3 +93,50 @@ def row_of(
         return found[taken[1]][2]
     python = text.replace("...", "").replace("^", "**")
     return [eval(cell.strip(), {}, dict(symbols)) for cell in python.split(",")]
+
+
+@pytest.fixture(scope="module")
+def octave() -> str:
+    found = shutil.which("octave-cli") or shutil.which("octave")
+    if found is None:
+        pytest.skip("GNU Octave is not installed")
+    asked = "disp(numel(pkg('list', 'control')))"
+    done = subprocess.run([found, "--eval", asked], capture_output=True, text=True, check=False)
+    if done.stdout.strip() != "1":
+        pytest.skip("GNU Octave's control package is not installed")
+    return found
+
+
+_ASKED = """\
+arm_model
+for i = 1:numel(sys)
+  [A, B, C, D] = grey(i).function(grey(i).parameters{:, 2}, 0, grey(i).args{:});
+  H = freqresp(sys{i}, [1, 50, 300]);
+  said(i) = struct('A', sys{i}.a, 'B', sys{i}.b, 'C', sys{i}.c, 'D', sys{i}.d, 'inputs', ...
+    {sys{i}.inname}, 'off', norm([A, B; C, D] - [sys{i}.a, sys{i}.b; sys{i}.c, sys{i}.d]), ...
+    'real', real(H), 'imag', imag(H));
+end
+save('-7', 'said.mat', 'said', 'parameters')
+"""
+
+
+def test_octave_runs_the_script(octave: str, arm: IdentifiedArm, tmp_path: Path) -> None:
+    (tmp_path / "arm_model.m").write_bytes(to_script(arm).data)
+    done = subprocess.run(
+        [octave, "--eval", _ASKED], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    content = loadmat(tmp_path / "said.mat", simplify_cells=True)
+    assert math.isnan(content["parameters"]["friction_offset_1"])
+    assert content["parameters"]["gear_stiffness_2"] == arm.values["gear_stiffness", 2]
+    for joint, said in enumerate(content["said"], start=1):
+        A, B, C, D = state_space(arm, joint)
+        for name, matrix in zip("ABCD", (A, B, C, D), strict=True):
+            np.testing.assert_array_equal(said[name], matrix)
+        assert said["inputs"].tolist() == list(INPUTS)
+        # sums and quotients in another order
+        assert said["off"] <= 1e-12 * np.linalg.norm(A)
+        for k, omega in enumerate((1.0, 50.0, 300.0)):
+            wanted = C @ np.linalg.solve(1j * omega * np.eye(3) - A, B) + D
+            found = said["real"][..., k] + 1j * said["imag"][..., k]
+            np.testing.assert_allclose(found, wanted, rtol=1e-8)

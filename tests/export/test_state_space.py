@@ -10,12 +10,14 @@ import pytest
 from scipy import signal
 
 import exports
+from strainwave import excitation
 from strainwave.errors import InvalidInput
 from strainwave.export import state_space
 from strainwave.export.state_space import to_state_space
 from strainwave.parameters import Values
 from strainwave.physical.two_inertia import NAMES, TwoInertia, coefficients, joint_of
-from strainwave.records import ComplexArray, FloatArray
+from strainwave.records import ComplexArray, FloatArray, Prbs
+from strainwave.simulation import Drive, simulate
 
 OMEGA: FloatArray = np.geomspace(1.0, 1e3, 40)
 
@@ -60,6 +62,24 @@ def test_python_control_sees_them(tmp_path: Path) -> None:
     response = control.ss(*state_space(exports.arm_of(study, values), 1))(1j * OMEGA)
     for output, wanted in enumerate(expected(truth(values, 1))):
         assert response[output, 0] == pytest.approx(wanted, rel=1e-8)
+
+
+def test_python_control_moves_the_joint_as_our_simulator_does(tmp_path: Path) -> None:
+    """In steps of the voltage's clock both are exact but for our integrator's 1e-9."""
+    control = pytest.importorskip("control", reason="python-control is not installed")
+    study, values = exports.single(tmp_path, spring="linear")
+    offset = values["friction_offset", 1]
+    torque = excitation.prbs(Prbs(8, 1e-3, 1, 5.0))
+    still = (0.0,)
+    drive = Drive(1e-3, torque[:, None], 0.0 * torque[:, None], (False,), still, still)
+    ours = simulate(
+        study, values, drive, sample_time=1e-3, samples=len(torque), record=["motor_velocity"]
+    )
+    A, B, C, D = state_space(exports.arm_of(study, values), 1)
+    sampled = control.c2d(control.ss(A, B[:, :1], C[:1], D[:1, :1]), 1e-3, "zoh")
+    _, moved = control.forced_response(sampled, inputs=torque - offset)
+    wanted = ours["motor_velocity"][:, 0]
+    np.testing.assert_allclose(np.squeeze(moved), wanted, atol=1e-7 * np.abs(wanted).max())
 
 
 def test_the_interaction_torque_moves_the_link_at_once(tmp_path: Path) -> None:

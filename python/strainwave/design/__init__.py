@@ -7,13 +7,20 @@ every plan on the guessed arm, `written` makes files of it and `told` the table 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from strainwave.design.band import band_of
+from strainwave.design.band import Band, band_of
 from strainwave.design.motions import motion_records
-from strainwave.design.plan import Design, Limits, Planned, limits_of
+from strainwave.design.plan import (
+    ADD_SERVO,
+    Design,
+    LimitBroken,
+    Limits,
+    Planned,
+    limits_of,
+)
 from strainwave.design.voltages import Kind, voltage_record
 from strainwave.design.written import write
 from strainwave.errors import InvalidInput
@@ -124,21 +131,39 @@ def design(
     Raises
     ------
     InvalidInput
-        A parameter is missing, or the limits leave no experiment.
+        A parameter is missing, the limits leave no experiment, or the arm asks for a servo that is
+        not described. One experiment that the limits do not leave is a warning.
     """
     parameter_vector(build_arm(study), values, study)  # tells what is missing
     bands = {j: band_of(study, values, j) for j in range(1, study.n_joints + 1)}
+    warnings = _without_servo(study, bands)
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
-    progress("searching the rigid motion")
-    records = motion_records(
-        study, values, limits, anti_resonance_hz=lowest, starts=_STARTS, seed=seed
-    )
+    records: tuple[Planned, ...] = ()
+    refused: list[LimitBroken] = []
+    if study.servo is not None:
+        progress("searching the rigid motion")
+        try:
+            records = motion_records(
+                study, values, limits, anti_resonance_hz=lowest, starts=_STARTS, seed=seed
+            )
+        except LimitBroken as error:
+            refused.append(error)
     for joint, band in bands.items():
         if band:
             progress(f"sizing the excitation of joint {joint}")
-            records += (voltage_record(study, values, limits, band, joint, kind=kind, seed=seed),)
+            try:
+                record = voltage_record(study, values, limits, band, joint, kind=kind, seed=seed)
+                records += (record,)
+            except LimitBroken as error:
+                refused.append(error)
+    if not records:
+        raise refused[0]
+    warnings += tuple(
+        Caution("limit-broken", error.where or "", f"not planned: {error.problem}; {error.remedy}")
+        for error in refused
+    )
     known = completed(values, study)
-    warnings = tuple(c for record in records for c in _cautions(study, known, record))
+    warnings += tuple(c for record in records for c in _cautions(study, known, record))
     for joint, band in bands.items():
         of_it = [record for record in records if record.experiment.joint == joint]
         if band and of_it and of_it[0].band_hz[1] < 0.99 * band.high_hz:
@@ -147,6 +172,24 @@ def design(
             warnings += (Caution("slow-clock", of_it[0].experiment.name, text),)
     experiments = tuple(record.experiment for record in records)
     return Design(replace(study, experiments=experiments), limits, records, warnings)
+
+
+def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Caution, ...]:
+    """What can be planned without a servo: voltages on elastic joints that lie in a plane."""
+    if study.servo is not None:
+        return ()
+    elastic = any(bands.values())
+    if study.arm.gravity or not elastic:
+        why = "under gravity a servo holds the arm" if elastic else "a rigid arm is told by motions"
+        raise InvalidInput(
+            f"{why}, and the study describes no servo", where=str(study.path), remedy=ADD_SERVO
+        )
+    text = (
+        "the study describes no servo, so only voltages in open loop are planned, and no motion, "
+        f"which the rigid step needs: {ADD_SERVO}; or record a slow motion of all joints as you "
+        'can and add it with use = "motion"'
+    )
+    return (Caution("no-servo", study.path.name, text),)
 
 
 def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ...]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.design.foreseen import foreseen, run
-from strainwave.design.plan import HELD, Limits, Planned, servo_of
+from strainwave.design.plan import HELD, LimitBroken, Limits, Planned, clock_of
 from strainwave.design.rigid_motion import (
     HARMONICS,
     Fourier,
@@ -66,10 +66,12 @@ def motion_records(
     Raises
     ------
     InvalidInput
-        The drives cannot hold the arm, or no motion keeps to the limits.
+        The drives cannot hold the arm.
+    LimitBroken
+        No motion keeps to the limits.
     """
     top = min(_TOP_HZ, anti_resonance_hz / _BELOW_RINGING) if anti_resonance_hz else _TOP_HZ
-    tick = servo_of(study).period
+    tick = clock_of(study)
     period = tick * round(HARMONICS / top / tick)
     search = Search(study, values, limits, period)
     still = np.zeros((1, study.n_joints))
@@ -97,10 +99,12 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
             break
         series = replace(series.scaled(_SMALLER), offset=_SMALLER * series.offset)
     else:
-        raise InvalidInput(
-            "no motion of the guessed arm keeps to the limits",
-            where="--limit-angle, --limit-velocity, --limit-voltage, --limit-torque",
-            remedy="give wider limits, or check the servo's gains and the parameters",
+        raise LimitBroken(
+            f"no motion of the guessed arm keeps to the limits: even of a small one "
+            f"{seen.broken(limits)}",
+            where=name,
+            remedy="give a wider limit if the arm bears it, or check the servo's gains and the "
+            "parameters",
         )
     condition = condition_number(study, limits, series.at(search.time))
     return Planned(
@@ -124,7 +128,7 @@ def _drive(
 ) -> tuple[Drive, FloatArray, float]:
     """References of a whole record, the motor angles meant, and the seconds of the way in."""
     study = search.study
-    tick = servo_of(study).period
+    tick = clock_of(study)
     still = np.zeros(study.n_joints)
     rest = (still, still, still)
     joint_state = [x[0] for x in series.at(np.zeros(1))]
@@ -171,7 +175,7 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
     phi = full_regressor(study, motion)
     heard = _HEARD * HARMONICS / series.period
     rounding = np.array([2.0 * np.pi / count for count in counts if count])
-    density = 2.0 * servo_of(study).period * rounding**2 / 12.0
+    density = 2.0 * clock_of(study) * rounding**2 / 12.0
     acceleration = np.sqrt((2.0 * np.pi) ** 4 * heard**5 / 5.0 * density)
     rows = phi / (_inertia_at_motor(search) * acceleration)[:, None]
     rows = rows.reshape(-1, rows.shape[2]) * np.sqrt(2.0 * heard * series.period / len(motion[0]))

@@ -5,11 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from strainwave.errors import InvalidInput
-from strainwave.records import Caution, Control, Experiment, FloatArray, Servo, Study
+from strainwave.records import Caution, Control, Experiment, FloatArray, Study
 from strainwave.simulation import Drive
 
 FREE: Control = "open"
 HELD: Control = "servo"
+ADD_SERVO = (
+    'add [servo] to the study, as the drives have it: kind = "pi-velocity", period [s], '
+    "kp [V s/rad] and ki [V/rad] one a joint, limit [V]"
+)
+_USUAL_CLOCK = 1e-3  # [s] of a drive whose servo is not described
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +39,33 @@ class Foreseen:
 
     def use_of(self, limits: Limits) -> float:
         """The largest share of any limit that is used; above one, a limit is broken."""
-        pairs = (
-            (self.angle, limits.angle),
-            (self.velocity, limits.velocity),
-            (self.voltage, limits.voltage),
-            (self.gear_torque, limits.gear_torque),
+        return max(float((used / limit).max()) for *_, used, limit in self._beside(limits))
+
+    def broken(self, limits: Limits) -> str:
+        """Which limits are broken, by how much, and what would do instead; empty: none."""
+        found = [
+            f"the {what} of joint {i + 1} would be {used[i]:.3g} {unit} "
+            f"of {limit[i]:.3g} ({option})"
+            for what, unit, option, used, limit in self._beside(limits)
+            for i in range(len(used))
+            if used[i] > limit[i]
+        ]
+        return ", ".join(found)
+
+    def _beside(
+        self, limits: Limits
+    ) -> tuple[tuple[str, str, str, FloatArray, tuple[float, ...]], ...]:
+        """What it is called, its unit and option; what is used, and the limit."""
+        return (
+            ("angle", "rad", "--limit-angle", self.angle, limits.angle),
+            ("motor velocity", "rad/s", "--limit-velocity", self.velocity, limits.velocity),
+            ("voltage", "V", "--limit-voltage", self.voltage, limits.voltage),
+            ("gear torque", "N m", "--limit-torque", self.gear_torque, limits.gear_torque),
         )
-        return max(float((used / limit).max()) for used, limit in pairs)
+
+
+class LimitBroken(InvalidInput):
+    """No size of an experiment keeps the guessed arm within its limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +108,7 @@ def limits_of(
     angle, velocity : str
         One number, or one a joint with commas between.
     voltage : str, optional
-        The servo's limit without.
+        The servo's limit without; required where there is no servo.
     gear_torque : str, optional
         None without.
 
@@ -96,8 +121,14 @@ def limits_of(
     InvalidInput
         One is not a positive number, or there are not as many as joints.
     """
-    servo = servo_of(study)
-    top = (servo.limit,) * study.n_joints
+    if voltage is None and study.servo is None:
+        raise InvalidInput(
+            "the drives' limit is not known: there is no [servo] table that has it",
+            where="--limit-voltage",
+            remedy=f"give it in V, or {ADD_SERVO}",
+        )
+    largest = study.servo.limit if study.servo else float("inf")
+    top = (largest,) * study.n_joints
     given = top if voltage is None else _numbers(voltage, study.n_joints, "--limit-voltage")
     any_torque = (float("inf"),) * study.n_joints
     return Limits(
@@ -110,29 +141,9 @@ def limits_of(
     )
 
 
-def servo_of(study: Study) -> Servo:
-    """The servo that the rigid motion is run under.
-
-    Parameters
-    ----------
-    study : Study
-
-    Returns
-    -------
-    Servo
-
-    Raises
-    ------
-    InvalidInput
-        The study has none.
-    """
-    if study.servo is None:
-        raise InvalidInput(
-            "the study describes no servo, and a motion is not designed without",
-            where=str(study.path),
-            remedy="add a [servo] table",
-        )
-    return study.servo
+def clock_of(study: Study) -> float:
+    """The clock of what is planned [s]: the servo's, or that of a usual drive."""
+    return study.servo.period if study.servo else _USUAL_CLOCK
 
 
 def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:

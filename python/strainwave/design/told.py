@@ -9,8 +9,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from strainwave.design.plan import Design, Planned
-from strainwave.design.written import HEADER, table_name
+from strainwave.applied import table_name
+from strainwave.design.plan import Design, Planned, clock_of
+from strainwave.design.written import HEADER
 
 
 def print_design(design: Design, folder: Path, *, console: Console | None = None) -> None:
@@ -26,16 +27,14 @@ def print_design(design: Design, folder: Path, *, console: Console | None = None
     """
     console = console or Console(highlight=False)
     console.print(_table(design))
-    servo = design.study.servo
     for record in design.records:
         why = "; ".join(record.reasons)
         console.print(Text(f"{record.experiment.name}: {record.duration:.1f} s. {why}."))
-    if servo:
-        console.print(Text(f"log every {1e3 * servo.period:g} ms or faster"))
+    console.print(Text(f"log every {1e3 * clock_of(design.study):g} ms or faster"))
     for warning in design.warnings:
         text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
         console.print(text, style="yellow")
-    for name in (*map(table_name, design.records), HEADER, "study.toml"):
+    for name in (*map(table_name, design.study.experiments), HEADER, "study.toml"):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     logs = ", ".join(record.experiment.file for record in design.records)
     console.print(Text(f"still to be recorded, beside study.toml: {logs}"), soft_wrap=True)

@@ -10,7 +10,15 @@ import numpy as np
 from strainwave import excitation
 from strainwave.design.band import Band
 from strainwave.design.foreseen import foreseen, run
-from strainwave.design.plan import FREE, HELD, Foreseen, Limits, Planned, servo_of
+from strainwave.design.plan import (
+    FREE,
+    HELD,
+    Foreseen,
+    LimitBroken,
+    Limits,
+    Planned,
+    clock_of,
+)
 from strainwave.errors import InvalidInput
 from strainwave.parameters import Values
 from strainwave.records import Control, Experiment, FloatArray, Prbs, Study
@@ -26,6 +34,7 @@ _SMALLEST = 0.02  # of the drive's voltage: less is no experiment
 _BISECTIONS = 7
 _AROUND = (0.5, 1.6)  # of anti-resonance and resonance, where the noise must be low
 _SMOOTH = 5  # lines over which a signal's size is taken
+_STANDING = 0.98  # of a record
 _SATURATED = 0.995  # of the limit: a servo that reaches it no longer acts
 
 
@@ -113,13 +122,19 @@ def voltage_record(
     Raises
     ------
     InvalidInput
-        No amplitude keeps to the limits, or a multisine would have to be held by a servo.
+        A multisine would have to be held by a servo.
+    LimitBroken
+        No amplitude keeps to the limits.
     """
     signal = _signal(study, values, band, joint, kind, seed)
     free: tuple[Control, ...] = (FREE,) * study.n_joints
     held: tuple[Control, ...] = (HELD,) * study.n_joints
     controls: tuple[tuple[Control, ...], ...] = (
-        (held,) if study.arm.gravity else (free,) if kind == "multisine" else (free, held)
+        (held,)
+        if study.arm.gravity
+        else (free,)
+        if kind == "multisine" or study.servo is None
+        else (free, held)
     )
     if kind == "multisine" and study.arm.gravity:
         raise InvalidInput(
@@ -132,11 +147,7 @@ def voltage_record(
         found = [_largest(signal, periods, limits, control) for control in controls]
         feasible = [(a, c, seen) for (a, seen), c in zip(found, controls, strict=True) if seen]
         if not feasible:
-            raise InvalidInput(
-                f"no voltage on joint {joint} keeps the guessed arm within the limits",
-                where="--limit-angle, --limit-velocity, --limit-torque",
-                remedy="give wider limits, or check the parameters",
-            )
+            raise _too_strong(signal, periods, limits, controls[0])
         amplitude, control, seen = max(feasible, key=lambda f: f[2].gear_torque[joint - 1])
         needed, reason = _periods(signal, signal.drive(amplitude, periods, control), band)
         if needed + _LEAD <= periods:
@@ -154,9 +165,30 @@ def voltage_record(
     )
 
 
+def _too_strong(
+    signal: Signal, periods: int, limits: Limits, control: tuple[Control, ...]
+) -> LimitBroken:
+    """What about the smallest excitation that moves the joint would do."""
+    top = limits.voltage[signal.joint - 1]
+    least = _SMALLEST * top
+    while True:
+        drive = signal.drive(least, periods, control)
+        seen = foreseen(run(signal.study, signal.values, drive, clock_of(signal.study)))
+        if (_moves(seen, signal.joint) and seen.broken(limits)) or least >= top:
+            break
+        least = min(1.5 * least, top)
+    would = seen.broken(limits) or "a servo would be at its limit"
+    return LimitBroken(
+        f"no voltage on joint {signal.joint} keeps the guessed arm within the limits: with "
+        f"{least:.2g} V {would}",
+        where=f"{signal.kind}-j{signal.joint}",
+        remedy="give a wider limit if the arm bears it, or check the parameters",
+    )
+
+
 def _signal(study: Study, values: Values, band: Band, joint: int, kind: Kind, seed: int) -> Signal:
     """Clock and order, or the lines, of a band."""
-    tick = servo_of(study).period
+    tick = clock_of(study)
     slower = max(1, int(_HALF_POWER / band.high_hz / tick)) if kind == "prbs" else 1
     clock = tick * slower
     order = int(np.ceil(np.log2(band.period / clock + 1.0)))
@@ -178,7 +210,7 @@ def _largest(
 ) -> tuple[float, Foreseen | None]:
     """The largest amplitude within the limits, rounded down, and what is foreseen of it."""
     top = limits.voltage[signal.joint - 1]
-    sample_time = servo_of(signal.study).period
+    sample_time = clock_of(signal.study)
 
     def seen_at(amplitude: float) -> Foreseen | None:
         seen = foreseen(
@@ -200,9 +232,14 @@ def _largest(
     while amplitude >= _SMALLEST * top:
         seen = seen_at(amplitude)
         if seen:
-            return amplitude, seen
+            return (amplitude, seen) if _moves(seen, signal.joint) else (0.0, None)
         amplitude = float(f"{0.95 * amplitude:.2g}")
     return 0.0, None
+
+
+def _moves(seen: Foreseen, joint: int) -> bool:
+    """Whether a joint's friction is overcome now and then: else there is nothing to record."""
+    return float(seen.rest_share[joint - 1]) < _STANDING
 
 
 def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
@@ -212,7 +249,7 @@ def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
     encoder's rounding has S = 2 t q^2/12, times w^2 for the velocity.
     """
     study = signal.study
-    tick = servo_of(study).period
+    tick = clock_of(study)
     seen = run(study, signal.values, drive, tick)
     drive_of = study.joints[signal.joint - 1]
     ratios = {}

@@ -6,8 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from strainwave.applied import applied_columns, table_name
 from strainwave.design.plan import Design, Planned
 from strainwave.files import write_whole
 from strainwave.records import FloatArray, Study
@@ -32,7 +31,7 @@ def write(design: Design, folder: Path) -> None:
         The folder cannot be written to.
     """
     contents = {
-        table_name(record): _csv(_columns(design.study, record)).encode()
+        table_name(record.experiment): _csv(_columns(design.study, record)).encode()
         for record in design.records
     }
     contents[HEADER] = _c_header(design).encode()
@@ -41,36 +40,8 @@ def write(design: Design, folder: Path) -> None:
     write_study(study, study.path)
 
 
-def table_name(record: Planned) -> str:
-    """The file of what is to be applied; the log that is recorded has the experiment's name.
-
-    Parameters
-    ----------
-    record : Planned
-
-    Returns
-    -------
-    str
-    """
-    return f"apply-{record.experiment.name}.csv"
-
-
 def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
-    """What is to be applied, a value a tick, with the unit in the name; zeros are left out."""
-    drive = record.drive
-    time: FloatArray = drive.tick * np.arange(len(drive.voltage), dtype=np.float64)
-    columns = {"t [s]": time}
-    for i, joint in enumerate(study.joints):
-        angle = "rad" if joint.motion == "revolute" else "m"
-        number = i + 1
-        if record.motor_angle is not None:
-            columns[f"ref{number} [{angle}/s]"] = drive.reference[:, i]
-            columns[f"theta_m{number} [{angle}]"] = record.motor_angle[:, i]
-        elif record.experiment.joint == number:
-            force = "N m" if joint.motion == "revolute" else "N"
-            name = f"u{number} [V]" if joint.torque_per_volt else f"torque{number} [{force}]"
-            columns[name] = drive.voltage[:, i]
-    return columns
+    return applied_columns(study, record.experiment, record.drive, record.motor_angle)
 
 
 def _csv(columns: dict[str, FloatArray]) -> str:

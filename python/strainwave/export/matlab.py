@@ -100,6 +100,7 @@ def to_script(arm: IdentifiedArm) -> Export:
         "% An arm with elastic joints, identified by strainwave. SI units, angles in rad.",
         "% sys{i} is joint i on its own; refine it on your own data with",
         "%   greyest(data, idgrey(grey(i).function, grey(i).parameters, 'c', grey(i).args))",
+        "if exist('OCTAVE_VERSION', 'builtin'), pkg load control, end % Octave's ss",
         "",
     ]
     for entry in entries(arm):

@@ -67,6 +67,13 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     actuators = ET.SubElement(mujoco, "actuator")
     for number in range(1, arm.study.n_joints + 1):
         _actuator(actuators, arm, number)
+    sensors = ET.SubElement(mujoco, "sensor")
+    remark(
+        sensors,
+        "Named as the channels; of a and gyro the second and third component. No lag or noise.",
+    )
+    for number in range(1, arm.study.n_joints + 1):
+        _sensors(sensors, arm, number)
     cautions = arm.cautions + arm.assumed() + _left_out(arm) + told_of_gravity(arm)
     return Export(to_bytes(mujoco), cautions)
 
@@ -88,6 +95,11 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
         if not holds_motor(arm):
             attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
     ET.SubElement(element, "joint", attributes, damping=numbers(viscous))
+    if _has_accelerometer(arm, number):
+        away = numbers(joint.accelerometer_distance or 0.0, 0.0, 0.0)
+        ET.SubElement(element, "site", name=f"accelerometer{number}", pos=away)
+    if joint.gyro_hz:
+        ET.SubElement(element, "site", name=f"gyroscope{number}")
     drawn = length if number == 1 and length else 2.0 * body.centre or 10.0 * _THIN
     ET.SubElement(
         element,
@@ -182,6 +194,31 @@ def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int) -> None:
         lag = 1.0 / (2.0 * math.pi * joint.current_loop_hz)
         element.set("dyntype", "filterexact")
         element.set("dynprm", numbers(lag))
+
+
+def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int) -> None:
+    """A joint's channels: what its drive tells, and what is mounted on its link.
+
+    An accelerometer reads what ours does, (8), (9): under gravity specific force. The drive's
+    torque is the actuator's, less the friction's constant part.
+    """
+    link = f"joint{number}"
+    if arm.joint(number).spring != "rigid":
+        motor = f"motor_joint{number}"
+        ET.SubElement(sensors, "jointpos", name=f"theta_m{number}", joint=motor)
+        ET.SubElement(sensors, "jointvel", name=f"omega_m{number}", joint=motor)
+    ET.SubElement(sensors, "actuatorfrc", name=f"torque{number}", actuator=f"drive{number}")
+    ET.SubElement(sensors, "jointpos", name=f"theta_l{number}", joint=link)
+    if _has_accelerometer(arm, number):
+        site = f"accelerometer{number}"
+        ET.SubElement(sensors, "accelerometer", name=f"a{number}", site=site)
+    if arm.joint(number).gyro_hz:
+        ET.SubElement(sensors, "gyro", name=f"gyro{number}", site=f"gyroscope{number}")
+
+
+def _has_accelerometer(arm: IdentifiedArm, number: int) -> bool:
+    joint = arm.joint(number)
+    return joint.accelerometer_distance is not None and joint.motion == "revolute"
 
 
 def _left_out(arm: IdentifiedArm) -> tuple[Caution, ...]:

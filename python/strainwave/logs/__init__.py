@@ -11,19 +11,15 @@ import numpy as np
 
 from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput
-from strainwave.logs.tables import Table, first_impossible, open_table, write_table
+from strainwave.logs.bags import Bag, is_bag
+from strainwave.logs.clocks import Track, one_clock
+from strainwave.logs.tables import Table, open_table, write_table
 from strainwave.records import Caution, Channel, Experiment, FloatArray, Log, Study, channel_names
 
 __all__ = ["read_log", "read_logs", "write_log"]
 
 write_log = write_table
 
-FEWEST_ROWS = 16
-"""Fewer samples cannot even be filtered."""
-LARGEST_GAP = 10.0
-"""[periods] What was between two samples further apart cannot be told by interpolation."""
-ROUNDING = 0.02
-"""[periods] Stamps this close to a uniform grid are one, written with few digits."""
 _HELD = ("u", "ref")  # commanded by a clock, constant between its ticks
 _SENSORS = ("omega_m", "a", "theta_l", "deflection", "gyro")  # a dead one is constant
 
@@ -71,26 +67,44 @@ def read_log(study: Study, experiment: Experiment) -> Log:
         The file, a column or a value is at fault.
     """
     path = study.log_path(experiment)
-    table = open_table(path)
+    table = Bag(path) if is_bag(path) else open_table(path)
     sources = _sources(study, experiment, table, path)
-    wanted = {channel.column for channel in sources.values()} | set(experiment.add.values())
-    columns = table.read(sorted(wanted))
-    _check_values(columns, table, path)
+    tracks, warnings = _tracks(table, sources, experiment)
+    time, columns, told = one_clock(tracks, _held(sources, experiment), experiment, path)
     channels = {
         name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
         for name, channel in sources.items()
+        if name != "t"
     }
-    time = channels.pop("t")
-    _check_time(time, table, path)
-    time, channels = _window(time, channels, experiment, path)
-    _check_gaps(time, path)
-    time, channels, warnings = _uniform(time, channels, path)
-    warnings += _constants(channels, study, experiment, path)
+    warnings += told + _constants(channels, study, experiment, path)
     sample_time = float((time[-1] - time[0]) / (len(time) - 1))
     return Log(experiment, time, sample_time, channels, tuple(warnings))
 
 
-def _sources(study: Study, experiment: Experiment, table: Table, path: Path) -> dict[str, Channel]:
+def _tracks(
+    table: Table | Bag, sources: dict[str, Channel], experiment: Experiment
+) -> tuple[list[Track], list[Caution]]:
+    """What was asked for with its stamps, the motor angle's first."""
+    angle = sources["theta_m1"].column
+    wanted = {channel.column for channel in sources.values()} | set(experiment.add.values())
+    if isinstance(table, Bag):
+        tracks, warnings = table.tracks(sorted(wanted))
+        return sorted(tracks, key=lambda track: angle not in track.columns), warnings
+    columns = table.read(sorted(wanted))
+    channel = sources["t"]
+    time = channel.scale * _with_added("t", channel, experiment, columns) + channel.offset
+    return [Track("", time, columns, table.row_name)], []
+
+
+def _held(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
+    """Columns of channels that a clock commands."""
+    held = {channel.column for name, channel in sources.items() if name.startswith(_HELD)}
+    return held | {column for name, column in experiment.add.items() if name.startswith(_HELD)}
+
+
+def _sources(
+    study: Study, experiment: Experiment, table: Table | Bag, path: Path
+) -> dict[str, Channel]:
     """Which column each channel comes from; the required ones must be there."""
     sources = {}
     for name in channel_names(study.n_joints):
@@ -104,7 +118,22 @@ def _sources(study: Study, experiment: Experiment, table: Table, path: Path) -> 
             raise _no_column(column, f"which is to be added to '{channel_name}'", table, path)
         if channel_name not in sources:
             raise _no_column(channel_name, "to which another is to be added", table, path)
-    required = ["t", *(f"theta_m{i}" for i in range(1, study.n_joints + 1))]
+    _check_required(sources, study, table, path)
+    return sources
+
+
+def _check_required(
+    sources: dict[str, Channel], study: Study, table: Table | Bag, path: Path
+) -> None:
+    required = [f"theta_m{i}" for i in range(1, study.n_joints + 1)]
+    if not isinstance(table, Bag):
+        required = ["t", *required]
+    elif "t" in sources:
+        raise InvalidInput(
+            "a bag's messages have stamps of their own",
+            where=str(study.path),
+            remedy="take t out of [channels]",
+        )
     for name in required:
         if name not in sources:
             raise _no_column(name, "which every log needs", table, path)
@@ -117,10 +146,11 @@ def _sources(study: Study, experiment: Experiment, table: Table, path: Path) -> 
                 where=str(study.path),
                 remedy=f"add torque_per_volt to [[joint]] {i}",
             )
-    return sources
 
 
-def _no_column(column: str, what: str, table: Table, path: Path) -> InvalidInput:
+def _no_column(column: str, what: str, table: Table | Bag, path: Path) -> InvalidInput:
+    if isinstance(table, Bag):
+        return table.no_column(column, what)
     near = difflib.get_close_matches(column, table.names, n=1, cutoff=0.6)
     hint = f"; did you mean '{near[0]}'?" if near else ""
     shown = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
@@ -138,100 +168,6 @@ def _with_added(
     if name in experiment.add:
         values = values + columns[experiment.add[name]]
     return values
-
-
-def _check_values(columns: dict[str, FloatArray], table: Table, path: Path) -> None:
-    for name, values in columns.items():
-        row = first_impossible(values)
-        if row is not None:
-            raise InvalidInput(
-                f"the value is {values[row]}",
-                where=f"{path}, {table.row_name(row)}, column {name!r}",
-                remedy="cut the log there, or set start and stop to leave it out",
-            )
-
-
-def _check_time(time: FloatArray, table: Table, path: Path) -> None:
-    if len(time) < FEWEST_ROWS:
-        raise _too_few(len(time), path, "the log")
-    back = np.flatnonzero(np.diff(time) <= 0.0)
-    if back.size:
-        row = int(back[0]) + 1
-        raise InvalidInput(
-            f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
-            where=f"{path}, {table.row_name(row)}",
-            remedy="sort the log by time and leave out doubled rows",
-        )
-
-
-def _too_few(rows: int, path: Path, what: str) -> InvalidInput:
-    return InvalidInput(
-        f"{what} has {rows} row(s); at least {FEWEST_ROWS} are needed",
-        where=str(path),
-        remedy="record for longer, or widen start and stop",
-    )
-
-
-def _window(
-    time: FloatArray, channels: dict[str, FloatArray], experiment: Experiment, path: Path
-) -> tuple[FloatArray, dict[str, FloatArray]]:
-    start = -np.inf if experiment.start is None else experiment.start
-    stop = np.inf if experiment.stop is None else experiment.stop
-    inside = slice(*np.searchsorted(time, [start, stop + 1e-12 * abs(stop)]))
-    if len(time[inside]) == 0:
-        raise InvalidInput(
-            f"nothing lies in the window {start:g} to {stop:g} s: the log runs from {time[0]:g} to "
-            f"{time[-1]:g} s",
-            where=str(path),
-            remedy=f"mend start and stop of experiment {experiment.name!r}",
-        )
-    if len(time[inside]) < FEWEST_ROWS:
-        raise _too_few(len(time[inside]), path, "the window")
-    return time[inside], {name: values[inside] for name, values in channels.items()}
-
-
-def _check_gaps(time: FloatArray, path: Path) -> None:
-    steps = np.diff(time)
-    period = float(np.median(steps))
-    widest = int(np.argmax(steps))
-    if steps[widest] > LARGEST_GAP * period:
-        raise InvalidInput(
-            f"there is a gap from {time[widest]:.6g} to {time[widest + 1]:.6g} s, "
-            f"{steps[widest] / period:.0f} samples long",
-            where=str(path),
-            remedy="set start and stop to one side of it",
-        )
-
-
-def _uniform(
-    time: FloatArray, channels: dict[str, FloatArray], path: Path
-) -> tuple[FloatArray, dict[str, FloatArray], list[Caution]]:
-    """A uniform grid; interpolates where the stamps are not one already.
-
-    Measured signals are interpolated by monotone cubics, which neither ring nor flatten; commanded
-    ones are held, as the drive held them.
-    """
-    grid = np.linspace(time[0], time[-1], len(time))
-    period = grid[1] - grid[0]
-    away = float(np.max(np.abs(time - grid))) / period
-    if away <= ROUNDING:
-        return grid, channels, []
-    from scipy.interpolate import PchipInterpolator
-
-    period = float(np.median(np.diff(time)))
-    grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-9) + 1)
-    held = np.searchsorted(time, grid + 1e-9 * period, side="right") - 1
-    resampled = {
-        name: values[held] if name.startswith(_HELD) else PchipInterpolator(time, values)(grid)
-        for name, values in channels.items()
-    }
-    steps = np.diff(time) / period
-    message = (
-        f"time stamps are not uniform (steps of {steps.min():.2f} to {steps.max():.2f} "
-        f"periods): resampled to {len(grid)} samples every {period:.6g} s; what happens faster "
-        "than the widest step is lost. Log with a fixed clock if you can"
-    )
-    return grid, resampled, [Caution("resampled", path.name, message)]
 
 
 def _constants(

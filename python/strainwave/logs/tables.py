@@ -74,7 +74,7 @@ def open_table(path: Path) -> Table:
     raise InvalidInput(
         "is of no known kind",
         where=str(path),
-        remedy=f"use a file whose name ends in {', '.join(_OPENERS)}",
+        remedy=f"use a file whose name ends in {', '.join(_OPENERS)}, or a bag",
     )
 
 

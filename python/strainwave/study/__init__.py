@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from strainwave.study.checks import check_files, check_fit, check_sizes
 from strainwave.study.reader import Reader
 
 __all__ = ["read_study", "write_study"]
+
+_TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)')
 
 
 def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
@@ -41,6 +44,7 @@ def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
     path = Path(path)
     data = read_bytes(path, "the study file")
     text = decode(data, path)
+    _check_filled_in(text, path)
     try:
         document = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -54,6 +58,22 @@ def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
     if logs_exist:
         check_files(study, reader)
     return study
+
+
+def _check_filled_in(text: str, path: Path) -> None:
+    """What `strainwave init` could not guess has to be filled in."""
+    found = [
+        (number, match[1])
+        for number, line in enumerate(text.splitlines(), start=1)
+        if (match := _TODO.match(line))
+    ]
+    if found:
+        listed = ", ".join(f"{key} (line {number})" for number, key in found)
+        raise InvalidInput(
+            f"{len(found)} value(s) are still TODO: {listed}",
+            where=f"{path}, line {found[0][0]}",
+            remedy="fill them in; the comments beside them say where to look",
+        )
 
 
 def write_study(study: Study, path: Path) -> None:

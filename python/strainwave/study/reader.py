@@ -15,7 +15,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 from strainwave.errors import InvalidInput
 from strainwave.files import nearest
-from strainwave.records import Arm, Channel, Experiment, Joint, Servo, Study
+from strainwave.records import Arm, Channel, Experiment, Joint, Servo, Study, TopicChannel
 
 T = TypeVar("T")
 
@@ -137,7 +137,10 @@ class Reader:
                     where=self.place("channels", None, name),
                     remedy='give a name, or { column = "...", scale = ..., offset = ... }',
                 )
-            channels[name] = self.record(Channel, as_table, "channels", None)
+            if "topic" in as_table:
+                channels[name] = self.record(TopicChannel, as_table, "channels").channel
+            else:
+                channels[name] = self.record(Channel, as_table, "channels")
         return channels
 
     def _one(self, document: Mapping[str, Any], name: str) -> dict[str, Any] | None:

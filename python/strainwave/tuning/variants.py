@@ -102,7 +102,7 @@ def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
     if all(name != SETTLING for name, _ in fit.misfit.search.keys):
         return fit
     values = fit.misfit.search.values(fit.z)
-    deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).local))
+    deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).combined))
     idle = {
         key: 0.0
         for key, std in zip(fit.misfit.search.keys, deviation, strict=True)

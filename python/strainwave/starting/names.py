@@ -1,0 +1,172 @@
+"""What a column's name says: quantity, joint, unit, side of the gear."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from math import pi
+from typing import Literal
+
+from strainwave.records import CHANNELS
+
+Quantity = Literal[
+    "time",
+    "angle",
+    "velocity",
+    "voltage",
+    "torque",
+    "current",
+    "acceleration",
+    "gyro",
+    "deflection",
+    "reference",
+]
+Side = Literal["motor", "link"]
+
+_WORDS: tuple[tuple[Quantity, str], ...] = (  # the first that matches decides
+    ("deflection", "defl deflection twist torsion"),
+    ("gyro", "gyro gyroscope angularvelocity angvel"),
+    ("acceleration", "a acc accel acceleration accelerometer linearacceleration qdd ddq"),
+    ("reference", "ref reference des desired target setpoint sp goal"),
+    ("current", "i iq cur curr current amps amp"),
+    ("torque", "tau torque trq effort force moment"),
+    ("velocity", "vel velocity dq qd qdot omega w speed dtheta thetadot dphi rate"),
+    ("voltage", "u volt voltage vin uin v pwm duty"),
+    ("angle", "pos position q qm theta th angle ang enc encoder phi counts count motorangle"),
+    ("voltage", "cmd command ctrl control input drive"),
+    ("time", "t time timestamp stamp ts zeit elapsed clock seconds sec"),
+)
+_SIDES: dict[str, Side] = {
+    **dict.fromkeys(["m", "mot", "motor", "rotor", "qm", "hs"], "motor"),
+    **dict.fromkeys(["l", "link", "arm", "load", "output", "out", "secondary", "ls"], "link"),
+}
+_COMMANDED = ("cmd", "command", "commanded")
+_UNSURE = ("v", "i", "a", "w", "th", "cmd", "command", "ctrl", "control", "input", "drive", "sp")
+_NO_AXIS = ("orientation", "quaternion", "temp", "temperature", "status", "id", "seq")
+
+_GENERAL = (
+    *("joint", "axis", "j", "robot", "imu", "sensor"),
+    *("meas", "measured", "act", "actual", "state", "data", "value"),
+)
+
+COUNTS = ("counts", "count", "cnt", "ticks", "tick", "inc", "incs")
+_ROTATION = {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180, "degrees": pi / 180, "rev": 2 * pi}
+_TRAVEL = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+_RATE = {
+    "rads": 1.0,
+    "radps": 1.0,
+    "radpers": 1.0,
+    "degs": pi / 180,
+    "degps": pi / 180,
+    "dps": pi / 180,
+    "rpm": pi / 30,
+    "rps": 2 * pi,
+}
+UNITS: dict[Quantity, dict[str, float]] = {
+    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9},
+    "angle": _ROTATION | {"turns": 2 * pi} | _TRAVEL,
+    "deflection": _ROTATION | _TRAVEL,
+    "velocity": _RATE | {"ms": 1.0, "mps": 1.0, "mms": 1e-3},
+    "reference": _ROTATION | _RATE | _TRAVEL | {"ms": 1.0, "mps": 1.0},
+    "gyro": _RATE | {"mdps": pi / 180e3},
+    "voltage": {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3},
+    "torque": {"nm": 1.0, "mnm": 1e-3, "n": 1.0, "kn": 1e3},
+    "current": {"a": 1.0, "amp": 1.0, "ma": 1e-3},
+    "acceleration": {"ms2": 1.0, "mps2": 1.0, "mss": 1.0, "g": 9.80665, "mg": 9.80665e-3},
+}
+LINEAR = (*_TRAVEL, "n", "kn", "mps", "mms")
+"""Units that a prismatic joint has."""
+_ROTATIONAL = ("theta", "th", "angle", "ang", "phi", "motorangle", "dtheta", "thetadot", "omega")
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """What a name says; None is what it does not."""
+
+    quantity: Quantity | None
+    number: int | None = None  # as written, from 0 or 1
+    label: str = ""  # a joint's name, in a bag
+    word_left: str = ""  # that means nothing else: a joint's name in a table, perhaps
+    unit: str | None = None
+    side: Side | None = None
+    commanded: bool = False
+    word: str = ""  # that decided
+    sure: bool = False
+    own: bool = False  # the name is a channel's
+    placed: bool = True  # the joint is known, not guessed
+
+
+def parse(name: str) -> Named:
+    """Take a column's name apart.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Named
+    """
+    text, label, number = name, "", None
+    if name.startswith("/"):  # of a bag: /topic.field[joint or index]
+        inside = re.search(r"\[([^\]]*)\]$", name)
+        text = name[: inside.start()] if inside else name
+        label = inside[1] if inside and not inside[1].isdecimal() else ""
+        number = int(inside[1]) if inside and inside[1].isdecimal() else None
+        text = re.sub(r"\.data$", "", text)
+    tokens = _tokens(text)
+    if any(token.lower() in _NO_AXIS for token in tokens):
+        return Named(None)
+    quantity, word = _quantity(tokens)
+    unit, words = _unit(tokens, quantity, word)
+    if quantity is None and unit is not None:
+        quantity = _quantity_of_unit(unit)
+    numbers = [int(token) for token in words if token.isdecimal()]
+    if number is None and numbers:
+        number = numbers[-1]
+    low = [token.lower() for token in words]
+    sides = [_SIDES[token] for token in low if token in _SIDES]
+    commanded = any(token in _COMMANDED for token in low)
+    if commanded and quantity in ("angle", "velocity"):
+        quantity = "reference"
+    side = sides[-1] if sides else None
+    known = {word, *_GENERAL, *_SIDES, *_COMMANDED, *(w for _, of in _WORDS for w in of.split())}
+    left = next((token for token in low if token not in known and not token.isdecimal()), "")
+    own = re.fullmatch(rf"({'|'.join(CHANNELS)})\d", name) is not None
+    sure = own or (bool(word) and word not in _UNSURE)
+    return Named(quantity, number, label, left, unit, side, commanded, word, sure, own)
+
+
+def _tokens(text: str) -> list[str]:
+    text = re.sub(r"linear_acceleration", "linearacceleration", text)
+    text = re.sub(r"angular_velocity", "angularvelocity", text)
+    return re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", text)
+
+
+def _quantity(tokens: list[str]) -> tuple[Quantity | None, str]:
+    low = [token.lower() for token in tokens]
+    for quantity, words in _WORDS:
+        for token in low:
+            if token in words.split() and not (token == "t" and len(low) > 2):
+                last = token == low[-1] and len(low) > 1 and token in ("a", "v", "i", "u")
+                if not last:  # a trailing letter is a unit
+                    return quantity, token
+    return None, ""
+
+
+def _unit(tokens: list[str], quantity: Quantity | None, word: str) -> tuple[str | None, list[str]]:
+    """The unit at a name's end, and the tokens before it."""
+    for length in (4, 3, 2, 1):
+        tail = "".join(token.lower() for token in tokens[-length:])
+        if length >= len(tokens) or tail == word:
+            continue
+        motor_side = tail in ("m", "l") and word in _ROTATIONAL
+        known = UNITS[quantity] if quantity else {u for of in UNITS.values() for u in of}
+        if (tail in known and not motor_side) or (quantity == "angle" and tail in COUNTS):
+            return tail, tokens[:-length]
+    return (word if word in COUNTS else None), tokens
+
+
+def _quantity_of_unit(unit: str) -> Quantity | None:
+    having = [quantity for quantity, units in UNITS.items() if unit in units]
+    return having[0] if len(having) == 1 else None
