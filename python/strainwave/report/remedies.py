@@ -48,6 +48,8 @@ REMEDIES = {
         "Check the logger's time stamps and the bandwidths of sensor and drive in the study."
     ),
     "no-link-sensor": "Log an accelerometer, a link encoder or the deflection of that link.",
+    "silent-command": "Check that the drive held its last command, and that its node lived.",
+    "recorder-stamps": "Publish those messages with a header stamp of their own.",
     "sub-sampled": "Log at least at the clock of the excitation.",
     "constant-channel": "Check the sensor's cable and the channel map.",
     "poor-excitation": (
@@ -86,6 +88,7 @@ REMEDIES = {
     "nothing-to-predict": (
         "Nothing, if the channel is meant to rest; else move that joint in a check record."
     ),
+    "reordered": "Nothing: the messages were put in the order of their stamps.",
     "resampled": "Nothing, if the motion is slow; else log at even steps.",
 }
 """By code, the most serious first."""
@@ -95,6 +98,7 @@ MILD = frozenset(
         "effect-left-out",
         "friction-settles",
         "nothing-to-predict",
+        "reordered",
         "resampled",
     }
 )
