@@ -28,6 +28,9 @@ app = typer.Typer(
 Out = Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 StudyFile = Annotated[Path, typer.Argument(help="The study file.", metavar="STUDY.toml")]
+Figures = Annotated[
+    bool, typer.Option("--figures", help="Also every figure as SVG and PNG, in DIR/figures.")
+]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensors' noise and of the motions.")]
 
 DONE, AT_FAULT, NOT_ANSWERED = 0, 2, 3
@@ -74,22 +77,26 @@ def identify(
         str | None,
         typer.Option("--stages", help="Run only the first stages, for example: rigid."),
     ] = None,
+    figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
     """Identify the arm: logs in, DIR/result.json and DIR/report.html out."""
     from strainwave import pipeline
     from strainwave.cores import keep_memory
+    from strainwave.drawing import require_matplotlib
 
     keep_memory()
+    if figures:
+        require_matplotlib()  # before the work, not after it
     chosen = pipeline.STAGES if stages is None else tuple(s.strip() for s in stages.split(","))
     with _progress(quiet) as tell:
         identification = pipeline.identify(study, stages=chosen, progress=tell)
         tell("writing the report")
-        pipeline.write(identification, out)
+        pipeline.write(identification, out, figures=figures)
     if not quiet:
         from strainwave.summary import print_summary
 
-        print_summary(identification, out)
+        print_summary(identification, out, figures=figures)
     raise typer.Exit(DONE if identification.determined else NOT_ANSWERED)
 
 
@@ -212,16 +219,20 @@ def demo(
     quick: Annotated[
         bool, typer.Option("--quick", help="Leave out the comparisons with the published figures.")
     ] = False,
+    figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate the built-in SCARA-type arm, identify it, and compare with the truth."""
     from strainwave import virtual
+    from strainwave.drawing import require_matplotlib
     from strainwave.summary import print_comparisons, print_summary
 
+    if figures:
+        require_matplotlib()
     with _progress(quiet) as tell:
-        identification, truth = virtual.demonstrate(out, seed=seed, progress=tell)
+        identification, truth = virtual.demonstrate(out, seed=seed, progress=tell, figures=figures)
     if not quiet:
-        print_summary(identification, out, truth=truth)
+        print_summary(identification, out, truth=truth, figures=figures)
     if not quick:
         with _progress(quiet) as tell:
             found = virtual.compare(identification, out, seed=seed, progress=tell)

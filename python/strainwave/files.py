@@ -21,6 +21,7 @@ def write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
     folder : Path
         Made where it does not exist.
     contents : mapping of file name to bytes
+        A name may begin with one folder inside, `figures/bode.svg`.
 
     Raises
     ------
@@ -31,8 +32,10 @@ def write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, data in contents.items():
-            handle, temporary = tempfile.mkstemp(prefix=f".{name}.", dir=folder)
-            aside.append((Path(temporary), folder / name))
+            final = folder / name
+            final.parent.mkdir(exist_ok=True)
+            handle, temporary = tempfile.mkstemp(prefix=f".{final.name}.", dir=final.parent)
+            aside.append((Path(temporary), final))
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
             Path(temporary).chmod(0o666 & ~_umask())

@@ -31,6 +31,7 @@ from strainwave import (
     validation,
 )
 from strainwave.cores import begin, one_blas_thread, side_by_side
+from strainwave.drawing import images
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.files import write_whole
 from strainwave.records import (
@@ -349,27 +350,34 @@ def _alone(the_study: Study) -> bool:
     return the_study.n_joints == 1 and the_study.arm.gravity is None
 
 
-def write(identification: Identification, folder: Path) -> None:
-    """Result and report, both whole or neither.
+def write(identification: Identification, folder: Path, *, figures: bool = False) -> None:
+    """Result and report, and if wanted every figure as SVG and PNG: all whole or none.
 
     Parameters
     ----------
     identification : Identification
     folder : Path
         Made where it does not exist; an earlier result in it is replaced.
+    figures : bool
+        Whether the report's figures go to `figures/` in the folder, too.
 
     Raises
     ------
     InvalidInput
-        The folder cannot be written to.
+        The folder cannot be written to, or there is no Matplotlib to draw the figures.
     """
-    from strainwave.report import render
+    from strainwave.report import figures_of, render
 
     begin = time.perf_counter()
     page = render(identification).encode()
     timing = {**identification.timing_s, "report": time.perf_counter() - begin}
     document = result.to_json(replace(identification, timing_s=timing))
-    write_whole(folder, {"report.html": page, "result.json": document})
+    files = {"report.html": page, "result.json": document}
+    if figures:
+        for name, drawn in figures_of(identification).items():
+            for ending, data in images(drawn).items():
+                files[f"figures/{name}.{ending}"] = data
+    write_whole(folder, files)
 
 
 @dataclass

@@ -709,6 +709,15 @@ class Criticism:
 
 
 @dataclass(frozen=True, slots=True)
+class TorqueHistogram:
+    """How often a gear carried which torque in the records, by the model, whatever its sign."""
+
+    joint: int  # from 1
+    edges: FloatArray  # (n_bins + 1,) [N m] at the link, from zero
+    share: FloatArray  # (n_bins,) of all samples
+
+
+@dataclass(frozen=True, slots=True)
 class ArmModel(Shown):
     """All parameters of the arm, fitted at once to all records that excite its gears."""
 
@@ -723,6 +732,7 @@ class ArmModel(Shown):
     status: Literal["converged", "iteration-limit", "at-bounds"]
     warnings: tuple[Caution, ...] = ()
     criticism: Criticism | None = None
+    carried: tuple[TorqueHistogram, ...] = ()  # one a joint with an elastic gear
 
 
 @dataclass(frozen=True, slots=True)

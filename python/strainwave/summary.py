@@ -21,6 +21,7 @@ def print_summary(
     folder: Path,
     *,
     truth: Truth | None = None,
+    figures: bool = False,
     console: Console | None = None,
 ) -> None:
     """Print parameters, fits, warnings and where the files are.
@@ -32,6 +33,8 @@ def print_summary(
         Where result.json and report.html were written.
     truth : mapping, optional
         True values where the arm is virtual; adds their column and the error.
+    figures : bool
+        Whether every figure was written as a file, too.
     console : rich Console, optional
         The terminal, if not standard output.
     """
@@ -55,7 +58,7 @@ def print_summary(
     if identification.reason is not None:
         console.print(Text(f"not identifiable: {identification.reason}"), style="bold red")
     total = sum(identification.timing_s.values())
-    for name in ("report.html", "result.json"):
+    for name in ("report.html", "result.json", *(["figures"] if figures else [])):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     console.print(f"{total:.1f} s")
 

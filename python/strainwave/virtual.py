@@ -152,7 +152,9 @@ def simulate_study(
     return len(experiments)
 
 
-def demonstrate(folder: Path, *, seed: int, progress: Progress) -> tuple[Identification, Values]:
+def demonstrate(
+    folder: Path, *, seed: int, progress: Progress, figures: bool = False
+) -> tuple[Identification, Values]:
     """The main job on the built-in arm: simulate, identify from the files, report.
 
     Parameters
@@ -161,6 +163,8 @@ def demonstrate(folder: Path, *, seed: int, progress: Progress) -> tuple[Identif
         Gets the logs, study.toml, result.json and report.html.
     seed : int
     progress : callable
+    figures : bool
+        Whether every figure becomes a file, too.
 
     Returns
     -------
@@ -175,7 +179,7 @@ def demonstrate(folder: Path, *, seed: int, progress: Progress) -> tuple[Identif
     )
     identification = pipeline.identify(folder / "study.toml", progress=progress)
     progress("writing the report")
-    pipeline.write(identification, folder)
+    pipeline.write(identification, folder, figures=figures)
     return identification, derived(values, study)
 
 

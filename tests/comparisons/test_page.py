@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from results import identification
 from strainwave import cli, virtual
 from strainwave import comparisons as package
+from strainwave.drawing import draw
 from strainwave.records import Comparison
 from strainwave.report import curves, render_comparisons
 from strainwave.summary import print_comparisons
@@ -53,6 +54,14 @@ def test_the_page_is_whole_and_fetches_nothing(comparisons: Found) -> None:
     drawn = re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)
     assert drawn is not None
     assert len(json.loads(drawn[1])) == sum(len(c.plots) for c in comparisons.values())
+
+
+def test_every_figure_can_be_drawn_without_a_browser(comparisons: Found) -> None:
+    pytest.importorskip("matplotlib", reason="the extra 'plot' is not installed")
+    for c in comparisons.values():
+        for plot in c.plots:
+            axes = draw(plot).axes
+            assert len(axes) == sum(name.startswith("yaxis") for name in plot["layout"])
 
 
 def test_names_cannot_leave_their_place(comparisons: Found) -> None:

@@ -1,6 +1,6 @@
 """Records -> one self-contained HTML file. Nothing outside `pipeline` and `cli` imports this."""
 
 from strainwave.report.comparisons import render_comparisons
-from strainwave.report.page import render
+from strainwave.report.page import figures_of, render
 
-__all__ = ["render", "render_comparisons"]
+__all__ = ["figures_of", "render", "render_comparisons"]

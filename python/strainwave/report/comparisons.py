@@ -7,7 +7,7 @@ from html import escape
 
 from strainwave.records import Comparison
 from strainwave.report.figures import Figure
-from strainwave.report.html import document, figure, table
+from strainwave.report.html import Section, document, figure, table
 
 SOURCE = (
     "Oaki and Adachi, “Decoupling Identification for Serial Two-link Robot Arm with Elastic "
@@ -37,26 +37,31 @@ def render_comparisons(comparisons: Sequence[Comparison], *, arm: str) -> str:
         f'<td class="{_mark(c)}">{_verdict(c)}</td></tr>'
         for c in comparisons
     )
-    body = [
-        "<h1>Comparisons</h1>",
-        f'<p class="faint">The figures of {escape(SOURCE)}, made again on {escape(arm)}</p>',
-        f'<div class="verdict {mark}" role="status"><p><strong>{holding} of {len(comparisons)} '
-        "claims hold on this arm.</strong></p></div>",
-        table("Claims", ("#figure", "claim", "what this arm shows", "verdict"), rows),
+    head = (
+        "<h1>Comparisons</h1>"
+        f'<p class="faint">The figures of {escape(SOURCE)}, made again on {escape(arm)}</p>'
+        f'<div class="verdict {mark}"><p><strong>{holding} of {len(comparisons)} '
+        "claims hold on this arm.</strong></p></div>"
+    )
+    heads = ("#figure", "claim", "what this arm shows", "verdict")
+    sections = [
+        Section("claims", "Claims", table("Claims", heads, rows, heading=False)),
         *(_comparison(c, plots) for c in comparisons),
     ]
-    return document("strainwave: comparisons", body, plots)
+    return document("strainwave: comparisons", head, sections, plots)
 
 
-def _comparison(c: Comparison, plots: dict[str, Figure]) -> str:
+def _comparison(c: Comparison, plots: dict[str, Figure]) -> Section:
     parts = [
-        f'<h2 id="fig-{c.figure}">Fig. {c.figure}: {escape(c.title)}</h2>',
         f"<p>{escape(c.claim)}</p>",
         f'<p><strong class="{_mark(c)}">{_verdict(c).capitalize()}:</strong> '
         f"{escape(c.message)}</p>",
     ]
-    parts += [figure(str(drawn["layout"].get("meta", c.title)), drawn, plots) for drawn in c.plots]
-    return "".join(parts)
+    parts += [
+        figure(f"plot {c.figure}", str(drawn["layout"].get("meta", c.title)), drawn, plots)
+        for drawn in c.plots
+    ]
+    return Section(f"fig-{c.figure}", f"Fig. {c.figure}: {c.title}", "".join(parts))
 
 
 def _verdict(c: Comparison) -> str:

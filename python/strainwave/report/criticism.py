@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from html import escape
+from collections.abc import Sequence
 
 import numpy as np
 
 from strainwave.formatting import plus_minus
 from strainwave.records import Criticism, ResidualTest, RicherModel
-from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, rounded
-from strainwave.report.html import figure, table
+from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, panels, rounded
+from strainwave.report.html import figure, number, row, table
+from strainwave.report.predictions import unit_of
 
 _CHANCE = 1e-3  # probabilities below are not told apart
 
@@ -28,31 +29,31 @@ def criticised(criticism: Criticism, plots: dict[str, Figure]) -> str:
     str
         HTML.
     """
-    parts = [
-        table(
-            "What the fit leaves, beside the sensors' own noise",
-            (
-                "record",
-                "channel",
-                "#times its noise",
-                "#most at",
-                "#like noise",
-                "follows an input",
-            ),
-            "".join(_row(test) for test in criticism.residuals),
-        ),
+    tests = criticism.residuals
+    channels = list(dict.fromkeys(test.channel for test in tests))
+    worst = [max((t for t in tests if t.channel == name), key=_loudness) for name in channels]
+    parts = [_tests("What the fit leaves, the worst record of each channel", worst)]
+    if len(tests) > len(worst):
+        every = _tests(f"What the fit leaves, all {len(tests)} tests", tests, heading=False)
+        parts.append(f"<details><summary>All {len(tests)} tests</summary>{every}</details>")
+    parts.append(
         table(
             "What a richer model would explain of it",
             ("effect", "joint", "of the size", "#deviations", "#share of the cost", "in the data"),
             "".join(_richer(one) for one in criticism.richer),
-        ),
-    ]
-    for channel in dict.fromkeys(test.channel for test in criticism.residuals):
-        own = [test for test in criticism.residuals if test.channel == channel]
-        worst = max(own, key=_loudness)
-        label = f"{worst.experiment}, {channel}: what is left, over frequency"
-        parts.append(figure(label, spectrum(worst), plots))
+        )
+    )
+    for test in worst:
+        label = f"{test.experiment}, {test.channel}: what is left, over frequency"
+        words = f"What is left is {_loudness(test):.2g} times the sensor's noise, and exceeds it"
+        words += f" most near {test.worst_hz:.3g} Hz."
+        parts.append(figure(f"left {test.channel}", label, spectrum(test), plots, words=words))
     return "".join(parts)
+
+
+def _tests(title: str, tests: Sequence[ResidualTest], *, heading: bool = True) -> str:
+    heads = ("record", "channel", "#times its noise", "#most at", "#like noise", "follows an input")
+    return table(title, heads, "".join(_row(test) for test in tests), heading=heading)
 
 
 def spectrum(test: ResidualTest) -> Figure:
@@ -70,15 +71,15 @@ def spectrum(test: ResidualTest) -> Figure:
     seen = test.frequency_hz > 0.0
     at = rounded(test.frequency_hz[seen])
     densities = [np.sqrt(d[seen]) for d in (test.density, test.noise_density)]
+    quantity = f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]"
+    layout = panels("frequency [Hz]", [quantity], log=True)
+    layout["yaxis"]["type"] = "log"
     return {
         "data": [
             line(at, densities[0], "left", MEASURED),
             line(at, densities[1], "noise of the sensor", RESIDUAL, dash="4px,2px"),
         ],
-        "layout": {
-            "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}},
-            "yaxis": {"type": "log", "title": {"text": f"{test.channel} [unit/sqrt(Hz)]"}},
-        },
+        "layout": layout,
     }
 
 
@@ -91,12 +92,8 @@ def _row(test: ResidualTest) -> str:
     if test.input_probability < _CHANCE:
         follows = f"joint {test.input_joint}'s, r = {test.input_correlation:.2f},"
         follows += f" {1e3 * test.input_delay:.3g} ms behind"
-    cells = (f"{_loudness(test):.2g}", f"{test.worst_hz:.3g} Hz", _odds(test.whiteness))
-    numbers = "".join(f'<td class="number">{cell}</td>' for cell in cells)
-    return (
-        f"<tr><td>{escape(test.experiment)}</td><td>{escape(test.channel)}</td>{numbers}"
-        f"<td>{escape(follows)}</td></tr>"
-    )
+    numbers = (f"{_loudness(test):.2g}", f"{test.worst_hz:.3g} Hz", _odds(test.whiteness))
+    return row((test.experiment, test.channel, *map(number, numbers), follows))
 
 
 def _richer(one: RicherModel) -> str:
@@ -105,13 +102,17 @@ def _richer(one: RicherModel) -> str:
         f"{name.removeprefix(prefix)} {' ± '.join(plus_minus(size, one.stds[name]))}"
         for name, size in one.sizes.items()
     )
-    return (
-        f"<tr><td>{escape(one.effect)}</td><td>{one.joint}</td><td>{escape(sizes)}</td>"
-        f'<td class="number">{np.sqrt(max(one.gain, 0.0)):.2g}</td>'
-        f'<td class="number">{100.0 * one.share:.2g} %</td>'
-        f"<td>{'likely' if one.evident else 'no sign of it'}</td></tr>"
+    return row(
+        (
+            one.effect,
+            str(one.joint),
+            sizes,
+            number(f"{np.sqrt(max(one.gain, 0.0)):.2g}"),
+            number(f"{100.0 * one.share:.2g} %"),
+            "likely" if one.evident else "no sign of it",
+        )
     )
 
 
 def _odds(probability: float) -> str:
-    return f"p = {probability:.2g}" if probability >= _CHANCE else f"p &lt; {_CHANCE:g}"
+    return f"p = {probability:.2g}" if probability >= _CHANCE else f"p < {_CHANCE:g}"

@@ -12,7 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.records import ComplexArray, FloatArray
-from strainwave.report.figures import MEASURED, MODEL, RESIDUAL, Figure, line, rounded, thinned
+from strainwave.report.figures import (
+    MEASURED,
+    MODEL,
+    RESIDUAL,
+    Figure,
+    band,
+    decibel,
+    line,
+    panels,
+    place,
+    rounded,
+    thinned,
+)
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 DASHES = ("solid", "6px,3px", "2px,2px", "8px,3px,2px,3px", "10px,4px", "4px,2px,1px,2px")
@@ -71,29 +83,24 @@ def bode(curves: Sequence[Curve], caption: str) -> Figure:
     for curve, (colour, dash, width) in zip(curves, _looks([c.true for c in curves]), strict=True):
         frequency = rounded(curve.frequencies_hz)
         size = np.abs(curve.response)
-        decibel = _decibel(size)
         phase = np.rad2deg(np.unwrap(np.angle(curve.response)))
         phase = phase - 360.0 * np.round(phase[len(phase) // 2] / 360.0)
         if curve.magnitude_std is not None:
             reach = _REACH * curve.magnitude_std
             low = np.maximum(size - reach, 1e-2 * size)  # a band down to zero has no bottom in dB
-            data.append(_band(frequency, _decibel(low), _decibel(size + reach), colour, "y"))
+            edges = decibel(low), decibel(size + reach)
+            drawn = band(frequency, *edges, colour)
+            data.append(drawn | place(0, curve.name, first=False))
         if curve.phase_std is not None:
             reach = np.minimum(np.rad2deg(_REACH * curve.phase_std), 180.0)
-            data.append(_band(frequency, phase - reach, phase + reach, colour, "y2"))
-        upper = line(frequency, decibel, curve.name, colour, dash=dash, width=width)
-        lower = line(frequency, phase, curve.name, colour, dash=dash, width=width)
-        same = {"legendgroup": curve.name}
-        data += [upper | same, lower | same | {"yaxis": "y2", "showlegend": False}]
-    return {
-        "data": data,
-        "layout": {
-            "meta": caption,
-            "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}, "anchor": "y2"},
-            "yaxis": {"title": {"text": "magnitude [dB]"}, "domain": [0.46, 1.0]},
-            "yaxis2": {"title": {"text": "phase [°]"}, "domain": [0.0, 0.4], "dtick": 90},
-        },
-    }
+            drawn = band(frequency, phase - reach, phase + reach, colour)
+            data.append(drawn | place(1, curve.name, first=False))
+        for panel, y in enumerate((decibel(size), phase)):
+            drawn = line(frequency, y, curve.name, colour, dash=dash, width=width)
+            data.append(drawn | place(panel, curve.name, first=panel == 0))
+    layout = panels("frequency [Hz]", ["magnitude [dB]", "phase [°]"], log=True)
+    layout["yaxis2"]["dtick"] = 90
+    return {"data": data, "layout": {"meta": caption} | layout}
 
 
 def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure:
@@ -111,7 +118,7 @@ def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure
     -------
     dict
     """
-    pick = thinned(measured.x, measured.y)
+    pick = thinned(np.column_stack([measured.y, model.y, measured.y - model.y]))
     time = rounded(measured.x[pick])
     return {
         "data": [
@@ -139,7 +146,7 @@ def lines(series: Sequence[Series], axis: str, quantity: str, caption: str) -> F
     """
     data = []
     for one, (colour, dash, width) in zip(series, _looks([s.true for s in series]), strict=True):
-        pick = thinned(one.x, one.y)
+        pick = thinned(one.y)
         data.append(
             line(rounded(one.x[pick]), one.y[pick], one.name, colour, dash=dash, width=width)
         )
@@ -161,9 +168,7 @@ def spectrum(series: Sequence[Series], quantity: str, caption: str) -> Figure:
     -------
     dict
     """
-    inside = [
-        Series(s.name, s.x[s.x > 0.0], 0.5 * _decibel(s.y[s.x > 0.0]), s.true) for s in series
-    ]
+    inside = [Series(s.name, s.x[s.x > 0.0], 0.5 * decibel(s.y[s.x > 0.0]), s.true) for s in series]
     figure = lines(inside, "frequency [Hz]", f"density [dB re {quantity}]", caption)
     figure["layout"]["xaxis"]["type"] = "log"
     return figure
@@ -211,26 +216,3 @@ def _looks(true: Sequence[bool]) -> list[tuple[str, str, float]]:
             looks.append((PALETTE[k % len(PALETTE)], DASHES[k % len(DASHES)], 1.5))
             k += 1
     return looks
-
-
-def _band(
-    x: list[float | None], low: FloatArray, high: FloatArray, colour: str, axis: str
-) -> Figure:
-    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": x + x[::-1],
-        "y": rounded(np.concatenate([low, high[::-1]])),
-        "yaxis": axis,
-        "fill": "toself",
-        "fillcolor": f"rgba({red},{green},{blue},0.18)",
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-        "showlegend": False,
-        "name": "95 %",
-    }
-
-
-def _decibel(size: FloatArray) -> FloatArray:
-    return np.asarray(20.0 * np.log10(np.maximum(size, 1e-300)))

@@ -1,100 +1,12 @@
-"""What the report shows of elastic joints: responses, resonances, amplitude sweeps."""
+"""What the report says of elastic joints: resonances, amplitude sweeps, judged models."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from strainwave.formatting import percent, plus_minus
-from strainwave.physical.two_inertia import joint_of, state_space
-from strainwave.records import (
-    ComplexArray,
-    FloatArray,
-    FrequencyResponse,
-    Identification,
-    JointModel,
-    Mode,
-    RecordModel,
-    Sweep,
-)
-from strainwave.report.figures import MEASURED, MODEL, RESIDUAL, Figure, rounded
-
-_POINTS = 400  # of a model's curve
-_OUTSIDE = 3.0  # how far a response is drawn beyond the band of the fit
-_NOISY = 0.3  # relative deviation from which a measured point is left out
-
-
-def response(joint: JointModel, gear_ratio: float, measured: FrequencyResponse | None) -> Figure:
-    """Motor torque to motor velocity: the physical model, and the nonparametric response.
-
-    Parameters
-    ----------
-    joint : JointModel
-    gear_ratio : float
-    measured : FrequencyResponse or None
-
-    Returns
-    -------
-    dict
-        A plotly figure, magnitude above phase.
-    """
-    low, high = joint.band_hz[0] / _OUTSIDE, joint.band_hz[1] * _OUTSIDE
-    f: FloatArray = np.geomspace(low, high, _POINTS)
-    data = []
-    if measured is not None:
-        inside = (measured.frequencies_hz >= low) & (measured.frequencies_hz <= high)
-        G = measured.response[inside, 0, 0]
-        if measured.noise_variance is not None:
-            std = np.sqrt(measured.noise_variance[inside, 0, 0])
-            sure = std < _NOISY * np.abs(G)
-        else:
-            sure = np.ones(len(G), dtype=bool)
-        at = measured.frequencies_hz[inside][sure]
-        data += _curve(at, G[sure], "measured", {"mode": "markers", "marker": _dots(MEASURED)})
-    line = {"mode": "lines", "line": {"color": MODEL, "width": 1.5}}
-    data += _curve(f, _model(joint, gear_ratio, f), "physical model", line)
-    edges = [
-        {
-            "type": "line",
-            "xref": "x",
-            "yref": "paper",
-            "x0": edge,
-            "x1": edge,
-            "y0": 0,
-            "y1": 1,
-            "line": {"color": RESIDUAL, "width": 1, "dash": "dot"},
-        }
-        for edge in joint.band_hz
-    ]
-    return {
-        "data": data,
-        "layout": {
-            "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}, "anchor": "y2"},
-            "yaxis": {"title": {"text": "[dB re rad/s/(N m)]"}, "domain": [0.42, 1.0]},
-            "yaxis2": {"title": {"text": "phase [deg]"}, "domain": [0.0, 0.36], "dtick": 90},
-            "shapes": edges,
-        },
-    }
-
-
-def _model(joint: JointModel, gear_ratio: float, f: FloatArray) -> ComplexArray:
-    """G11 of the physical model."""
-    A, B, C = state_space(joint_of(np.array(list(joint.values.values())[:6]), gear_ratio))
-    s = 2j * np.pi * f[:, None, None]
-    return np.asarray((C @ np.linalg.solve(s * np.eye(3) - A, B.astype(complex)))[:, 0, 0])
-
-
-def _dots(colour: str) -> Figure:
-    return {"color": colour, "size": 4}
-
-
-def _curve(f: FloatArray, G: ComplexArray, name: str, style: Figure) -> list[Figure]:
-    """Magnitude and phase of one response."""
-    common = {"type": "scatter", "name": name, "legendgroup": name, "x": rounded(f), **style}
-    phase = np.rad2deg(np.angle(G))
-    return [
-        {**common, "y": rounded(20.0 * np.log10(np.abs(G)))},
-        {**common, "y": rounded(phase), "yaxis": "y2", "showlegend": False},
-    ]
+from strainwave.records import Identification, JointModel, Mode, RecordModel, Sweep
+from strainwave.report.figures import MEASURED, Figure, dots, panels, rounded
 
 
 def stiffness(sweep: Sweep) -> Figure:
@@ -111,22 +23,11 @@ def stiffness(sweep: Sweep) -> Figure:
     x = np.array([point.amplitude for point in sweep.points])
     y = np.array([point.gear_stiffness for point in sweep.points])
     bars = 1.96 * np.array([point.gear_stiffness_std for point in sweep.points])
+    points = dots(rounded(x), y, "equivalent stiffness", MEASURED, size=8)
+    points["error_y"] = {"type": "data", "array": rounded(bars), "color": MEASURED}
     return {
-        "data": [
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": "equivalent stiffness",
-                "x": rounded(x),
-                "y": rounded(y),
-                "error_y": {"type": "data", "array": rounded(bars), "color": MEASURED},
-                "marker": {"color": MEASURED, "size": 8},
-            }
-        ],
-        "layout": {
-            "xaxis": {"title": {"text": "amplitude of excitation [V]"}},
-            "yaxis": {"title": {"text": "k [N m/rad]"}},
-        },
+        "data": [points],
+        "layout": panels("amplitude of excitation [V]", ["k [N m/rad]"]),
     }
 
 

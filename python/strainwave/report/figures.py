@@ -1,57 +1,88 @@
 """Plots as plain plotly dictionaries: building them needs no plotting library.
 
 Colours are Okabe and Ito's, which the colour-blind can tell apart; measured is always dark blue,
-the model always vermilion.
+the model always vermilion. The page exchanges colours where it is dark; `strainwave.drawing` draws
+the same dictionaries without a browser, and knows what is used here and no more.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from strainwave.records import FloatArray, Prediction
+from strainwave.records import FloatArray, IntArray
 
 MEASURED = "#0072B2"
 MODEL = "#D55E00"
+LINEAR = "#009E73"
 RESIDUAL = "#888888"
-MOST_POINTS = 2000  # a trace with more is thinned: a screen is no wider
+MOST_POINTS = 1200  # of a line; one with more is thinned: a screen is no wider
 
 Figure = dict[str, Any]
 
-_UNITS = {"u": "V", "torque": "N m", "omega_m": "rad/s", "a": "m/s^2"}
+_BETWEEN = 0.08  # of the height of one panel, left free above the next
 
 
-def time_fit(prediction: Prediction, channel: int) -> Figure:
-    """One channel over time, measured and predicted, and their difference.
+def panels(
+    axis: str, titles: Sequence[str], *, log: bool = False, heights: Sequence[float] = ()
+) -> Figure:
+    """A layout of panels one above the other over one horizontal axis.
 
     Parameters
     ----------
-    prediction : Prediction
-    channel : int
-        Column of the prediction.
+    axis : str
+        Title of the horizontal axis, with unit.
+    titles : sequence of str
+        Of the vertical axes, from the top.
+    log : bool
+        Whether the horizontal axis is logarithmic.
+    heights : sequence of float
+        One a panel; alike if not given.
 
     Returns
     -------
     dict
-        A plotly figure: `data` and `layout`.
     """
-    measured = prediction.measured[:, channel]
-    predicted = prediction.predicted[:, channel]
-    pick = thinned(prediction.time, measured)
-    time = rounded(prediction.time[pick])
-    unit = _UNITS.get(prediction.channels[channel].rstrip("0123456789"), "")
-    return {
-        "data": [
-            line(time, measured[pick], "measured", MEASURED),
-            line(time, predicted[pick], "model", MODEL, dash="4px,2px"),
-            line(time, (measured - predicted)[pick], "difference", RESIDUAL, width=1),
-        ],
-        "layout": {
-            "xaxis": {"title": {"text": "time [s]"}},
-            "yaxis": {"title": {"text": f"{prediction.channels[channel]} [{unit}]"}},
-        },
-    }
+    share = np.array(heights or [1.0] * len(titles), dtype=float)
+    free = _BETWEEN / len(titles)
+    share *= (1.0 - free * (len(titles) - 1)) / share.sum()
+    layout: Figure = {"xaxis": {"title": {"text": axis}, "anchor": axis_name(len(titles) - 1)}}
+    if log:
+        layout["xaxis"]["type"] = "log"
+    top = 1.0
+    for k, (title, height) in enumerate(zip(titles, share.tolist(), strict=True)):
+        bottom = max(0.0, top - height)
+        layout[f"yaxis{_number(k)}"] = {
+            "title": {"text": title},
+            "domain": [round(bottom, 4), round(top, 4)],
+        }
+        top = bottom - free
+    return layout
+
+
+def place(panel: int, name: str, *, first: bool) -> Figure:
+    """What puts a trace into a panel, with one entry of the legend for all of its name.
+
+    Parameters
+    ----------
+    panel : int
+        From the top, from 0.
+    name : str
+    first : bool
+        Whether this trace is the one in the legend.
+
+    Returns
+    -------
+    dict
+    """
+    return {"yaxis": axis_name(panel), "legendgroup": name, "showlegend": first}
+
+
+def axis_name(panel: int) -> str:
+    """How a trace names a panel's vertical axis: y, y2, ..."""
+    return f"y{_number(panel)}"
 
 
 def line(
@@ -65,7 +96,7 @@ def line(
 ) -> Figure:
     """One trace of a figure."""
     return {
-        "type": "scattergl" if len(x) > MOST_POINTS else "scatter",
+        "type": "scatter",
         "mode": "lines",
         "name": name,
         "x": x,
@@ -74,19 +105,142 @@ def line(
     }
 
 
-def thinned(time: FloatArray, y: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
-    """Rows to draw: lowest and highest of each bin, so that no peak is lost; NaN stays a gap."""
-    n = len(time)
-    if n <= MOST_POINTS:
+def dots(x: list[float | None], y: FloatArray, name: str, colour: str, *, size: int = 4) -> Figure:
+    """Points that no line joins."""
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "x": x,
+        "y": rounded(y),
+        "marker": {"color": colour, "size": size},
+    }
+
+
+def band(x: list[float | None], low: FloatArray, high: FloatArray, colour: str) -> Figure:
+    """The 95 % band around a line.
+
+    Parameters
+    ----------
+    x : list of float
+    low, high : (n_points,)
+    colour : str
+        Of the line.
+
+    Returns
+    -------
+    dict
+    """
+    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": x + x[::-1],
+        "y": rounded(np.concatenate([low, high[::-1]])),
+        "fill": "toself",
+        "fillcolor": f"rgba({red},{green},{blue},0.18)",
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+        "showlegend": False,
+        "name": "95 %",
+    }
+
+
+def upright(
+    x: float,
+    text: str,
+    *,
+    height: float = 1.0,
+    before: bool = False,
+    log: bool = False,
+    dash: str = "dot",
+) -> Figure:
+    """A vertical line through all panels, with words beside it: `shapes` and `annotations`.
+
+    Parameters
+    ----------
+    x : float
+    text : str
+        Empty: the line alone.
+    height : float
+        Of the words' upper edge, as a share of the figure.
+    before : bool
+        Whether the words stand left of the line, not right of it.
+    log : bool
+        Whether the horizontal axis is logarithmic: words then stand at the logarithm.
+    dash : str
+
+    Returns
+    -------
+    dict
+    """
+    shape = {
+        "type": "line",
+        "xref": "x",
+        "yref": "paper",
+        "x0": x,
+        "x1": x,
+        "y0": 0,
+        "y1": 1,
+        "line": {"color": RESIDUAL, "width": 1, "dash": dash},
+    }
+    word = {
+        "xref": "x",
+        "yref": "paper",
+        "x": float(np.log10(x)) if log else x,
+        "y": height,
+        "text": text,
+        "xanchor": "right" if before else "left",
+        "yanchor": "top",
+        "showarrow": False,
+    }
+    return {"shapes": [shape], "annotations": [word] if text else []}
+
+
+def marked(layout: Figure, marks: Sequence[Figure]) -> Figure:
+    """A layout with several `upright` lines.
+
+    Parameters
+    ----------
+    layout : dict
+    marks : sequence of dict
+
+    Returns
+    -------
+    dict
+    """
+    parts = {
+        kind: [part for mark in marks for part in mark[kind]] for kind in ("shapes", "annotations")
+    }
+    return layout | parts
+
+
+def thinned(y: FloatArray, most: int = MOST_POINTS) -> IntArray:
+    """Rows to draw: lowest and highest of each bin, so that no peak is lost; NaN stays a gap.
+
+    Parameters
+    ----------
+    y : (n_samples,) or (n_samples, n_lines)
+        Of several lines that share their rows, each keeps its own peaks.
+    most : int
+        Rows, about.
+
+    Returns
+    -------
+    (n_rows,)
+    """
+    columns = y.reshape(len(y), -1)
+    n, count = columns.shape
+    if n <= most:
         return np.arange(n)
-    edges = np.linspace(0, n, MOST_POINTS // 2 + 1).astype(np.intp)
+    edges = np.linspace(0, n, max(1, most // (2 * count)) + 1).astype(np.intp)
     low, last = edges[:-1, None], edges[1:, None] - 1
     bins = np.minimum(low + np.arange(np.diff(edges).max()), last)  # short ones end in repetition
-    inside = y[bins]
+    inside = columns[bins]
     gap = np.isnan(inside)
     least = np.argmin(np.where(gap, np.inf, inside), axis=1)
-    most = np.argmax(np.where(gap, -np.inf, inside), axis=1)
-    return np.unique(low[:, 0] + np.stack([least, most]))
+    greatest = np.argmax(np.where(gap, -np.inf, inside), axis=1)
+    return np.unique(low + np.hstack([least, greatest]))
 
 
 def rounded(values: FloatArray) -> list[float | None]:
@@ -98,3 +252,12 @@ def rounded(values: FloatArray) -> list[float | None]:
     for gap in np.flatnonzero(~np.isfinite(values)).tolist():
         shown[gap] = None
     return shown
+
+
+def decibel(size: FloatArray) -> FloatArray:
+    """20 log10 of a modulus; of nothing, very little."""
+    return np.asarray(20.0 * np.log10(np.maximum(size, 1e-300)))
+
+
+def _number(panel: int) -> str:
+    return str(panel + 1) if panel else ""

@@ -1,31 +1,76 @@
 "use strict";
 (() => {
-  const dark = window.matchMedia("(prefers-color-scheme: dark)");
-  const colours = () => {
-    const style = getComputedStyle(document.documentElement);
-    const value = (name) => style.getPropertyValue(name).trim();
-    const axis = { gridcolor: value("--rule"), zerolinecolor: value("--rule"), color: value("--ink") };
-    return { font: { color: value("--ink") }, axis };
-  };
-  const layout = (given) => {
-    const { font, axis } = colours();
-    return {
-      ...given,
-      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
-      font: { ...font, family: "system-ui, sans-serif", size: 13 },
-      margin: { l: 64, r: 12, t: 28, b: 48 },
-      legend: { orientation: "h", y: 1.12, x: 0 },
-      hovermode: "x unified",
-      ...Object.fromEntries(["xaxis", "yaxis", "xaxis2", "yaxis2"].filter(
-        (name) => name in given).map((name) => [name, { ...axis, ...given[name] }])),
-    };
+  const PAPER_WIDTH = 670; // pixels that A4 and Letter hold between their margins
+  const DARK = { // of each colour of the figures, one that stands out of a dark page
+    "#0072B2": "#56A8E8", "#D55E00": "#FF8A3C", "#009E73": "#35C99B", "#CC79A7": "#E59CC4",
+    "#888888": "#A0A8B4", "#FFFFFF": "#14181E",
   };
   const figures = JSON.parse(document.getElementById("figures").textContent);
-  const draw = () => {
-    for (const [id, figure] of Object.entries(figures)) {
-      Plotly.react(id, figure.data, layout(figure.layout), { responsive: true, displaylogo: false });
-    }
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  const narrow = window.matchMedia("(max-width: 40rem)");
+  const finger = window.matchMedia("(pointer: coarse)");
+  const waiting = new Set(Object.keys(figures));
+  const place = (name) => document.getElementById(`figure-${name}`);
+  let printing = false;
+
+  const inks = () => printing || !dark.matches
+    ? { ink: "#1c2430", rule: "#d9dee5", paper: "#ffffff" }
+    : { ink: "#e4e8ee", rule: "#333c48", paper: "#1c222b" };
+  const coloured = (figure) => printing || !dark.matches ? figure : JSON.parse(
+    JSON.stringify(figure).replace(/#[0-9A-Fa-f]{6}/g, (c) => DARK[c.toUpperCase()] ?? c));
+
+  // at beforeprint the page still has its screen's size
+  const onPaper = (name) => {
+    const panels = Number(getComputedStyle(place(name)).getPropertyValue("--panels"));
+    return { width: PAPER_WIDTH, height: 90 + 115 * panels };
   };
-  draw();
-  dark.addEventListener("change", draw);
+
+  const framed = (given, name) => {
+    const { ink, rule, paper } = inks();
+    const axis = { gridcolor: rule, zerolinecolor: rule, linecolor: rule, automargin: !given.margin };
+    const axes = Object.keys(given).filter((name) => /^[xy]axis\d*$/.test(name));
+    const titled = (own) => ({ ...own, title: { standoff: 6, font: { size: 11 }, ...own.title } });
+    const layout = {
+      ...given,
+      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+      font: { color: ink, family: "system-ui, sans-serif", size: narrow.matches ? 11 : 12 },
+      margin: { l: 56, r: 12, t: 12, b: 40, ...given.margin },
+      legend: { orientation: "h", x: 0, xanchor: "left", y: 1.01, yanchor: "bottom" },
+      hovermode: "closest",
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: "#7d8794", activecolor: ink },
+      hoverlabel: { bgcolor: paper, bordercolor: rule, font: { color: ink } },
+      dragmode: finger.matches ? false : "zoom", // a finger scrolls the page
+      ...Object.fromEntries(axes.map((name) => [name, { ...axis, ...titled(given[name]) }])),
+    };
+    return printing ? { ...layout, ...onPaper(name) } : layout;
+  };
+
+  const draw = (name) => {
+    const { data, layout } = coloured(figures[name]);
+    const how = { responsive: !printing, displaylogo: false, displayModeBar: narrow.matches ? false : "hover" };
+    waiting.delete(name);
+    Plotly.react(place(name), data, framed(layout, name), how);
+    document.documentElement.dataset.drawn = Object.keys(figures).length - waiting.size;
+  };
+  const drawn = () => Object.keys(figures).filter((name) => !waiting.has(name));
+  const drawWaiting = () => [...waiting].forEach(draw);
+
+  // what is seen comes first; the rest follows one by one, so that the page answers meanwhile
+  const seen = new IntersectionObserver((entries) => entries.forEach((entry) => {
+    const name = entry.target.id.replace("figure-", "");
+    if (entry.isIntersecting && waiting.has(name)) draw(name);
+  }), { rootMargin: "400px" });
+  for (const name of waiting) seen.observe(place(name));
+  const rest = () => {
+    const [next] = waiting;
+    if (next === undefined) return;
+    draw(next);
+    setTimeout(rest, 10);
+  };
+  setTimeout(rest, 50);
+
+  const again = () => drawn().forEach(draw);
+  for (const query of [dark, narrow]) query.addEventListener("change", again);
+  window.addEventListener("beforeprint", () => { printing = true; drawWaiting(); again(); });
+  window.addEventListener("afterprint", () => { printing = false; again(); });
 })();

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from html import escape
 
-from strainwave.formatting import percent, plus_minus
-from strainwave.records import Caution, Identification, Parameter, Prediction
-from strainwave.report import elastic, figures
+from strainwave.formatting import percent
+from strainwave.records import ArmModel, Identification, Prediction
+from strainwave.report import bode, correlations, elastic, gears, torques
 from strainwave.report.criticism import criticised
-from strainwave.report.html import document, figure, table
+from strainwave.report.figures import MOST_POINTS, Figure
+from strainwave.report.html import Cell, Section, document, figure, number, prose, row, table
+from strainwave.report.parameters import parameter_table
+from strainwave.report.predictions import of_prediction
+from strainwave.report.remedies import warnings_table
+from strainwave.report.verdict import verdict
+
+_ALL_POINTS = 150_000  # in all lines over time: more would make a page of many megabytes
+_FEWEST_POINTS = 300  # of one of them
 
 
 def render(identification: Identification) -> str:
@@ -24,171 +31,187 @@ def render(identification: Identification) -> str:
     -------
     str
     """
-    plots: dict[str, figures.Figure] = {}
-    body = [
-        _heading(identification),
-        _verdict(identification),
-        _warnings(identification.warnings),
-        _parameters(identification.parameters),
-        _elastic(identification, plots),
-        _predictions(
-            "How well the model explains what it was fitted to", identification.fitted, plots
-        ),
-        _tuned(identification, plots),
-        _predictions("Records it never saw", identification.checks, plots),
-        _making(identification),
+    sections, plots = _content(identification)
+    return document(f"strainwave: {_name(identification)}", _head(identification), sections, plots)
+
+
+def figures_of(identification: Identification) -> dict[str, Figure]:
+    """Every figure of the report.
+
+    Parameters
+    ----------
+    identification : Identification
+
+    Returns
+    -------
+    dict
+        Name, fit for a file, to a plotly figure.
+    """
+    return _content(identification)[1]
+
+
+def _content(identification: Identification) -> tuple[list[Section], dict[str, Figure]]:
+    plots: dict[str, Figure] = {}
+    found = identification
+    sections = [
+        Section("verdict", "Verdict", verdict(found)),
+        Section("parameters", "Parameters", parameter_table(found.parameters)),
+        Section("responses", "Frequency responses", _responses(found, plots)),
+        Section("predictions", "Predicted and measured", _predictions(found, plots)),
+        Section("interaction", "Interaction torques", _interaction(found, plots)),
+        Section("gears", "Stiffness of the gears", _gears(found, plots)),
+        Section("residuals", "What the models leave unexplained", _residuals(found, plots)),
+        Section("correlations", "Parameters told together", _correlations(found, plots)),
+        Section("warnings", "Warnings", warnings_table(found.warnings)),
+        Section("making", "How it was made", _making(found)),
     ]
-    title = f"strainwave: {identification.study.path.parent.name or identification.study.path.name}"
-    return document(title, body, plots)
+    return sections, plots
 
 
-def _heading(identification: Identification) -> str:
+def _name(identification: Identification) -> str:
+    path = identification.study.path
+    return path.resolve().parent.name or path.name
+
+
+def _head(identification: Identification) -> str:
     study = identification.study
     kind = study.arm.kind.replace("-", " ")
     springs = ", ".join(joint.spring for joint in study.joints)
     return (
-        f"<h1>{escape(study.path.parent.name or study.path.name)}</h1>"
+        f"<h1>{escape(_name(identification))}</h1>"
         f'<p class="faint">{escape(kind)}, gear springs: {escape(springs)}; '
         f"stages: {escape(', '.join(identification.stages))}</p>"
     )
 
 
-def _verdict(identification: Identification) -> str:
-    lines = []
-    if identification.reason is not None:
-        mark = "bad"
-        lines.append(
-            f"<strong>Not everything could be told.</strong> {escape(identification.reason)}"
+def _responses(found: Identification, plots: dict[str, Figure]) -> str:
+    """Bode plots of every joint, where it rings, and its stiffness over the amplitude."""
+    parts = []
+    for joint in found.joints:
+        own = found.study.joints[joint.joint - 1]
+        measured = found.responses.get(joint.joint)
+        sampled = [
+            (r.signals.experiment.name, r.state_space)
+            for r in found.records
+            if r.signals.joint == joint.joint and r.state_space is not None
+        ]
+        drawn = bode.bode(
+            joint, own.gear_ratio, measured, sampled, straight=own.motion == "prismatic"
         )
-    else:
-        mark = "doubt" if identification.warnings else ""
-        lines.append(
-            "<strong>Every parameter was found, but for those that a warning names.</strong>"
-        )
-    worst = _worst(identification.checks)
-    if worst is not None:
-        lines.append(
-            f"On records it never saw the model explains at least {worst[0]:.1f} % "
-            f"(fit of {escape(worst[2])} in “{escape(worst[1])}”)."
-        )
-    elif not identification.checks:
-        lines.append(
-            "No record was kept for checking: nothing here says how the model does on new data."
-        )
-    if identification.warnings:
-        lines.append(
-            f"{len(identification.warnings)} warning(s) below: read them before the numbers."
-        )
-    text = "".join(f"<p>{line}</p>" for line in lines)
-    return f'<div class="verdict {mark}" role="status">{text}</div>'
-
-
-def _worst(predictions: Iterable[Prediction]) -> tuple[float, str, str] | None:
-    fits = [
-        (fit, prediction.experiment, channel)
-        for prediction in predictions
-        for channel, fit in prediction.fit_percent.items()
-        if math.isfinite(fit)
-    ]
-    return min(fits, default=None)
-
-
-def _warnings(warnings: tuple[Caution, ...]) -> str:
-    if not warnings:
-        return ""
-    rows = "".join(
-        f"<tr><td><code>{escape(w.code)}</code></td><td>{escape(w.where)}</td>"
-        f'<td class="text">{escape(w.message)}</td></tr>'
-        for w in warnings
-    )
-    return table("Warnings", ("code", "where", "what, and what to do"), rows)
-
-
-def _parameters(parameters: tuple[Parameter, ...]) -> str:
-    rows = []
-    for p in parameters:
-        value, spread = plus_minus(p.value, p.std)
-        interval = f"{p.ci95[0]:.4g} … {p.ci95[1]:.4g}" if p.ci95 is not None else "not known"
-        rows.append(
-            f"<tr><td>{escape(p.name)}</td><td>{p.joint or 'arm'}</td>"
-            f'<td class="number">{value}</td><td class="number">{spread}</td>'
-            f'<td class="number">{interval}</td><td>{escape(p.unit)}</td>'
-            f"<td>{escape(p.stage)}</td></tr>"
-        )
-    heads = ("parameter", "joint", "#value", "#± one sigma", "#95 % interval", "unit", "stage")
-    return table("Parameters", heads, "".join(rows))
-
-
-def _elastic(identification: Identification, plots: dict[str, figures.Figure]) -> str:
-    """Elastic joints: where they ring, their responses, their stiffness over the amplitude."""
-    if not identification.joints:
-        return ""
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-        for row in elastic.resonance_rows(identification)
-    )
+        label = f"Joint {joint.joint} alone: motor torque to motor velocity"
+        name = f"bode joint {joint.joint}"
+        parts.append(figure(name, label, drawn, plots, words=bode.words(joint, measured)))
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
-    parts = [table("Resonances", (*heads, "equivalent stiffness [N m/rad]"), rows)]
-    judged = "".join(
-        "<tr>"
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[:-1])
-        + f'<td class="text">{escape(row[-1])}</td></tr>'
-        for row in elastic.judgement_rows(identification)
-    )
-    if judged:
-        title = "State-space models on the last quarter of their records, fitted to the rest"
-        parts.append(table(title, ("joint", "record", "one step ahead", "residuals"), judged))
-    for joint in identification.joints:
-        ratio = identification.study.joints[joint.joint - 1].gear_ratio
-        drawn = elastic.response(joint, ratio, identification.responses.get(joint.joint))
-        label = (
-            f"joint {joint.joint} alone, motor torque to motor velocity; dotted: band of the fit"
-        )
-        parts.append(figure(label, drawn, plots))
-    for sweep in identification.sweeps:
-        label = f"joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
-        parts.append(figure(label, elastic.stiffness(sweep), plots))
+    rows = "".join(row(cells) for cells in elastic.resonance_rows(found))
+    parts.append(table("Where the joints ring", (*heads, "stiffness [N m/rad]"), rows))
+    for sweep in found.sweeps:
+        label = f"Joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
+        name = f"amplitude joint {sweep.joint}"
+        parts.append(figure(name, label, elastic.stiffness(sweep), plots))
     return "".join(parts)
 
 
-def _tuned(identification: Identification, plots: dict[str, figures.Figure]) -> str:
-    """What tuning did: fits before and after, and the records it was tuned to."""
-    tuned = identification.tuned
-    if tuned is None:
-        return ""
+def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
+    """Records over time: those never seen first, then those that were fitted."""
+    tuned = found.tuned
+    groups = (
+        ("check", "never seen", found.checks),
+        ("tuning", "fitted", tuned.simulated if tuned else ()),
+        ("fitted", "fitted", found.fitted),
+    )
+    channels = sum(len(p.channels) for _, _, group in groups for p in group)
+    most = min(MOST_POINTS, max(_FEWEST_POINTS, _ALL_POINTS // (3 * max(channels, 1))))
+    parts = []
+    for kind, seen, group in groups:
+        for prediction in group:
+            label = f"{prediction.experiment}, {seen}: {_what(prediction)}"
+            fits = [f"{name} {_fit(fit)}" for name, fit in prediction.fit_percent.items()]
+            parts.append(
+                figure(
+                    f"{kind} {prediction.experiment}",
+                    label,
+                    of_prediction(prediction, found.study.joints, most),
+                    plots,
+                    words=f"Fit: {', '.join(fits)}.",
+                )
+            )
+    return "".join(parts) + (_fits(tuned) if tuned else "")
+
+
+def _fit(fit: float) -> str:
+    """A fit, where there was something to judge it by."""
+    return percent(fit) if math.isfinite(fit) else "at rest, not judged"
+
+
+def _change(before: float, after: float | None) -> Cell:
+    if after is None:
+        return number("")
+    if not math.isfinite(before) or not math.isfinite(after):
+        return number(_fit(after))
+    return number(f"{percent(before)} → {percent(after)}")
+
+
+def _what(prediction: Prediction) -> str:
+    if prediction.channels[0].startswith(("u", "torque")):
+        return "drive, from the measured motion by the rigid model"
+    return "motion, simulated by the elastic model"
+
+
+def _fits(tuned: ArmModel) -> str:
+    """Fits of the whole arm before and after tuning, one row a record."""
+    channels = list(dict.fromkeys(name for fits in tuned.fit_percent.values() for name in fits))
     rows = []
     for experiment, fits in tuned.fit_percent.items():
         before = tuned.initial_fit_percent.get(experiment, {})
-        rows += [
-            f"<tr><td>{escape(experiment)}</td><td>{escape(channel)}</td>"
-            f'<td class="number">{percent(before.get(channel, math.nan))}</td>'
-            f'<td class="number">{percent(fit)}</td></tr>'
-            for channel, fit in fits.items()
-        ]
-    fits_of_records = table(
-        f"The whole arm at once: {tuned.status} after {tuned.iterations} evaluations",
-        ("record", "channel", "#fit before", "#fit after"),
-        "".join(rows),
-    )
-    parts = [fits_of_records]
-    if tuned.criticism is not None:
-        parts.append(criticised(tuned.criticism, plots))
-    parts.append(_predictions("The tuned arm under its servo", tuned.simulated, plots))
+        cells = [_change(before.get(name, math.nan), fits.get(name)) for name in channels]
+        rows.append(row((experiment, *cells)))
+    title = f"Fits before → after the whole-arm fit: {tuned.status}"
+    title += f" after {tuned.iterations} evaluations"
+    return table(title, ("record", *(f"#{name}" for name in channels)), "".join(rows))
+
+
+def _interaction(found: Identification, plots: dict[str, Figure]) -> str:
+    parts = []
+    for record in torques.interacting(found):
+        where = f"Joint {record.joint}, {record.experiment.name}"
+        name = f"interaction joint {record.joint}"
+        words, drawn = torques.words(record), torques.over_time(record)
+        label = f"{where}: torques over time"
+        parts.append(figure(f"{name} time", label, drawn, plots, words=words))
+        drawn = torques.over_frequency(record)
+        parts.append(figure(f"{name} spectrum", f"{where}: their spectra", drawn, plots))
     return "".join(parts)
 
 
-def _predictions(
-    title: str, predictions: tuple[Prediction, ...], plots: dict[str, figures.Figure]
-) -> str:
-    if not predictions:
+def _gears(found: Identification, plots: dict[str, Figure]) -> str:
+    parts = []
+    for curve in gears.curves(found):
+        words = gears.words(curve)
+        label = f"Gear {curve.joint}: slope over torque, and the torques in the records"
+        name = f"gear joint {curve.joint}"
+        parts.append(figure(f"{name} slope", label, gears.slope_figure(curve), plots, words=words))
+        if len(curve.knees):
+            label = f"Gear {curve.joint}: torque over twist"
+            parts.append(figure(f"{name} twist", label, gears.twist_figure(curve), plots))
+    return "".join(parts)
+
+
+def _residuals(found: Identification, plots: dict[str, Figure]) -> str:
+    criticism = found.tuned.criticism if found.tuned else None
+    parts = [criticised(criticism, plots)] if criticism is not None else []
+    rows = "".join(row((*cells[:-1], prose(cells[-1]))) for cells in elastic.judgement_rows(found))
+    title = "State-space models on the last quarter of their records, fitted to the rest"
+    parts.append(table(title, ("joint", "record", "one step ahead", "residuals"), rows))
+    return "".join(parts)
+
+
+def _correlations(found: Identification, plots: dict[str, Figure]) -> str:
+    told = correlations.correlations(found)
+    if told is None:
         return ""
-    parts = [f"<h2>{escape(title)}</h2>"]
-    for prediction in predictions:
-        for column, channel in enumerate(prediction.channels):
-            fit = prediction.fit_percent.get(channel, float("nan"))
-            label = f"{prediction.experiment}, {channel}: fit {percent(fit)}"
-            parts.append(figure(label, figures.time_fit(prediction, column), plots))
-    return "".join(parts)
+    words, drawn = correlations.words(told), correlations.heat_map(told)
+    label = "Correlations of the parameters' errors"
+    return figure("correlations", label, drawn, plots, words=words)
 
 
 def _making(identification: Identification) -> str:
@@ -213,4 +236,4 @@ def _making(identification: Identification) -> str:
             )
         )
     items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(fact)}</dd>" for term, fact in facts)
-    return f"<h2>How it was made</h2><dl>{items}</dl>"
+    return f"<dl>{items}</dl>"

@@ -23,7 +23,7 @@ from strainwave.records import (
     RigidModel,
     Sweep,
 )
-from strainwave.report import curves, elastic, figures
+from strainwave.report import bode, curves, elastic, figures, predictions
 
 _NOISY = 0.3  # relative deviation from which a point of a response is left out
 
@@ -86,7 +86,7 @@ def _(model: RigidModel | ArmModel | Identification) -> figures.Figure:
 def _(
     joint: JointModel, *, gear_ratio: float, measured: FrequencyResponse | None = None
 ) -> figures.Figure:
-    return elastic.response(joint, gear_ratio, measured)
+    return bode.bode(joint, gear_ratio, measured)
 
 
 @figure_of.register
@@ -97,7 +97,7 @@ def _(record: RecordModel) -> figures.Figure:
             where=record.signals.experiment.name,
             remedy="read its warnings, which say why",
         )
-    return elastic.response(record.physical, record.signals.gear_ratio, None)
+    return bode.bode(record.physical, record.signals.gear_ratio, None)
 
 
 @figure_of.register
@@ -162,7 +162,7 @@ def _(prediction: Prediction, *, channel: str | None = None) -> figures.Figure:
             where=prediction.experiment,
             remedy=f"take one of {', '.join(prediction.channels)}",
         )
-    drawn = figures.time_fit(prediction, prediction.channels.index(chosen))
+    drawn = predictions.of_prediction(prediction, channels=(chosen,))
     fit = percent(fits.get(chosen, float("nan")))
     drawn["layout"]["meta"] = f"{prediction.experiment}, {chosen}: fit {fit}"
     return drawn
@@ -214,7 +214,7 @@ def _stacked(
     looks = zip(curves.PALETTE * 2, curves.DASHES * 2, strict=True)
     parts = [("y", *item) for item in above.items()] + [("y2", *item) for item in below.items()]
     for (axis, name, values), (colour, dash) in zip(parts, looks, strict=False):
-        pick = figures.thinned(time, values)
+        pick = figures.thinned(values)
         drawn = figures.line(figures.rounded(time[pick]), values[pick], name, colour, dash=dash)
         data.append(drawn | {"yaxis": axis})
     return {

@@ -17,10 +17,11 @@ from strainwave.cores import one_blas_thread
 from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, Criticism, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
+from strainwave.tuning.carried import carried_torques, gear_torques, histograms_of, largest_of
 from strainwave.tuning.confidence import confidence_of
 from strainwave.tuning.effects import left_out, records_with, tried
 from strainwave.tuning.misfit import Misfit
-from strainwave.tuning.replayed import Replayed, coarser, gear_torques, replayed, usable
+from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
 from strainwave.tuning.residuals import residual_cautions, residual_tests
 from strainwave.tuning.richer import effect_cautions, richer_models
 from strainwave.tuning.searching import TuningOptions, finely, roughly
@@ -116,7 +117,8 @@ def _tuned(
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
     confidence = confidence_of(fit.misfit, fit.z)
-    largest = gear_torques(fit.misfit.records, values).tolist()
+    carried = carried_torques(fit.misfit.records, values)
+    largest = largest_of(carried).tolist()
     parameters, covariance = parameters_of(fit, confidence, study, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
@@ -147,6 +149,7 @@ def _tuned(
             *effect_cautions(criticism.richer),
         ),
         criticism=criticism,
+        carried=histograms_of(carried),
     )
 
 

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from strainwave.closed_loop import has_accelerometer
-from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput
 from strainwave.filters import noise_deviation
 from strainwave.records import FloatArray, Joint, Log, Study
@@ -386,26 +384,3 @@ def usable(logs: Sequence[Log], study: Study) -> list[Log]:
     return [
         log for log in logs if log.experiment.use in uses and not missing_motor_signal(study, log)
     ]
-
-
-def gear_torques(
-    records: Sequence[Replayed], values: dict[tuple[str, int | None], float]
-) -> FloatArray:
-    """The largest torque that each gear carries, but for one sample in a thousand.
-
-    Parameters
-    ----------
-    records : sequence of Replayed
-    values : dict
-        (name, joint) -> value.
-
-    Returns
-    -------
-    (n_joints,) [N m]
-    """
-
-    def largest(record: Replayed) -> FloatArray:
-        torque = record.run(values, record.start(), ["gear_torque"])["gear_torque"]
-        return np.asarray(np.quantile(np.abs(torque), 0.999, axis=0))
-
-    return np.asarray(np.max(side_by_side([partial(largest, r) for r in records]), axis=0))

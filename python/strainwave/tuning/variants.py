@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.records import Study
+from strainwave.tuning.carried import gear_torques
 from strainwave.tuning.confidence import confidence_of
 from strainwave.tuning.curves import other_starts
 from strainwave.tuning.effects import Tried, idle, records_with, with_effects, without
 from strainwave.tuning.misfit import Misfit
-from strainwave.tuning.replayed import gear_torques
 from strainwave.tuning.searching import ROUGHLY, SOON, TuningOptions, finely, search_from
 from strainwave.tuning.told import Fit
 from strainwave.tuning.unknowns import CURVE, SETTLING, SETTLING_START, Search, with_settling
