@@ -45,7 +45,10 @@ def _root(
         raise typer.Exit
 
 
-@app.command(epilog="Example: strainwave init run1.csv run2.csv --out study.toml")
+@app.command(
+    short_help="Write a study file to complete from logs.",
+    epilog="Example: strainwave init run1.csv run2.csv --out study.toml",
+)
 def init(
     logs: Annotated[
         list[Path], typer.Argument(help="Logs of one rig: files or bags.", metavar="LOG...")
@@ -69,7 +72,10 @@ def init(
         )
 
 
-@app.command(epilog="Example: strainwave identify study.toml --out results")
+@app.command(
+    short_help="Identify the arm: logs in, result and report out.",
+    epilog="Example: strainwave identify study.toml --out results",
+)
 def identify(
     study: StudyFile,
     out: Out,
@@ -100,7 +106,10 @@ def identify(
     raise typer.Exit(DONE if identification.determined else NOT_ANSWERED)
 
 
-@app.command(epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual")
+@app.command(
+    short_help="Run a study's experiments on a virtual arm.",
+    epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual",
+)
 def simulate(
     study: StudyFile,
     parameters: Annotated[
@@ -125,7 +134,10 @@ def simulate(
         typer.echo(f"{written} logs and study.toml are in {out}")
 
 
-@app.command(epilog="Example: strainwave export results/result.json --out arm.xml")
+@app.command(
+    short_help="Write the arm for MuJoCo, ROS, MATLAB or C.",
+    epilog="Example: strainwave export results/result.json --out arm.xml",
+)
 def export(
     result: Annotated[
         Path, typer.Argument(help="A result.json of identify.", metavar="RESULT.json")
@@ -158,8 +170,9 @@ def export(
 
 
 @app.command(
+    short_help="Design the experiments to record.",
     epilog="Example: strainwave excite study.toml --parameters arm.json --out designed "
-    "--limit-angle 1.2 --limit-velocity 180"
+    "--limit-angle 1.2 --limit-velocity 180",
 )
 def excite(
     study: StudyFile,
@@ -212,7 +225,10 @@ def excite(
         print_design(planned, out)
 
 
-@app.command(epilog="Example: strainwave demo --out demo")
+@app.command(
+    short_help="Identify the built-in arm, compare with the truth.",
+    epilog="Example: strainwave demo --out demo",
+)
 def demo(
     out: Out,
     seed: Seed = 0,

@@ -50,6 +50,6 @@ def triangular_factor(table: FloatArray) -> FloatArray:
     n_blocks = n_rows // max(_BLOCK, 2 * n)
     if n_blocks > 1:
         whole = n_rows // n_blocks * n_blocks
-        blocks = np.linalg.qr(table[:whole].reshape(n_blocks, -1, n), mode="r")
+        blocks = np.asarray(np.linalg.qr(table[:whole].reshape(n_blocks, -1, n), mode="r"))
         table = np.concatenate([blocks.reshape(-1, n), table[whole:]])
     return np.asarray(np.linalg.qr(table, mode="r"))
