@@ -500,3 +500,25 @@ def test_a_start_may_be_given() -> None:
     assert model.iterations < 0.7 * standard().iterations
     for (name, joint), (_, deviations) in errors_of(model, known).items():
         assert abs(deviations) < 4.0, (name, joint, deviations)
+
+
+@pytest.mark.parametrize("spring", ["linear", "three-slope"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_starts_from_far_end_at_the_same_place(spring: str, seed: int) -> None:
+    """30 % off in every parameter, 3 times off in the gears' damping, up or down by chance."""
+    study, known, records = shaken(spring, 10.0) if spring == "three-slope" else rig_records()
+    rng = np.random.default_rng(seed)
+    far: Values = {}
+    while not far or far["alpha", None] * far["beta", None] < 1.02 * far["gamma", None] ** 2:
+        for key, value in known.items():
+            up = 3.0 if key[0] == "gear_damping" else 1.3
+            down = 1.0 / 3.0 if key[0] == "gear_damping" else 0.7
+            far[key] = value * float(rng.choice([up, down]))
+    home = from_wrong_starts(records, study, known, TuningOptions(start=known))
+    model = from_wrong_starts(records, study, known, TuningOptions(start=far))
+    assert model.status == "converged"
+    ends = {(p.name, p.joint): p for p in model.parameters}
+    for p in home.parameters:
+        end = ends[p.name, p.joint]
+        if p.value is not None and p.std is not None and end.value is not None:
+            assert abs(end.value - p.value) < 0.5 * p.std, (p.name, p.joint)
