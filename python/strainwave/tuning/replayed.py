@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from strainwave.closed_loop import has_accelerometer
 from strainwave.errors import InvalidInput
@@ -67,12 +66,16 @@ class Kernels:
         band = np.zeros((_BAND, (_BAND - 1) * step + len(taps)))
         for k in range(_BAND):
             band[k, k * step : k * step + len(taps)] = taps
-        flat = samples.reshape(len(samples), -1)
+        flat = np.ascontiguousarray(samples).reshape(len(samples), -1)
         rows = np.empty((n_rows, flat.shape[1]))
         whole = n_rows // _BAND * _BAND
-        reached = sliding_window_view(flat, band.shape[1], axis=0) if whole else None
-        if reached is not None:
-            blocks = reached[: whole * step : _BAND * step].transpose(0, 2, 1)
+        if whole:
+            reach, (along, across) = band.shape[1], flat.strides
+            blocks: FloatArray = np.ndarray(  # views that overlap: each has what its rows reach
+                (whole // _BAND, reach, flat.shape[1]),
+                buffer=flat,
+                strides=(_BAND * step * along, along, across),
+            )
             rows[:whole] = np.matmul(band, blocks).reshape(whole, -1)
         rest = flat[whole * step : (n_rows - 1) * step + len(taps)]
         rows[whole:] = band[: n_rows - whole, : len(rest)] @ rest
