@@ -75,9 +75,9 @@ class Evaluated:
         columns = local.reshape(begun.size, -1)
         residual, root = begun, _root(begun, weights)
         step = np.zeros(columns.shape[1])
+        apart = bool(len(step)) and int(np.count_nonzero(columns, axis=1).max()) == 1
         for _ in range(_ROUNDS if len(step) else 0):
-            flat = root.reshape(-1, 1)
-            step = np.asarray(np.linalg.lstsq(columns * flat, -(begun.ravel() * flat[:, 0]))[0])
+            step = _solved(columns, -begun.ravel(), root.ravel(), apart=apart)
             before, residual = residual, begun + (columns @ step).reshape(begun.shape)
             root = _root(residual, weights)
             if np.max(np.abs(residual - before)) < _STAYS:
@@ -295,6 +295,16 @@ class Misfit:
     def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""
         return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
+
+
+def _solved(
+    columns: FloatArray, target: FloatArray, root: FloatArray, *, apart: bool
+) -> FloatArray:
+    """Weighted least squares; of columns that no row has two of, each is a weighted mean."""
+    if not apart:
+        return np.asarray(np.linalg.lstsq(columns * root[:, None], target * root)[0])
+    weighed = columns * np.square(root)[:, None]
+    return np.asarray((target @ weighed) / np.einsum("ij,ij->j", columns, weighed))
 
 
 def _loss(residual: FloatArray, weights: Weights) -> float:
