@@ -3,7 +3,7 @@
 Three covariances go into each parameter's deviation:
 
 - local, (J'J)^-1 of rows in deviations: an upper end if the model is right, as rows are weighed by
-  how slow errors repeat, and those of a velocity are quick; half of its variance is the least;
+  how slow errors repeat, and those of a velocity are quick; a quarter of its variance is the least;
 - sandwich, in which stretches of a record are as independent as they show themselves: right where
   errors go on for longer than the rows' weights allow for;
 - scatter of the records, each judged by what it wants of the fit: it sees what is wrong with the
@@ -27,7 +27,7 @@ from strainwave.records import FloatArray
 from strainwave.tuning.misfit import Misfit
 
 _NOTHING = 1e-30  # information of what no record tells of
-_LEAST_SHARE = 0.5  # of the local variance: a sandwich of some fifty stretches is uncertain
+_LEAST_SHARE = 0.25  # of the local variance: a sandwich of some fifty stretches is uncertain
 _UNSURE = 0.2  # share of a variance by which the noise behind it may be misjudged
 _FEWEST = 3  # records that can scatter
 _NORMAL = 1.96  # deviations of 95 %

@@ -17,6 +17,7 @@ from strainwave.tuning.told import Fit
 from strainwave.tuning.unknowns import CURVE, SETTLING, SETTLING_START, Search, with_settling
 
 _EVIDENT = 3.0  # deviations that speak for a settling time, an effect, or another curve
+_NOTHING = 0.99  # share of its reach from which a settling time's logarithm counts as endless
 _TRIAL = 10  # evaluations in which it must show
 _TRIAL_OF_EFFECTS = 30  # and in which the effects must, with several parameters each
 
@@ -103,10 +104,11 @@ def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
         return fit
     values = fit.misfit.search.values(fit.z)
     deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).combined))
+    lowest = fit.z < -_NOTHING * fit.misfit.search.reach
     idle = {
         key: 0.0
-        for key, std in zip(fit.misfit.search.keys, deviation, strict=True)
-        if key[0] == SETTLING and values[key] < _EVIDENT * std
+        for key, std, least in zip(fit.misfit.search.keys, deviation, lowest, strict=True)
+        if key[0] == SETTLING and (least or values[key] < _EVIDENT * std)
     }
     if not idle:
         return fit
