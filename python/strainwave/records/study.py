@@ -1,7 +1,4 @@
-"""What was measured, on what arm, and how: a study file, and the channels its logs may have.
-
-The constraints are `annotated_types`; `strainwave.study` checks them.
-"""
+"""What was measured, on what arm, and how; `strainwave.study` checks the `annotated_types`."""
 
 from __future__ import annotations
 
