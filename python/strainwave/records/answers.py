@@ -1,0 +1,45 @@
+"""What any stage may answer: parameters, predictions, and what is said beside the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from strainwave.records.arrays import FloatArray
+from strainwave.shown import Shown
+
+
+@dataclass(frozen=True, slots=True)
+class Caution:
+    """Something the reader must know to trust, or not trust, an answer."""
+
+    code: str  # kebab-case, stable: the troubleshooting page is indexed by it
+    where: str  # file, experiment, joint or parameter
+    message: str  # what, and what to do about it
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One physical parameter with its uncertainty; `None` is what could not be told."""
+
+    name: str  # as in docs/notation.md
+    joint: int | None  # from 1; None for the arm's own
+    value: float | None
+    std: float | None
+    unit: str
+    stage: str
+    ci95: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction(Shown):
+    """What a model says a record's channels should have been."""
+
+    experiment: str
+    time: FloatArray  # (n_samples,) [s]
+    channels: tuple[str, ...]
+    measured: FloatArray  # (n_samples, n_channels)
+    predicted: FloatArray  # (n_samples, n_channels)
+    fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
+    unfiltered_fit_percent: Mapping[str, float] = field(default_factory=dict)  # with y as logged
+    warnings: tuple[Caution, ...] = ()

@@ -1,0 +1,79 @@
+"""The whole arm with elastic gears, and what criticism finds in its fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from strainwave.records.answers import Caution, Parameter, Prediction
+from strainwave.records.arrays import FloatArray
+from strainwave.records.study import Effect
+from strainwave.shown import Shown
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualTest:
+    """What a fit left of one channel of one record, beside its sensor's own noise."""
+
+    experiment: str
+    channel: str
+    deviation: float  # of what is left, in the channel's unit
+    noise: float  # of the sensor's noise behind the same low-pass
+    frequency_hz: FloatArray  # (n_frequencies,)
+    density: FloatArray  # (n_frequencies,) of what is left, one-sided [unit^2/Hz]
+    noise_density: FloatArray  # (n_frequencies,)
+    worst_hz: float  # where the one exceeds the other most
+    whiteness: float  # probability that noise of the sensor's colour looks no more like it
+    input_joint: int  # whose input it follows most, from 1
+    input_correlation: float  # with that input
+    input_delay: float  # [s] behind it
+    input_probability: float  # that an independent input correlates as much
+
+
+@dataclass(frozen=True, slots=True)
+class RicherModel:
+    """What an effect that is not in the model would explain of a fit's residuals."""
+
+    joint: int  # from 1
+    effect: Effect
+    sizes: Mapping[str, float]  # parameter -> value, by one linear step
+    stds: Mapping[str, float]
+    gain: float  # of the cost, given the effects before it in the list: 9 is three deviations
+    share: float  # of the cost
+    evident: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Criticism:
+    """What a fit does not explain, and what might."""
+
+    residuals: tuple[ResidualTest, ...]
+    richer: tuple[RicherModel, ...]  # the most telling first
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueHistogram:
+    """How often a gear carried which torque in the records, by the model, whatever its sign."""
+
+    joint: int  # from 1
+    edges: FloatArray  # (n_bins + 1,) [N m] at the link, from zero
+    share: FloatArray  # (n_bins,) of all samples
+
+
+@dataclass(frozen=True, slots=True)
+class ArmModel(Shown):
+    """All parameters of the arm, fitted at once to all records that excite its gears."""
+
+    parameters: tuple[Parameter, ...]
+    values: Mapping[tuple[str, int | None], float]  # all that simulating the arm needs
+    covariance: FloatArray  # (n_parameters, n_parameters), of `parameters`
+    fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
+    initial_fit_percent: Mapping[str, Mapping[str, float]]  # before tuning
+    simulated: tuple[Prediction, ...]  # the tuned model on the records it was fitted to
+    initial: tuple[Prediction, ...]  # the same before tuning
+    iterations: int
+    status: Literal["converged", "iteration-limit", "at-bounds"]
+    warnings: tuple[Caution, ...] = ()
+    criticism: Criticism | None = None
+    carried: tuple[TorqueHistogram, ...] = ()  # one a joint with an elastic gear

@@ -1,0 +1,40 @@
+"""The arm with rigid joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from strainwave.records.answers import Caution, Parameter
+from strainwave.records.arrays import FloatArray
+from strainwave.shown import Shown
+
+
+@dataclass(frozen=True, slots=True)
+class RigidModel(Shown):
+    """The rigid-joint arm (5)-(7) as estimated."""
+
+    parameters: tuple[Parameter, ...]
+    solution: FloatArray  # (n_parameters,) their values, of least norm where not determined
+    covariance: FloatArray  # (n_parameters, n_parameters), order of `parameters`; NaN where unknown
+    condition_number: float  # of the column-scaled, weighted regressor
+    fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
+    bandwidth_hz: float  # of the zero-phase filter the data asked for
+    decimation: int
+    n_rows: int  # equations used, after decimation and rejection
+    status: Literal["determined", "partly-determined", "not-identifiable"]
+    warnings: tuple[Caution, ...] = ()
+
+    def value(self, name: str, joint: int | None = None) -> float | None:
+        """The value of one parameter; `None` where it could not be told.
+
+        Raises
+        ------
+        KeyError
+            The model has no such parameter.
+        """
+        for parameter in self.parameters:
+            if parameter.name == name and parameter.joint == joint:
+                return parameter.value
+        raise KeyError(f"{name} of joint {joint}" if joint else name)
