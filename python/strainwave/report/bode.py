@@ -42,6 +42,7 @@ _COHERENT = 0.8  # below that a point is doubtful
 _BLURRED = 0.3  # and so it is above this relative deviation
 _NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
 _REACH = 1.96  # of a 95 % band, in deviations
+_DASHES = ("6px,3px", "2px,2px", "8px,3px,2px,3px")  # of sampled models
 _BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
 
 
@@ -88,7 +89,7 @@ def bode(
         top = min(joint.band_hz[1], _NYQUIST * 0.5 / model.sample_time)
         f: FloatArray = np.geomspace(joint.band_hz[0], top, _POINTS)
         G = frequency_response(model, f).response[:, 0, 0]
-        dash = ("6px,3px", "2px,2px", "8px,3px,2px,3px")[k % 3]
+        dash = _DASHES[k % len(_DASHES)]
         data += _curve(f, G, f"state space, {name}", LINEAR, dash)
     f = np.geomspace(low, high, _POINTS)
     data += _physical(joint, gear_ratio, f)
