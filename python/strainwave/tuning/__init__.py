@@ -7,7 +7,7 @@ the earlier stages found.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -35,7 +35,7 @@ from strainwave.tuning.variants import (
     without_idle_settling,
 )
 
-__all__ = ["TuningOptions", "tune"]
+__all__ = ["Fit", "TuningOptions", "fitted", "tune"]
 
 _BAND = 5.0  # times the highest resonance: beyond, little is left of what the gears do
 _LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
@@ -88,14 +88,41 @@ def tune(
         return _tuned(logs, model, joints, study, options or TuningOptions())
 
 
-def _tuned(
+def fitted(
+    logs: Sequence[Log],
+    model: RigidModel | None,
+    joints: Sequence[JointModel],
+    study: Study,
+    options: TuningOptions | None = None,
+) -> Fit:
+    """The fit behind `tune`, for those who want its rows; arguments and errors are the same.
+
+    Returns
+    -------
+    Fit
+    """
+    chosen = options or TuningOptions()
+    with one_blas_thread():
+        return _whole_fit(_begun(logs, model, joints, study, chosen), study, chosen)
+
+
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """All that a fit starts from."""
+
+    logs: list[Log]
+    records: tuple[Replayed, ...]
+    coarse: Misfit  # the same records in long steps
+    start: FloatArray  # (n_unknowns,)
+
+
+def _begun(
     logs: Sequence[Log],
     model: RigidModel | None,
     joints: Sequence[JointModel],
     study: Study,
     chosen: TuningOptions,
-) -> ArmModel:
-    """What `tune` promises, however many threads BLAS may have."""
+) -> _Begun:
     used = usable(logs, study)
     if not used:
         raise NotIdentifiable(
@@ -112,8 +139,21 @@ def _tuned(
     coarse = Misfit.of(search, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records])
     if coarse.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
-    before = coarse.fits(start)
-    fit = _whole_fit(coarse, records, start, study, chosen)
+    return _Begun(used, records, coarse, start)
+
+
+def _tuned(
+    logs: Sequence[Log],
+    model: RigidModel | None,
+    joints: Sequence[JointModel],
+    study: Study,
+    chosen: TuningOptions,
+) -> ArmModel:
+    """What `tune` promises, however many threads BLAS may have."""
+    begun = _begun(logs, model, joints, study, chosen)
+    before = begun.coarse.fits(begun.start)
+    first = begun.coarse.search.values(begun.start)
+    fit = _whole_fit(begun, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
     confidence = confidence_of(fit.misfit, fit.z)
@@ -129,7 +169,7 @@ def _tuned(
     criticism = Criticism(residuals, tuple(richer_models(fit, study)))
     repeated = [
         log
-        for log in used
+        for log in begun.logs
         if log.experiment.use == "tuning" and missing_for_replay(study, log) is None
     ]
     return ArmModel(
@@ -139,7 +179,7 @@ def _tuned(
         fit_percent=fit.misfit.fits(fit.z),
         initial_fit_percent=before,
         simulated=tuple(predict_closed_loop(values, log, study) for log in repeated),
-        initial=tuple(predict_closed_loop(search.values(start), log, study) for log in repeated),
+        initial=tuple(predict_closed_loop(first, log, study) for log in repeated),
         iterations=fit.iterations,
         status=status,
         warnings=(
@@ -178,26 +218,20 @@ def _search(
     return search
 
 
-def _whole_fit(
-    coarse: Misfit,
-    records: Sequence[Replayed],
-    start: FloatArray,
-    study: Study,
-    options: TuningOptions,
-) -> Fit:
+def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     """In long steps to near the minimum, and from there in short ones.
 
     With friction that takes its time, if that is asked for or explains much more, and with those
     effects that the study names and the records show.
     """
-    rough = bent(roughly(coarse, start, options), options)
+    rough = bent(roughly(begun.coarse, begun.start, options), options)
     if options.settling is not False and rough.iterations < options.max_iterations:
         rough = with_settling_times(rough, options)
     if tried(study):
         # the effects have evaluations of their own, as many as the fit without them
         options = replace(options, max_iterations=2 * options.max_iterations)
         rough = with_named_effects(rough, study, options)
-    misfit = rough.misfit.seen_by(records_with(records, study, rough.misfit.search.keys))
+    misfit = rough.misfit.seen_by(records_with(begun.records, study, rough.misfit.search.keys))
     fine = finely(misfit.reweighted(rough.z), rough.z, rough.iterations, options)
     if tried(study):
         fine = without_idle_effects(fine, study, options)
