@@ -310,3 +310,12 @@ def test_well_told_correlated_ones_are_no_group() -> None:
     (names, spread), *more = only_together(["a", "b"], np.ones(2), pair)
     assert (names, more) == (("a", "b"), [])
     assert spread == pytest.approx(np.sqrt(1.9999))
+
+
+def test_evidence_is_never_surer_than_the_local_covariance() -> None:
+    """Variances are the larger of two; correlations stay those of the combined covariance."""
+    combined = np.array([[4.0, 0.6], [0.6, 1.0]])
+    local = np.diag([1.0, 9.0])
+    cautious = Confidence(combined, local, combined, combined).cautious
+    np.testing.assert_allclose(np.diag(cautious), [4.0, 9.0])
+    assert cautious[0, 1] / np.sqrt(4.0 * 9.0) == pytest.approx(0.6 / np.sqrt(4.0 * 1.0))

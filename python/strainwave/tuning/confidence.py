@@ -46,6 +46,18 @@ class Confidence:
     sandwich: FloatArray
     scatter: FloatArray  # NaN with fewer than three records
 
+    @property
+    def cautious(self) -> FloatArray:
+        """The combined one, no variance below the local one: for evidence that something is there.
+
+        A sandwich of few stretches may be far too sure by chance.
+        """
+        combined, local = np.diag(self.combined), np.diag(self.local)
+        ones = np.ones_like(local)
+        raised = np.sqrt(np.divide(local, combined, out=ones, where=combined > 0.0))
+        raised = np.maximum(raised, 1.0)
+        return np.asarray(self.combined * np.outer(raised, raised))
+
 
 def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     """Covariances of the fitted parameters.

@@ -103,7 +103,7 @@ def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
     if all(name != SETTLING for name, _ in fit.misfit.search.keys):
         return fit
     values = fit.misfit.search.values(fit.z)
-    deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).combined))
+    deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).cautious))
     lowest = fit.z < -_NOTHING * fit.misfit.search.reach
     idle = {
         key: 0.0
@@ -170,7 +170,7 @@ def without_idle_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
 
 def _idle(fit: Fit) -> set[Tried]:
     """The effects among the unknowns that the records do not show."""
-    covariance = confidence_of(fit.misfit, fit.z).combined
+    covariance = confidence_of(fit.misfit, fit.z).cautious
     return set(idle(fit.misfit.search, fit.z, covariance))
 
 
