@@ -113,7 +113,7 @@ def _parameters(parameters: tuple[Parameter, ...], truth: Truth | None) -> Table
     table.add_column("unit")
     if truth is not None:
         table.add_column("truth", justify="right")
-        table.add_column("error %", justify="right")
+        table.add_column("off %", justify="right")
     for p in parameters:
         value, spread = plus_minus(p.value, p.std)
         row = [p.name, str(p.joint or "arm"), value, spread, p.unit]
