@@ -55,9 +55,9 @@ def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
     first = search_from(misfit, start, 0, options, tolerance=SOON, relative=_GUESSED)
     if not first.converged or first.iterations >= options.max_iterations:
         return replace(first, converged=False)
+    search = partial(search_from, options=options, tolerance=SOON, relative=ROUGHLY)
     fit = replace(first, misfit=misfit.reweighted(first.z))
     for _ in range(_ROUGH_ROUNDS):
-        search = partial(search_from, options=options, tolerance=SOON, relative=ROUGHLY)
         fit = search(fit.misfit, fit.z, fit.iterations)
         renewed = fit.misfit.reweighted(fit.z)
         spent = not fit.converged or fit.iterations >= options.max_iterations
