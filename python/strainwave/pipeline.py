@@ -249,26 +249,21 @@ def _physical(
             if log.experiment.use == "frequency":
                 together.setdefault(part.joint, []).append((both_sides, part))
 
-    def all_at_once(joint: int) -> JointModel | Caution:
+    def all_at_once(joint: int) -> physical.JointFit | Caution:
         try:
-            return physical.identify_joint(together[joint], model, the_study)
+            return physical.fit_joint(together[joint], model, the_study)
         except NotIdentifiable as failure:
             return Caution("not-identifiable", f"joint {joint}", str(failure))
 
     numbers = sorted(together)
     found = side_by_side([partial(all_at_once, n) for n in numbers])
     run.warnings.extend(each for each in found if isinstance(each, Caution))
-    joints = [each for each in found if isinstance(each, JointModel)]
-    rings = {each.joint: each.band_hz for each in joints}
-    alone = {(each.joint, each.experiments): each for each in joints}  # of one record, its own
+    fits = {fit.model.joint: fit for fit in found if isinstance(fit, physical.JointFit)}
 
     def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
         how = physical.RecordOptions(state_space=log.experiment.use == "frequency")
-        if part.joint in rings:  # each record looks first where all together ring
-            nearby = physical.PhysicalOptions(search_from_hz=rings[part.joint])
-            how = replace(how, physical=nearby)
-        had = alone.get((part.joint, (log.experiment.name,)))
-        return physical.identify_record(both_sides, part, model, the_study, how, had)
+        fit = fits.get(part.joint)
+        return physical.identify_record(both_sides, part, model, the_study, how, fit)
 
     records = side_by_side(
         [
@@ -277,7 +272,7 @@ def _physical(
             for part in _excited_joints(parts, log)
         ]
     )
-    return records, joints, numbers
+    return records, [fit.model for fit in fits.values()], numbers
 
 
 def _tuned(

@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.cores import one_blas_thread
 from strainwave.errors import StrainwaveError
-from strainwave.physical.grey_box import FIRST_BAND_HZ, GreyBoxFit, RigidKnowledge, fit_grey_box
+from strainwave.physical.grey_box import FIRST_BAND_HZ, GreyBoxFit, RigidKnowledge, Solved, solve
 from strainwave.physical.linear import (
     LinearOptions,
     band_around,
@@ -41,9 +41,11 @@ from strainwave.records import (
 )
 
 __all__ = [
+    "JointFit",
     "LinearOptions",
     "PhysicalOptions",
     "RecordOptions",
+    "fit_joint",
     "from_state_space",
     "identify_joint",
     "identify_record",
@@ -74,6 +76,31 @@ class RecordOptions:
     state_space: bool = True  # whether a state-space model is estimated beside
 
 
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """One joint's model, and the solution behind it, from which its records alone can start."""
+
+    model: JointModel
+    solved: Solved
+
+    def of_record(self, name: str) -> JointModel:
+        """The model from one of the records alone.
+
+        Parameters
+        ----------
+        name : str
+            Of the experiment.
+
+        Returns
+        -------
+        JointModel
+        """
+        if self.model.experiments == (name,):
+            return self.model
+        with one_blas_thread():
+            return _joint_model(self.solved.of_record(self.model.experiments.index(name)))
+
+
 def identify_joint(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     model: RigidModel | None,
@@ -96,17 +123,36 @@ def identify_joint(
         A parameter that the records hardly tell has the value None, and a warning says so; an
         impossible one is reported as it came, with a warning.
     """
+    return fit_joint(records, model, study, options).model
+
+
+def fit_joint(
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    model: RigidModel | None,
+    study: Study,
+    options: PhysicalOptions | None = None,
+) -> JointFit:
+    """The fit behind `identify_joint`, for those who want its records' own; arguments are the same.
+
+    Returns
+    -------
+    JointFit
+    """
     chosen = options or PhysicalOptions()
     number = records[0][1].joint
-    joint = study.joints[number - 1]
     known = rigid_knowledge(model, study, number, [signals for signals, _ in records])
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems, as in the rigid step
-        fit = fit_grey_box(records, study, known, chosen.band_hz, chosen.search_from_hz)
-    names = tuple(signals.experiment.name for signals, _ in records)
+        solved = solve(records, study, known, chosen.band_hz, chosen.search_from_hz)
+        return JointFit(_joint_model(solved), solved)
+
+
+def _joint_model(solved: Solved) -> JointModel:
+    fit, number = solved.fit(), solved.records[0][1].joint
+    names = tuple(signals.experiment.name for signals, _ in solved.records)
     values = _values(fit)
-    said = values, fit.covariance, fit.determined, joint, number
+    said = values, fit.covariance, fit.determined, solved.study.joints[number - 1], number
     warnings = tuple(cautions_of(*said, ", ".join(names)))
     return JointModel(
         joint=number,
@@ -130,7 +176,7 @@ def identify_record(
     model: RigidModel | None,
     study: Study,
     options: RecordOptions | None = None,
-    physical: JointModel | None = None,
+    together: JointFit | None = None,
 ) -> RecordModel:
     """Everything one record tells of the joint that was excited in it.
 
@@ -142,8 +188,9 @@ def identify_record(
     model : RigidModel or None
     study : Study
     options : RecordOptions, optional
-    physical : JointModel, optional
-        From `identify_joint` of this record alone, where that has been done.
+    together : JointFit, optional
+        From `fit_joint` of several records, from which this one can start; at once, if it is one
+        of them.
 
     Returns
     -------
@@ -162,10 +209,14 @@ def identify_record(
             return None
 
     def grey_box() -> JointModel:
-        return identify_joint([(signals, decoupled)], model, study, chosen.physical)
+        how = chosen.physical
+        if together is not None and where in together.model.experiments:
+            return together.of_record(where)
+        if together is not None:  # it looks first where all together ring
+            how = replace(how, search_from_hz=together.model.band_hz)
+        return identify_joint([(signals, decoupled)], model, study, how)
 
-    if physical is None:
-        physical = tried("grey-box-failed", grey_box)
+    physical = tried("grey-box-failed", grey_box)
     linear = modes = transfer = check = None
     if chosen.state_space:
         linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))

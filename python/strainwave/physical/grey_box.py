@@ -87,6 +87,11 @@ class RigidKnowledge:
             _moved(self.coulomb_friction, error.coulomb_friction),
         )
 
+    def of_record(self, k: int) -> RigidKnowledge:
+        """The same for one of the records alone."""
+        errors = tuple(replace(error, tau=(error.tau[k],)) for error in self.errors)
+        return replace(self, errors=errors)
+
 
 def _moved(known: tuple[float, float] | None, change: float) -> tuple[float, float] | None:
     return known and (known[0] + change, known[1])
@@ -107,14 +112,60 @@ class GreyBoxFit:
     n_rows: int
 
 
-def fit_grey_box(
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """One joint's equations in a band, solved, and in those beside it."""
+
+    records: tuple[tuple[LinkSignals, Decoupled], ...]
+    study: Study
+    known: RigidKnowledge
+    band: tuple[float, float]
+    own: _Weighted
+    beside: tuple[_Weighted, ...]  # in a narrower band and a wider one; none where it was given
+
+    def fit(self) -> GreyBoxFit:
+        """What the solutions say.
+
+        Returns
+        -------
+        GreyBoxFit
+        """
+        found = _result(self.own, self.known, self.band)
+        if not self.beside:
+            return found
+        moves = [_physical(other.x) - _physical(self.own.x) for other in self.beside]
+        return replace(found, covariance=found.covariance + _model_error(moves))
+
+    def of_record(self, k: int) -> Solved:
+        """One of the records alone, which starts from what all say in the same bands.
+
+        Parameters
+        ----------
+        k : int
+
+        Returns
+        -------
+        Solved
+            In bands of its own where it rings elsewhere.
+        """
+        if len(self.records) == 1:
+            return self
+        record, known = self.records[k : k + 1], self.known.of_record(k)
+        own = _settled(self.own.of_record(k, known), known, _SETTLED)
+        if not _same(self.band, _band_around(_joint_of(own), record, self.band)):
+            return solve(record, self.study, known, search_from_hz=self.band)
+        beside = [_settled(each.of_record(k, known), known, _NEARLY) for each in self.beside]
+        return Solved(record, self.study, known, self.band, own, tuple(beside))
+
+
+def solve(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     study: Study,
     known: RigidKnowledge,
     band_hz: tuple[float, float] | None = None,
     search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
-) -> GreyBoxFit:
-    """Fit one joint's physical parameters to one or several records.
+) -> Solved:
+    """Solve one joint's equations for its physical parameters, from one or several records.
 
     Parameters
     ----------
@@ -129,7 +180,7 @@ def fit_grey_box(
 
     Returns
     -------
-    GreyBoxFit
+    Solved
 
     Raises
     ------
@@ -146,23 +197,27 @@ def fit_grey_box(
     equations = _equations(records, study, known, band)
     for _ in range(0 if band_hz else _BANDS - 1):
         equations = _settled(equations, known, _ROUGHLY)
-        before, band = band, _band_around(_joint_of(equations), records, band)
-        if all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(before, band, strict=True)):
+        better = _band_around(_joint_of(equations), records, band)
+        if _same(band, better):
             break
+        band = better
         equations = _equations(records, study, known, band, equations)
-    equations = _settled(equations, known, _SETTLED)
-    fit = _result(equations, known, band)
-    if band_hz is not None:
-        return fit
-    own = _physical(equations.x)
-    moves = []
-    for low, high in (
-        (band[0] * _OTHER_BAND, band[1] / _OTHER_BAND),
-        (band[0] / _OTHER_BAND, band[1] * _OTHER_BAND),
-    ):
-        other = _equations(records, study, known, _possible(low, high, records), equations)
-        moves.append(_physical(_settled(other, known, _NEARLY).x) - own)
-    return replace(fit, covariance=fit.covariance + _model_error(moves))
+    own = _settled(equations, known, _SETTLED)
+    beside = []
+    for low, high in () if band_hz else _other_bands(band):
+        other = _equations(records, study, known, _possible(low, high, records), own)
+        beside.append(_settled(other, known, _NEARLY))
+    return Solved(tuple(records), study, known, band, own, tuple(beside))
+
+
+def _other_bands(band: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """A narrower one and a wider one."""
+    low, high = band
+    return (low * _OTHER_BAND, high / _OTHER_BAND), (low / _OTHER_BAND, high * _OTHER_BAND)
+
+
+def _same(band: tuple[float, float], other: tuple[float, float]) -> bool:
+    return all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(band, other, strict=True))
 
 
 def _model_error(moves: Sequence[FloatArray]) -> FloatArray:
@@ -201,6 +256,15 @@ class _Weighted:
     equations: ls.Equations
     root: FloatArray  # (n_rows,) square roots of the weights
     x: FloatArray  # around which they are linear
+
+    def of_record(self, k: int, known: RigidKnowledge) -> _Weighted:
+        """The equations of one record alone, with what is known of it."""
+        pieces = self.pieces[k : k + 1]
+        equations = _assemble(pieces, known, self.x)
+        own = self.root[self.equations.group // 2 == k]
+        root = np.ones_like(equations.target)
+        root[: len(own)] = own
+        return _Weighted(pieces, equations, root, self.x)
 
 
 def _possible(
