@@ -18,7 +18,6 @@ from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, Criticism, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
 from strainwave.tuning.carried import carried_torques, gear_torques, histograms_of, largest_of
-from strainwave.tuning.confidence import confidence_of
 from strainwave.tuning.effects import left_out, records_with, tried
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
@@ -156,10 +155,9 @@ def _tuned(
     fit = _whole_fit(begun, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
-    confidence = confidence_of(fit.misfit, fit.z)
     carried = carried_torques(fit.misfit.records, values)
     largest = largest_of(carried).tolist()
-    parameters, covariance = parameters_of(fit, confidence, study, largest)
+    parameters, covariance = parameters_of(fit, study, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
         status = "at-bounds"
@@ -183,7 +181,7 @@ def _tuned(
         iterations=fit.iterations,
         status=status,
         warnings=(
-            *warnings_of(fit, confidence, at_bounds(fit), parameters),
+            *warnings_of(fit, at_bounds(fit), parameters),
             *left_out(fit.misfit.search, study),
             *residual_cautions(criticism.residuals),
             *effect_cautions(criticism.richer),

@@ -116,10 +116,11 @@ class Rows:
 
 @dataclass
 class _Memory:
-    """Where the records' own unknowns are, and the last point looked at."""
+    """Where the records' own unknowns are, and the last point looked at, by the last weights."""
 
     own: list[FloatArray]
     last: tuple[bytes, list[Evaluated]] | None = None
+    rows: tuple[bytes, tuple[Weights, ...], list[Rows]] | None = None
 
 
 @dataclass(frozen=True)
@@ -157,14 +158,16 @@ class Misfit:
         """The cost with its least squares problem in the unknowns; None where no arm can be."""
         least = 1.0 if self.guessed else LEAST_BEND
 
-        def linearised(k: int, evaluated: Evaluated) -> Linearised:
+        def linearised(k: int, evaluated: Evaluated) -> tuple[Rows, Linearised]:
             rows = evaluated.weighted(self.weights[k])
-            return Linearised(rows.cost(self.weights[k]), rows.factor(least))
+            return rows, Linearised(rows.cost(self.weights[k]), rows.factor(least))
 
         try:
-            parts = self._at(z, linearised)
+            found = self._at(z, linearised)
         except (InvalidInput, NumericalFailure):
             return None
+        self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in found]
+        parts = [part for _, part in found]
         cost = sum(part.cost for part in parts)
         prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
         slope = self.search.prior.rows @ self.search.slope(z)
@@ -173,7 +176,12 @@ class Misfit:
 
     def rows(self, z: FloatArray) -> list[Rows]:
         """Every record's rows, its own unknowns at their best for z."""
-        return self._at(z, lambda k, evaluated: evaluated.weighted(self.weights[k]))
+        at, known = z.tobytes(), self.memory.rows
+        if known is not None and known[0] == at and known[1] is self.weights:
+            return known[2]
+        rows = self._at(z, lambda k, evaluated: evaluated.weighted(self.weights[k]))
+        self.memory.rows = at, self.weights, rows
+        return rows
 
     def evaluate(self, z: FloatArray) -> list[Evaluated]:
         """Every record at z."""

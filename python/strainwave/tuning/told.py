@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from strainwave.parameters import unit_of
 from strainwave.records import Caution, FloatArray, Parameter, Study
-from strainwave.tuning.confidence import Confidence, only_together
+from strainwave.tuning.confidence import Confidence, confidence_of, only_together
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.unknowns import (
     CURVE,
@@ -28,7 +29,7 @@ _TOLD = 0.3  # relative deviation up to which a parameter is worth printing
 _REACH = 1.96  # of a 95 % interval, in deviations
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Fit:
     """Where the search ended."""
 
@@ -38,16 +39,20 @@ class Fit:
     iterations: int
     converged: bool
 
+    @cached_property
+    def confidence(self) -> Confidence:
+        """How sure the unknowns are."""
+        return confidence_of(self.misfit, self.z)
+
 
 def parameters_of(
-    fit: Fit, confidence: Confidence, study: Study, largest_torque: Sequence[float]
+    fit: Fit, study: Study, largest_torque: Sequence[float]
 ) -> tuple[tuple[Parameter, ...], FloatArray]:
     """The unknowns and what is derived from them, with their covariance.
 
     Parameters
     ----------
     fit : Fit
-    confidence : Confidence
     study : Study
     largest_torque : sequence of float [N m]
         That each gear carries in the records.
@@ -60,7 +65,7 @@ def parameters_of(
     keys = search.keys
     names = list(keys)
     units = [unknown.unit for unknown in search.unknowns]
-    told = _curves_told(fit, confidence.combined, largest_torque)
+    told = _curves_told(fit, fit.confidence.combined, largest_torque)
     weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
     for number, joint in enumerate(study.joints, start=1):
         derived = {"total_viscous_friction": total_viscous(study, number)}
@@ -72,7 +77,7 @@ def parameters_of(
             weight.append(combination(keys, parts))
     W = np.array(weight)
     values = W @ search.parameters(fit.z)
-    covariance = W @ confidence.combined @ W.T
+    covariance = W @ fit.confidence.combined @ W.T
     deviation = np.sqrt(np.diag(covariance))
     deviation[[told.get(name, name) is None for name in names]] = np.inf
     found = tuple(
@@ -122,14 +127,13 @@ def _parameter(name: str, joint: int | None, unit: str, value: float, std: float
 
 
 def warnings_of(
-    fit: Fit, confidence: Confidence, bounded: Sequence[bool], parameters: Sequence[Parameter]
+    fit: Fit, bounded: Sequence[bool], parameters: Sequence[Parameter]
 ) -> Iterator[Caution]:
     """What a reader of the parameters must know.
 
     Parameters
     ----------
     fit : Fit
-    confidence : Confidence
     bounded : sequence of bool
         Of each unknown, whether it ended at the end of its range.
     parameters : sequence of Parameter
@@ -140,7 +144,7 @@ def warnings_of(
     """
     search = fit.misfit.search
     values = search.parameters(fit.z)
-    deviation = np.sqrt(np.diag(confidence.combined))
+    deviation = np.sqrt(np.diag(fit.confidence.combined))
     for k, (unknown, at) in enumerate(zip(search.unknowns, bounded, strict=True)):
         if at and unknown.name != SETTLING:
             text = f"the fit ended at the end of its range, {values[k]:.3g} {unknown.unit}: the"
@@ -163,7 +167,7 @@ def warnings_of(
             text += " it changes sides that much before the motor does"
             yield Caution("friction-settles", str(unknown), text)
     names = [str(unknown) for unknown in search.unknowns]
-    for group, spread in only_together(names, values, confidence.combined):
+    for group, spread in only_together(names, values, fit.confidence.combined):
         text = f"told only together, by {100.0 * spread:.2g} % apart; trust their combination, not"
         text += " each value"
         yield Caution("only-together", " and ".join(group), text)

@@ -8,7 +8,6 @@ import numpy as np
 
 from strainwave.records import Study
 from strainwave.tuning.carried import gear_torques
-from strainwave.tuning.confidence import confidence_of
 from strainwave.tuning.curves import other_starts
 from strainwave.tuning.effects import Tried, idle, records_with, with_effects, without
 from strainwave.tuning.misfit import Misfit
@@ -103,7 +102,7 @@ def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
     if all(name != SETTLING for name, _ in fit.misfit.search.keys):
         return fit
     values = fit.misfit.search.values(fit.z)
-    deviation = np.sqrt(np.diag(confidence_of(fit.misfit, fit.z).cautious))
+    deviation = np.sqrt(np.diag(fit.confidence.cautious))
     lowest = fit.z < -_NOTHING * fit.misfit.search.reach
     idle = {
         key: 0.0
@@ -170,7 +169,7 @@ def without_idle_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
 
 def _idle(fit: Fit) -> set[Tried]:
     """The effects among the unknowns that the records do not show."""
-    covariance = confidence_of(fit.misfit, fit.z).cautious
+    covariance = fit.confidence.cautious
     return set(idle(fit.misfit.search, fit.z, covariance))
 
 
