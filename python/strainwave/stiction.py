@@ -52,8 +52,9 @@ def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int,
     runs: list[tuple[int, int, int]] = []
     start, extreme, sign = 0, 0, 0
     low = high = 0
-    values = angle.tolist()
-    for k, value in enumerate(values):
+    turns = _turns(angle)
+    values = dict(zip(turns, angle[turns].tolist(), strict=True))
+    for k, value in values.items():
         if sign == 0:
             low = k if value < values[low] else low
             high = k if value > values[high] else high
@@ -68,6 +69,14 @@ def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int,
     if sign != 0:
         runs.append((start, extreme, sign))
     return runs
+
+
+def _turns(angle: FloatArray) -> list[int]:
+    """The first sample, the last that differs, and between them each that the angle turns at."""
+    steps = np.diff(angle)
+    moving = np.flatnonzero(steps)
+    back = np.diff(np.sign(steps[moving])) != 0.0
+    return [0, *(moving[np.r_[back, True][: len(moving)]] + 1).tolist()]
 
 
 def _stands(angle: FloatArray, resolution: float, standing: int) -> BoolArray:
