@@ -78,3 +78,26 @@ def test_the_jackknife_leaves_out_block_by_block() -> None:
     # beside the blocks, what the estimate leans towards the priors
     assert (np.linalg.eigvalsh(found - scatter) > -1e-6 * np.trace(scatter)).all()
     assert np.trace(found) < 2.0 * np.trace(scatter)
+
+
+def test_the_jackknife_follows_nuisance_unknowns_of_interest() -> None:
+    equations, root = problem()
+    n = 5
+    _, found = ls.jackknife(equations, ls.factorise(equations, root), n)
+    whole = plain(equations, root)[3 : 3 + n]
+    shifts = [plain(equations, root * (equations.block != b))[3 : 3 + n] - whole for b in range(10)]
+    scatter = 0.9 * np.sum(np.square(shifts), axis=0)
+    # beside the blocks, what the estimate leans towards the priors, no further than they reach
+    assert (found > scatter * (1.0 - 1e-6)).all()
+    assert (found < scatter + equations.local_deviation[:n] ** 2).all()
+
+
+def test_leaving_out_rows_of_no_nuisance_unknown() -> None:
+    equations, root = problem()
+    part = equations.local[0]
+    inside = np.arange(N_ROWS) < N_ROWS - 10  # the last rows have none of the unknowns
+    apart = replace(equations, local=(ls.Local(part.rows[inside], part.columns[inside]),))
+    found, expected = (
+        ls.jackknife(each, ls.factorise(each, root))[0] for each in (apart, equations)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-8)

@@ -6,7 +6,15 @@ from typing import Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GEAR_CORNER", "Arm", "Innovations", "InnovationsFit", "eliminate", "hankel_gram"]
+__all__ = [
+    "GEAR_CORNER",
+    "Arm",
+    "Innovations",
+    "InnovationsFit",
+    "eliminate",
+    "hankel_gram",
+    "remainders",
+]
 
 GEAR_CORNER: float
 """Half width [rad] over which the knees of a three-slope gear are rounded."""
@@ -113,6 +121,13 @@ def eliminate(
     Without `leverage` the last is empty. Quick where each row of Z has few entries, side by side.
     The GIL is released. Raises ValueError for sizes that do not fit and entries that are not
     finite.
+    """
+
+def remainders(z: NDArray[np.float64], stops: Sequence[int]) -> list[NDArray[np.float64]]:
+    """I - Z_b G^-1 Z_b' of successive blocks of rows, G = Z'Z + I; `stops` lie behind their last.
+
+    The GIL is released. Raises ValueError for stops that do not rise within the rows and entries
+    that are not finite.
     """
 
 def hankel_gram(

@@ -20,6 +20,7 @@ KNOWN = -1
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
 _TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
+_TRACE = 1e-12  # of a unit error: what rounding leaves of one that the unknowns follow
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
 
 
@@ -120,7 +121,7 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
     (n_parameters, n_changes)
     """
     p = equations.shared.shape[1]
-    _, _, _, _, R = _reduced(equations, factor.root, changes)
+    _, _, _, _, R = _reduced(equations, factor.root, changes, leverage=False)
     basis = factor.directions[factor.seen].T
     # R'R = V s^2 V', so that R^-1 = V s^-2 V' R'
     inverse = basis / factor.singular[factor.seen] ** 2 @ basis.T @ R[:p, :p].T
@@ -128,7 +129,7 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
 
 
 def _reduced(
-    equations: Equations, root: FloatArray, targets: FloatArray
+    equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Column norms; what the nuisance unknowns take, and their leverage; QR of what is left."""
     X = equations.shared * root[:, None]
@@ -139,8 +140,10 @@ def _reduced(
     taken: list[FloatArray] = [np.zeros((0, Xy.shape[1]))]
     for part, deviation in _parts(equations):
         Z = part.columns * (root[part.rows, None] * deviation)
-        found, Xy[part.rows], lent[part.rows] = _eliminated(Z, Xy[part.rows])
+        found, Xy[part.rows], lever = _eliminated(Z, Xy[part.rows], leverage=leverage)
         taken.append(found)
+        if leverage:
+            lent[part.rows] = lever
     below = np.concatenate(taken)
     Q, R = np.linalg.qr(np.vstack([Xy, -below]))
     return scale, below, lent, Q, R
@@ -239,15 +242,12 @@ def jackknife(
     """
     basis = factor.directions[factor.seen].T / factor.scale[:, None]
     back = basis / factor.singular[factor.seen]
-    root = factor.root[:, None]
-    normal = _Normal.of(equations, factor, (equations.shared * root) @ back)
     known = equations.group == KNOWN
-    shifts = []
-    whole = normal.solution(n_local)
-    for label in np.unique(equations.block[~known]):
-        left_out = (equations.block == label) & ~known
-        shifts.append(normal.without(left_out).solution(n_local) - whole)
-    lean = normal.lean(n_local, known)
+    normal = _Normal.of(equations, factor.root, back, n_local)
+    whole = normal.solution()
+    labels = np.unique(equations.block[~known]).tolist()
+    shifts = [normal.without(label).solution() - whole for label in labels]
+    lean = normal.lean(known)
     m = len(shifts)
     inner = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + lean @ lean.T
     k = back.shape[1]
@@ -255,103 +255,130 @@ def jackknife(
     return covariance, np.diag(inner)[k:] * equations.local_deviation[:n_local] ** 2
 
 
-def _taken(Z: FloatArray, A: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A' Z (Z'Z + I)^-1 Z' [A, y], and that without A' Z."""
-    both = np.column_stack([A, y])
-    found, left, _ = _eliminated(Z, both, leverage=False)
-    return A.T @ (both - left), found
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Some rows of a part, which may be left out at once."""
+
+    rows: IntArray  # (m,) of the equations
+    Z: FloatArray  # (m, n_unknowns)
+    remains: FloatArray  # (m, m) of unit errors in these rows, once the part's unknowns follow
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Rows with nuisance unknowns of their own, all of unit size."""
+
+    found: FloatArray  # (n_unknowns, k + 1) by each w, and by the target
+    first: FloatArray  # (n_first, n_unknowns) of the inverse of Z'Z + I: unknowns of interest
+    blocks: dict[int, _Block]  # by label
+
+    @staticmethod
+    def of(
+        Z: FloatArray, rows: IntArray, labels: IntArray, found: FloatArray, n_first: int
+    ) -> _Part:
+        order = np.argsort(labels, kind="stable")
+        Z, rows = np.ascontiguousarray(Z[order]), rows[order]
+        present, counts = np.unique(labels, return_counts=True)
+        stops = np.cumsum(counts).tolist()
+        places = [slice(start, stop) for start, stop in zip([0, *stops], stops, strict=False)]
+        remains = _core.remainders(Z, stops)
+        blocks = {
+            label: _Block(rows[place], Z[place], left)
+            for label, place, left in zip(present.tolist(), places, remains, strict=True)
+        }
+        first = np.zeros((0, Z.shape[1]))
+        if n_first:
+            first = np.asarray(np.linalg.inv(Z.T @ Z + np.eye(Z.shape[1]))[:n_first])
+        return _Part(found, first, blocks)
 
 
 @dataclass(frozen=True, slots=True)
 class _Normal:
-    """Normal equations of w and of the nuisance unknowns, part by part, all of unit size."""
+    """Normal equations of w, the nuisance unknowns eliminated part by part."""
 
-    A: FloatArray  # (n_rows, k) columns of w
-    y: FloatArray  # (n_rows,)
-    rows: tuple[IntArray, ...]
-    Z: tuple[FloatArray, ...]  # one a part
-    gram: FloatArray  # (k, k)
-    right: FloatArray  # (k,)
-    taken: tuple[FloatArray, ...]  # (k, k + 1) by which a part's unknowns lower [gram, right]
-    eliminated: tuple[FloatArray, ...]  # a part's unknowns per w, and their values at w = 0
+    left: FloatArray  # (n_rows, k + 1) columns of w and the target, without what the unknowns take
+    gram: FloatArray  # (k, k + 1) with the right side behind
+    first: FloatArray  # (n_local, k + 1) the nuisance unknowns of interest: by each w, and at none
+    parts: tuple[_Part, ...]
+    loose: dict[int, IntArray]  # of each label, the rows that are in no part
 
     @staticmethod
-    def of(equations: Equations, factor: Factor, A: FloatArray) -> _Normal:
-        y = equations.target * factor.root
-        rows, Z, taken, eliminated = [], [], [], []
+    def of(equations: Equations, root: FloatArray, back: FloatArray, n_local: int) -> _Normal:
+        """With the shared unknowns `back @ w`."""
+        both = np.column_stack([equations.shared @ back, equations.target]) * root[:, None]
+        left, parts = both.copy(), []
+        lone = equations.group != KNOWN
+        at = 0
         for part, deviation in _parts(equations):
-            rows.append(part.rows)
-            Z.append(part.columns * (factor.root[part.rows, None] * deviation))
-            lower, found = _taken(Z[-1], A[part.rows], y[part.rows])
-            taken.append(lower)
-            eliminated.append(found)
+            rows, n = part.rows, part.columns.shape[1]
+            if not n:
+                continue
+            Z = part.columns * (root[rows, None] * deviation)
+            found, left[rows], _ = _eliminated(Z, both[rows], leverage=False)
+            n_first = min(n, max(0, n_local - at))
+            parts.append(_Part.of(Z, rows, equations.block[rows], found, n_first))
+            lone[rows] = False
+            at += n
+        labels = np.unique(equations.block[lone]).tolist()
+        found = np.concatenate([np.zeros((0, both.shape[1])), *(p.found for p in parts)])
         return _Normal(
-            A=A,
-            y=y,
-            rows=tuple(rows),
-            Z=tuple(Z),
-            gram=A.T @ A,
-            right=A.T @ y,
-            taken=tuple(taken),
-            eliminated=tuple(eliminated),
+            left=left,
+            gram=both[:, :-1].T @ left,
+            first=found[:n_local],
+            parts=tuple(parts),
+            loose={label: np.flatnonzero(lone & (equations.block == label)) for label in labels},
         )
 
-    def without(self, left_out: BoolArray) -> _Normal:
-        """The same with some rows left out; parts that have none of them stay as they are."""
-        gram = self.gram - self.A[left_out].T @ self.A[left_out]
+    def without(self, label: int) -> _Normal:
+        """The same with the rows of one block left out.
+
+        P = (I + Z Z')^-1 weighs a part's rows once its unknowns follow. Without some of them it is
+        that of the others less P_kb P_bb^-1 P_bk, so that [A y]' P [A y] lacks the share of
+        P_bb^-1 in the block's rows of P [A y].
+        """
+        gram, first = self.gram.copy(), self.first.copy()
+        at = 0
+        for part in self.parts:
+            n = len(part.first)
+            if label in part.blocks:
+                block = part.blocks[label]
+                own = self.left[block.rows]
+                # the ridge is far below what any row leaves that tells of w
+                share = np.linalg.solve(block.remains + _TRACE * np.eye(len(own)), own)
+                gram -= own[:, :-1].T @ share
+                first[at : at + n] -= part.first @ (block.Z.T @ share)
+            at += n
+        if label in self.loose:
+            own = self.left[self.loose[label]]
+            gram -= own[:, :-1].T @ own
         # what only these rows tell is lost without them: the ridge keeps that at its whole-data
         # size instead of dividing by nothing
-        gram[np.diag_indices_from(gram)] += 1e-9
-        taken, eliminated = list(self.taken), list(self.eliminated)
-        for i, rows in enumerate(self.rows):
-            stay = ~left_out[rows]
-            if not stay.all():
-                kept = rows[stay]
-                taken[i], eliminated[i] = _taken(self.Z[i][stay], self.A[kept], self.y[kept])
-        return replace(
-            self,
-            gram=gram,
-            right=self.right - self.A[left_out].T @ self.y[left_out],
-            taken=tuple(taken),
-            eliminated=tuple(eliminated),
-        )
+        gram[np.diag_indices(len(gram))] += 1e-9
+        return replace(self, gram=gram, first=first)
 
-    def solution(self, n_local: int) -> FloatArray:
-        """w, then the first nuisance unknowns."""
-        k = len(self.gram)
-        left, right = self.gram.copy(), self.right.copy()
-        for lower in self.taken:
-            left -= lower[:, :k]
-            right -= lower[:, k]
-        w = np.linalg.solve(left, right)
-        z = [e[:, k] - e[:, :k] @ w for e in self.eliminated] if n_local else []
-        return np.concatenate([w, *z])[: k + n_local]
+    def solution(self) -> FloatArray:
+        """w, then the nuisance unknowns of interest."""
+        w = np.linalg.solve(self.gram[:, :-1], self.gram[:, -1])
+        return np.concatenate([w, self.first[:, -1] - self.first[:, :-1] @ w])
 
-    def lean(self, n_local: int, known: BoolArray) -> FloatArray:
+    def lean(self, known: BoolArray) -> FloatArray:
         """How far the estimate follows the priors' unit errors: it leans towards them.
 
         Columns of the inverse: of the nuisance unknowns' priors, then of what is known beforehand.
         """
         k = len(self.gram)
-        W = [e[:, :k] for e in self.eliminated]
-        left = self.gram - sum((lower[:, :k] for lower in self.taken), np.zeros((k, k)))
-        S = np.linalg.inv(left)
-        below = np.concatenate([np.zeros((0, k)), *W])
-        shared = np.hstack([-S @ below.T, S @ self.A[known].T])
-        if not n_local:
-            return np.asarray(shared)
-        first = below[:n_local]
-        own = np.zeros((n_local, len(below)))
-        at = 0
-        for Z in self.Z:
-            n = Z.shape[1]
-            wanted = np.arange(at, min(at + n, n_local)) - at
-            if len(wanted):
-                gram = Z.T @ Z + np.eye(n)
-                own[at + wanted, at : at + n] = np.linalg.inv(gram)[wanted]
-            at += n
-        own += first @ S @ below.T
-        return np.vstack([shared, np.hstack([own, -first @ S @ self.A[known].T])])
+        S = np.linalg.inv(self.gram[:, :-1])
+        below = np.concatenate([np.zeros((0, k)), *(part.found[:, :-1] for part in self.parts)])
+        beforehand = S @ self.left[known, :-1].T
+        shared = np.hstack([-S @ below.T, beforehand])
+        first = self.first[:, :-1]
+        own = first @ S @ below.T
+        row = column = 0
+        for part in self.parts:
+            n_first, n = part.first.shape
+            own[row : row + n_first, column : column + n] += part.first
+            row, column = row + n_first, column + n
+        return np.vstack([shared, np.hstack([own, -first @ beforehand])])
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:

@@ -14,6 +14,7 @@ use strainwave_statespace::{elimination, hankel, predictor, sensitivity};
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(hankel_gram, module)?)?;
     module.add_function(wrap_pyfunction!(eliminate, module)?)?;
+    module.add_function(wrap_pyfunction!(remainders, module)?)?;
     module.add_class::<Innovations>()?;
     module.add_class::<InnovationsFit>()
 }
@@ -63,6 +64,30 @@ fn eliminate<'py>(
         found.left.into_pyarray(py).reshape([rows, sides])?,
         found.leverage.into_pyarray(py),
     ))
+}
+
+/// What is left of unit errors in successive blocks of rows, by the unknowns of `z`.
+#[pyfunction]
+fn remainders<'py>(
+    py: Python<'py>,
+    z: PyReadonlyArray2<'py, f64>,
+    stops: Vec<usize>,
+) -> PyResult<Vec<Bound<'py, PyArray2<f64>>>> {
+    let (rows, unknowns) = (z.shape()[0], z.shape()[1]);
+    if unknowns == 0 || !stops.is_sorted() || stops.last().is_some_and(|last| *last > rows) {
+        return Err(PyValueError::new_err(format!(
+            "expected an unknown and rising stops within {rows} rows, got {unknowns} and {stops:?}"
+        )));
+    }
+    let z = z.as_slice().map_err(|_| not_contiguous("z"))?;
+    let ended = py.detach(|| elimination::remainders(z, unknowns, &stops));
+    let found = ended.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
+    let starts = std::iter::once(0).chain(stops.iter().copied());
+    found
+        .into_iter()
+        .zip(starts.zip(&stops))
+        .map(|(block, (start, stop))| block.into_pyarray(py).reshape([stop - start; 2]))
+        .collect()
 }
 
 /// Stacked records and the sizes of a model for them; `values` are A, B, C, D, K row-major and one

@@ -62,18 +62,13 @@ fn eliminated<const FUSED: bool>(
     let n = unknowns;
     let rows: Vec<(usize, &[f64])> = z.chunks_exact(n).map(used).collect();
     let first = envelope(&rows, n);
-    let mut factor = vec![0.0; n * n];
+    let factor = factorised::<FUSED>(&rows, z, &first)?;
     let mut found = vec![0.0; n * sides];
-    for (number, rows) in rows.chunks(TOGETHER).enumerate() {
-        let first = number * TOGETHER * n;
-        add_products::<FUSED>(&mut factor, rows, &z[first..][..rows.len() * n], n);
-    }
     for ((start, row), y) in rows.iter().zip(y.chunks_exact(sides)) {
         for (i, &value) in row.iter().enumerate() {
             add_scaled::<FUSED>(&mut found[(start + i) * sides..][..sides], value, y);
         }
     }
-    decompose::<FUSED>(&mut factor, &first)?;
     substitute::<FUSED>(&factor, &first, &mut found, sides);
     let mut left = y.to_vec();
     for ((start, row), left) in rows.iter().zip(left.chunks_exact_mut(sides)) {
@@ -91,6 +86,92 @@ fn eliminated<const FUSED: bool>(
         left,
         leverage,
     })
+}
+
+/// Lower Cholesky factor of G, (unknowns, unknowns).
+#[inline(always)]
+fn factorised<const FUSED: bool>(
+    rows: &[(usize, &[f64])],
+    z: &[f64],
+    first: &[usize],
+) -> Option<Vec<f64>> {
+    let n = first.len();
+    let mut factor = vec![0.0; n * n];
+    for (number, rows) in rows.chunks(TOGETHER).enumerate() {
+        let first = number * TOGETHER * n;
+        add_products::<FUSED>(&mut factor, rows, &z[first..][..rows.len() * n], n);
+    }
+    decompose::<FUSED>(&mut factor, first)?;
+    Some(factor)
+}
+
+/// What is left of unit errors in successive blocks of rows: I - Z_b G^-1 Z_b' of each block.
+///
+/// `stops` are the rows behind the blocks' last ones. `None` where an entry is not finite.
+pub fn remainders(z: &[f64], unknowns: usize, stops: &[usize]) -> Option<Vec<Vec<f64>>> {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        // SAFETY: the processor has just said that it has both.
+        return unsafe { remainders_avx2(z, unknowns, stops) };
+    }
+    remaining::<false>(z, unknowns, stops)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn remainders_avx2(z: &[f64], unknowns: usize, stops: &[usize]) -> Option<Vec<Vec<f64>>> {
+    remaining::<true>(z, unknowns, stops)
+}
+
+#[inline(always)]
+fn remaining<const FUSED: bool>(
+    z: &[f64],
+    unknowns: usize,
+    stops: &[usize],
+) -> Option<Vec<Vec<f64>>> {
+    let rows: Vec<(usize, &[f64])> = z.chunks_exact(unknowns).map(used).collect();
+    let first = envelope(&rows, unknowns);
+    let factor = factorised::<FUSED>(&rows, z, &first)?;
+    let mut found = Vec::with_capacity(stops.len());
+    let mut start = 0;
+    for &stop in stops {
+        found.push(remainder::<FUSED>(&rows[start..stop], &factor, &first));
+        start = stop;
+    }
+    Some(found)
+}
+
+/// I - V'V of some rows, V = L^-1 Z_b'.
+#[inline(always)]
+fn remainder<const FUSED: bool>(
+    rows: &[(usize, &[f64])],
+    factor: &[f64],
+    first: &[usize],
+) -> Vec<f64> {
+    let (n, count) = (first.len(), rows.len());
+    let mut solved = vec![0.0; n * count];
+    for (k, &(start, row)) in rows.iter().enumerate() {
+        for (i, &value) in row.iter().enumerate() {
+            solved[(start + i) * count + k] = value;
+        }
+    }
+    let begin = rows.iter().map(|(start, _)| *start).min().unwrap_or(n);
+    let mut left = vec![0.0; count * count];
+    left.iter_mut()
+        .step_by(count + 1)
+        .for_each(|own| *own = 1.0);
+    for i in begin..n {
+        let (above, row) = solved.split_at_mut(i * count);
+        let row = &mut row[..count];
+        for j in first[i].max(begin)..i {
+            add_scaled::<FUSED>(row, -factor[i * n + j], &above[j * count..][..count]);
+        }
+        row.iter_mut().for_each(|v| *v /= factor[i * n + i]);
+        for (k, left) in left.chunks_exact_mut(count).enumerate() {
+            add_scaled::<FUSED>(left, -row[k], row);
+        }
+    }
+    left
 }
 
 /// Adds to the lower half of a matrix what some neighbouring rows add to Z'Z.
@@ -336,6 +417,24 @@ mod tests {
             unit[row] = 1.0;
             let found = eliminate(&z, &unit, n, 1, true).unwrap();
             assert!((found.left[row] - (1.0 - found.leverage[row])).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn remainders_are_what_is_left_of_unit_errors() {
+        let (z, _, n, _) = example();
+        let rows = z.len() / n;
+        let (start, stop) = (5, 12); // row 7 has no unknown
+        let blocks = remainders(&z, n, &[start, stop, rows]).unwrap();
+        let count = stop - start;
+        let mut units = vec![0.0; rows * count];
+        for k in 0..count {
+            units[(start + k) * count + k] = 1.0;
+        }
+        let found = eliminate(&z, &units, n, count, false).unwrap();
+        let expected = &found.left[start * count..stop * count];
+        for (a, b) in blocks[1].iter().zip(expected) {
+            assert!((a - b).abs() < 1e-12);
         }
     }
 
