@@ -142,7 +142,7 @@ pub fn fit(start: Model, records: &[Record<'_>], options: &Options) -> Result<Fi
         };
         if let Some(status) = status {
             return Ok(Fit {
-                covariance: step.covariance(),
+                covariance: step.covariance(&point.model, &free),
                 n_parameters: step.coordinates.width,
                 model: point.model,
                 innovation_covariance: point.covariance,
@@ -178,74 +178,41 @@ struct Step {
     coordinates: Coordinates,
     gradient: Vec<f64>,
     hessian: Vec<f64>,
-    /// Its part that comes from the data: the information about the parameters.
+    /// What the data tell of all entries of the model.
     information: Vec<f64>,
-    /// Root of the diagonal of the Hessian: parameters are measured in it.
-    scale: Vec<f64>,
 }
 
 impl Step {
     fn new(point: &Point, records: &[Record<'_>], free: &[usize]) -> Self {
-        let coordinates = Coordinates::at(&point.model, free);
         let NormalEquations {
-            hessian, gradient, ..
+            hessian: information,
+            gradient,
+            ..
         } = normal_equations(&point.model, records, &point.whitener);
-        let information = coordinates.reduce_hessian(&hessian);
+        let coordinates = Coordinates::at(&point.model, free, &deviations(&information));
+        let told = coordinates.reduce_hessian(&information);
         let gradient = coordinates.reduce_gradient(&gradient);
         let directions: Vec<Vec<f64>> = (0..coordinates.width)
             .map(|index| predictor_change(&point.model, &coordinates.direction(index)))
             .collect();
-        let step = |definite| {
-            let (slope, curvature) = point.wall.along(&directions, definite);
-            Self::scaled(&coordinates, &gradient, &information, &slope, &curvature)
+        let add = |left: &[f64], right: Vec<f64>| -> Vec<f64> {
+            left.iter().zip(right).map(|(l, r)| l + r).collect()
         };
-        let exact = step(false);
-        if cholesky(&exact.hessian, coordinates.width).is_some() {
-            exact
-        } else {
-            step(true)
-        }
-    }
-
-    fn scaled(
-        coordinates: &Coordinates,
-        gradient: &[f64],
-        information: &[f64],
-        wall_slope: &[f64],
-        wall_curvature: &[f64],
-    ) -> Self {
-        let width = coordinates.width;
-        let mut hessian: Vec<f64> = information
-            .iter()
-            .zip(wall_curvature)
-            .map(|(h, w)| h + w)
-            .collect();
-        let mut information = information.to_vec();
-        let scale: Vec<f64> = (0..width)
-            .map(|i| match hessian[i * width + i] {
-                curvature if curvature > 0.0 => curvature.sqrt(),
-                _ => 1.0,
-            })
-            .collect();
-        for i in 0..width {
-            for j in 0..width {
-                hessian[i * width + j] /= scale[i] * scale[j];
-                information[i * width + j] /= scale[i] * scale[j];
-            }
-        }
-        let gradient = (0..width)
-            .map(|i| (gradient[i] + wall_slope[i]) / scale[i])
-            .collect();
-        Self {
-            coordinates: coordinates.clone(),
-            gradient,
-            hessian,
+        let (slope, curvature) = point.wall.along(&directions, false);
+        let mut step = Self {
+            gradient: add(&gradient, slope),
+            hessian: add(&told, curvature),
+            coordinates,
             information,
-            scale,
+        };
+        if cholesky(&step.hessian, step.coordinates.width).is_none() {
+            let (_, definite) = point.wall.along(&directions, true);
+            step.hessian = add(&told, definite);
         }
+        step
     }
 
-    /// -(H + damping I)^-1 g in scaled coordinates, if the sum is positive definite.
+    /// -(H + damping I)^-1 g, if the sum is positive definite.
     fn direction(&self, damping: f64) -> Option<Vec<f64>> {
         let width = self.coordinates.width;
         let mut damped = self.hessian.clone();
@@ -280,8 +247,7 @@ impl Step {
             if let Some(step) = self.direction(*damping) {
                 let expected = 0.5 * (*damping * dot(&step, &step) - dot(&self.gradient, &step));
                 let mut model = point.model.clone();
-                let unscaled: Vec<f64> = step.iter().zip(&self.scale).map(|(s, d)| s / d).collect();
-                self.coordinates.advance(&mut model.values, &unscaled);
+                self.coordinates.advance(&mut model.values, &step);
                 *evaluations += 1;
                 if let Some(trial) = Point::at(model, records, &options.floor) {
                     let fall = (point.cost - trial.cost) + (point.wall.value - trial.wall.value);
@@ -298,10 +264,18 @@ impl Step {
         None
     }
 
-    /// Inverse of the information over all entries of the model.
-    fn covariance(&self) -> Option<Vec<f64>> {
-        let width = self.coordinates.width;
-        let factor = cholesky(&self.information, width)?;
+    /// Inverse of the information over all entries of the model, in orthonormal coordinates.
+    fn covariance(&self, model: &Model, free: &[usize]) -> Option<Vec<f64>> {
+        let coordinates = Coordinates::at(model, free, &vec![1.0; model.values.len()]);
+        let mut information = coordinates.reduce_hessian(&self.information);
+        let width = coordinates.width;
+        let scale: Vec<f64> = deviations(&information);
+        for i in 0..width {
+            for j in 0..width {
+                information[i * width + j] *= scale[i] * scale[j];
+            }
+        }
+        let factor = cholesky(&information, width)?;
         let mut inverse = vec![0.0; width * width];
         let mut column = vec![0.0; width];
         for j in 0..width {
@@ -310,11 +284,22 @@ impl Step {
             solve_lower(&factor, width, &mut column);
             solve_lower_transposed(&factor, width, &mut column);
             for i in 0..width {
-                inverse[i * width + j] = column[i] / (self.scale[i] * self.scale[j]);
+                inverse[i * width + j] = column[i] * scale[i] * scale[j];
             }
         }
-        Some(self.coordinates.expand(&inverse))
+        Some(coordinates.expand(&inverse))
     }
+}
+
+/// Deviation of each parameter were the others known; one where the data do not see it.
+fn deviations(information: &[f64]) -> Vec<f64> {
+    let size = information.len().isqrt();
+    (0..size)
+        .map(|i| match information[i * size + i] {
+            curvature if curvature > 0.0 => 1.0 / curvature.sqrt(),
+            _ => 1.0,
+        })
+        .collect()
 }
 
 fn dot(left: &[f64], right: &[f64]) -> f64 {

@@ -4,12 +4,13 @@
 //! T = I + X the entries move along A -> X A - A X and so on: n^2 directions that no data can tell.
 //! Their orthogonal complement is a minimal parametrisation around the present model ("data-driven
 //! local coordinates", McKelvey, Helmersson and Ribarits, Automatica 40, 2004), as well conditioned
-//! as the data allow and without the gaps of canonical forms.
+//! as the data allow and without the gaps of canonical forms. Orthogonal are entries in units of what
+//! the data can tell of each, so that a step moves none further than the model's change asks for.
 
 use crate::linalg::orthogonal_complement;
 use crate::model::{Model, Shape};
 
-/// Orthonormal local coordinates over the entries that are free.
+/// Local coordinates over the entries that are free, orthonormal in the entries' units.
 #[derive(Clone)]
 pub struct Coordinates {
     /// Which entries of the model's vector move.
@@ -23,17 +24,24 @@ pub struct Coordinates {
 }
 
 impl Coordinates {
-    /// Around a model, for the entries listed in `free`.
-    pub fn at(model: &Model, free: &[usize]) -> Self {
+    /// Around a model, for the entries listed in `free`; `unit` is how far each entry of the model
+    /// moves to count as one.
+    pub fn at(model: &Model, free: &[usize], unit: &[f64]) -> Self {
         let n = model.shape.order;
         let directions = n * n;
         let all = similarity_directions(model);
         let matrix: Vec<f64> = free
             .iter()
-            .flat_map(|&entry| all[entry * directions..][..directions].iter().copied())
+            .flat_map(|&entry| {
+                let row = &all[entry * directions..][..directions];
+                row.iter().map(move |moved| moved / unit[entry])
+            })
             .collect();
-        let basis = orthogonal_complement(matrix, free.len(), directions);
         let (size, width) = (model.values.len(), free.len() - directions);
+        let mut basis = orthogonal_complement(matrix, free.len(), directions);
+        for (row, &entry) in basis.chunks_exact_mut(width).zip(free) {
+            row.iter_mut().for_each(|moved| *moved *= unit[entry]);
+        }
         Self {
             free: free.to_vec(),
             basis,
