@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Literal
 
 from strainwave.report.figures import Figure
@@ -214,12 +216,20 @@ def _section(section: Section) -> str:
 def _scripts(plots: Mapping[str, Figure]) -> list[str]:
     if not plots:
         return []
-    plotly = files("plotly").joinpath("package_data/plotly.min.js").read_text(encoding="utf-8")
     return [
         "<noscript><p>The figures need JavaScript; words and tables do not.</p></noscript>",
-        f"<script>{plotly}</script>",
+        f"<script>{_plotly()}</script>",
         f"<script>{_own('page.js')}</script>",
     ]
+
+
+def _plotly() -> str:
+    """The script alone: to import the package around it takes longer than to fill the page."""
+    found = find_spec("plotly")
+    if found is None or found.origin is None:
+        raise ModuleNotFoundError("plotly")
+    script = Path(found.origin).parent / "package_data" / "plotly.min.js"
+    return script.read_text(encoding="utf-8")
 
 
 def _own(name: str) -> str:
