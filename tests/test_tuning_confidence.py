@@ -72,7 +72,7 @@ def least_squares(table: FloatArray, error: FloatArray) -> FloatArray:
 
 def test_the_local_covariance_is_the_closed_form() -> None:
     tables = [table_of(0), table_of(1, 400)]
-    prior = Prior(np.array([[30.0, 10.0, 0.0]]), np.array([50.0]))
+    prior = Prior(np.array([[30.0, 10.0, 0.0]]), np.array([50.0]), np.eye(1))
     errors = [np.zeros((N, 1)), np.zeros((400, 1))]
     found = confidence_of(misfit_of(tables, errors, 0.1, prior=prior), TRUTH)
     information = sum(t.reshape(-1, 3).T @ t.reshape(-1, 3) for t in tables) / 0.1**2
@@ -96,7 +96,7 @@ def test_weights_and_scales_are_taken_into_account() -> None:
     unknowns = tuple(
         Unknown(f"p{k}", None, "1", s, s, False, 10.0) for k, s in enumerate((1.0, 5.0, 0.1))
     )
-    search = Search(unknowns, {}, Prior(np.zeros((0, 3)), np.zeros(0)))
+    search = Search(unknowns, {}, Prior(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 0))))
     z = np.array([0.2, -0.1, 0.4])
     p = search.parameters(z)
     error = rng.normal(0.0, 0.2, (N, 1))
@@ -291,7 +291,7 @@ def test_a_pair_that_is_told_only_together() -> None:
     spread = np.sqrt(np.linalg.eigvalsh(relative)[-1])
     assert groups[0][1] == pytest.approx(spread)
     # held together by what is known of their sum, they are no matter
-    prior = Prior(np.array([[0.0, 1.0, 0.0]]) * 1e3, np.array([-1e3]))
+    prior = Prior(np.array([[0.0, 1.0, 0.0]]) * 1e3, np.array([-1e3]), np.eye(1))
     held = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.2, prior=prior), TRUTH)
     assert list(only_together(["a", "b", "c"], TRUTH, held.combined)) == []
 
