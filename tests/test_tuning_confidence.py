@@ -72,7 +72,7 @@ def least_squares(table: FloatArray, error: FloatArray) -> FloatArray:
 
 def test_the_local_covariance_is_the_closed_form() -> None:
     tables = [table_of(0), table_of(1, 400)]
-    prior = Prior(np.array([[30.0, 10.0, 0.0]]), np.array([50.0]))
+    prior = Prior(np.array([[30.0, 10.0, 0.0]]), np.array([50.0]), np.eye(1))
     errors = [np.zeros((N, 1)), np.zeros((400, 1))]
     found = confidence_of(misfit_of(tables, errors, 0.1, prior=prior), TRUTH)
     information = sum(t.reshape(-1, 3).T @ t.reshape(-1, 3) for t in tables) / 0.1**2
@@ -96,7 +96,7 @@ def test_weights_and_scales_are_taken_into_account() -> None:
     unknowns = tuple(
         Unknown(f"p{k}", None, "1", s, s, False, 10.0) for k, s in enumerate((1.0, 5.0, 0.1))
     )
-    search = Search(unknowns, {}, Prior(np.zeros((0, 3)), np.zeros(0)))
+    search = Search(unknowns, {}, Prior(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 0))))
     z = np.array([0.2, -0.1, 0.4])
     p = search.parameters(z)
     error = rng.normal(0.0, 0.2, (N, 1))
@@ -138,6 +138,72 @@ def test_the_sandwich_in_deviations() -> None:
     true, found = draws(0.0, 150, 0.1, 0.1)
     ratio = np.sqrt(np.diag(found) / np.diag(true))
     assert np.all((ratio > 0.85) & (ratio < 1.15)), ratio
+
+
+def quick(rng: np.random.Generator, rows: int, size: float) -> FloatArray:
+    """As a velocity's errors are, that are differences of an angle's."""
+    return np.diff(rng.normal(0.0, size / np.sqrt(2.0), (rows + 1, 1)), axis=0)
+
+
+def test_the_steady_covariance_knows_how_quick_errors_are() -> None:
+    """Slow columns see little of them, and a sum of parameters less than they do by themselves."""
+    rng = np.random.default_rng(14)
+    table = table_of(14)
+    table[..., 1] = table[..., 0] + 0.3 * rng.normal(size=(N, 1))
+    total = np.array([1.0, 1.0, 0.0])
+    fits, found = [], []
+    for _ in range(150):
+        misfit = misfit_of([table], [quick(rng, N, 0.1)], 0.1)
+        fits.append(solved(misfit))
+        found.append(confidence_of(misfit, fits[-1]))
+    true = np.cov(np.array(fits).T)
+    steady = np.mean([one.steady for one in found], axis=0)
+    ratio = np.sqrt(np.diag(steady) / np.diag(true))
+    assert np.all((ratio > 0.85) & (ratio < 1.15)), ratio
+    assert found[0].local[2, 2] > 4.0 * true[2, 2]
+    combined = np.mean([one.combined for one in found], axis=0)
+    ratio_of_total = np.sqrt(total @ combined @ total / (total @ true @ total))
+    assert 0.85 < ratio_of_total < 1.3, ratio_of_total
+    assert total @ found[0].local @ total > 4.0 * (total @ true @ total)
+
+
+def test_errors_count_as_no_smaller_than_their_deviation() -> None:
+    error = quick(np.random.default_rng(15), N, 0.1)
+    steady = [
+        confidence_of(misfit_of([table_of(15)], [error], deviation), TRUTH).steady
+        for deviation in (FAR * 0.1, 2.0 * FAR * 0.1)
+    ]
+    size = np.max(steady[0])
+    np.testing.assert_allclose(steady[1], 4.0 * steady[0], rtol=1e-3, atol=1e-3 * size)
+
+
+def test_what_the_rigid_step_told_counts_by_its_own_errors() -> None:
+    """Not by the deviations that the fit weighs it with."""
+    table = table_of(16)
+    table[..., 2] = 0.0
+    assumed, errors = 0.1, np.array([[0.25]])
+    prior = Prior(np.array([[0.0, 0.0, 1.0 / assumed]]), TRUTH[2:] / assumed, errors)
+    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.1, prior=prior), TRUTH)
+    assert np.sqrt(found.local[2, 2]) == pytest.approx(assumed)
+    assert np.sqrt(found.combined[2, 2]) == pytest.approx(0.5 * assumed, rel=0.01)
+
+
+def test_a_rigid_step_that_the_records_contradict_counts_for_less() -> None:
+    """Ten of its deviations off: that far it may be off elsewhere as well."""
+    rng = np.random.default_rng(17)
+    table, error = table_of(17), rng.normal(0.0, 0.01, (N, 1))
+    table[..., 2] = 0.0
+    assumed, told = np.array([0.1, 0.1]), np.array([0.02, 0.02])
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) / assumed[:, None]
+    found = []
+    for off in (0.0, 0.2):
+        target = (TRUTH[[0, 2]] + [off, 0.0]) / assumed
+        prior = Prior(rows, target, np.diag((told / assumed) ** 2))
+        misfit = misfit_of([table], [error], 0.01, prior=prior)
+        found.append(confidence_of(misfit, solved(misfit)))
+    assert np.sqrt(found[0].combined[2, 2]) == pytest.approx(told[1], rel=0.05)
+    # of two residuals one is ten deviations: on the whole they are sqrt(50)
+    assert np.sqrt(found[1].combined[2, 2]) == pytest.approx(np.sqrt(50.0) * told[1], rel=0.05)
 
 
 def test_local_deviations_hold_for_white_errors() -> None:
@@ -213,10 +279,10 @@ def test_deviations_count_stretches_and_scatter() -> None:
             assert np.all(told**2 >= 0.6 * scattered**2)
         if pole == 0.0:
             assert np.all(told < 1.6 * own)
-        # and correlations are those of the local one
+        # and correlations are those of the steady one
         correlations = [
             part / np.sqrt(np.outer(np.diag(part), np.diag(part)))
-            for part in (found.combined, found.local)
+            for part in (found.combined, found.steady)
         ]
         np.testing.assert_allclose(correlations[0], correlations[1], atol=1e-9)
 
@@ -243,9 +309,8 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
     explained = misfit_of([table], [error], 0.1, noise=0.1)
     z = solved(explained)
     quiet = confidence_of(explained, z)
-    np.testing.assert_allclose(
-        np.diag(quiet.combined), np.max([[0.5], [1.0]] * deviations(quiet)[:2] ** 2, axis=0)
-    )
+    larger = np.maximum(np.diag(quiet.sandwich), np.diag(quiet.steady))
+    np.testing.assert_allclose(np.diag(quiet.combined), larger)
     unexplained = replace(
         explained, records=(replace(explained.records[0], noise=np.ones(1) / 40.0),)
     )
@@ -291,7 +356,7 @@ def test_a_pair_that_is_told_only_together() -> None:
     spread = np.sqrt(np.linalg.eigvalsh(relative)[-1])
     assert groups[0][1] == pytest.approx(spread)
     # held together by what is known of their sum, they are no matter
-    prior = Prior(np.array([[0.0, 1.0, 0.0]]) * 1e3, np.array([-1e3]))
+    prior = Prior(np.array([[0.0, 1.0, 0.0]]) * 1e3, np.array([-1e3]), np.eye(1))
     held = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.2, prior=prior), TRUTH)
     assert list(only_together(["a", "b", "c"], TRUTH, held.combined)) == []
 
@@ -316,6 +381,6 @@ def test_evidence_is_never_surer_than_the_local_covariance() -> None:
     """Variances are the larger of two; correlations stay those of the combined covariance."""
     combined = np.array([[4.0, 0.6], [0.6, 1.0]])
     local = np.diag([1.0, 9.0])
-    cautious = Confidence(combined, local, combined, combined).cautious
+    cautious = Confidence(combined, local, combined, combined, combined).cautious
     np.testing.assert_allclose(np.diag(cautious), [4.0, 9.0])
     assert cautious[0, 1] / np.sqrt(4.0 * 9.0) == pytest.approx(0.6 / np.sqrt(4.0 * 1.0))

@@ -113,7 +113,7 @@ def test_only_what_is_there_stays() -> None:
 
 def test_the_unknowns_of_effects_start_small() -> None:
     study = rig(ALL)
-    base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1)))
+    base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
     values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05}
     search, begin = with_effects(base, study, values, [30.0, 8.0])
     assert search.keys[2:] == list(SIZES)
@@ -130,7 +130,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
 
 
 def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
-    empty = Search((), {}, Prior(np.zeros((0, 0)), np.zeros(0)))
+    empty = Search((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
     search, z = with_effects(empty, rig(ALL), {(COULOMB, 1): 0.05}, [30.0, 8.0])
     z[-2:] = 2.0  # both parts of the kinematic error at 2e-4 rad
     values = search.parameters(z)

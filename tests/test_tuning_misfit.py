@@ -302,7 +302,7 @@ def test_outliers_have_little_say() -> None:
 
 
 def test_the_prior_is_part_of_the_cost() -> None:
-    prior = Prior(np.array([[0.0, 20.0, 0.0]]), np.array([-30.0]))
+    prior = Prior(np.array([[0.0, 20.0, 0.0]]), np.array([-30.0]), np.eye(1))
     errors = [coloured(np.random.default_rng(6), (300, 1))]
     plain, held = linear_misfit(errors), linear_misfit(errors, prior=prior)
     z = TRUTH + np.array([0.1, 0.2, -0.1])

@@ -258,6 +258,10 @@ def test_prior_rows_weigh_what_the_rigid_model_tells(seed: int) -> None:
     p = np.array([values[key] for key in search.keys])
     found = search.prior.rows @ p - search.prior.target
     assert np.sum(found**2) == pytest.approx(expected, rel=1e-8)
+    # and e' C^-1 V C^-1 e the same of its own errors, which the floor does not widen
+    weighed = np.linalg.solve(whole, error)
+    own = found @ search.prior.errors @ found
+    assert own == pytest.approx(weighed @ covariance @ weighed, rel=1e-8)
 
 
 def test_the_floor_widens_the_prior() -> None:

@@ -230,7 +230,7 @@ class LinearRecord(Replayed):
 def linear_search(n: int, prior: Prior | None = None) -> Search:
     """Unknowns that are their own coordinates."""
     unknowns = tuple(Unknown(f"p{k}", None, "1", 0.0, 1.0, True, 1e6) for k in range(n))
-    return Search(unknowns, {}, prior or Prior(np.zeros((0, n)), np.zeros(0)))
+    return Search(unknowns, {}, prior or Prior(np.zeros((0, n)), np.zeros(0), np.zeros((0, 0))))
 
 
 def linear_record(

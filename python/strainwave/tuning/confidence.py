@@ -1,13 +1,24 @@
 """How sure a fit's parameters are: what its own noise, its stretches and its records say.
 
-Three covariances go into each parameter's deviation:
+Four covariances tell of each parameter's deviation:
 
 - local, (J'J)^-1 of rows in deviations: an upper end if the model is right, as rows are weighed by
-  how slow errors repeat, and those of a velocity are quick; a quarter of its variance is the least;
+  how slow errors repeat, and those of a velocity are quick;
 - sandwich, in which stretches of a record are as independent as they show themselves: right where
-  errors go on for longer than the rows' weights allow for;
+  errors come and go, or go on for longer than the rows' weights allow for; but some fifty stretches
+  know a variance only so well;
+- steady, a sandwich of errors that are alike from a record's first row to its last: a thousand rows
+  tell how each channel's repeat, and so how little of quick ones a slow effect sees;
 - scatter of the records, each judged by what it wants of the fit: it sees what is wrong with the
   model in different ways in different experiments.
+
+A variance is the larger one of both sandwiches, with what the scatter adds to it. Correlations are
+those of the steady one, as a sum of parameters sees other errors than each of them: that of a
+joint's viscous frictions is slow, and what is slow is told better than the rows' weights say.
+
+What the rigid step knows is weighed by deviations that are never small, so that the records have
+the last word. That makes its errors no larger: in both sandwiches they are what the rigid step
+told, and more only where the fit contradicts it.
 
 None of them sees what is wrong with the model in the same way everywhere. Its size shows all the
 same, as residuals larger than the sensors' own noise explains. Such an error does not average away
@@ -23,11 +34,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.distributions import student_quantile
-from strainwave.records import FloatArray
-from strainwave.tuning.misfit import Misfit
+from strainwave.records import FloatArray, IntArray
+from strainwave.tuning.misfit import BLOCKS, Misfit, Rows, lagged_products
 
 _NOTHING = 1e-30  # information of what no record tells of
-_LEAST_SHARE = 0.25  # of the local variance: a sandwich of some fifty stretches is uncertain
+_LEAST_SHARE = 1e-3  # of the local variance: what no record tells of shows no errors either
+_LEAST_KEPT = 1e-6  # of a variance that is left in the prior's residuals
 _UNSURE = 0.2  # share of a variance by which the noise behind it may be misjudged
 _FEWEST = 3  # records that can scatter
 _NORMAL = 1.96  # deviations of 95 %
@@ -44,6 +56,7 @@ class Confidence:
     combined: FloatArray
     local: FloatArray
     sandwich: FloatArray
+    steady: FloatArray
     scatter: FloatArray  # NaN with fewer than three records
 
     @property
@@ -71,29 +84,43 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     Returns
     -------
     Confidence
-        Correlations are those of the local one.
+        Correlations are those of the steady one.
     """
-    scores, products, curvatures = _scores(misfit, z)
-    prior = misfit.search.prior.rows @ misfit.search.slope(z)
-    known = prior.T @ prior
-    whole = np.sum(products, axis=0) + known
-    inverse = _inverse(whole)
-    blocks = np.concatenate(scores)
+    records = [
+        _evidence(own, block) for own, block in zip(misfit.rows(z), misfit.blocks(), strict=True)
+    ]
+    search, prior = misfit.search, misfit.search.prior
+    slope = search.slope(z)
+    rows = prior.rows @ slope
+    known = rows.T @ rows
+    inverse = _inverse(sum((record.product for record in records), known))
+    bread = sum((record.curvature for record in records), known)
+    unbread = _inverse(bread)
+    blocks = np.concatenate([record.gradients for record in records])
     n = len(blocks)
-    bread = np.sum(curvatures, axis=0) + known
-    sandwich = _inverse(bread) @ (n / (n - 1.0) * blocks.T @ blocks + known) @ _inverse(bread)
-    gradients = [block.sum(axis=0) for block in scores]
-    scatter, pooled = _scatter(bread, known, curvatures, gradients)
-    slope = misfit.search.slope(z)
-    parts = [slope @ part @ slope.T for part in (inverse, sandwich, scatter)]
-    own, sandwiched, scattered = (np.diag(part) for part in parts)
-    n_records = len(misfit.records)
-    variance = np.maximum(sandwiched, _LEAST_SHARE * own)
+    loud = n / (n - 1.0) * blocks.T @ blocks
+    left = prior.rows @ search.parameters(z) - prior.target
+    larger = _contradicted(prior.errors, left, rows @ unbread, rows, loud)
+    told = larger * rows.T @ prior.errors @ rows
+    sandwich = unbread @ (loud + told) @ unbread
+    steady = unbread @ sum((record.steady for record in records), told) @ unbread
+    steady = steady + _LEAST_SHARE * inverse
+    scatter, pooled = _scatter(bread, known, records)
+    local, sandwich, steady, scatter = (
+        slope @ part @ slope.T for part in (inverse, sandwich, steady, scatter)
+    )
+    own, sandwiched, steadied, scattered = (
+        np.diag(part) for part in (local, sandwich, steady, scatter)
+    )
+    n_records = len(records)
+    variance = np.maximum(sandwiched, steadied)
     if n_records >= _FEWEST:
         variance = variance + _excess(own, scattered, pooled, n_records)
+    products = [record.product for record in records]
     variance = variance * (1.0 + n_records * _beyond_noise(misfit, products, inverse))
-    raised = np.sqrt(np.divide(variance, own, out=np.ones_like(own), where=own > 0.0))
-    return Confidence(parts[0] * np.outer(raised, raised), *parts)
+    ones = np.ones_like(variance)
+    raised = np.sqrt(np.divide(variance, steadied, out=ones, where=steadied > 0.0))
+    return Confidence(steady * np.outer(raised, raised), local, sandwich, steady, scatter)
 
 
 def _excess(own: FloatArray, scattered: FloatArray, pooled: float, n_records: int) -> FloatArray:
@@ -109,31 +136,89 @@ def _excess(own: FloatArray, scattered: FloatArray, pooled: float, n_records: in
     return np.asarray(np.maximum((scattered - own) * counted, own * (pooled - 1.0) * student))
 
 
-def _scores(
-    misfit: Misfit, z: FloatArray
-) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
-    """Each record's gradients, stretch by stretch, its part of J'J, and the loss's curvature.
+@dataclass(frozen=True, slots=True)
+class _Evidence:
+    """What one record says of the unknowns."""
+
+    gradients: FloatArray  # (n_stretches, n_unknowns) of the loss
+    product: FloatArray  # (n_unknowns, n_unknowns) its part of J'J
+    curvature: FloatArray  # (n_unknowns, n_unknowns) how the loss bends
+    steady: FloatArray  # (n_unknowns, n_unknowns) of the gradient, its errors alike throughout
+
+
+def _evidence(rows: Rows, block: IntArray) -> _Evidence:
+    """Of one record, its own unknowns at their best.
 
     Weights (1 + r^2)^(-1/2) give the gradient of the soft L1 loss; it bends as (1 + r^2)^(-3/2).
     """
-    scores, products, curvatures = [], [], []
-    for rows, block in zip(misfit.rows(z), misfit.blocks(), strict=True):
-        n = rows.shared.shape[2]
-        table = np.concatenate([rows.local, rows.shared], axis=2) * rows.root[..., None]
-        width = table.shape[1]
-        flat = table.reshape(-1, table.shape[2])
-        local, shared = flat[:, :-n], flat[:, -n:]
-        own = np.linalg.lstsq(local, shared)[0]
-        shared = shared - local @ own  # what the record's own unknowns cannot imitate
-        each = shared * (rows.residual * rows.root).reshape(-1, 1)
-        labels, at = np.unique(np.repeat(block, width), return_inverse=True)
-        sums = np.zeros((len(labels), n))
-        np.add.at(sums, at, each)
-        scores.append(sums)
-        products.append(shared.T @ shared)
-        bent = shared / np.sqrt(1.0 + rows.residual.reshape(-1, 1) ** 2)
-        curvatures.append(bent.T @ bent)
-    return scores, products, curvatures
+    n = rows.shared.shape[2]
+    table = np.concatenate([rows.local, rows.shared], axis=2) * rows.root[..., None]
+    width = table.shape[1]
+    flat = table.reshape(-1, table.shape[2])
+    local, shared = flat[:, :-n], flat[:, -n:]
+    own = np.linalg.lstsq(local, shared)[0]
+    shared = shared - local @ own  # what the record's own unknowns cannot imitate
+    each = shared * (rows.residual * rows.root).reshape(-1, 1)
+    labels, at = np.unique(np.repeat(block, width), return_inverse=True)
+    sums = np.zeros((len(labels), n))
+    np.add.at(sums, at, each)
+    bend = np.sqrt(1.0 + rows.residual**2)
+    bent = shared / bend.reshape(-1, 1)
+    columns = shared.reshape(-1, width, n) * (rows.root * bend)[..., None]
+    return _Evidence(sums, shared.T @ shared, bent.T @ bent, _steady(columns, rows.residual))
+
+
+def _steady(columns: FloatArray, residual: FloatArray) -> FloatArray:
+    """Covariance of a record's gradient if each channel's errors are alike in all its rows.
+
+    Autocovariances up to a stretch's length, tapered (Newey and West, 1987), make a power spectrum,
+    which weighs the columns' own.
+    """
+    n, n_channels, n_unknowns = columns.shape
+    reach = max(1, n // BLOCKS)
+    around = 2 * ((n + reach + 1) // 2)
+    taper = 1.0 - np.arange(reach) / reach
+    twice = np.full(around // 2 + 1, 2.0)  # lines above and below zero
+    twice[[0, -1]] = 1.0
+    found = np.zeros((n_unknowns, n_unknowns))
+    for k in range(n_channels):
+        lags = np.zeros(around)
+        lags[:reach] = taper * _autocovariance(residual[:, k])[:reach]
+        lags[around - reach + 1 :] = lags[1:reach][::-1]
+        power = np.maximum(np.fft.rfft(lags).real, 0.0)
+        lines = np.fft.rfft(columns[:, k], around, axis=0)
+        lines *= np.sqrt(twice * power / around)[:, None]
+        found += lines.real.T @ lines.real + lines.imag.T @ lines.imag
+    return found
+
+
+def _autocovariance(residual: FloatArray) -> FloatArray:
+    """Of the loss's slope: (n_rows,). Errors count as no smaller than their deviation.
+
+    That of a motor at rest, or of a record without noise, is more than what they show.
+    """
+    n, size = len(residual), float(np.var(residual))
+    if size == 0.0:
+        return np.asarray(np.eye(1, n)[0])
+    _, lagged = lagged_products(residual / np.sqrt(1.0 + residual**2))
+    return np.asarray(lagged / (n * min(1.0, size)))
+
+
+def _contradicted(
+    errors: FloatArray, left: FloatArray, answer: FloatArray, rows: FloatArray, meat: FloatArray
+) -> float:
+    """How many times larger the prior's residuals are than its errors explain, in squares.
+
+    The fit answers errors e of the prior, whose rows are G, and gradients g of the records by
+    B (G' e + g), B the inverse of all information: of e it leaves (I - G B G') e - G B g. A mean
+    over all rows, never less than one.
+    """
+    if not len(left):
+        return 1.0
+    kept = np.eye(len(left)) - answer @ rows.T
+    expected = np.diag(kept @ errors @ kept.T + answer @ meat @ answer.T)
+    expected = np.maximum(expected, _LEAST_KEPT * np.diag(errors))
+    return max(1.0, float(np.mean(left**2 / expected)))
 
 
 def _beyond_noise(
@@ -147,10 +232,7 @@ def _beyond_noise(
 
 
 def _scatter(
-    whole: FloatArray,
-    known: FloatArray,
-    products: Sequence[FloatArray],
-    gradients: Sequence[FloatArray],
+    whole: FloatArray, known: FloatArray, records: Sequence[_Evidence]
 ) -> tuple[FloatArray, float]:
     """Covariance of the fit from the gradients of whole records, and their average excess.
 
@@ -159,16 +241,18 @@ def _scatter(
     raised by (I - A)^(-1/2), after which a right model makes the scatter the local covariance
     (Bell and McCaffrey, 2002). A jackknife raises it by (I - A)^-1, which for a parameter that one
     record alone tells is beyond all bounds. The average excess is the mean square of the raised
-    gradients over all records and directions, beside what is expected; never less than one.
+    gradients over all records and directions, beside what is expected; never less than one. The
+    prior counts as it does in the local covariance, beside which the scatter is set.
     """
-    if len(products) < _FEWEST:
+    if len(records) < _FEWEST:
         return np.full_like(whole, np.nan), 1.0
     unscale = _root_of(_inverse(whole))  # L^-T, whose square is the inverse
     meat = unscale.T @ known @ unscale
     squares = expected = 0.0
-    for own, gradient in zip(products, gradients, strict=True):
-        leverage, vectors = np.linalg.eigh(unscale.T @ own @ unscale)
+    for record in records:
+        leverage, vectors = np.linalg.eigh(unscale.T @ record.curvature @ unscale)
         left = np.sqrt(np.maximum(1.0 - leverage, _LEAST_LEFT))
+        gradient = record.gradients.sum(axis=0)
         raised = vectors @ (vectors.T @ (unscale.T @ gradient) / left)
         meat = meat + np.outer(raised, raised)
         squares += float(raised @ raised)

@@ -11,7 +11,7 @@ from strainwave.closed_loop import with_known_effects
 from strainwave.parameters import EFFECT_PARAMETERS, Values, unit_of
 from strainwave.records import Caution, Effect, FloatArray, Study
 from strainwave.tuning.replayed import Replayed
-from strainwave.tuning.unknowns import COULOMB, Key, Prior, Search, Unknown
+from strainwave.tuning.unknowns import COULOMB, Key, Search, Unknown
 
 Tried = tuple[int, Effect]
 """A joint, from 1, and an effect that it may have."""
@@ -96,7 +96,7 @@ def with_effects(
         more.append(Unknown(name, own, unit, start, scale, signed, _FAR))
     rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
     unknowns = (*search.unknowns, *more)
-    found = Search(unknowns, search.fixed, Prior(rows, search.prior.target))
+    found = Search(unknowns, search.fixed, replace(search.prior, rows=rows))
     return found, found.coordinates(values | starts)
 
 
@@ -114,7 +114,7 @@ def without(search: Search, effects: Collection[Tried]) -> Search:
     """
     gone = {(name, j) for j, effect in effects for name in EFFECT_PARAMETERS[effect]}
     kept = [k for k, key in enumerate(search.keys) if key not in gone]
-    prior = Prior(search.prior.rows[:, kept], search.prior.target)
+    prior = replace(search.prior, rows=search.prior.rows[:, kept])
     return Search(tuple(search.unknowns[k] for k in kept), search.fixed, prior)
 
 

@@ -61,10 +61,14 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What the rigid step knows: linear combinations of the unknowns, with correlated errors."""
+    """What the rigid step knows: linear combinations of the unknowns, with correlated errors.
+
+    Whitened by deviations that have a least.
+    """
 
     rows: FloatArray  # (n_rows, n_unknowns), whitened
     target: FloatArray  # (n_rows,), whitened
+    errors: FloatArray  # (n_rows, n_rows) their covariance, less than one by what that least adds
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +169,7 @@ class Search:
         return Search(
             tuple(self.unknowns[k] for k in kept),
             {**self.fixed, **values},
-            Prior(self.prior.rows[:, kept], target),
+            replace(self.prior, rows=self.prior.rows[:, kept], target=target),
         )
 
     def _knees(self) -> list[tuple[int, int]]:
@@ -313,9 +317,8 @@ def with_curves(search: Search, study: Study, largest_torque: Sequence[float]) -
         for name, start, scale in zip(KNEES, (low, high), (low, high - low), strict=True):
             unknowns.append(Unknown(name, unknown.joint, unit, start, scale, False, _VERY_FAR))
             columns.append(np.zeros_like(column))
-    return Search(
-        tuple(unknowns), search.fixed, Prior(np.column_stack(columns), search.prior.target)
-    )
+    prior = replace(search.prior, rows=np.column_stack(columns))
+    return Search(tuple(unknowns), search.fixed, prior)
 
 
 def with_settling(search: Search) -> Search:
@@ -334,7 +337,7 @@ def with_settling(search: Search) -> Search:
         Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _VERY_FAR) for j in joints
     ]
     rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
-    return Search((*search.unknowns, *more), search.fixed, Prior(rows, search.prior.target))
+    return Search((*search.unknowns, *more), search.fixed, replace(search.prior, rows=rows))
 
 
 def _unit(name: str) -> str:
@@ -423,13 +426,14 @@ def _prior(model: RigidModel | None, keys: Sequence[Key], study: Study, floor: f
         if p.value is not None and np.isfinite(model.covariance[k, k] if model else np.nan)
     ]
     if model is None or not told:
-        return Prior(np.zeros((0, len(keys))), np.zeros(0))
+        return Prior(np.zeros((0, len(keys))), np.zeros(0), np.zeros((0, 0)))
     names = [(model.parameters[k].name, model.parameters[k].joint) for k in told]
     rows = np.array([combination(keys, _parts(name, study)) for name in names])
     mean = model.solution[told]
-    covariance = model.covariance[np.ix_(told, told)] + np.diag((floor * np.abs(mean)) ** 2)
-    factor = np.linalg.cholesky(covariance)
-    return Prior(np.linalg.solve(factor, rows), np.linalg.solve(factor, mean))
+    covariance = model.covariance[np.ix_(told, told)]
+    factor = np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2))
+    errors = np.linalg.solve(factor, np.linalg.solve(factor, covariance).T)
+    return Prior(np.linalg.solve(factor, rows), np.linalg.solve(factor, mean), errors)
 
 
 def _parts(name: Key, study: Study) -> dict[Key, float]:
