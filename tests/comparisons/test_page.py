@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
 from results import identification
 from strainwave import cli, virtual
@@ -96,10 +97,7 @@ def test_one_line_a_figure(comparisons: Found) -> None:
 
 
 def test_quick_leaves_the_comparisons_out(
-    comparisons: Found,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    comparisons: Found, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: list[object] = []
 
@@ -113,9 +111,10 @@ def test_quick_leaves_the_comparisons_out(
         (["--quick"], set()),
         ([], {"comparisons.html", "comparisons.json"}),
     ):
-        assert cli.run(["demo", "--out", str(tmp_path), *arguments]) == cli.DONE
+        done = CliRunner().invoke(cli.app, ["demo", "--out", str(tmp_path), *arguments])
+        assert done.exit_code == 0, done.output
         assert {path.name for path in tmp_path.iterdir()} == expected
-        assert ("Fig. 15" in capsys.readouterr().out) == bool(expected)
+        assert ("Fig. 15" in done.output) == bool(expected)
     assert given == [None]
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import studies
 from results import identification, prediction
@@ -43,20 +44,19 @@ def test_a_missing_matplotlib_is_said_before_the_work(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     study = [str(studies.write(tmp_path))] if command == "identify" else []
     out = tmp_path / "out"
-    with pytest.raises(InvalidInput, match=r"strainwave\[plot\]"):
-        cli.run([command, *study, "--out", str(out), "--figures"])
+    done = CliRunner().invoke(cli.app, [command, *study, "--out", str(out), "--figures"])
+    assert isinstance(done.exception, InvalidInput)
+    assert "strainwave[plot]" in str(done.exception)
     assert not out.exists()
 
 
-def test_the_command_writes_figures_and_says_where(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_figures_and_says_where(tmp_path: Path) -> None:
     study = str(studies.write(tmp_path, studies.STUDY.replace('use = "motion"', 'use = "sweep"')))
     out = tmp_path / "out"
     given: list[bool] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipeline, "write", lambda *_, figures: given.append(figures))
         for flags in ([], ["--figures"]):
-            cli.run(["identify", study, "--out", str(out), *flags])
-            assert ("figures" in capsys.readouterr().out) == bool(flags)
+            done = CliRunner().invoke(cli.app, ["identify", study, "--out", str(out), *flags])
+            assert ("figures" in done.output) == bool(flags)
     assert given == [False, True]
