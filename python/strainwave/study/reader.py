@@ -1,8 +1,7 @@
 """Tables of a study file -> records, each value checked where it stands.
 
-The records' own annotations are the constraints. A value that is plainly of its field's type
-passes. Pydantic, which takes longer to import than a study to read, is asked about any other, and
-says what is wrong with it.
+The records' own annotations are the constraints: pydantic checks each value against the type its
+field has in `strainwave.records`.
 """
 
 from __future__ import annotations
@@ -12,19 +11,13 @@ import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
-
-from annotated_types import Ge, Gt, MinLen
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from strainwave.errors import InvalidInput
 from strainwave.files import nearest
 from strainwave.records import Arm, Channel, Experiment, Joint, Servo, Study, TopicChannel
 
 T = TypeVar("T")
-
-_UNSURE = object()  # in place of a value that is not plainly right
-_EXACT = 2**53  # integers below it are the same as numbers with a point
 
 _TABLES = {
     "arm": Arm,
@@ -94,7 +87,7 @@ class Reader:
         """One table as a record, each value checked against its field's annotation."""
         fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
         self._known_keys(table, fields, name, index)
-        hints = _hints(kind)  # type: ignore[arg-type]
+        hints = get_type_hints(kind, include_extras=True)
         values = {}
         for key, field in fields.items():
             if key in table:
@@ -111,26 +104,13 @@ class Reader:
         return kind(**values)
 
     def _value(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
+        from pydantic import ValidationError
+
         inner: list[type] = [part for part in get_args(hint) if dataclasses.is_dataclass(part)]  # type: ignore[misc]
         if inner and isinstance(value, dict):
             return self.record(inner[0], value, name, index)
-        checked = _plain(value, hint)
-        if checked is _UNSURE:
-            checked = self._judged(value, hint, name, index, key)
-        if _not_finite(checked):
-            raise InvalidInput(
-                f"'{key}' is {_shown(value)}",
-                where=self.place(name, index, key),
-                remedy="give a finite number",
-            )
-        return checked
-
-    def _judged(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
-        """What pydantic makes of a value."""
-        from pydantic import ValidationError
-
         try:
-            return _adapter(hint).validate_python(_tuples(value), strict=True)
+            checked = _adapter(hint).validate_python(_tuples(value), strict=True)
         except (ValidationError, RecursionError) as error:
             said = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "too deep"
             said = said.replace("Input should be ", "it should be ")
@@ -139,6 +119,13 @@ class Reader:
                 where=self.place(name, index, key),
                 remedy="mend the value",
             ) from error
+        if _not_finite(checked):
+            raise InvalidInput(
+                f"'{key}' is {_shown(value)}",
+                where=self.place(name, index, key),
+                remedy="give a finite number",
+            )
+        return checked
 
     def _channels(self, table: Mapping[str, Any]) -> dict[str, Channel]:
         channels = {}
@@ -215,41 +202,6 @@ class Reader:
             elif inside and key and re.match(rf'["\']?{re.escape(key)}["\']?\s*[=.]', stripped):
                 return number
         return header
-
-
-@cache
-def _hints(kind: type) -> dict[str, Any]:
-    return get_type_hints(kind, include_extras=True)
-
-
-def _plain(value: Any, hint: Any) -> Any:
-    """The value as its field takes it, if that is plain to see; else `_UNSURE`."""
-    origin, parts = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        base, *limits = parts
-        checked = _plain(value, base)
-        return checked if all(_within(checked, limit) for limit in limits) else _UNSURE
-    if origin in (Union, UnionType):
-        found = (_plain(value, part) for part in parts)
-        return next((checked for checked in found if checked is not _UNSURE), _UNSURE)
-    if origin is Literal:
-        return value if type(value) is str and value in parts else _UNSURE
-    if origin is tuple and parts[1:] == (...,) and type(value) is list:
-        items = tuple(_plain(item, parts[0]) for item in value)
-        return _UNSURE if _UNSURE in items else items
-    if hint is float and type(value) is int and abs(value) < _EXACT:
-        return float(value)
-    return value if hint in (float, int, str, bool, NoneType) and type(value) is hint else _UNSURE
-
-
-def _within(value: Any, limit: Any) -> bool:
-    if value is _UNSURE:
-        return False
-    if isinstance(limit, Gt):
-        return bool(value > limit.gt)
-    if isinstance(limit, Ge):
-        return bool(value >= limit.ge)
-    return isinstance(limit, MinLen) and len(value) >= limit.min_length
 
 
 @cache
