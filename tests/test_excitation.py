@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import max_len_seq
 
 from strainwave import excitation
 from strainwave.errors import InvalidInput
@@ -21,6 +22,13 @@ def test_prbs_has_the_autocorrelation_of_a_maximum_length_sequence(
     expected = np.full(n, -1.0)
     expected[0] = n
     np.testing.assert_allclose(correlation, expected, atol=1e-11 * n)
+
+
+@pytest.mark.parametrize("order", range(2, 18))
+def test_prbs_is_scipys_sequence(order: int) -> None:
+    bits, _ = max_len_seq(order)
+    one = excitation.prbs(Prbs(order, 1e-3, 1, 1.0))
+    np.testing.assert_array_equal(one, 2.0 * bits - 1.0)
 
 
 def test_prbs_repeats_its_period() -> None:

@@ -6,11 +6,22 @@ next tick. Randomness is an argument.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.records import ComplexArray, FloatArray, IntArray, Prbs
+from strainwave.records import BoolArray, ComplexArray, FloatArray, IntArray, Prbs
 
+# Places of a shift register that feed back beside its first, by its length: exponents of primitive
+# polynomials.
+_FEEDBACK: Mapping[int, tuple[int, ...]] = {
+    **{2: (1,), 3: (2,), 4: (3,), 5: (3,), 6: (5,), 7: (6,), 8: (7, 6, 1), 9: (5,), 10: (7,)},
+    **{11: (9,), 12: (11, 10, 4), 13: (12, 11, 8), 14: (13, 12, 2), 15: (14,), 16: (15, 13, 4)},
+    **{17: (14,), 18: (11,), 19: (18, 17, 14), 20: (17,), 21: (19,), 22: (21,), 23: (18,)},
+    **{24: (23, 22, 17), 25: (22,), 26: (25, 24, 20), 27: (26, 25, 22), 28: (25,), 29: (27,)},
+    **{30: (29, 28, 7), 31: (28,), 32: (31, 30, 10)},
+}
 _CLIPPINGS = 300  # the crest has then settled within a few per cent
 _CLIPPED_AT = 0.85  # of the peak; lower is faster at first and worse in the end
 
@@ -37,14 +48,34 @@ def prbs(sequence: Prbs) -> FloatArray:
     InvalidInput
         The order is not one that has a tabulated feedback polynomial (2 to 32).
     """
-    from scipy.signal import max_len_seq
-
-    if not 2 <= sequence.order <= 32:
+    if sequence.order not in _FEEDBACK:
         raise InvalidInput(
             f"a PRBS of order {sequence.order} is not available", remedy="choose 2 to 32"
         )
-    bits, _ = max_len_seq(sequence.order)
+    bits = _maximum_length(sequence.order)
     return np.tile(sequence.amplitude * (2.0 * bits - 1.0), sequence.periods)
+
+
+def _maximum_length(order: int) -> BoolArray:
+    """What a shift register that begins full of ones gives out, (2**order - 1,).
+
+    b[k + n] = b[k] xor b[k + t] xor ... for the places t that feed back. Squared, a polynomial over
+    bits keeps its terms at twice their exponents: the same holds for 2n and 2t, and so on, so that
+    each round makes more bits at once. (SciPy has this sequence too, but half a second is needed to
+    import it.)
+    """
+    places, period = _FEEDBACK[order], 2**order - 1
+    bits = np.ones(order, dtype=bool)
+    apart = 1
+    while len(bits) < period:
+        if 2 * apart * order <= len(bits):
+            apart *= 2
+        first, n = len(bits) - apart * order, apart * (order - max(places))
+        new = bits[first : first + n].copy()
+        for place in places:
+            new ^= bits[first + apart * place :][:n]
+        bits = np.concatenate([bits, new])
+    return bits[:period]
 
 
 def multisine(
