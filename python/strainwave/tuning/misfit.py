@@ -54,13 +54,28 @@ class Evaluated:
     """One record at one point: differences in the channels' units, with derivatives."""
 
     difference: FloatArray  # (n_rows, n_channels) simulated less measured
-    shared: FloatArray  # (n_rows, n_channels, n_unknowns) by the coordinates
-    local: FloatArray  # (n_rows, n_channels, n_own) by the record's own unknowns
+    columns: FloatArray  # (n_rows, n_channels, n_own + n_unknowns) by its own, then by the shared
+    own: FloatArray  # (n_own,) where the record's own unknowns are
+
+    @property
+    def n_own(self) -> int:
+        """Unknowns of the record alone."""
+        return len(self.own)
+
+    @property
+    def local(self) -> FloatArray:
+        """By the record's own unknowns: (n_rows, n_channels, n_own)."""
+        return self.columns[..., : self.n_own]
+
+    @property
+    def shared(self) -> FloatArray:
+        """By the coordinates: (n_rows, n_channels, n_unknowns)."""
+        return self.columns[..., self.n_own :]
 
     def beginning(self, weights: Weights) -> Linearised:
         """The cost with its least squares problem in the record's own unknowns alone."""
         residual = self.difference / weights.deviation
-        root = _root(residual, weights)
+        root = np.sqrt(_weight(residual, weights))
         table = np.concatenate(
             [self.local / weights.deviation[:, None], residual[..., None]], axis=2
         )
@@ -71,18 +86,17 @@ class Evaluated:
     def weighted(self, weights: Weights) -> Rows:
         """Divided by their deviations, the record's own unknowns at their best."""
         begun = self.difference / weights.deviation
-        local = self.local / weights.deviation[:, None]
-        columns = local.reshape(begun.size, -1)
-        residual, root = begun, _root(begun, weights)
-        step = np.zeros(columns.shape[1])
-        apart = bool(len(step)) and int(np.count_nonzero(columns, axis=1).max()) == 1
-        for _ in range(_ROUNDS if len(step) else 0):
-            step = _solved(columns, -begun.ravel(), root.ravel(), apart=apart)
+        columns = (self.local / weights.deviation[:, None]).reshape(begun.size, -1)
+        residual, weight = begun, _weight(begun, weights)
+        step = np.zeros(self.n_own)
+        apart = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
+        for _ in range(_ROUNDS if self.n_own else 0):
+            step = _solved(columns, -begun.ravel(), weight.ravel(), apart=apart)
             before, residual = residual, begun + (columns @ step).reshape(begun.shape)
-            root = _root(residual, weights)
+            weight = _weight(residual, weights)
             if np.max(np.abs(residual - before)) < _STAYS:
                 break
-        return Rows(residual, root, self.shared / weights.deviation[:, None], local, step)
+        return Rows(residual, np.sqrt(weight), self, weights.deviation, step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +105,19 @@ class Rows:
 
     residual: FloatArray  # (n_rows, n_channels) in deviations
     root: FloatArray  # (n_rows, n_channels) square roots of the robust weights
-    shared: FloatArray  # (n_rows, n_channels, n_unknowns)
-    local: FloatArray  # (n_rows, n_channels, n_own)
+    evaluated: Evaluated
+    deviation: FloatArray  # (n_channels,)
     step: FloatArray  # (n_own,) by which the record's own unknowns have moved
+
+    @property
+    def local(self) -> FloatArray:
+        """By the record's own unknowns, in deviations: (n_rows, n_channels, n_own)."""
+        return np.asarray(self.evaluated.local / self.deviation[:, None])
+
+    @property
+    def shared(self) -> FloatArray:
+        """By the coordinates, in deviations: (n_rows, n_channels, n_unknowns)."""
+        return np.asarray(self.evaluated.shared / self.deviation[:, None])
 
     def factor(self, least_bend: float) -> FloatArray:
         """R of [shared residual] in what the record's own unknowns cannot imitate.
@@ -103,10 +127,12 @@ class Rows:
         """
         square = self.root**2
         bend = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
-        bend = np.maximum(bend, least_bend)[:, None]
-        parts = [bend * self.local, bend * self.shared, self.residual[..., None]]
-        table = np.concatenate(parts, axis=2) * (self.root[..., None] / np.sqrt(bend))
-        n = len(self.step)
+        bend = np.sqrt(np.maximum(bend, least_bend))
+        columns, n = self.evaluated.columns, len(self.step)
+        table = np.empty((*self.residual.shape, columns.shape[2] + 1))
+        scale = self.root * (bend / self.deviation)
+        np.multiply(columns, scale[..., None], out=table[..., :-1])
+        np.multiply(self.residual, self.root / bend, out=table[..., -1])
         return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
 
     def cost(self, weights: Weights) -> float:
@@ -121,6 +147,10 @@ class _Memory:
     own: list[FloatArray]
     last: tuple[bytes, list[Evaluated]] | None = None
     rows: tuple[bytes, tuple[Weights, ...], list[Rows]] | None = None
+
+    def shift(self, k: int, n_begin: int, best: FloatArray) -> None:
+        """Begin the next search for a record's constants where the last one ended."""
+        self.own[k] = np.concatenate([self.own[k][:n_begin], best[n_begin:]])
 
 
 @dataclass(frozen=True)
@@ -151,7 +181,7 @@ class Misfit:
             spread = _FIRST * np.std(record.measured, axis=0)
             size = np.maximum(spread, record.noise)
             weights.append(Weights(size, np.ones(len(size))))
-        own = [np.concatenate([r.start(), np.zeros(_shifts(r).shape[2])]) for r in records]
+        own = [np.concatenate([r.start(), np.zeros(_shifts(r).shape[1])]) for r in records]
         return cls(search, tuple(records), tuple(weights), _Memory(own), guessed=True)
 
     def linearise(self, z: FloatArray) -> Linearised | None:
@@ -160,6 +190,7 @@ class Misfit:
 
         def linearised(k: int, evaluated: Evaluated) -> tuple[Rows, Linearised]:
             rows = evaluated.weighted(self.weights[k])
+            self.memory.shift(k, len(self.records[k].local), evaluated.own + rows.step)
             return rows, Linearised(rows.cost(self.weights[k]), rows.factor(least))
 
         try:
@@ -291,14 +322,13 @@ class Misfit:
 
     def _begun(self, record: Replayed, z: FloatArray, own: FloatArray) -> Evaluated:
         n_begin, n = len(record.local), len(self.search.unknowns)
-        values = self.search.values(z)
-        seen, tangent = record.linearised(values, own[:n_begin], self.search.keys)
+        seen, tangent = record.linearised(self.search.values(z), own[:n_begin], self.search.keys)
         shifts = _shifts(record)
-        return Evaluated(
-            seen + shifts[0] @ own[n_begin:] - record.measured,
-            (tangent[..., :n].reshape(-1, n) @ self.search.slope(z)).reshape(*seen.shape, n),
-            np.concatenate([tangent[..., n:], shifts], axis=2),
-        )
+        columns = np.empty((*seen.shape, len(own) + n))
+        columns[..., :n_begin] = tangent[..., n:]
+        columns[..., n_begin : len(own)] = shifts
+        columns[..., len(own) :] = tangent[..., :n] @ self.search.slope(z)
+        return Evaluated(seen + shifts @ own[n_begin:] - record.measured, columns, own.copy())
 
     def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""
@@ -306,12 +336,13 @@ class Misfit:
 
 
 def _solved(
-    columns: FloatArray, target: FloatArray, root: FloatArray, *, apart: bool
+    columns: FloatArray, target: FloatArray, weight: FloatArray, *, apart: bool
 ) -> FloatArray:
     """Weighted least squares; of columns that no row has two of, each is a weighted mean."""
     if not apart:
+        root = np.sqrt(weight)
         return np.asarray(np.linalg.lstsq(columns * root[:, None], target * root)[0])
-    weighed = columns * np.square(root)[:, None]
+    weighed = columns * weight[:, None]
     return np.asarray((target @ weighed) / np.einsum("ij,ij->j", columns, weighed))
 
 
@@ -321,17 +352,17 @@ def _loss(residual: FloatArray, weights: Weights) -> float:
     return float(np.sum(loss / weights.repeats))
 
 
-def _root(residual: FloatArray, weights: Weights) -> FloatArray:
-    """Roots of the weights (1 + r^2)^(-1/2) of the soft L1 loss, over the repetitions."""
-    return np.asarray(1.0 / np.sqrt(np.sqrt(1.0 + residual**2) * weights.repeats))
+def _weight(residual: FloatArray, weights: Weights) -> FloatArray:
+    """Weights (1 + r^2)^(-1/2) of the soft L1 loss, over the repetitions."""
+    return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.repeats))
 
 
 def _shifts(record: Replayed) -> FloatArray:
-    """Columns of the unknown constants: (n_rows, n_channels, n_constants), alike in every row."""
+    """Columns of the unknown constants, alike in every row: (n_channels, n_constants)."""
     own = [k for k, channel in enumerate(record.channels) if channel.shifted]
     columns = np.zeros((len(record.channels), len(own)))
     columns[own, range(len(own))] = 1.0
-    return np.broadcast_to(columns, (len(record.time), *columns.shape))
+    return columns
 
 
 def _repeats(column: FloatArray) -> float:

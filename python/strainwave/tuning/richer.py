@@ -92,8 +92,8 @@ def _bordered(fit: Fit, study: Study, keys: Sequence[Key]) -> FloatArray:
     def factor(k: int, record: Replayed, evaluated: Evaluated) -> FloatArray:
         begun = misfit.memory.own[k][: len(record.local)]
         _, tangent = record.linearised(values, begun, keys)
-        shared = np.concatenate([evaluated.shared, tangent[..., : len(keys)]], axis=2)
-        whole = replace(evaluated, shared=shared)
+        columns = np.concatenate([evaluated.columns, tangent[..., : len(keys)]], axis=2)
+        whole = replace(evaluated, columns=columns)
         return whole.weighted(misfit.weights[k]).factor(LEAST_BEND)
 
     evaluated = enumerate(zip(rich, misfit.evaluate(fit.z), strict=True))
