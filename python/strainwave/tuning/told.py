@@ -93,7 +93,8 @@ def _curves_told(
     """For each slope and knee the unknown that holds it, or None where no record reaches it.
 
     A knee between two slopes that are one, or beyond the largest torque, is none: what lies behind
-    it moves up, and the last of its kind is not told.
+    it moves up, and the last of its kind is not told. Of two slopes that are one the better known
+    stands for both.
     """
     search = fit.misfit.search
     at = {key: k for k, key in enumerate(search.keys)}
@@ -109,9 +110,13 @@ def _curves_told(
             apart = abs(values[b] - values[a])
             spread = np.sqrt(covariance[a, a] + covariance[b, b] - 2.0 * covariance[a, b])
             bends = apart > max(_BENDS * values[a], _EVIDENT * spread)
-            if bends and values[at[knee, joint]] < largest:
+            if values[at[knee, joint]] >= largest:
+                continue
+            if bends:
                 slopes.append((name, joint))
                 knees.append((knee, joint))
+            elif covariance[b, b] < covariance[a, a]:
+                slopes[-1] = (name, joint)
         for names, found in ((CURVE, slopes), (KNEES, knees)):
             for k, name in enumerate(names):
                 told[name, joint] = found[k] if k < len(found) else None
