@@ -10,7 +10,7 @@ import pytest
 from joint_records import Case, case
 from strainwave.errors import NotIdentifiable
 from strainwave.parameters import unit_of
-from strainwave.physical import PhysicalOptions, identify_joint
+from strainwave.physical import PhysicalOptions, fit_joint, identify_joint
 from strainwave.physical.told import cautions_of, parameters_of
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.records import FloatArray, Joint, JointModel
@@ -76,6 +76,23 @@ def test_two_records_at_once_are_no_worse() -> None:
     once = vector_of(found_in(one))[WELL_TOLD]
     assert vector_of(twice)[WELL_TOLD] == pytest.approx(once, rel=1e-3)
     assert twice.experiments == ("prbs", "prbs")
+
+
+def test_a_record_alone_starts_from_all_and_ends_where_it_would() -> None:
+    one = case(*CASES[0])
+    ((signals, decoupled),) = one.records
+    name = signals.experiment.name
+    again = replace(signals, experiment=replace(signals.experiment, name="again"))
+    both = fit_joint([(signals, decoupled), (again, decoupled)], one.model, one.study)
+    alone = found_in(one)
+    for each in (name, "again"):
+        found = both.of_record(each)
+        assert found.experiments == (each,)
+        std = np.sqrt(np.diag(alone.covariance))
+        assert np.abs((vector_of(found) - vector_of(alone)) / std[: len(NAMES)]).max() < 0.1
+        np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.1)
+    single = fit_joint(one.records, one.model, one.study)
+    assert single.of_record(name) is single.model
 
 
 def test_the_rigid_models_errors_are_counted() -> None:

@@ -25,6 +25,7 @@ import numpy as np
 from strainwave import least_squares as ls
 from strainwave.errors import NotIdentifiable
 from strainwave.filters import band_pass, differentiate, lagged
+from strainwave.physical.linear import same_band
 from strainwave.physical.two_inertia import (
     NAMES,
     TwoInertia,
@@ -148,11 +149,10 @@ class Solved:
         Solved
             In bands of its own where it rings elsewhere.
         """
-        if len(self.records) == 1:
-            return self
         record, known = self.records[k : k + 1], self.known.of_record(k)
         own = _settled(self.own.of_record(k, known), known, _SETTLED)
-        if not _same(self.band, _band_around(_joint_of(own), record, self.band)):
+        better = _band_around(_joint_of(own), record, self.band)
+        if not same_band(self.band, better, _SAME_BAND):
             return solve(record, self.study, known, search_from_hz=self.band)
         beside = [_settled(each.of_record(k, known), known, _NEARLY) for each in self.beside]
         return Solved(record, self.study, known, self.band, own, tuple(beside))
@@ -198,7 +198,7 @@ def solve(
     for _ in range(0 if band_hz else _BANDS - 1):
         equations = _settled(equations, known, _ROUGHLY)
         better = _band_around(_joint_of(equations), records, band)
-        if _same(band, better):
+        if same_band(band, better, _SAME_BAND):
             break
         band = better
         equations = _equations(records, study, known, band, equations)
@@ -214,10 +214,6 @@ def _other_bands(band: tuple[float, float]) -> tuple[tuple[float, float], tuple[
     """A narrower one and a wider one."""
     low, high = band
     return (low * _OTHER_BAND, high / _OTHER_BAND), (low / _OTHER_BAND, high * _OTHER_BAND)
-
-
-def _same(band: tuple[float, float], other: tuple[float, float]) -> bool:
-    return all(abs(a / b - 1.0) < _SAME_BAND for a, b in zip(band, other, strict=True))
 
 
 def _model_error(moves: Sequence[FloatArray]) -> FloatArray:

@@ -107,7 +107,7 @@ def state_space_of(
     if not (whole and found.anti_resonance and found.resonance):
         return model
     better = band_around(found.anti_resonance.frequency_hz, found.resonance.frequency_hz, joint)
-    return model if _same(band, better, _FAR_OFF) else _model(joint, better, chosen)
+    return model if same_band(band, better, _FAR_OFF) else _model(joint, better, chosen)
 
 
 def other_bands(
@@ -244,6 +244,21 @@ def band_around(
     return min(low, high / 4.0), high
 
 
+def same_band(band: tuple[float, float], other: tuple[float, float], within: float) -> bool:
+    """Whether both edges of two bands are the same, within a share of theirs.
+
+    Parameters
+    ----------
+    band, other : (float, float) [Hz]
+    within : float
+
+    Returns
+    -------
+    bool
+    """
+    return all(abs(a / b - 1.0) < within for a, b in zip(band, other, strict=True))
+
+
 def band_of(f: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
     """Gain of the zero-phase band-pass, 1 / ((1 + (low/f)^2) (1 + (f/high)^6)).
 
@@ -351,13 +366,9 @@ def _search(records: Sequence[Decoupled]) -> tuple[float, float]:
         before = band
         low, high = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
         band = band_around(min(low, high), max(low, high), records)
-        if _same(before, band, _SAME_BAND):
+        if same_band(before, band, _SAME_BAND):
             break
     return band
-
-
-def _same(band: tuple[float, float], other: tuple[float, float], within: float) -> bool:
-    return all(abs(a / b - 1.0) < within for a, b in zip(band, other, strict=True))
 
 
 def _model(
