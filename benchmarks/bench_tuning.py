@@ -168,10 +168,7 @@ def _scipy(study: Study, logs: list[Log], values: Values) -> float:
     def jacobian(z: FloatArray) -> FloatArray:
         parts = zip(misfit.rows(z), repeats, strict=True)
         return np.concatenate(
-            [
-                (rows.shared / root[:, None]).reshape(-1, rows.shared.shape[2])
-                for rows, root in parts
-            ]
+            [(rows.shared / root[:, None]).reshape(-1, len(z)) for rows, root in parts]
         )
 
     start = search.coordinates(_start(values))

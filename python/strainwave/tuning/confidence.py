@@ -151,11 +151,11 @@ def _evidence(rows: Rows, block: IntArray) -> _Evidence:
 
     Weights (1 + r^2)^(-1/2) give the gradient of the soft L1 loss; it bends as (1 + r^2)^(-3/2).
     """
-    n = rows.shared.shape[2]
-    table = np.concatenate([rows.local, rows.shared], axis=2) * rows.root[..., None]
-    width = table.shape[1]
+    n_own, width = len(rows.step), rows.residual.shape[1]
+    table = rows.evaluated.columns * (rows.root / rows.deviation)[..., None]
     flat = table.reshape(-1, table.shape[2])
-    local, shared = flat[:, :-n], flat[:, -n:]
+    local, shared = flat[:, :n_own], flat[:, n_own:]
+    n = shared.shape[1]
     own = np.linalg.lstsq(local, shared)[0]
     shared = shared - local @ own  # what the record's own unknowns cannot imitate
     each = shared * (rows.residual * rows.root).reshape(-1, 1)
