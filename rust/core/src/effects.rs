@@ -17,9 +17,23 @@ pub struct EffectKinds {
 }
 
 impl EffectKinds {
+    /// The parameters that say how large an effect is.
+    const SIZES: [&'static str; 4] = [
+        "stribeck_friction",
+        "hysteresis_torque",
+        "kinematic_error_cos",
+        "kinematic_error_sin",
+    ];
+
     /// Whether there is any.
     pub fn any(self) -> bool {
         self != Self::default()
+    }
+
+    /// Where the `k`-th of all sizes that effects have stands among these effects' parameters.
+    pub(crate) fn place(self, k: usize) -> Option<usize> {
+        let size = Self::SIZES[k];
+        self.names().position(|&name| name == size)
     }
 
     /// Names of the effects' parameters.

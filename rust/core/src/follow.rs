@@ -1,16 +1,19 @@
 //! One plain simulation, and derivatives that follow it in columns of directions.
 //!
 //! Smooth steps go through [`crate::variation`]; so do the stretches of a step
-//! between events of friction, with what the events' instants do. Where the servo commands, and to
-//! see how an event's margin moves, a column becomes numbers with derivatives for that moment.
+//! between events of friction, with what the events' instants do. Where the servo commands, a column
+//! becomes numbers with derivatives for that moment.
 
 use std::marker::PhantomData;
 
 use crate::arm::{Arm, Slopes};
+use crate::config::Config;
 use crate::drive::CurrentLoop;
 use crate::dual::Dual;
 use crate::friction::{Motion, Stretch};
-use crate::plant::{Instant, Modes, Plant, State, StepTorque, Watch};
+use crate::lengthening::Lengthening;
+use crate::margin::MarginSlopes;
+use crate::plant::{Instant, Modes, State, StepTorque, Watch};
 use crate::real::{Real, Work};
 use crate::sensitivity::{Sensitivities, seeded};
 use crate::sensors::LowPass;
@@ -58,8 +61,12 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECT
 struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool>
 {
     task: &'a Task<A, N>,
+    asked: &'a Task<A, N>,
     nominal: Group<'a, A, S, N, true>,
-    moving: Moving<A, S, N>,
+    /// What no parameter forces.
+    unforced: Column<S, N>,
+    /// Current loops over times that get longer.
+    longer: CurrentLoop<Dual<S, S>, N>,
     trace: Trace<N>,
     linear: Linearised<A, L, N>,
     followers: Vec<Follower<'a, A, S, V, N, EFFECTS>>,
@@ -77,14 +84,10 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
         let plain = |_, value| S::splat(value);
         Self {
             task,
+            asked,
             nominal: Group::new(task, std::slice::from_ref(of.member), &plain),
-            moving: Moving {
-                plant: task
-                    .config
-                    .plant_of(|k| Dual::splat(of.member.parameters[k])),
-                current: task.config.current_loop(task.clock.step),
-                ratio: task.config.joints.map(|joint| joint.ratio),
-            },
+            unforced: Column::new(&task.config, &[], Tangent::still()),
+            longer: task.config.current_loop(task.clock.step),
             trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
             linear: Linearised::new(
                 &task.config,
@@ -140,11 +143,10 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
     /// The derivatives' part of an instant and of the step that follows it.
     #[inline(always)]
     fn follow(&mut self, event: &Event, before: &Motion<S, N>, now: &Instant<A, S, N>) {
-        let readings = self
-            .task
-            .record
-            .contains(&Quantity::Accelerometer)
-            .then(|| Readings::new(self.task, &before.state, now));
+        let reads = |quantity| self.task.record.contains(&quantity);
+        let accelerates = reads(Quantity::Accelerometer);
+        let senses = accelerates || reads(Quantity::Gyro);
+        let readings = accelerates.then(|| Readings::new(self.task, &before.state, now));
         let smooth = !event.last && self.nominal.stretches.is_empty();
         let mut first = 0;
         for follower in &mut self.followers {
@@ -152,7 +154,9 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
             let x = follower.column.tangent;
             let torque = follower.driven.then_some(&follower.torque);
             let response = follower.column.respond(&self.linear, 0, &x, torque);
-            follower.sense(readings.as_ref(), &response);
+            if senses {
+                follower.sense(readings.as_ref(), &response);
+            }
             if event.samples {
                 V::scope(Put {
                     follower,
@@ -176,42 +180,11 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
     /// A step in which friction changed its mode: from stretch to stretch.
     #[inline(always)]
     fn redo(&mut self) {
-        let (nominal, moving) = (&self.nominal, &self.moving);
-        let target = nominal.target;
         for follower in &mut self.followers {
             follower.left = V::splat(0.0);
         }
-        let (one, zero) = ([S::splat(1.0); N], [S::splat(0.0); N]);
-        for stretch in &nominal.stretches {
-            let Stretch {
-                from,
-                length,
-                event,
-            } = stretch;
-            let part = event.map_or(1.0, |event| event.0);
-            let current = &nominal.single_current;
-            let whole = (S::splat(*length), S::splat(part));
-            let (end, _) = nominal
-                .plant
-                .retrace(from, &target, current, whole, &mut self.trace);
-            self.linear.update(&self.trace, &from.modes, part * length);
-            if let Some(onset) = &mut self.linear.onset {
-                onset.passed(&self.trace, &end.state, part * length);
-            }
-            let rates = moving.rates(stretch, &target, part);
-            let at_once = |i: usize| nominal.plant.joints[i].settling_time.lane(0) == 0.0;
-            let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
-            let through = Through {
-                rests: std::array::from_fn(|i| at_once(i) && !slides(i)),
-                slides: std::array::from_fn(|i| at_once(i) && slides(i)),
-                moves: part > 0.0,
-                decay: current.over(&one, &zero, S::splat(part * length)),
-                duration: part * length,
-                end,
-                hysteresis: self.linear.onset.as_ref().map_or([0.0; N], |onset| onset.z),
-                joint: event.map(|event| event.1),
-                rates,
-            };
+        for place in 0..self.nominal.stretches.len() {
+            let through = self.through(&self.nominal.stretches[place].clone());
             for follower in &mut self.followers {
                 follower.pass(&self.linear, &through);
             }
@@ -220,6 +193,49 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
             if !follower.driven {
                 follower.torque = [V::splat(0.0); N];
             }
+        }
+    }
+
+    /// Goes through a stretch, for the columns to follow.
+    #[inline(always)]
+    fn through(&mut self, stretch: &Stretch<S, N>) -> Through<S, N> {
+        let Stretch {
+            from,
+            length,
+            event,
+        } = stretch;
+        let (nominal, trace) = (&self.nominal, &mut self.trace);
+        let (plant, target) = (&nominal.plant, &nominal.target);
+        let current = &nominal.single_current;
+        let part = event.map_or(1.0, |event| event.0);
+        let duration = part * length;
+        let whole = (S::splat(*length), S::splat(part));
+        let (end, _) = plant.retrace(from, target, current, whole, trace);
+        self.linear.update(trace, &from.modes, duration);
+        if let Some(onset) = &mut self.linear.onset {
+            onset.passed(trace, &end.state, duration);
+        }
+        let lasting = Dual {
+            value: S::splat(duration),
+            tangent: S::splat(1.0),
+        };
+        let (begin, target) = (from.torque.map(Dual::constant), target.map(Dual::constant));
+        let torque = self.longer.over(&begin, &target, lasting);
+        let torque = [torque.middle, torque.end].map(|row| row.map(|one| one.tangent));
+        let longer = Lengthening::new(trace, &self.linear, torque, duration);
+        let at_once = |i: usize| plant.joints[i].settling_time.lane(0) == 0.0;
+        let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
+        let (asked, onset) = (&self.asked.config.joints, self.linear.onset.as_ref());
+        let margin = |joint| MarginSlopes::new(plant, &asked[joint], onset, &end, joint);
+        Through {
+            rests: std::array::from_fn(|i| at_once(i) && !slides(i)),
+            stops: event.is_some_and(|(_, joint)| at_once(joint) && slides(joint)),
+            moves: part > 0.0,
+            decay: current.over(&[S::splat(1.0); N], &[S::splat(0.0); N], S::splat(duration)),
+            duration,
+            event: event.map(|(_, joint)| margin(joint)),
+            rates: self.unforced.lengthened(&self.linear, &longer, duration),
+            torque_rates: torque[1],
         }
     }
 }
@@ -267,70 +283,23 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> 
     }
 }
 
-/// The arm as it depends on nothing but time.
-struct Moving<A: Arm<N>, S: Real<One = S>, const N: usize> {
-    plant: Plant<A, Dual<S, S>, N, true>,
-    current: CurrentLoop<Dual<S, S>, N>,
-    ratio: [f64; N],
-}
-
-impl<A: Arm<N>, S: Real<One = S>, const N: usize> Moving<A, S, N> {
-    /// How fast the end of a stretch moves as the stretch gets longer.
-    #[inline(always)]
-    fn rates(&self, stretch: &Stretch<S, N>, target: &[S; N], part: f64) -> Rates<S, N> {
-        let still = [S::splat(0.0); N];
-        let nothing = Tangent {
-            twist: still,
-            rate: still,
-            angle: still,
-            velocity: still,
-        };
-        let from = lifted(&stretch.from, &nothing, &still, &self.ratio);
-        let longer = Dual {
-            value: S::splat(part),
-            tangent: S::splat(1.0 / stretch.length),
-        };
-        let length = Dual::splat(stretch.length);
-        let (end, margins) = self.plant.retrace(
-            &from,
-            &target.map(Dual::constant),
-            &self.current,
-            (length, longer),
-            &mut (),
-        );
-        Rates {
-            tangent: tangent_of(&end, &self.ratio),
-            torque: end.torque.map(|number| number.tangent),
-            margins: margins.map(|number| number.tangent),
-        }
-    }
-}
-
-/// Derivatives by time.
-struct Rates<S, const N: usize> {
-    tangent: Tangent<S, N>,
-    torque: [S; N],
-    margins: [S; N],
-}
-
 /// A stretch between events, as every column goes through it.
 struct Through<S, const N: usize> {
     /// Motors that stand, as those do that are held after too many events.
     rests: [bool; N],
-    /// Motors that come to rest where they have an event.
-    slides: [bool; N],
+    /// Whether the motor whose event ends it comes to rest at once.
+    stops: bool,
     /// Whether the event's instant depends on anything: not where the modes never fitted.
     moves: bool,
     /// What is left of the torques' distances to their targets.
     decay: StepTorque<S, N>,
     /// How long it takes [s].
     duration: f64,
-    end: Motion<S, N>,
-    /// Where hysteresis would be then.
-    hysteresis: [f64; N],
-    /// Whose event ends it.
-    joint: Option<usize>,
-    rates: Rates<S, N>,
+    /// The event that ends it, if it is one.
+    event: Option<MarginSlopes>,
+    /// How fast its end moves as it gets longer, and the torques there.
+    rates: Tangent<S, N>,
+    torque_rates: [S; N],
 }
 
 /// How the accelerometers' readings depend on the motion.
@@ -388,6 +357,8 @@ struct Follower<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const 
     left: V,
     ratio: [f64; N],
     lanes: usize,
+    /// The joint whose parameter a direction is by, and the parameter's place among its own.
+    own: Vec<Option<(usize, usize)>>,
 }
 
 impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool>
@@ -412,6 +383,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
             left: V::splat(0.0),
             ratio,
             lanes: V::LANES.min(directions.len()),
+            own: own_parameters(&task.config, directions, V::LANES),
             dual,
         };
         let recorded = |quantity| task.record.contains(&quantity);
@@ -473,27 +445,24 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
         self.column
             .advance(linear, &first, Some(&torque), through.duration);
         self.torque = torque.end;
-        let rates = &through.rates;
         let mut later = self.left;
-        if let Some(joint) = through.joint {
-            let mut end = self.lifted(&through.end);
-            end.state.hysteresis = through.hysteresis.map(Dual::splat);
-            let margins = self
-                .dual
-                .plant
-                .margins(&end.state, &end.torque, &end.modes, true);
+        if let Some(event) = &through.event {
             if through.moves {
-                later = margins[joint].tangent * V::splat(-1.0 / rates.margins[joint].lane(0));
+                let per_time = event.along(&through.rates, &through.torque_rates).lane(0);
+                let along = event.along(&self.column.tangent, &self.torque);
+                later = (along + event.by_parameters(&self.own)) * V::splat(-1.0 / per_time);
             }
             self.left = self.left - later;
         }
-        self.column.tangent.add(&rates.tangent, later);
+        self.column.tangent.add(&through.rates, later);
         for i in 0..N {
-            self.torque[i] = V::splat(rates.torque[i].lane(0)).mul_add(later, self.torque[i]);
+            let rate = V::splat(through.torque_rates[i].lane(0));
+            self.torque[i] = rate.mul_add(later, self.torque[i]);
         }
-        let joint = through.joint.filter(|&joint| through.slides[joint]);
-        if let Some(joint) = joint {
-            self.rest(joint);
+        if let Some(event) = &through.event
+            && through.stops
+        {
+            self.rest(event.joint);
         }
     }
 
@@ -575,6 +544,25 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
             }
         }
     }
+}
+
+/// The joint of each direction's parameter, and its place among that joint's.
+fn own_parameters<A: Arm<N>, const N: usize>(
+    config: &Config<A, N>,
+    directions: &[Source],
+    most: usize,
+) -> Vec<Option<(usize, usize)>> {
+    let names = config.parameter_names();
+    let place = |source: &Source| {
+        let &Source::Parameter(k) = source else {
+            return None;
+        };
+        let own = names.get(A::NAMES.len()..k)?;
+        let joint = names[k].1?;
+        let before = own.iter().filter(|name| name.1 == Some(joint));
+        Some((joint - 1, before.count()))
+    };
+    directions.iter().take(most).map(place).collect()
 }
 
 /// Motors' derivatives from the gears' and the links'.

@@ -19,6 +19,8 @@ pub mod friction;
 pub mod gear;
 #[cfg(target_arch = "x86_64")]
 mod lanes;
+mod lengthening;
+mod margin;
 mod onset;
 pub mod plant;
 pub mod real;

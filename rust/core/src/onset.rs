@@ -13,6 +13,7 @@
 use crate::arm::Arm;
 use crate::config::Config;
 use crate::effects::{EffectKinds, Hysteresis, Twist};
+use crate::margin::Holding;
 use crate::plant::{Joint, State};
 use crate::real::Real;
 use crate::variation::{Places, Stages, Trace};
@@ -109,6 +110,24 @@ impl<const N: usize> Onset<N> {
                 put(of[k][1], drive.push * slope * drive.transmitted);
             }
         }
+    }
+
+    /// What each of joint `i`'s effects adds where an event ends a stretch, in the order of
+    /// [`EffectKinds::place`]: to dry friction, to the torque through the gear, and to the motor's
+    /// lever.
+    pub(crate) fn at_an_event<S: Real>(&self, i: usize, held: &Holding<S>) -> [[f64; 3]; 4] {
+        let share = held.speed / self.velocity[i];
+        let (sin, cos) = (2.0 * held.motor_angle).sin_cos();
+        let error = |error: f64, slope: f64| {
+            let rate = slope * held.speed;
+            [0.0, held.stiffness * error + held.damping * rate, slope]
+        };
+        [
+            [(-(share * share)).exp(), 0.0, 0.0],
+            [0.0, self.z[i], 0.0],
+            error(cos, -2.0 * sin),
+            error(sin, 2.0 * cos),
+        ]
     }
 
     /// z at the four stages of a step of length `h`.

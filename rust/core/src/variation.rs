@@ -15,6 +15,7 @@
 use crate::arm::{Arm, MOST_BASE};
 use crate::config::{Config, GearKind, SETTLING};
 use crate::gear::PerSlope;
+use crate::lengthening::Lengthening;
 use crate::onset::{Drive, Onset};
 use crate::plant::{Acceleration, Modes, Plant, State, StepTorque, Watch, solve};
 use crate::real::{MOST_LANES, Real};
@@ -31,8 +32,8 @@ pub(crate) struct Trace<const N: usize> {
     pub(crate) velocity: [Stages; N],
     pub(crate) twist: [Stages; N],
     pub(crate) motor_velocity: [Stages; N],
-    motor_acceleration: [Stages; N],
-    link_acceleration: [Stages; N],
+    pub(crate) motor_acceleration: [Stages; N],
+    pub(crate) link_acceleration: [Stages; N],
 }
 
 impl<const N: usize> Trace<N> {
@@ -134,13 +135,13 @@ pub(crate) struct Linearised<A: Arm<N>, L: Real, const N: usize> {
     of_effects: [usize; N],
     /// What a little of the effects that the arm lacks would add.
     pub(crate) onset: Option<Onset<N>>,
-    settling: [Option<Settling>; N],
+    pub(crate) settling: [Option<Settling>; N],
 }
 
 /// How a held motor that settles moves over half a step and over the whole, beside a steady one:
 /// its angle by v tau (1 - exp(-t/tau)) instead of v t, its velocity by v exp(-t/tau) instead of v.
 #[derive(Clone, Copy)]
-struct Settling {
+pub(crate) struct Settling {
     /// Change of the angle per velocity, times the gear ratio as all that follows.
     angle: [f64; 2],
     /// Change of the velocity per velocity.
@@ -499,6 +500,34 @@ impl<V: Real, const N: usize> Column<V, N> {
         self.tangent = self.held(step, to, 1);
     }
 
+    /// How fast the end of a step of length `h` moves as it gets longer; for a column that no
+    /// parameter forces.
+    #[inline(always)]
+    pub(crate) fn lengthened<A: Arm<N>, L: Real>(
+        &self,
+        step: &Linearised<A, L, N>,
+        by: &Lengthening<V, N>,
+        h: f64,
+    ) -> Tangent<V, N> {
+        let c = V::splat;
+        let [second, mut third, mut fourth] = by.stages;
+        let (half, sixth) = (c(0.5 * h), h / 6.0);
+        let [middle, end] = &by.torque;
+        let a2 = self.respond(step, 1, &second, Some(middle));
+        third.push(half, &a2);
+        let a3 = self.respond(step, 2, &third, Some(middle));
+        fourth.shift(c(0.5 * h * h), &a2);
+        fourth.push(c(h), &a3);
+        let a4 = self.respond(step, 3, &fourth, Some(end));
+        let mut to = by.end;
+        for a in [&a2, &a3] {
+            to.shift(c(h * sixth), a);
+            to.push(c(2.0 * sixth), a);
+        }
+        to.push(c(sixth), &a4);
+        to
+    }
+
     /// A later stage, half a step or a whole one on, in which held motors have settled.
     #[inline(always)]
     fn held<A: Arm<N>, L: Real>(
@@ -525,6 +554,35 @@ impl<V: Real, const N: usize> Column<V, N> {
 }
 
 impl<V: Real, const N: usize> Tangent<V, N> {
+    /// Nothing moves.
+    pub(crate) fn still() -> Self {
+        let zero = [V::splat(0.0); N];
+        Self {
+            twist: zero,
+            rate: zero,
+            angle: zero,
+            velocity: zero,
+        }
+    }
+
+    /// Accelerated for a time.
+    #[inline(always)]
+    fn push(&mut self, time: V, a: &Response<V, N>) {
+        for i in 0..N {
+            self.rate[i] = time.mul_add(a.twist[i], self.rate[i]);
+            self.velocity[i] = time.mul_add(a.link[i], self.velocity[i]);
+        }
+    }
+
+    /// Moved by what acceleration makes of positions, `square` the half of a time's square or so.
+    #[inline(always)]
+    fn shift(&mut self, square: V, a: &Response<V, N>) {
+        for i in 0..N {
+            self.twist[i] = square.mul_add(a.twist[i], self.twist[i]);
+            self.angle[i] = square.mul_add(a.link[i], self.angle[i]);
+        }
+    }
+
     /// Moves on by `time` at the given rates.
     #[inline(always)]
     pub(crate) fn add<S: Real>(&mut self, rates: &Tangent<S, N>, time: V) {

@@ -1,0 +1,88 @@
+//! How fast the end of a step moves as the step gets longer.
+//!
+//! The stages of a longer step lie further on, which is known from what the step went through; what
+//! follows from that goes through the variational equations like any other direction.
+
+use crate::arm::Arm;
+use crate::real::Real;
+use crate::variation::{Linearised, Stages, Tangent, Trace};
+
+/// How fast the stages of a step move as it gets longer, and its end, with all accelerations held.
+pub(crate) struct Lengthening<S, const N: usize> {
+    /// The second to the fourth stage.
+    pub(crate) stages: [Tangent<S, N>; 3],
+    pub(crate) end: Tangent<S, N>,
+    /// Motor torques at the middle and at the end.
+    pub(crate) torque: [[S; N]; 2],
+}
+
+impl<S: Real, const N: usize> Lengthening<S, N> {
+    /// Of the step of length `h` that left a trace.
+    #[inline(always)]
+    pub(crate) fn new<A: Arm<N>, L: Real>(
+        trace: &Trace<N>,
+        step: &Linearised<A, L, N>,
+        torque: [[S; N]; 2],
+        h: f64,
+    ) -> Self {
+        let mut all = [Tangent::still(); 4];
+        for i in 0..N {
+            let link = Stretching::of(trace.velocity[i], trace.link_acceleration[i], h);
+            let speeds = (trace.motor_velocity[i], trace.motor_acceleration[i]);
+            let motor = if step.settling[i].is_some() {
+                Stretching::settling(speeds.0, speeds.1)
+            } else {
+                Stretching::of(speeds.0, speeds.1, h)
+            };
+            let n = trace.ratio[i];
+            for k in 0..4 {
+                let own = &mut all[k];
+                own.twist[i] = S::splat(n * motor.place[k] - link.place[k]);
+                own.rate[i] = S::splat(n * motor.speed[k] - link.speed[k]);
+                own.angle[i] = S::splat(link.place[k]);
+                own.velocity[i] = S::splat(link.speed[k]);
+            }
+        }
+        let [second, third, fourth, end] = all;
+        Self {
+            stages: [second, third, fourth],
+            end,
+            torque,
+        }
+    }
+}
+
+/// How fast a position and its velocity move as the step gets longer: at the second to the fourth
+/// stage, and at the end.
+struct Stretching {
+    place: Stages,
+    speed: Stages,
+}
+
+impl Stretching {
+    /// From the velocities and accelerations at the stages.
+    fn of(v: Stages, a: Stages, h: f64) -> Self {
+        Self {
+            place: [
+                0.5 * v[0],
+                0.5 * v[0] + 0.5 * h * a[0],
+                v[0] + h * a[1],
+                v[0] + h * (a[0] + a[1] + a[2]) / 3.0,
+            ],
+            speed: [
+                0.5 * a[0],
+                0.5 * a[1],
+                a[2],
+                (a[0] + 2.0 * (a[1] + a[2]) + a[3]) / 6.0,
+            ],
+        }
+    }
+
+    /// Of a held motor: its stages are where it settles, and so is its end.
+    fn settling(v: Stages, a: Stages) -> Self {
+        Self {
+            place: [0.5 * v[1], 0.5 * v[2], v[3], v[3]],
+            speed: [0.5 * a[1], 0.5 * a[2], a[3], a[3]],
+        }
+    }
+}

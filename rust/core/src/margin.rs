@@ -1,0 +1,201 @@
+//! How the margin of an event of friction moves with the motion and with its joint's parameters.
+
+use crate::arm::Arm;
+use crate::config::{GearKind, JointConfig};
+use crate::friction::Motion;
+use crate::gear::Spring;
+use crate::onset::Onset;
+use crate::plant::Plant;
+use crate::real::Real;
+use crate::variation::Tangent;
+
+/// Most parameters that a joint has: five of motor and link, seven of its gear, six of effects.
+const MOST_OF_A_JOINT: usize = 18;
+
+/// The linear form that [`Plant::margins`] is where an event ends a stretch.
+pub(crate) struct MarginSlopes {
+    pub(crate) joint: usize,
+    /// By the joint's twist, twist rate and link velocity.
+    twist: f64,
+    rate: f64,
+    velocity: f64,
+    /// By its motor torque.
+    torque: f64,
+    /// By each of its parameters, in the order of their names.
+    by_parameter: [f64; MOST_OF_A_JOINT],
+}
+
+impl MarginSlopes {
+    /// Of the event of a joint at the end of a stretch; `asked` is the joint with the effects that
+    /// may be asked about.
+    ///
+    /// A motor that stops at once has its speed for a margin. Else it is what friction has left
+    /// beside the torque that holds the motor; of a sliding motor that will settle, times
+    /// -tau/m_M.
+    #[inline(always)]
+    pub(crate) fn new<A: Arm<N>, S: Real<One = S>, const N: usize>(
+        plant: &Plant<A, S, N, true>,
+        asked: &JointConfig,
+        onset: Option<&Onset<N>>,
+        end: &Motion<S, N>,
+        joint: usize,
+    ) -> Self {
+        let mut slopes = Self {
+            joint,
+            twist: 0.0,
+            rate: 0.0,
+            velocity: 0.0,
+            torque: 0.0,
+            by_parameter: [0.0; MOST_OF_A_JOINT],
+        };
+        let drive = &plant.joints[joint];
+        let plain = |number: S| number.lane(0);
+        let slides = plain(end.modes.free[joint]) != 0.0;
+        let time = plain(drive.settling_time);
+        if slides && time == 0.0 {
+            let speed = plain(end.modes.direction[joint]) / plain(drive.ratio);
+            (slopes.rate, slopes.velocity) = (speed, speed);
+            return slopes;
+        }
+        let held = Holding::new(plant, end, joint);
+        let (side, scale) = if slides {
+            let mobility = plain(drive.motor_mobility);
+            (plain(end.modes.direction[joint]), time * mobility)
+        } else {
+            (held.torque.signum(), -1.0)
+        };
+        let by_torque = side * scale;
+        slopes.torque = by_torque;
+        slopes.twist = by_torque * held.by_twist;
+        slopes.rate = by_torque * held.by_rate;
+        slopes.velocity = by_torque * held.by_motor;
+        slopes.by_parameter = by_parameters(&drive.spring, asked, onset, &held, [by_torque, scale]);
+        slopes
+    }
+
+    /// Along given derivatives of the motion and the torques.
+    #[inline(always)]
+    pub(crate) fn along<V: Real, const N: usize>(&self, x: &Tangent<V, N>, torque: &[V; N]) -> V {
+        let (c, i) = (V::splat, self.joint);
+        let moved = c(self.rate).mul_add(x.rate[i], c(self.velocity) * x.velocity[i]);
+        let moved = c(self.twist).mul_add(x.twist[i], moved);
+        c(self.torque).mul_add(torque[i], moved)
+    }
+
+    /// By the parameters of some directions, each a joint and a place among its parameters.
+    #[inline(always)]
+    pub(crate) fn by_parameters<V: Real>(&self, own: &[Option<(usize, usize)>]) -> V {
+        let mut all = V::splat(0.0);
+        for (lane, own) in own.iter().enumerate() {
+            if let &Some((joint, place)) = own
+                && joint == self.joint
+            {
+                all.set_lane(lane, self.by_parameter[place]);
+            }
+        }
+        all
+    }
+}
+
+/// How a margin moves with the parameters of its joint, which is held in some way, if it moves with
+/// the holding torque by `by_torque` and against what friction can take up by `scale`.
+#[inline(always)]
+fn by_parameters<S: Real<One = S>, const N: usize>(
+    spring: &Spring<S>,
+    asked: &JointConfig,
+    onset: Option<&Onset<N>>,
+    held: &Holding<S>,
+    [by_torque, scale]: [f64; 2],
+) -> [f64; MOST_OF_A_JOINT] {
+    let mut by = [0.0; MOST_OF_A_JOINT];
+    let (speed, by_gear) = (by_torque * held.speed, -by_torque * held.ratio);
+    by[..4].copy_from_slice(&[speed * held.settling, -speed, -scale, -by_torque]);
+    // the link's friction does not hold the motor
+    let mut next = 5;
+    if asked.gear == GearKind::ThreeSlope {
+        for slope in spring.by_parameters(held.twist, &spring.per_slope()) {
+            by[next] = by_gear * slope.lane(0);
+            next += 1;
+        }
+    } else {
+        by[next] = by_gear * held.twist.lane(0);
+        next += 1;
+    }
+    by[next] = by_gear * held.rate;
+    by[next + 1] = -speed * held.settling * held.settling * held.inertia;
+    if let Some(onset) = onset {
+        let effects = onset.at_an_event(held.joint, held);
+        for (k, [friction, transmitted, lever]) in effects.into_iter().enumerate() {
+            if let Some(place) = asked.effects.place(k) {
+                let gear = by_gear * transmitted - by_torque * lever * held.transmitted;
+                by[next + 2 + place] = gear - scale * friction;
+            }
+        }
+    }
+    by
+}
+
+/// A joint's motor and gear as friction holds it, or is about to.
+pub(crate) struct Holding<S> {
+    joint: usize,
+    ratio: f64,
+    inertia: f64,
+    twist: S,
+    rate: f64,
+    pub(crate) motor_angle: f64,
+    /// dtheta_M [rad/s].
+    pub(crate) speed: f64,
+    /// 1/tau, zero where it stops at once.
+    settling: f64,
+    /// Torque [N m] through the gear.
+    transmitted: f64,
+    /// Torque [N m] that holds the motor.
+    torque: f64,
+    pub(crate) stiffness: f64,
+    pub(crate) damping: f64,
+    /// The holding torque's slopes by the twist, by the twist rate with the link at rest, and by the
+    /// link's velocity with the twist at rest.
+    by_twist: f64,
+    by_rate: f64,
+    by_motor: f64,
+}
+
+impl<S: Real<One = S>> Holding<S> {
+    #[inline(always)]
+    fn new<A: Arm<N>, const N: usize>(
+        plant: &Plant<A, S, N, true>,
+        end: &Motion<S, N>,
+        i: usize,
+    ) -> Self {
+        let (drive, x) = (&plant.joints[i], &end.state);
+        let plain = |number: S| number.lane(0);
+        let gear = plant.gear(x, i);
+        let (ratio, inertia) = (plain(drive.ratio), plain(drive.motor_inertia));
+        let stiffness = plain(drive.spring.stiffness(gear.twist.angle));
+        let damping = plain(drive.gear_damping);
+        let (mut settling, mut brake) = (0.0, 0.0);
+        if plain(drive.settling_time) > 0.0 {
+            settling = plain(drive.settling_rate);
+            brake = inertia * settling - plain(drive.motor_viscous);
+        }
+        let by_motor = brake / ratio;
+        let holding = plant.holding_torques(x, &end.torque, &end.modes);
+        Self {
+            joint: i,
+            ratio,
+            inertia,
+            twist: gear.twist.angle,
+            rate: plain(gear.twist.rate),
+            motor_angle: plain(x.motor_angle[i]),
+            speed: plain(x.motor_velocity[i]),
+            settling,
+            transmitted: plain(plant.transmitted(x, i, &gear.twist)),
+            torque: plain(holding[i]),
+            stiffness,
+            damping,
+            by_twist: -ratio * stiffness,
+            by_rate: by_motor - ratio * damping,
+            by_motor,
+        }
+    }
+}
