@@ -26,6 +26,8 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// Sines and cosines a little further on: exact to rounding for less than 0.05 rad, the
     /// rotation within one step of the integrator.
     fn near<R: Real>(from: &Self::Posture<R>, increment: &[R; N]) -> Self::Posture<R>;
+    /// The same posture in every lane of another scalar.
+    fn spread<R: Real, L: Real>(at: &Self::Posture<R>) -> Self::Posture<L>;
     /// Inertia matrix M_L(q) [kg m^2], symmetric and positive definite.
     fn inertia<R: Real>(base: &Self::Base<R>, at: &Self::Posture<R>) -> [[R; N]; N];
     /// Centrifugal, Coriolis and gravity torques c(q, dq) + g(q) [N m].
@@ -95,6 +97,14 @@ impl<R: Real> Turn<R> {
     fn of(angle: R) -> Self {
         let (sin, cos) = angle.sin_cos();
         Self { sin, cos }
+    }
+
+    #[inline(always)]
+    fn spread<L: Real>(self) -> Turn<L> {
+        Turn {
+            sin: L::splat(self.sin.lane(0)),
+            cos: L::splat(self.cos.lane(0)),
+        }
     }
 
     /// The sum of two angles.
@@ -181,6 +191,14 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
             second
         };
         TwoLinkPosture { first, second }
+    }
+
+    #[inline(always)]
+    fn spread<R: Real, L: Real>(at: &TwoLinkPosture<R>) -> TwoLinkPosture<L> {
+        TwoLinkPosture {
+            first: at.first.spread(),
+            second: at.second.spread(),
+        }
     }
 
     #[inline(always)]
@@ -365,6 +383,11 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
         } else {
             *from
         }
+    }
+
+    #[inline(always)]
+    fn spread<R: Real, L: Real>(at: &Turn<R>) -> Turn<L> {
+        at.spread()
     }
 
     #[inline(always)]

@@ -122,7 +122,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
             self.nominal.advance(&now, &mut self.trace);
         }
         let h = self.task.clock.step;
-        self.linear.update(&self.trace, &before.modes, h);
+        self.linear
+            .update(&self.trace, &now.posture, &before.modes, h);
         self.follow(event, &before, &now);
         if let Some(onset) = &mut self.linear.onset
             && self.nominal.stretches.is_empty()
@@ -211,7 +212,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
         let duration = part * length;
         let whole = (S::splat(*length), S::splat(part));
         let (end, _) = plant.retrace(from, target, current, whole, trace);
-        self.linear.update(trace, &from.modes, duration);
+        let begin = A::posture(&from.state.link_angle);
+        self.linear.update(trace, &begin, &from.modes, duration);
         if let Some(onset) = &mut self.linear.onset {
             onset.passed(trace, &end.state, duration);
         }

@@ -193,9 +193,15 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
         }
     }
 
-    /// Makes the coefficients of a step.
+    /// Makes the coefficients of a step that begins in a posture.
     #[inline(always)]
-    pub(crate) fn update<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, h: f64) {
+    pub(crate) fn update<S: Real>(
+        &mut self,
+        trace: &Trace<N>,
+        begin: &A::Posture<S>,
+        modes: &Modes<S, N>,
+        h: f64,
+    ) {
         for i in 0..N {
             self.settling[i] = None;
             let time = self.plant.joints[i].settling_time.lane(0);
@@ -211,7 +217,7 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
             self.motor[2][i] = n * free;
         }
         for first in (0..4).step_by(L::LANES) {
-            self.links(trace, first);
+            self.links(trace, &A::spread(begin), first);
             self.drives(trace, modes, first);
         }
         if let Some(onset) = &self.onset {
@@ -221,11 +227,14 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
 
     /// Link side, for the stages from the `first`.
     #[inline(always)]
-    fn links(&mut self, trace: &Trace<N>, first: usize) {
-        let q = loaded(&trace.angle, first);
+    fn links(&mut self, trace: &Trace<N>, begin: &A::Posture<L>, first: usize) {
+        let mut turned: [L; N] = loaded(&trace.angle, first);
+        for i in 0..N {
+            turned[i] = turned[i] - L::splat(trace.angle[i][0]);
+        }
         let dq = loaded(&trace.velocity, first);
         let ddq = loaded(&trace.link_acceleration, first);
-        let at = A::posture(&q);
+        let at = A::near(begin, &turned);
         let base = &self.plant.base;
         let inertia = A::inertia(base, &at);
         let mut slopes = A::slopes(base, &at, &dq, &ddq);
@@ -454,6 +463,9 @@ impl<V: Real, const N: usize> Column<V, N> {
                     link = c(step.by_angle[i][j][k]).mul_add(x.angle[j], link);
                 }
                 link = c(step.by_velocity[i][j][k]).mul_add(x.velocity[j], link);
+            }
+            // what takes longest to know comes last
+            for j in 0..N {
                 link = c(step.inverse[i][j][k]).mul_add(response.gear[j], link);
             }
             response.link[i] = link;
