@@ -4,8 +4,9 @@
 //! follows from that goes through the variational equations like any other direction.
 
 use crate::arm::Arm;
+use crate::column::Tangent;
 use crate::real::Real;
-use crate::variation::{Linearised, Stages, Tangent, Trace};
+use crate::variation::{Linearised, Stages, Trace};
 
 /// How fast the stages of a step move as it gets longer, and its end, with all accelerations held.
 pub(crate) struct Lengthening<S, const N: usize> {

@@ -9,12 +9,14 @@
 //! [`sensitivity`].
 
 pub mod arm;
+mod column;
 pub mod config;
 pub mod dispatch;
 pub mod drive;
 pub mod dual;
 pub mod effects;
 mod follow;
+mod follower;
 pub mod friction;
 pub mod gear;
 #[cfg(target_arch = "x86_64")]

@@ -1,13 +1,13 @@
 //! How the margin of an event of friction moves with the motion and with its joint's parameters.
 
 use crate::arm::Arm;
+use crate::column::Tangent;
 use crate::config::{GearKind, JointConfig};
 use crate::friction::Motion;
 use crate::gear::Spring;
 use crate::onset::Onset;
 use crate::plant::Plant;
 use crate::real::Real;
-use crate::variation::Tangent;
 
 /// Most parameters that a joint has: five of motor and link, seven of its gear, six of effects.
 const MOST_OF_A_JOINT: usize = 18;

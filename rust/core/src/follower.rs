@@ -1,0 +1,380 @@
+//! A column of directions on its way through an experiment: its steps, its sensors, its samples.
+//!
+//! At the beginning, and where a servo commands, a column becomes numbers with derivatives for that
+//! moment.
+
+use crate::arm::{Arm, Slopes};
+use crate::column::{Column, Response, Tangent};
+use crate::config::Config;
+use crate::drive::CurrentLoop;
+use crate::dual::Dual;
+use crate::friction::Motion;
+use crate::margin::MarginSlopes;
+use crate::plant::{Instant, Modes, State, StepTorque};
+use crate::real::Real;
+use crate::sensitivity::seeded;
+use crate::sensors::LowPass;
+use crate::simulate::{Group, Member, Quantity, Source, Task};
+use crate::variation::Linearised;
+
+/// A stretch between events, as every column goes through it.
+pub(crate) struct Through<S, const N: usize> {
+    /// Motors that stand, as those do that are held after too many events.
+    pub(crate) rests: [bool; N],
+    /// Whether the motor whose event ends it comes to rest at once.
+    pub(crate) stops: bool,
+    /// Whether the event's instant depends on anything: not where the modes never fitted.
+    pub(crate) moves: bool,
+    /// What is left of the torques' distances to their targets.
+    pub(crate) decay: StepTorque<S, N>,
+    /// How long it takes [s].
+    pub(crate) duration: f64,
+    /// The event that ends it, if it is one.
+    pub(crate) event: Option<MarginSlopes>,
+    /// How fast its end moves as it gets longer, and the torques there.
+    pub(crate) rates: Tangent<S, N>,
+    pub(crate) torque_rates: [S; N],
+}
+
+/// How the accelerometers' readings depend on the motion.
+pub(crate) struct Readings<const N: usize> {
+    slopes: Slopes<f64, N>,
+    acceleration: [[f64; N]; N],
+}
+
+impl<const N: usize> Readings<N> {
+    #[inline(always)]
+    pub(crate) fn new<A: Arm<N>, S: Real>(
+        task: &Task<A, N>,
+        x: &State<S, N>,
+        now: &Instant<A, S, N>,
+    ) -> Self {
+        let (places, posture) = (task.config.accelerometers(), &now.posture);
+        let (slopes, acceleration) =
+            A::accelerometer_slopes(&places, posture, &x.link_velocity, &now.acceleration.link);
+        let plain = |rows: [[S; N]; N]| rows.map(|row| row.map(|number| number.lane(0)));
+        Self {
+            slopes: Slopes {
+                angle: plain(slopes.angle),
+                velocity: plain(slopes.velocity),
+            },
+            acceleration: plain(acceleration),
+        }
+    }
+
+    #[inline(always)]
+    fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
+        let mut sum = [V::splat(0.0); N];
+        for i in 0..N {
+            for j in 0..N {
+                if A::FELT[j] {
+                    sum[i] = V::splat(self.slopes.angle[i][j]).mul_add(x.angle[j], sum[i]);
+                }
+                sum[i] = V::splat(self.slopes.velocity[i][j]).mul_add(x.velocity[j], sum[i]);
+                sum[i] = V::splat(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
+            }
+        }
+        sum
+    }
+}
+
+/// A column of directions on its way.
+pub(crate) struct Follower<
+    'a,
+    A: Arm<N>,
+    S: Real<One = S>,
+    V: Real,
+    const N: usize,
+    const EFFECTS: bool,
+> {
+    pub(crate) column: Column<V, N>,
+    /// The chain over numbers with derivatives, for what is not smooth.
+    dual: Group<'a, A, Dual<S, V>, N, true, EFFECTS>,
+    /// Whether the torques depend on anything: they do where a servo closes the loop.
+    pub(crate) driven: bool,
+    pub(crate) torque: [V; N],
+    target: [V; N],
+    current: CurrentLoop<V, N>,
+    accelerometer: [Option<LowPass<V, 2>>; N],
+    gyro: [Option<LowPass<V, 1>>; N],
+    readings: [[V; N]; 2],
+    /// How what is left of a step moves, between its events.
+    pub(crate) left: V,
+    ratio: [f64; N],
+    lanes: usize,
+    /// The joint whose parameter a direction is by, and the parameter's place among its own.
+    own: Vec<Option<(usize, usize)>>,
+}
+
+impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool>
+    Follower<'a, A, S, V, N, EFFECTS>
+{
+    pub(crate) fn new(
+        task: &'a Task<A, N>,
+        member: &'a Member<'a, N>,
+        directions: &[Source],
+    ) -> Self {
+        let given = |source, value| seeded(source, value, directions);
+        let dual: Group<'a, A, Dual<S, V>, N, true, EFFECTS> =
+            Group::new(task, std::slice::from_ref(member), &given);
+        let zero = [V::splat(0.0); N];
+        let ratio = task.config.joints.map(|joint| joint.ratio);
+        let tangent = tangent_of(&dual.motion, &ratio);
+        let mut own = Self {
+            column: Column::new(&task.config, directions, tangent),
+            driven: task.servo.is_some(),
+            torque: zero,
+            target: zero,
+            current: task.config.current_loop(task.clock.step),
+            accelerometer: [const { None }; N],
+            gyro: [const { None }; N],
+            readings: [zero; 2],
+            left: V::splat(0.0),
+            ratio,
+            lanes: V::LANES.min(directions.len()),
+            own: own_parameters(&task.config, directions, V::LANES),
+            dual,
+        };
+        let recorded = |quantity| task.record.contains(&quantity);
+        if let Some(sensors) = &own.dual.sensors {
+            let tangent = |number: &Dual<S, V>| number.tangent;
+            if recorded(Quantity::Accelerometer) {
+                let filters = sensors.accelerometer.each_ref();
+                own.accelerometer = filters.map(|one| Some(one.as_ref()?.of_tangents(tangent)));
+            }
+            if recorded(Quantity::Gyro) {
+                let filters = sensors.gyro.each_ref();
+                own.gyro = filters.map(|one| Some(one.as_ref()?.of_tangents(tangent)));
+            }
+        }
+        own
+    }
+
+    /// The motion with this column's derivatives.
+    #[inline(always)]
+    fn lifted(&self, nominal: &Motion<S, N>) -> Motion<Dual<S, V>, N> {
+        lifted(nominal, &self.column.tangent, &self.torque, &self.ratio)
+    }
+
+    /// What the servo makes of the motion's derivatives.
+    pub(crate) fn command(&mut self, nominal: &Motion<S, N>, step: usize, servo_reads: bool) {
+        self.dual.motion = self.lifted(nominal);
+        self.dual.command(step, servo_reads);
+        self.target = self.dual.target.map(|number| number.tangent);
+        self.torque = self.dual.motion.torque.map(|number| number.tangent);
+    }
+
+    /// A smooth step.
+    #[inline(always)]
+    pub(crate) fn advance<L: Real>(
+        &mut self,
+        linear: &Linearised<A, L, N>,
+        first: &Response<V, N>,
+        h: f64,
+    ) {
+        if self.driven {
+            let torque = self.current.over_step(&self.torque, &self.target);
+            self.column.advance(linear, first, Some(&torque), h);
+            self.torque = torque.end;
+        } else {
+            self.column.advance(linear, first, None, h);
+        }
+    }
+
+    /// A stretch between two events.
+    ///
+    /// With its length fixed it is a step like any other. The event's instant moves by what holds
+    /// its margin at zero; what was left of the step, by the opposite.
+    #[inline(always)]
+    pub(crate) fn pass<L: Real>(&mut self, linear: &Linearised<A, L, N>, through: &Through<S, N>) {
+        for i in 0..N {
+            if through.rests[i] {
+                self.rest(i);
+            }
+        }
+        self.column.force(linear);
+        let torque = self.torques(&through.decay);
+        let x = self.column.tangent;
+        let first = self.column.respond(linear, 0, &x, Some(&torque.begin));
+        self.column
+            .advance(linear, &first, Some(&torque), through.duration);
+        self.torque = torque.end;
+        let mut later = self.left;
+        if let Some(event) = &through.event {
+            if through.moves {
+                let per_time = event.along(&through.rates, &through.torque_rates).lane(0);
+                let along = event.along(&self.column.tangent, &self.torque);
+                later = (along + event.by_parameters(&self.own)) * V::splat(-1.0 / per_time);
+            }
+            self.left = self.left - later;
+        }
+        self.column.tangent.add(&through.rates, later);
+        for i in 0..N {
+            let rate = V::splat(through.torque_rates[i].lane(0));
+            self.torque[i] = rate.mul_add(later, self.torque[i]);
+        }
+        if let Some(event) = &through.event
+            && through.stops
+        {
+            self.rest(event.joint);
+        }
+    }
+
+    /// The motor does not move.
+    #[inline(always)]
+    fn rest(&mut self, joint: usize) {
+        self.column.tangent.rate[joint] = -self.column.tangent.velocity[joint];
+    }
+
+    /// The torques' derivatives over a stretch, of which `decay` of each distance to the target is
+    /// left. Even open-loop torques have some between events: an event's instant moves along them.
+    #[inline(always)]
+    fn torques(&self, decay: &StepTorque<S, N>) -> StepTorque<V, N> {
+        let mut torque = StepTorque {
+            begin: self.torque,
+            middle: self.target,
+            end: self.target,
+        };
+        for i in 0..N {
+            let distance = self.torque[i] - self.target[i];
+            torque.middle[i] = V::splat(decay.middle[i].lane(0)).mul_add(distance, self.target[i]);
+            torque.end[i] = V::splat(decay.end[i].lane(0)).mul_add(distance, self.target[i]);
+        }
+        torque
+    }
+
+    /// The sensors' readings and what their filters make of them.
+    #[inline(always)]
+    pub(crate) fn sense(&mut self, readings: Option<&Readings<N>>, response: &Response<V, N>) {
+        let x = &self.column.tangent;
+        if let Some(readings) = readings {
+            self.readings[0] = readings.tangents::<A, V>(x, response);
+        }
+        self.readings[1] = A::absolute_rates(&x.velocity);
+        for i in 0..N {
+            if let Some(filter) = &mut self.accelerometer[i] {
+                filter.update(self.readings[0][i]);
+                self.readings[0][i] = filter.output();
+            }
+            if let Some(filter) = &mut self.gyro[i] {
+                filter.update(self.readings[1][i]);
+                self.readings[1][i] = filter.output();
+            }
+        }
+    }
+
+    /// Puts this column's lanes, from direction `first`, into a sample's place.
+    #[inline(always)]
+    pub(crate) fn record(
+        &self,
+        task: &Task<A, N>,
+        tangents: &mut [Vec<f64>],
+        (sample, first): (usize, usize),
+        response: &Response<V, N>,
+    ) {
+        let x = &self.column.tangent;
+        for (k, quantity) in task.record.iter().enumerate() {
+            let row = match quantity {
+                Quantity::Voltage => self.dual.voltage[0].map(|number| number.tangent),
+                Quantity::MotorTorque => self.torque,
+                Quantity::MotorAngle | Quantity::Encoder => motor(&self.ratio, &x.twist, &x.angle),
+                Quantity::MotorVelocity => motor(&self.ratio, &x.rate, &x.velocity),
+                Quantity::LinkAngle => x.angle,
+                Quantity::LinkVelocity => x.velocity,
+                Quantity::LinkAcceleration => response.link,
+                Quantity::GearTorque => response.gear,
+                Quantity::Accelerometer => self.readings[0],
+                Quantity::Gyro => self.readings[1],
+                Quantity::Sliding => continue,
+            };
+            let width = tangents[k].len() / (task.clock.samples * N);
+            for i in 0..N {
+                let own = &mut tangents[k][(sample * N + i) * width + first..];
+                if self.lanes == V::LANES {
+                    row[i].store(own);
+                } else {
+                    (0..self.lanes).for_each(|lane| own[lane] = row[i].lane(lane));
+                }
+            }
+        }
+    }
+}
+
+/// The joint of each direction's parameter, and its place among that joint's.
+fn own_parameters<A: Arm<N>, const N: usize>(
+    config: &Config<A, N>,
+    directions: &[Source],
+    most: usize,
+) -> Vec<Option<(usize, usize)>> {
+    let names = config.parameter_names();
+    let place = |source: &Source| {
+        let &Source::Parameter(k) = source else {
+            return None;
+        };
+        let own = names.get(A::NAMES.len()..k)?;
+        let joint = names[k].1?;
+        let before = own.iter().filter(|name| name.1 == Some(joint));
+        Some((joint - 1, before.count()))
+    };
+    directions.iter().take(most).map(place).collect()
+}
+
+/// Motors' derivatives from the gears' and the links'.
+#[inline(always)]
+fn motor<V: Real, const N: usize>(ratio: &[f64; N], gear: &[V; N], link: &[V; N]) -> [V; N] {
+    let mut motor = *gear;
+    for i in 0..N {
+        motor[i] = (gear[i] + link[i]) * V::splat(1.0 / ratio[i]);
+    }
+    motor
+}
+
+/// A motion with derivatives.
+#[inline(always)]
+fn lifted<S: Real, V: Real, const N: usize>(
+    nominal: &Motion<S, N>,
+    x: &Tangent<V, N>,
+    torque: &[V; N],
+    ratio: &[f64; N],
+) -> Motion<Dual<S, V>, N> {
+    let state = &nominal.state;
+    Motion {
+        state: State {
+            motor_angle: pair(&state.motor_angle, &motor(ratio, &x.twist, &x.angle)),
+            motor_velocity: pair(&state.motor_velocity, &motor(ratio, &x.rate, &x.velocity)),
+            link_angle: pair(&state.link_angle, &x.angle),
+            link_velocity: pair(&state.link_velocity, &x.velocity),
+            hysteresis: state.hysteresis.map(Dual::constant),
+        },
+        torque: pair(&nominal.torque, torque),
+        modes: Modes {
+            direction: nominal.modes.direction.map(Dual::constant),
+            free: nominal.modes.free.map(Dual::constant),
+        },
+    }
+}
+
+#[inline(always)]
+fn pair<S: Real, V: Real, const N: usize>(values: &[S; N], tangents: &[V; N]) -> [Dual<S, V>; N] {
+    std::array::from_fn(|i| Dual {
+        value: values[i],
+        tangent: tangents[i],
+    })
+}
+
+/// A motion's derivatives in the coordinates of the variational equations.
+fn tangent_of<S: Real, V: Real, const N: usize>(
+    motion: &Motion<Dual<S, V>, N>,
+    ratio: &[f64; N],
+) -> Tangent<V, N> {
+    let x = &motion.state;
+    let gear = |motor: &[Dual<S, V>; N], link: &[Dual<S, V>; N]| -> [V; N] {
+        std::array::from_fn(|i| V::splat(ratio[i]).mul_add(motor[i].tangent, -link[i].tangent))
+    };
+    Tangent {
+        twist: gear(&x.motor_angle, &x.link_angle),
+        rate: gear(&x.motor_velocity, &x.link_velocity),
+        angle: x.link_angle.map(|number| number.tangent),
+        velocity: x.link_velocity.map(|number| number.tangent),
+    }
+}
