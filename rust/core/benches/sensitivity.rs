@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use common::{member, task, telegraph, widths};
 use strainwave_core::dispatch::{sensitivities, simulate};
-use strainwave_core::simulate::{Quantity, Source};
+use strainwave_core::experiment::{Quantity, Source};
 
 /// Short, so that among many runs some are left alone by whatever else the machine does.
 const STEPS: usize = 2400;

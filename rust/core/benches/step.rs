@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use common::{member, task, telegraph, widths};
 use strainwave_core::dispatch::simulate;
-use strainwave_core::simulate::Quantity;
+use strainwave_core::experiment::Quantity;
 
 const STEPS: usize = 32_000;
 

@@ -2,10 +2,10 @@
 
 use crate::arm::Arm;
 use crate::config::{Config, SETTLING};
+use crate::experiment::Source;
 use crate::lengthening::Lengthening;
 use crate::plant::StepTorque;
 use crate::real::{MOST_LANES, Real};
-use crate::simulate::Source;
 use crate::variation::{Linearised, Row, places};
 
 /// Derivatives of twists, twist rates, link angles and link velocities.

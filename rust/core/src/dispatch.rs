@@ -8,6 +8,7 @@ use std::marker::PhantomData;
 use rayon::prelude::*;
 
 use crate::arm::Arm;
+use crate::experiment::{Diverged, Member, Record, Source, Task, values};
 use crate::follow::Followed;
 #[cfg(target_arch = "x86_64")]
 use crate::lanes::{F64x4, F64x8};
@@ -16,7 +17,7 @@ use crate::onset::without_effects;
 use crate::real::Fused;
 use crate::real::Real;
 use crate::sensitivity::{Sensitivities, by_duals};
-use crate::simulate::{Diverged, Member, Record, SideBySide, Source, Task, values};
+use crate::simulate::SideBySide;
 
 /// Registers' worth of arms that take turns.
 const GROUPS: usize = 2;

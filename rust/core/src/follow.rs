@@ -9,6 +9,7 @@ use crate::arm::Arm;
 use crate::column::{Column, Response, Tangent};
 use crate::drive::CurrentLoop;
 use crate::dual::Dual;
+use crate::experiment::{Diverged, Event, Member, Quantity, Source, Task, values};
 use crate::follower::{Follower, Readings, Through};
 use crate::friction::{Motion, Stretch};
 use crate::lengthening::Lengthening;
@@ -16,7 +17,7 @@ use crate::margin::MarginSlopes;
 use crate::plant::{Instant, Watch};
 use crate::real::{Real, Work};
 use crate::sensitivity::Sensitivities;
-use crate::simulate::{Diverged, Event, Group, Member, Quantity, Source, Task, values};
+use crate::simulate::Group;
 use crate::variation::{Linearised, Trace};
 
 /// One arm with elastic gears, derivatives in some directions: scalars `S`, `V::LANES` directions

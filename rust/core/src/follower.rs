@@ -8,13 +8,14 @@ use crate::column::{Column, Response, Tangent};
 use crate::config::Config;
 use crate::drive::CurrentLoop;
 use crate::dual::Dual;
+use crate::experiment::{Member, Quantity, Source, Task};
 use crate::friction::Motion;
 use crate::margin::MarginSlopes;
 use crate::plant::{Instant, Modes, State, StepTorque};
 use crate::real::Real;
 use crate::sensitivity::seeded;
 use crate::sensors::LowPass;
-use crate::simulate::{Group, Member, Quantity, Source, Task};
+use crate::simulate::Group;
 use crate::variation::Linearised;
 
 /// A stretch between events, as every column goes through it.

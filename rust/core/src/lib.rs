@@ -4,7 +4,7 @@
 //! (IFAC SYSID 2009); symbols and units are in docs/notation.md.
 //!
 //! [`arm`], [`gear`] and [`effects`] hold the physics, [`plant`] puts them together, [`friction`] cuts time where
-//! Coulomb friction changes its mode, [`simulate`] runs whole experiments over any [`real::Real`],
+//! Coulomb friction changes its mode, [`simulate`] runs whole experiments ([`experiment`]) over any [`real::Real`],
 //! and [`dispatch`] chooses which. Over [`dual`] numbers the same chain gives its derivatives,
 //! [`sensitivity`].
 
@@ -15,6 +15,7 @@ pub mod dispatch;
 pub mod drive;
 pub mod dual;
 pub mod effects;
+pub mod experiment;
 mod follow;
 mod follower;
 pub mod friction;
@@ -30,5 +31,6 @@ pub mod rigid;
 pub mod sensitivity;
 pub mod sensors;
 pub mod simulate;
+mod start;
 mod transmission;
 mod variation;

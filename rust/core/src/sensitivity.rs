@@ -7,8 +7,9 @@
 
 use crate::arm::Arm;
 use crate::dual::Dual;
+use crate::experiment::{Diverged, Member, Record, RecordOf, Source, Task, values};
 use crate::real::Real;
-use crate::simulate::{Diverged, Member, Record, RecordOf, SideBySide, Source, Task};
+use crate::simulate::SideBySide;
 
 /// What was recorded, and how it depends on what was asked for.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,6 +84,6 @@ impl<const N: usize> Sensitivities<N> {
                 }
             }
         }
-        self.values = crate::simulate::values(record);
+        self.values = values(record);
     }
 }

@@ -5,7 +5,7 @@ mod common;
 use common::{Run, at_rest, config};
 use strainwave_core::arm::OneLink;
 use strainwave_core::config::GearKind;
-use strainwave_core::simulate::{Initial, Quantity};
+use strainwave_core::experiment::{Initial, Quantity};
 
 const N: f64 = 0.01;
 

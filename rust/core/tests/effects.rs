@@ -8,7 +8,7 @@ use strainwave_core::arm::{OneLink, TwoLink};
 use strainwave_core::config::{Config, GearKind};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::effects::EffectKinds;
-use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Task};
+use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Task};
 
 const N: f64 = 0.01;
 const NONE: EffectKinds = EffectKinds {

@@ -8,9 +8,9 @@ use strainwave_core::arm::{Arm, OneLink, TwoLink};
 use strainwave_core::config::{Config, GearKind};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::effects::EffectKinds;
+use strainwave_core::experiment::{Clock, Member, Quantity, Task};
 use strainwave_core::plant::{Modes, Plant, State};
 use strainwave_core::rigid::{base_regressor, inverse_dynamics};
-use strainwave_core::simulate::{Clock, Member, Quantity, Task};
 
 const STATE: [Quantity; 4] = [
     Quantity::MotorAngle,

@@ -12,8 +12,8 @@ use strainwave_core::config::GearKind::{self, Linear, Rigid, ThreeSlope};
 use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
 use strainwave_core::drive::Servo;
 use strainwave_core::effects::EffectKinds;
+use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::sensitivity::Sensitivities;
-use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Record, Source, Task};
 
 const RECORDED: [Quantity; 12] = [
     Quantity::MotorAngle,

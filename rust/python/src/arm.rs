@@ -11,8 +11,10 @@ use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::{self, Width};
 use strainwave_core::drive::Servo;
 use strainwave_core::effects::EffectKinds;
+use strainwave_core::experiment::{
+    Clock, Diverged, Initial, Member, Quantity, Record, Source, Task,
+};
 use strainwave_core::sensitivity::Sensitivities;
-use strainwave_core::simulate::{Clock, Diverged, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::{arm, gear, rigid};
 
 type Matrix<'py> = PyReadonlyArray2<'py, f64>;

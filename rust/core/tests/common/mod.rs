@@ -7,8 +7,8 @@ use strainwave_core::arm::Arm;
 use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::effects::EffectKinds;
+use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Task};
 use strainwave_core::gear::CORNER;
-use strainwave_core::simulate::{Clock, Initial, Member, Quantity, Record, Task};
 
 /// A joint with ideal electronics and sensors.
 pub fn joint(gear: GearKind) -> JointConfig {
