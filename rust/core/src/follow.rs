@@ -9,13 +9,14 @@ use crate::arm::Arm;
 use crate::column::{Column, Response, Tangent};
 use crate::drive::CurrentLoop;
 use crate::dual::Dual;
-use crate::experiment::{Diverged, Event, Member, Quantity, Source, Task, values};
-use crate::follower::{Follower, Readings, Through};
+use crate::experiment::{Diverged, Event, Member, Source, Task, values};
+use crate::follower::{Follower, Through};
 use crate::friction::{Motion, Stretch};
 use crate::lengthening::Lengthening;
 use crate::margin::MarginSlopes;
 use crate::plant::{Instant, Watch};
 use crate::real::{Real, Work};
+use crate::sensing::Sensing;
 use crate::sensitivity::Sensitivities;
 use crate::simulate::Group;
 use crate::variation::{Linearised, Trace};
@@ -70,6 +71,8 @@ struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, 
     trace: Trace<N>,
     linear: Linearised<A, L, N>,
     followers: Vec<Follower<'a, A, S, V, N, EFFECTS>>,
+    /// The sensors that are recorded, if any.
+    sensing: Option<Sensing<V, N>>,
     /// For each quantity samples times joints times directions.
     tangents: Vec<Vec<f64>>,
     sampled: usize,
@@ -82,10 +85,16 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
         let (task, width) = (of.task, of.directions.len());
         let (asked, member) = of.asked;
         let plain = |_, value| S::splat(value);
+        let nominal = Group::new(task, std::slice::from_ref(of.member), &plain);
+        let sensing = Sensing::new(task, nominal.sensors.as_ref());
+        let follower = |first| {
+            let directions = &of.directions[first..];
+            Follower::new(asked, member, directions, sensing.as_ref())
+        };
         Self {
             task,
             asked,
-            nominal: Group::new(task, std::slice::from_ref(of.member), &plain),
+            nominal,
             unforced: Column::new(&task.config, &[], Tangent::still()),
             longer: task.config.current_loop(task.clock.step),
             trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
@@ -94,10 +103,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
                 of.member.parameters,
                 (&asked.config, member.parameters),
             ),
-            followers: (0..width)
-                .step_by(V::LANES)
-                .map(|first| Follower::new(asked, member, &of.directions[first..]))
-                .collect(),
+            followers: (0..width).step_by(V::LANES).map(follower).collect(),
+            sensing,
             tangents: vec![vec![0.0; task.clock.samples * N * width]; task.record.len()],
             sampled: 0,
         }
@@ -144,10 +151,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
     /// The derivatives' part of an instant and of the step that follows it.
     #[inline(always)]
     fn follow(&mut self, event: &Event, before: &Motion<S, N>, now: &Instant<A, S, N>) {
-        let reads = |quantity| self.task.record.contains(&quantity);
-        let accelerates = reads(Quantity::Accelerometer);
-        let senses = accelerates || reads(Quantity::Gyro);
-        let readings = accelerates.then(|| Readings::new(self.task, &before.state, now));
+        let sensing = self.sensing.as_ref();
+        let readings = sensing.and_then(|all| all.readings(self.task, &before.state, now));
         let smooth = !event.last && self.nominal.stretches.is_empty();
         let mut first = 0;
         for follower in &mut self.followers {
@@ -155,8 +160,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
             let x = follower.column.tangent;
             let torque = follower.driven.then_some(&follower.torque);
             let response = follower.column.respond(&self.linear, 0, &x, torque);
-            if senses {
-                follower.sense(readings.as_ref(), &response);
+            if let (Some(sensing), Some(sensed)) = (sensing, &mut follower.sensed) {
+                sensed.sense::<A>(sensing, readings.as_ref(), &x, &response);
             }
             if event.samples {
                 V::scope(Put {

@@ -1,9 +1,9 @@
-//! A column of directions on its way through an experiment: its steps, its sensors, its samples.
+//! A column of directions on its way through an experiment: its steps and its samples.
 //!
 //! At the beginning, and where a servo commands, a column becomes numbers with derivatives for that
 //! moment.
 
-use crate::arm::{Arm, Slopes};
+use crate::arm::Arm;
 use crate::column::{Column, Response, Tangent};
 use crate::config::Config;
 use crate::drive::CurrentLoop;
@@ -11,10 +11,10 @@ use crate::dual::Dual;
 use crate::experiment::{Member, Quantity, Source, Task};
 use crate::friction::Motion;
 use crate::margin::MarginSlopes;
-use crate::plant::{Instant, Modes, State, StepTorque};
+use crate::plant::{Modes, State, StepTorque};
 use crate::real::Real;
+use crate::sensing::{Sensed, Sensing};
 use crate::sensitivity::seeded;
-use crate::sensors::LowPass;
 use crate::simulate::Group;
 use crate::variation::Linearised;
 
@@ -37,48 +37,6 @@ pub(crate) struct Through<S, const N: usize> {
     pub(crate) torque_rates: [S; N],
 }
 
-/// How the accelerometers' readings depend on the motion.
-pub(crate) struct Readings<const N: usize> {
-    slopes: Slopes<f64, N>,
-    acceleration: [[f64; N]; N],
-}
-
-impl<const N: usize> Readings<N> {
-    #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, S: Real>(
-        task: &Task<A, N>,
-        x: &State<S, N>,
-        now: &Instant<A, S, N>,
-    ) -> Self {
-        let (places, posture) = (task.config.accelerometers(), &now.posture);
-        let (slopes, acceleration) =
-            A::accelerometer_slopes(&places, posture, &x.link_velocity, &now.acceleration.link);
-        let plain = |rows: [[S; N]; N]| rows.map(|row| row.map(|number| number.lane(0)));
-        Self {
-            slopes: Slopes {
-                angle: plain(slopes.angle),
-                velocity: plain(slopes.velocity),
-            },
-            acceleration: plain(acceleration),
-        }
-    }
-
-    #[inline(always)]
-    fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
-        let mut sum = [V::splat(0.0); N];
-        for i in 0..N {
-            for j in 0..N {
-                if A::FELT[j] {
-                    sum[i] = V::splat(self.slopes.angle[i][j]).mul_add(x.angle[j], sum[i]);
-                }
-                sum[i] = V::splat(self.slopes.velocity[i][j]).mul_add(x.velocity[j], sum[i]);
-                sum[i] = V::splat(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
-            }
-        }
-        sum
-    }
-}
-
 /// A column of directions on its way.
 pub(crate) struct Follower<
     'a,
@@ -96,9 +54,8 @@ pub(crate) struct Follower<
     pub(crate) torque: [V; N],
     target: [V; N],
     current: CurrentLoop<V, N>,
-    accelerometer: [Option<LowPass<V, 2>>; N],
-    gyro: [Option<LowPass<V, 1>>; N],
-    readings: [[V; N]; 2],
+    /// Its sensors, if any are recorded.
+    pub(crate) sensed: Option<Sensed<V, N>>,
     /// How what is left of a step moves, between its events.
     pub(crate) left: V,
     ratio: [f64; N],
@@ -114,6 +71,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
         task: &'a Task<A, N>,
         member: &'a Member<'a, N>,
         directions: &[Source],
+        sensing: Option<&Sensing<V, N>>,
     ) -> Self {
         let given = |source, value| seeded(source, value, directions);
         let dual: Group<'a, A, Dual<S, V>, N, true, EFFECTS> =
@@ -127,26 +85,22 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
             torque: zero,
             target: zero,
             current: task.config.current_loop(task.clock.step),
-            accelerometer: [const { None }; N],
-            gyro: [const { None }; N],
-            readings: [zero; 2],
+            sensed: None,
             left: V::splat(0.0),
             ratio,
             lanes: V::LANES.min(directions.len()),
             own: own_parameters(&task.config, directions, V::LANES),
             dual,
         };
-        let recorded = |quantity| task.record.contains(&quantity);
-        if let Some(sensors) = &own.dual.sensors {
-            let tangent = |number: &Dual<S, V>| number.tangent;
-            if recorded(Quantity::Accelerometer) {
-                let filters = sensors.accelerometer.each_ref();
-                own.accelerometer = filters.map(|one| Some(one.as_ref()?.of_tangents(tangent)));
+        if let (Some(sensing), Some(sensors)) = (sensing, &own.dual.sensors) {
+            let mut first = [zero; 2];
+            for i in 0..N {
+                let accelerometer = sensors.accelerometer[i].as_ref();
+                let gyro = sensors.gyro[i].as_ref();
+                first[0][i] = accelerometer.map_or(zero[i], |filter| filter.output().tangent);
+                first[1][i] = gyro.map_or(zero[i], |filter| filter.output().tangent);
             }
-            if recorded(Quantity::Gyro) {
-                let filters = sensors.gyro.each_ref();
-                own.gyro = filters.map(|one| Some(one.as_ref()?.of_tangents(tangent)));
-            }
+            own.sensed = Some(Sensed::at_rest(sensing, first));
         }
         own
     }
@@ -244,23 +198,11 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
         torque
     }
 
-    /// The sensors' readings and what their filters make of them.
     #[inline(always)]
-    pub(crate) fn sense(&mut self, readings: Option<&Readings<N>>, response: &Response<V, N>) {
-        let x = &self.column.tangent;
-        if let Some(readings) = readings {
-            self.readings[0] = readings.tangents::<A, V>(x, response);
-        }
-        self.readings[1] = A::absolute_rates(&x.velocity);
-        for i in 0..N {
-            if let Some(filter) = &mut self.accelerometer[i] {
-                filter.update(self.readings[0][i]);
-                self.readings[0][i] = filter.output();
-            }
-            if let Some(filter) = &mut self.gyro[i] {
-                filter.update(self.readings[1][i]);
-                self.readings[1][i] = filter.output();
-            }
+    fn reading(&self, kind: usize) -> [V; N] {
+        match &self.sensed {
+            Some(sensed) => sensed.readings[kind],
+            None => [V::splat(0.0); N],
         }
     }
 
@@ -284,8 +226,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
                 Quantity::LinkVelocity => x.velocity,
                 Quantity::LinkAcceleration => response.link,
                 Quantity::GearTorque => response.gear,
-                Quantity::Accelerometer => self.readings[0],
-                Quantity::Gyro => self.readings[1],
+                Quantity::Accelerometer => self.reading(0),
+                Quantity::Gyro => self.reading(1),
                 Quantity::Sliding => continue,
             };
             let width = tangents[k].len() / (task.clock.samples * N);

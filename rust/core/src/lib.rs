@@ -28,6 +28,7 @@ mod onset;
 pub mod plant;
 pub mod real;
 pub mod rigid;
+mod sensing;
 pub mod sensitivity;
 pub mod sensors;
 pub mod simulate;

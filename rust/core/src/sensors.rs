@@ -79,15 +79,20 @@ impl<R: Real, const M: usize> LowPass<R, M> {
         self.input = input;
     }
 
-    /// The filter that a derivative of this one's readings goes through, and where it is now.
-    pub(crate) fn of_tangents<V: Real>(&self, tangent: impl Fn(&R) -> V) -> LowPass<V, M> {
-        let plain = |row: &[R; M]| row.map(|number| V::splat(number.lane(0)));
-        LowPass {
-            transition: std::array::from_fn(|i| plain(&self.transition[i])),
-            from_old: plain(&self.from_old),
-            from_new: plain(&self.from_new),
-            state: std::array::from_fn(|i| tangent(&self.state[i])),
-            input: tangent(&self.input),
+    /// The filter that derivatives of the readings go through.
+    pub(crate) fn feedthrough<V: Real>(&self) -> Feedthrough<V, M> {
+        let plain = |row: &[R; M]| row.map(|number| number.lane(0));
+        let (transition, newest) = (self.transition.each_ref().map(plain), plain(&self.from_new));
+        let mut by_reading = plain(&self.from_old);
+        for i in 0..M {
+            for j in 0..M {
+                by_reading[i] += transition[i][j] * newest[j];
+            }
+        }
+        Feedthrough {
+            transition: transition.map(|row| row.map(V::splat)),
+            by_reading: by_reading.map(V::splat),
+            by_newest: newest.map(V::splat),
         }
     }
 
@@ -95,6 +100,40 @@ impl<R: Real, const M: usize> LowPass<R, M> {
     #[inline(always)]
     pub fn output(&self) -> R {
         self.state[0]
+    }
+}
+
+/// A [`LowPass`] with the newest reading's part `c u` taken out of its state:
+/// y = s_0 + c_0 u, s+ = A s + e u.
+///
+/// It has a product less for each state, and its constants serve all directions.
+#[derive(Clone, Copy)]
+pub(crate) struct Feedthrough<V, const M: usize> {
+    transition: [[V; M]; M],
+    by_reading: [V; M],
+    by_newest: [V; M],
+}
+
+impl<V: Real, const M: usize> Feedthrough<V, M> {
+    /// The state at rest at a reading.
+    pub(crate) fn at_rest(&self, reading: V) -> [V; M] {
+        let mut state = self.by_newest.map(|newest| -(newest * reading));
+        state[0] = state[0] + reading;
+        state
+    }
+
+    /// Takes in a reading, the first at once, and gives the sensor's output.
+    #[inline(always)]
+    pub(crate) fn update(&self, state: &mut [V; M], reading: V) -> V {
+        let old = *state;
+        for i in 0..M {
+            let mut next = self.by_reading[i] * reading;
+            for j in 0..M {
+                next = self.transition[i][j].mul_add(old[j], next);
+            }
+            state[i] = next;
+        }
+        self.by_newest[0].mul_add(reading, old[0])
     }
 }
 

@@ -1,0 +1,141 @@
+//! What accelerometers and gyros read of columns of directions.
+
+use crate::arm::Arm;
+use crate::column::{Response, Tangent};
+use crate::experiment::{Quantity, Task};
+use crate::plant::{Instant, State};
+use crate::real::Real;
+use crate::sensors::Feedthrough;
+use crate::simulate::Sensors;
+
+/// The filters of one kind of sensor, of M states, joint by joint.
+type Filters<V, const N: usize, const M: usize> = [Option<Feedthrough<V, M>>; N];
+
+/// The sensors that are recorded, alike for all columns.
+pub(crate) struct Sensing<V, const N: usize> {
+    accelerometers: Option<Filters<V, N, 2>>,
+    gyros: Option<Filters<V, N, 1>>,
+}
+
+/// One column's sensors: the states of their filters, and what they read now.
+#[derive(Clone, Copy)]
+pub(crate) struct Sensed<V, const N: usize> {
+    accelerometers: [[V; 2]; N],
+    gyros: [[V; 1]; N],
+    /// Of the accelerometers and of the gyros.
+    pub(crate) readings: [[V; N]; 2],
+}
+
+/// How the accelerometers' readings depend on the motion, each slope in all lanes.
+pub(crate) struct Readings<V, const N: usize> {
+    angle: [[V; N]; N],
+    velocity: [[V; N]; N],
+    acceleration: [[V; N]; N],
+}
+
+impl<V: Real, const N: usize> Sensing<V, N> {
+    /// Of a task, and of the sensors of its plain simulation; `None` where neither is recorded.
+    pub(crate) fn new<A: Arm<N>, S: Real>(
+        task: &Task<A, N>,
+        sensors: Option<&Sensors<S, N>>,
+    ) -> Option<Self> {
+        let (sensors, reads) = (sensors?, |quantity| task.record.contains(&quantity));
+        let accelerometers = sensors.accelerometer.each_ref();
+        let gyros = sensors.gyro.each_ref();
+        Some(Self {
+            accelerometers: reads(Quantity::Accelerometer)
+                .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
+            gyros: reads(Quantity::Gyro)
+                .then(|| gyros.map(|one| Some(one.as_ref()?.feedthrough()))),
+        })
+    }
+
+    /// How the readings of an instant depend on the motion, if there are accelerometers.
+    #[inline(always)]
+    pub(crate) fn readings<A: Arm<N>, S: Real>(
+        &self,
+        task: &Task<A, N>,
+        x: &State<S, N>,
+        now: &Instant<A, S, N>,
+    ) -> Option<Readings<V, N>> {
+        self.accelerometers.as_ref()?;
+        let (places, link) = (task.config.accelerometers(), &now.acceleration.link);
+        let (slopes, acceleration) =
+            A::accelerometer_slopes(&places, &now.posture, &x.link_velocity, link);
+        let spread = |rows: [[S; N]; N]| rows.map(|row| row.map(|one| V::splat(one.lane(0))));
+        Some(Readings {
+            angle: spread(slopes.angle),
+            velocity: spread(slopes.velocity),
+            acceleration: spread(acceleration),
+        })
+    }
+}
+
+impl<V: Real, const N: usize> Sensed<V, N> {
+    /// At rest at the first readings of the accelerometers and of the gyros.
+    pub(crate) fn at_rest(sensing: &Sensing<V, N>, first: [[V; N]; 2]) -> Self {
+        let mut own = Self {
+            accelerometers: [[V::splat(0.0); 2]; N],
+            gyros: [[V::splat(0.0)]; N],
+            readings: first,
+        };
+        for i in 0..N {
+            if let Some(Some(filter)) = sensing.accelerometers.as_ref().map(|all| &all[i]) {
+                own.accelerometers[i] = filter.at_rest(first[0][i]);
+            }
+            if let Some(Some(filter)) = sensing.gyros.as_ref().map(|all| &all[i]) {
+                own.gyros[i] = filter.at_rest(first[1][i]);
+            }
+        }
+        own
+    }
+
+    /// The readings of an instant, and what the filters make of them.
+    #[inline(always)]
+    pub(crate) fn sense<A: Arm<N>>(
+        &mut self,
+        sensing: &Sensing<V, N>,
+        readings: Option<&Readings<V, N>>,
+        x: &Tangent<V, N>,
+        response: &Response<V, N>,
+    ) {
+        if let (Some(filters), Some(readings)) = (&sensing.accelerometers, readings) {
+            let ideal = readings.tangents::<A>(x, response);
+            self.readings[0] = ideal;
+            for i in 0..N {
+                if let Some(filter) = &filters[i] {
+                    self.readings[0][i] = filter.update(&mut self.accelerometers[i], ideal[i]);
+                }
+            }
+        }
+        if let Some(filters) = &sensing.gyros {
+            let ideal = A::absolute_rates(&x.velocity);
+            self.readings[1] = ideal;
+            for i in 0..N {
+                if let Some(filter) = &filters[i] {
+                    self.readings[1][i] = filter.update(&mut self.gyros[i], ideal[i]);
+                }
+            }
+        }
+    }
+}
+
+impl<V: Real, const N: usize> Readings<V, N> {
+    #[inline(always)]
+    fn tangents<A: Arm<N>>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
+        let mut sum = [V::splat(0.0); N];
+        for i in 0..N {
+            for j in 0..N {
+                sum[i] = self.velocity[i][j].mul_add(x.velocity[j], sum[i]);
+                if A::FELT[j] {
+                    sum[i] = self.angle[i][j].mul_add(x.angle[j], sum[i]);
+                }
+            }
+            // known last
+            for j in 0..N {
+                sum[i] = self.acceleration[i][j].mul_add(response.link[j], sum[i]);
+            }
+        }
+        sum
+    }
+}
