@@ -190,7 +190,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
             follower.left = V::splat(0.0);
         }
         for place in 0..self.nominal.stretches.len() {
-            let through = self.through(&self.nominal.stretches[place].clone());
+            let stretch = self.nominal.stretches[place];
+            let through = self.through(&stretch);
             for follower in &mut self.followers {
                 follower.pass(&self.linear, &through);
             }
