@@ -144,13 +144,9 @@ impl<V: Real, const N: usize> Column<V, N> {
         let end = torque.map(|torque| &torque.end);
         let at = self.held(step, x.drifted::<A>(half, first), 0);
         let second = self.respond(step, 1, &at, middle);
-        let at = self.held(
-            step,
-            x.moved::<A>(half, half * half, first, half, &second),
-            0,
-        );
+        let at = self.held(step, x.moved::<A>(half, half * half, first, &second), 0);
         let third = self.respond(step, 2, &at, middle);
-        let at = self.held(step, x.moved::<A>(h, h * half, &second, h, &third), 1);
+        let at = self.held(step, x.moved::<A>(h, h * half, &second, &third), 1);
         let fourth = self.respond(step, 3, &at, end);
         let sixth = h / 6.0;
         let (for_angle, for_velocity) = first.sums(&second, &third, &fourth);
@@ -261,7 +257,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         }
     }
 
-    /// As [`State`]'s of the same name, for the link angles that are felt.
+    /// As the `State`'s of the same name, for the link angles that are felt.
     #[inline(always)]
     fn drifted<A: Arm<N>>(&self, t: f64, a: &Response<V, N>) -> Self {
         let t = V::splat(t);
@@ -277,21 +273,13 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         next
     }
 
+    /// The same, with what the accelerations `a` of an earlier stage add to the positions.
     #[inline(always)]
-    fn moved<A: Arm<N>>(
-        &self,
-        t: f64,
-        s: f64,
-        a: &Response<V, N>,
-        r: f64,
-        b: &Response<V, N>,
-    ) -> Self {
+    fn moved<A: Arm<N>>(&self, t: f64, s: f64, a: &Response<V, N>, b: &Response<V, N>) -> Self {
         let mut next = self.drifted::<A>(t, b);
-        let (s, r) = (V::splat(s), V::splat(r));
+        let s = V::splat(s);
         for i in 0..N {
             next.twist[i] = s.mul_add(a.twist[i], next.twist[i]);
-            next.rate[i] = r.mul_add(b.twist[i], self.rate[i]);
-            next.velocity[i] = r.mul_add(b.link[i], self.velocity[i]);
             if A::FELT[i] {
                 next.angle[i] = s.mul_add(a.link[i], next.angle[i]);
             }

@@ -96,12 +96,7 @@ impl<const N: usize> Onset<N> {
             put(entry, drive.push * drive.direction * left);
         }
         if let Some(of) = own.kinematic_error {
-            let two = L::splat(2.0);
-            let (sin, cos) = (two * drive.motor_angle).sin_cos();
-            for (k, (error, slope)) in [(cos, -two * sin), (sin, two * cos)]
-                .into_iter()
-                .enumerate()
-            {
+            for (k, [error, slope]) in unit_errors(drive.motor_angle).into_iter().enumerate() {
                 let rate = slope * drive.motor_velocity;
                 put(
                     of[k][0],
@@ -117,17 +112,12 @@ impl<const N: usize> Onset<N> {
     /// lever.
     pub(crate) fn at_an_event<S: Real>(&self, i: usize, held: &Holding<S>) -> [[f64; 3]; 4] {
         let share = held.speed / self.velocity[i];
-        let (sin, cos) = (2.0 * held.motor_angle).sin_cos();
-        let error = |error: f64, slope: f64| {
+        let friction = [(-(share * share)).exp(), 0.0, 0.0];
+        let [cos, sin] = unit_errors(held.motor_angle).map(|[error, slope]| {
             let rate = slope * held.speed;
             [0.0, held.stiffness * error + held.damping * rate, slope]
-        };
-        [
-            [(-(share * share)).exp(), 0.0, 0.0],
-            [0.0, self.z[i], 0.0],
-            error(cos, -2.0 * sin),
-            error(sin, 2.0 * cos),
-        ]
+        });
+        [friction, [0.0, self.z[i], 0.0], cos, sin]
     }
 
     /// z at the four stages of a step of length `h`.
@@ -152,6 +142,14 @@ impl<const N: usize> Onset<N> {
             }
         }
     }
+}
+
+/// A kinematic error and its slope by the motor's angle, per a and per b.
+#[inline(always)]
+fn unit_errors<R: Real>(motor_angle: R) -> [[R; 2]; 2] {
+    let two = R::splat(2.0);
+    let (sin, cos) = (two * motor_angle).sin_cos();
+    [[cos, -two * sin], [sin, two * cos]]
 }
 
 /// The configuration and the parameters without the effects, if none of these has any size.
