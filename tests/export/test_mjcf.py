@@ -194,12 +194,24 @@ def test_friction_that_settles_in_a_known_time_is_ours(mujoco: ModuleType, tmp_p
     assert misfit(mujoco, study, values, 2.0) < 2e-3
 
 
-def test_the_current_loop_lags(mujoco: ModuleType, tmp_path: Path) -> None:
-    """MuJoCo holds the lagging torque over its step: 0.05 ms late, 0.3 % of a signal at 10 Hz."""
+@pytest.mark.parametrize(("bandwidth", "tolerance"), [(50.0, 1e-4), (1000.0, 1e-3), (5000.0, 4e-3)])
+def test_the_current_loop_lags(
+    mujoco: ModuleType, bandwidth: float, tolerance: float, tmp_path: Path
+) -> None:
+    """MuJoCo holds the torque over its step of 0.1 ms; a loop faster than that has no lag there."""
     study = exports.two_links(tmp_path)
-    lagging = tuple(replace(joint, current_loop_hz=50.0) for joint in study.joints)
+    lagging = tuple(replace(joint, current_loop_hz=bandwidth) for joint in study.joints)
     values = frictionless(exports.values_of(study))
-    assert misfit(mujoco, replace(study, joints=lagging), values, 10.0) < 0.01
+    assert misfit(mujoco, replace(study, joints=lagging), values, 10.0) < tolerance
+
+
+def test_a_current_loop_too_fast_for_the_step_is_told(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    fast = replace(study.joints[0], current_loop_hz=5000.0)
+    study = replace(study, joints=(fast, study.joints[1]))
+    cautions = to_mjcf(exports.arm_of(study, exports.values_of(study))).cautions
+    assert [(c.code, c.where) for c in cautions] == [("left-out", "joint 1")]
+    assert "5000 Hz" in cautions[0].message
 
 
 def test_what_mujoco_lacks_is_told_once_a_joint(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from strainwave.export.bodies import (
 )
 from strainwave.export.markup import numbers, remark, root, to_bytes
 from strainwave.export.source import Export, IdentifiedArm
-from strainwave.records import Caution
+from strainwave.records import Caution, Joint
 
 _STEP = 1e-4  # [s] the motors' friction, a constraint, takes two steps to bring them to rest
 _THIN = 0.02  # [m] radius of the drawn links
@@ -190,10 +190,22 @@ def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int) -> None:
         biastype="affine",
         biasprm=numbers(-arm.values.get(("friction_offset", number), 0.0), 0, 0),
     )
-    if joint.current_loop_hz:
-        lag = 1.0 / (2.0 * math.pi * joint.current_loop_hz)
+    lag = _lag(joint)
+    if lag is not None:
         element.set("dyntype", "filterexact")
         element.set("dynprm", numbers(lag))
+
+
+def _lag(joint: Joint) -> float | None:
+    """Time constant [s] of a drive; None: it has none, or one too short for MuJoCo's step.
+
+    MuJoCo holds the lagging torque over its step, half a step's lag of its own; and with a time
+    constant below 0.36 steps its Runge-Kutta diverges.
+    """
+    if not joint.current_loop_hz:
+        return None
+    lag = 1.0 / (2.0 * math.pi * joint.current_loop_hz) - 0.5 * _STEP
+    return lag if lag > 0.5 * _STEP else None
 
 
 def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int) -> None:
@@ -227,5 +239,11 @@ def _left_out(arm: IdentifiedArm) -> tuple[Caution, ...]:
     for number, joint in enumerate(arm.study.joints, start=1):
         if joint.effects:
             message = f"MuJoCo has no {', '.join(joint.effects)}; the model goes without"
+            found.append(Caution("left-out", f"joint {number}", message))
+        if joint.current_loop_hz and _lag(joint) is None:
+            message = (
+                f"the current loop's {joint.current_loop_hz:g} Hz are too fast for a time step of "
+                f"{_STEP:g} s; the model's torques follow at once"
+            )
             found.append(Caution("left-out", f"joint {number}", message))
     return tuple(found)
