@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,8 +17,10 @@ import numpy as np
 from strainwave import scara
 from strainwave.parameters import Values
 from strainwave.records import Experiment, Prbs, Spring, Study
-from strainwave.simulation import SensorNoise
-from strainwave.virtual import simulate_study
+from strainwave.simulation import SensorNoise, simulate
+from strainwave.virtual import Simulator, simulate_study
+
+Work = Callable[[Path, Values], dict[str, Any]]
 
 SPREAD = 0.3  # of the logarithms of a drawn arm's parameters, up and down
 SETTLES = 2.0  # one arm in as many has friction that takes its time
@@ -63,11 +64,24 @@ def _experiments(spring: Spring) -> tuple[Experiment, ...]:
     return tuple(kept)
 
 
-def with_logs(seed: int, work: Callable[[Path, Values], dict[str, Any]]) -> dict[str, Any]:
+def with_logs(
+    seed: int,
+    work: Work,
+    arm: Callable[[int], tuple[Study, Values]] = drawn,
+    simulator: Simulator = simulate,
+) -> dict[str, Any]:
     """What `work` finds of a drawn arm's study file and its truth; failures are found as well."""
-    study, values = drawn(seed)
+    study, values = arm(seed)
     with TemporaryDirectory() as folder:
-        simulate_study(study, values, Path(folder), seed=seed, noise=SensorNoise(), replay=False)
+        simulate_study(
+            study,
+            values,
+            Path(folder),
+            seed=seed,
+            noise=SensorNoise(),
+            replay=False,
+            simulator=simulator,
+        )
         try:
             found = work(Path(folder) / "study.toml", values)
         except Exception as failure:  # a study reports, it does not stop
@@ -76,9 +90,12 @@ def with_logs(seed: int, work: Callable[[Path, Values], dict[str, Any]]) -> dict
 
 
 def each(
-    n_arms: int, work: Callable[[Path, Values], dict[str, Any]], out: Path | None
+    n_arms: int, found_by: Callable[[int], dict[str, Any]], out: Path | None
 ) -> Iterator[dict[str, Any]]:
-    """Every drawn arm's findings as they come, one process a core; kept as lines of JSON."""
+    """Every drawn arm's findings as they come, one process a core; kept as lines of JSON.
+
+    `found_by` is `with_logs` for some work, and takes an arm's seed.
+    """
     lines = out.read_text().splitlines() if out is not None and out.exists() else []
     before = [json.loads(line) for line in lines]
     yield from before
@@ -86,7 +103,7 @@ def each(
     left = [seed for seed in range(n_arms) if seed not in done]
     os.environ |= {"OPENBLAS_NUM_THREADS": "1"}
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        for found in pool.map(partial(with_logs, work=work), left):
+        for found in pool.map(found_by, left):
             if out is not None:
                 with out.open("a") as file:
                     file.write(json.dumps(found) + "\n")

@@ -7,13 +7,14 @@ the gears' damping; home is where both ends are the same, to half of each parame
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from benchmarks.studies.arms import each
+from benchmarks.studies.arms import each, with_logs
 from strainwave import logs, pipeline
 from strainwave.parameters import Values
 from strainwave.study import read_study
@@ -72,7 +73,7 @@ def main() -> None:
     parser.add_argument("--arms", type=int, default=100)
     parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
     chosen = parser.parse_args()
-    found = list(each(chosen.arms, tried, chosen.out))
+    found = list(each(chosen.arms, partial(with_logs, work=tried), chosen.out))
     home = [one for one in found if one.get("apart", np.inf) < SAME]
     console = Console()
     console.print(f"{len(home)} of {len(found)} ended where the fit from the truth does")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies.arms import each
+from benchmarks.studies.arms import each, with_logs
 from strainwave.parameters import Values
 from strainwave.pipeline import identify
 from strainwave.study import read_study
@@ -53,7 +54,7 @@ def main() -> None:
     by_name: dict[str, list[list[Any]]] = defaultdict(list)
     failures: list[dict[str, Any]] = []
     statuses: dict[str, int] = defaultdict(int)
-    for found in each(chosen.arms, tried, chosen.out):
+    for found in each(chosen.arms, partial(with_logs, work=tried), chosen.out):
         if "failure" in found:
             failures.append(found)
             continue

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from rich.table import Table
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
-from benchmarks.studies.arms import each
+from benchmarks.studies.arms import each, with_logs
 from strainwave import logs, pipeline
 from strainwave.parameters import Values
 from strainwave.records import FloatArray
@@ -84,7 +85,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
     chosen = parser.parse_args()
     errors: dict[str, dict[str, list[float]]] = {way: defaultdict(list) for way in WAYS}
-    for found in each(chosen.arms, tried, chosen.out):
+    for found in each(chosen.arms, partial(with_logs, work=tried), chosen.out):
         for way in WAYS:
             for name, error in found.get(way, {}).items():
                 errors[way][name].append(error)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies.arms import each
+from benchmarks.studies.arms import each, with_logs
 from strainwave import logs, pipeline
 from strainwave.parameters import Values
 from strainwave.study import read_study
@@ -51,7 +52,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
     chosen = parser.parse_args()
     errors: dict[str, dict[str, list[list[float]]]] = {way: defaultdict(list) for way in WAYS}
-    for found in each(chosen.arms, tried, chosen.out):
+    for found in each(chosen.arms, partial(with_logs, work=tried), chosen.out):
         for way in WAYS:
             for name, pair in found.get(way, {}).items():
                 errors[way][name].append(pair)

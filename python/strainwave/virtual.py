@@ -26,12 +26,15 @@ from strainwave.simulation import (
     Drive,
     Quantity,
     SensorNoise,
+    Trajectory,
     holding_voltage,
     measure,
     simulate,
 )
 
 Progress = Callable[[str], None]
+Simulator = Callable[..., Trajectory]
+"""Called as `strainwave.simulation.simulate` is."""
 
 _FAST_SAMPLE = 2.5e-4  # [s] where the gears' vibration is to be seen
 _MOTION_SECONDS = 10.0
@@ -103,6 +106,7 @@ def simulate_study(
     seed: int = 0,
     noise: SensorNoise | None = None,
     replay: bool = True,
+    simulator: Simulator = simulate,
     progress: Progress = lambda _: None,
 ) -> int:
     """Run every experiment of a study on a virtual arm; write its logs and study.toml to a folder.
@@ -120,6 +124,8 @@ def simulate_study(
     replay : bool
         Where an experiment's log exists, apply what was applied then, and where its plan exists,
         what was planned; not an excitation of its use.
+    simulator : callable
+        What the arm moves by.
     progress : callable
 
     Returns
@@ -140,7 +146,7 @@ def simulate_study(
         rng = np.random.default_rng([seed, number])
         plan = _known(study, experiment, values) if replay else None
         plan = plan or _invent(study, experiment, values, rng)
-        written.append(_columns(study, plan, values, noise, rng))
+        written.append(_columns(study, plan, values, noise, rng, simulator))
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE):
             file = f"{Path(file).stem}.parquet"
@@ -322,6 +328,7 @@ def _columns(
     values: Values,
     noise: SensorNoise | None,
     rng: np.random.Generator,
+    simulator: Simulator,
 ) -> dict[str, FloatArray]:
     """Run one experiment; its log by channel."""
     quantities: dict[str, Quantity] = {"theta_m": "encoder"}
@@ -330,7 +337,7 @@ def _columns(
     if any(joint.gyro_hz for joint in study.joints):
         quantities["gyro"] = "gyro"
     record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
-    trajectory = simulate(
+    trajectory = simulator(
         study, values, plan.drive, sample_time=plan.sample_time, samples=plan.samples, record=record
     )
     measured = measure(trajectory, noise, rng)

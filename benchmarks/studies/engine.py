@@ -1,0 +1,291 @@
+"""Errors on drawn arms whose logs MuJoCo made: `python -m benchmarks.studies.engine --arms 12`.
+
+Nothing of a log is ours but the excitation and the noise: motion and friction are MuJoCo's, in
+steps a fifth of the samples', filters are SciPy's; current loop, servo and encoder are below.
+MuJoCo's own first-order actuators lag half a step too much, and its friction takes two steps to
+stop a motor.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.signal import butter, lfilter, lfilter_zi
+
+from benchmarks.studies.arms import drawn, each, with_logs
+from strainwave import scara
+from strainwave.export.mjcf import to_mjcf
+from strainwave.export.source import IdentifiedArm
+from strainwave.parameters import Values
+from strainwave.pipeline import identify
+from strainwave.records import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
+from strainwave.simulation import Drive, Quantity, Trajectory
+from strainwave.study import read_study
+from strainwave.virtual import derived
+
+STEP = 5e-5  # [s] of the engine
+
+
+def in_mujoco(
+    study: Study,
+    values: Values,
+    drive: Drive,
+    *,
+    sample_time: float,
+    samples: int,
+    record: Sequence[Quantity],
+) -> Trajectory:
+    """One experiment, as `strainwave.simulation.simulate` runs it."""
+    model = _model(study, values)
+    data = mujoco.MjData(model)
+    joints = range(1, study.n_joints + 1)
+    _hang(study, values, drive, data)
+    per_tick, per_sample = round(drive.tick / STEP), round(sample_time / STEP)
+    n = (samples - 1) * per_sample + 1
+    servo, current = _Servo(study, drive), _CurrentLoop(study, drive)
+    seen = np.empty((n, model.nsensordata))
+    voltage = np.empty((n, study.n_joints))
+    motors = [model.joint(f"motor_joint{i}").qposadr[0] for i in joints]
+    for k in range(n):
+        if k % per_tick == 0:
+            commanded = servo.command(k // per_tick, data.qpos[motors])
+        voltage[k] = commanded
+        data.ctrl[:] = current.over_step(commanded)
+        mujoco.mj_step(model, data)  # leaves the sensors as they were before it
+        seen[k] = data.sensordata
+    if not np.all(np.isfinite(seen)):
+        raise FloatingPointError("MuJoCo diverged")
+
+    def sensed(name: str, component: int) -> FloatArray:
+        at = [model.sensor(f"{name}{i}").adr[0] + component for i in joints]
+        return np.asarray(seen[:, at])
+
+    angle = sensed("theta_m", 0)
+    found: dict[Quantity, FloatArray] = {
+        "voltage": voltage,
+        "link_angle": sensed("theta_l", 0),
+        "encoder": _rounded(angle, study.joints),
+        "accelerometer": _filtered(sensed("a", 1), 2, [j.accelerometer_hz for j in study.joints]),
+        "gyro": _filtered(sensed("gyro", 2), 1, [j.gyro_hz for j in study.joints]),
+    }
+    time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
+    return Trajectory(time, {name: found[name][::per_sample] for name in record})
+
+
+def _model(study: Study, values: Values) -> Any:
+    parameters = tuple(
+        Parameter(name, joint, value, 0.0, "1", "truth") for (name, joint), value in values.items()
+    )
+    # currents are followed here
+    joints = tuple(replace(joint, current_loop_hz=None) for joint in study.joints)
+    arm = IdentifiedArm(replace(study, joints=joints), parameters, "truth")
+    text = to_mjcf(arm).data.decode()
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep = STEP
+    for i in range(1, study.n_joints + 1):
+        at = model.joint(f"motor_joint{i}").dofadr[0]
+        model.dof_solref[at] = 2.0 * settling(values, i), 1.0
+    return model
+
+
+def settling(values: Values, joint: int) -> float:
+    """How long friction takes to stop a motor [s]: the engine needs a step at least."""
+    return max(values.get(("friction_settling_time", joint), 0.0), STEP)
+
+
+def _hang(study: Study, values: Values, drive: Drive, data: Any) -> None:
+    """Links at rest on their gears, of linear stiffness where gravity pulls."""
+    motor = np.array(drive.motor_angle)
+    untwisted = motor * [joint.gear_ratio for joint in study.joints]
+    link = untwisted
+    for _ in range(100 if study.arm.gravity else 0):
+        outer = values["gravity_torque_2", None] * np.cos(link[0] + link[1])
+        inner = values["gravity_torque_1", None] * np.cos(link[0])
+        stiffness = [values["gear_stiffness", i] for i in (1, 2)]
+        link = untwisted - np.array([inner + outer, outer]) / stiffness
+    for i in range(study.n_joints):
+        data.joint(f"joint{i + 1}").qpos[0] = link[i]
+        data.joint(f"motor_joint{i + 1}").qpos[0] = motor[i]
+
+
+class _CurrentLoop:
+    """Voltages that would bring a current at once where the loop's own lags."""
+
+    def __init__(self, study: Study, drive: Drive) -> None:
+        bandwidth = np.array([joint.current_loop_hz or np.inf for joint in study.joints])
+        x = 2.0 * np.pi * bandwidth * STEP
+        self.left, self.mean = np.exp(-x), -np.expm1(-x) / x
+        self.now = np.array(drive.initial_voltage)
+
+    def over_step(self, voltage: FloatArray) -> FloatArray:
+        """Their mean over the engine's next step."""
+        distance = self.now - voltage
+        self.now = voltage + self.left * distance
+        return np.asarray(voltage + self.mean * distance)
+
+
+class _Servo:
+    """u = kp e + ki integral(e), e = reference - encoder difference over a period."""
+
+    def __init__(self, study: Study, drive: Drive) -> None:
+        self.study, self.drive = study, drive
+        self.last = _rounded(np.array([drive.motor_angle]), study.joints)[0]
+        limits = study.servo
+        ki = np.array(limits.ki) if limits else np.ones(study.n_joints)
+        # what holds the arm at the start is in the integral
+        self.integral = np.where(drive.servo, drive.initial_voltage / ki, 0.0)
+
+    def command(self, tick: int, angle: FloatArray) -> FloatArray:
+        tick = min(tick, len(self.drive.voltage) - 1)
+        voltage: FloatArray = self.drive.voltage[tick].copy()
+        servo = self.study.servo
+        if servo is None:
+            return voltage
+        encoder = _rounded(angle[None], self.study.joints)[0]
+        error = self.drive.reference[tick] - (encoder - self.last) / servo.period
+        self.last = encoder
+        integral = self.integral + error * servo.period
+        wanted = voltage + servo.kp * error + servo.ki * integral
+        limited = np.abs(wanted) > servo.limit
+        self.integral = np.where(limited, self.integral, integral)
+        limited_to = np.clip(wanted, -servo.limit, servo.limit)
+        return np.asarray(np.where(self.drive.servo, limited_to, voltage))
+
+
+def _rounded(angle: FloatArray, joints: Sequence[Joint]) -> FloatArray:
+    count = 2.0 * np.pi / np.array([joint.encoder_counts or np.inf for joint in joints])
+    return np.asarray(count * np.round(angle / count))
+
+
+def _filtered(x: FloatArray, order: int, bandwidths: Sequence[float | None]) -> FloatArray:
+    found = x.copy()
+    for i, hz in enumerate(bandwidths):
+        if hz:
+            b, a = butter(order, hz, fs=1.0 / STEP)
+            found[:, i] = lfilter(b, a, x[:, i], zi=lfilter_zi(b, a) * x[0, i])[0]
+    return found
+
+
+KINDS = ("linear", "three-slope", "vertical")
+LIMITS = {
+    "inertias": (0.2, 0.2, 0.5),
+    "stiffness": (0.2, 0.2, 0.5),
+    "knees": (0.5, 0.5, 0.5),
+    "gear damping": (0.6, 0.6, 2.0),
+    "Coulomb friction": (0.3, 0.3, 0.5),
+    "total viscous friction": (2.0, 2.0, 2.0),
+}
+"""Largest errors [%] that are asked for, kind by kind of `KINDS`."""
+_AMPLITUDES = (2.0, 3.0, 4.0, 6.0, 8.0)  # [V] of the records that show a curve
+_GRAVITY = 9.81  # [m/s^2]
+_LEVER = (2.5, 3.5)  # [kg m] of the whole arm's mass about the first axis
+
+
+def lab_arm(seed: int) -> tuple[Study, Values]:
+    """A drawn arm with the experiments of a whole lab: linear, three slopes, upright in turn."""
+    kind = KINDS[seed % len(KINDS)]
+    study, values = drawn(2 * seed + (kind == "three-slope"))
+    free: tuple[Control, Control] = ("open", "open")
+    held: dict[int, tuple[Control, Control]] = {1: ("open", "servo"), 2: ("servo", "open")}
+    both: tuple[Control, Control] = ("servo", "servo")
+    experiments = [e for e in scara.study(Path()).experiments if e.use in ("motion", "tuning")]
+
+    def record(name: str, use: Use, j: int, volt: float, control: tuple[Control, Control]) -> None:
+        prbs = Prbs(10, 1e-3, 4, volt)
+        own = Experiment(f"{name}-j{j}", f"{name}-j{j}.parquet", use, control, joint=j, prbs=prbs)
+        experiments.append(own)
+
+    for j in (1, 2):
+        if kind == "vertical":
+            record("prbs", "frequency", j, 5.0, both)
+            continue
+        record("prbs", "frequency", j, 10.0, free)
+        record("prbs-held", "frequency", j, 10.0, held[j])
+        for volt in _AMPLITUDES if kind == "three-slope" else ():
+            record(f"sweep-{volt:g}V", "sweep", j, volt, free)
+    if kind == "vertical":
+        study = replace(study, arm=replace(study.arm, gravity=_GRAVITY))
+        lever = float(np.random.default_rng([1986, seed]).uniform(*_LEVER))
+        values["gravity_torque_1", None] = _GRAVITY * lever
+        values["gravity_torque_2", None] = _GRAVITY * values["gamma", None] / scara.LINK_LENGTH[0]
+    return replace(study, experiments=tuple(experiments)), values
+
+
+def tried(path: Path, values: Values) -> dict[str, Any]:
+    """Errors [%] and deviations [%] of what the whole-arm fit told."""
+    identification = identify(path)
+    tuned = identification.tuned
+    if tuned is None:
+        return {"failure": identification.reason}
+    study = read_study(path)
+    known = derived(values, study)
+    for joint in range(1, study.n_joints + 1):
+        known["friction_settling_time", joint] = settling(values, joint)
+    rows = []
+    for p in tuned.parameters:
+        true = known.get((p.name, p.joint), 0.0)
+        if p.value is None or p.std is None or p.ci95 is None:
+            continue
+        size = 0.01 * (abs(true) or 1.0)
+        inside = p.ci95[0] <= true <= p.ci95[1]
+        rows.append([p.name, p.joint, (p.value - true) / size, p.std / size, inside])
+    warnings = [caution.code for caution in identification.warnings]
+    return {"status": tuned.status, "parameters": rows, "warnings": warnings}
+
+
+def group(name: str) -> str | None:
+    """Which of `LIMITS` a parameter falls under."""
+    if name in ("alpha", "beta", "gamma") or name.endswith("inertia"):
+        return "inertias"
+    starts = {
+        "gear_stiffness": "stiffness",
+        "gear_knee": "knees",
+        "gear_damping": "gear damping",
+        "motor_coulomb": "Coulomb friction",
+        "total_viscous": "total viscous friction",
+    }
+    return next((own for start, own in starts.items() if name.startswith(start)), None)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--arms", type=int, default=12)
+    parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
+    chosen = parser.parse_args()
+    console = Console()
+    table = Table("arm", "kind", *LIMITS, "inside", "status", box=None)
+    work = partial(with_logs, work=tried, arm=lab_arm, simulator=in_mujoco)
+    for found in each(chosen.arms, work, chosen.out):
+        place = found["seed"] % len(KINDS)
+        if "failure" in found:
+            console.print(f"arm {found['seed']}, {KINDS[place]}: {found['failure']}")
+            continue
+        worst: dict[str, float] = {}
+        for name, _, error, _, _ in found["parameters"]:
+            own = group(name)
+            if own is not None:
+                worst[own] = max(worst.get(own, 0.0), abs(error))
+        cells = [_cell(worst.get(name), limits[place]) for name, limits in LIMITS.items()]
+        inside = [row[4] for row in found["parameters"]]
+        share = f"{sum(inside)}/{len(inside)}"
+        table.add_row(str(found["seed"]), KINDS[place], *cells, share, found["status"])
+    console.print(table)
+
+
+def _cell(error: float | None, limit: float) -> str:
+    if error is None:
+        return ""
+    return f"{error:.2g}" if error <= limit else f"[bold]{error:.2g}[/bold] > {limit:g}"
+
+
+if __name__ == "__main__":
+    main()
