@@ -36,35 +36,40 @@ def columns_of(study: Study) -> tuple[Column, ...]:
     -------
     tuple of Column
     """
+    found = _body(study)
+    for number, joint in enumerate(study.joints, start=1):
+        revolute = joint.motion == "revolute"
+        alone = study.arm.kind == "single-joint" and joint.spring == "rigid"
+        viscous = "motor_viscous_friction" if alone else "total_viscous_friction"
+        found += [
+            Column(viscous, number, "N m s/rad" if revolute else "N s/m"),
+            Column("motor_coulomb_friction", number, "N m" if revolute else "N"),
+            Column("friction_offset", number, "N m" if revolute else "N"),
+        ]
+    return tuple(found)
+
+
+def n_body(study: Study) -> int:
+    """Unknowns that are not friction."""
+    return len(_body(study))
+
+
+def _body(study: Study) -> list[Column]:
     if study.arm.kind == "single-joint":
         revolute = study.joints[0].motion == "revolute"
         body = [Column("inertia", 1, "kg m^2" if revolute else "kg")]
         if study.arm.gravity is not None:
             body.append(Column("gravity_torque_1", None, "N m" if revolute else "N"))
-    else:
-        body = [
-            Column("rigid_inertia", 1, "kg m^2"),
-            Column("motor_inertia", 2, "kg m^2"),
-            Column("beta", None, "kg m^2"),
-            Column("gamma", None, "kg m^2"),
-        ]
-        if study.arm.gravity is not None:
-            body += [Column(f"gravity_torque_{i}", None, "N m") for i in (1, 2)]
-    for number, joint in enumerate(study.joints, start=1):
-        revolute = joint.motion == "revolute"
-        alone = study.arm.kind == "single-joint" and joint.spring == "rigid"
-        viscous = "motor_viscous_friction" if alone else "total_viscous_friction"
-        body += [
-            Column(viscous, number, "N m s/rad" if revolute else "N s/m"),
-            Column("motor_coulomb_friction", number, "N m" if revolute else "N"),
-            Column("friction_offset", number, "N m" if revolute else "N"),
-        ]
-    return tuple(body)
-
-
-def n_body(study: Study) -> int:
-    """Unknowns that are not friction."""
-    return len(columns_of(study)) - FRICTION_COLUMNS * study.n_joints
+        return body
+    body = [
+        Column("rigid_inertia", 1, "kg m^2"),
+        Column("motor_inertia", 2, "kg m^2"),
+        Column("beta", None, "kg m^2"),
+        Column("gamma", None, "kg m^2"),
+    ]
+    if study.arm.gravity is not None:
+        body += [Column(f"gravity_torque_{i}", None, "N m") for i in (1, 2)]
+    return body
 
 
 def gear_ratios(study: Study) -> FloatArray:

@@ -59,8 +59,7 @@ class RigidOptions:
 class _Trial:
     """A fit at one bandwidth."""
 
-    bandwidth_hz: float
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[Stretch, ...]  # one a record
     estimate: Estimate
     compliance_deviation: FloatArray
     equations: ls.Equations
@@ -68,6 +67,11 @@ class _Trial:
     covariance: FloatArray
     determined: BoolArray
     last_move: float  # of any parameter in the last round, in its deviations
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """Of the equations' filter."""
+        return self.stretches[0].bandwidth_hz
 
     @property
     def spread(self) -> FloatArray:
@@ -115,11 +119,11 @@ def fit(
 
 def _fit(signals: Sequence[Signals], study: Study, chosen: RigidOptions) -> RigidModel:
     if chosen.bandwidth_hz is not None:
-        trials = [_trial(signals, study, chosen.bandwidth_hz, None)]
+        trials = [_trial(study, _prepared(study, signals, chosen.bandwidth_hz), None)]
     else:
         trials = _search(signals, study)
     best = _choose(trials, study)
-    remainder = _scatter(trials, best) + _elastic_remainder(signals, study, best)
+    remainder = _scatter(trials, best) + _elastic_remainder(study, best)
     covariance = best.covariance + np.diag(remainder)
     return _model(study, best, covariance)
 
@@ -133,7 +137,7 @@ def _search(signals: Sequence[Signals], study: Study) -> list[_Trial]:
     for bandwidth in _bandwidths(signals, _STEP ** (2 if stiff else 1)):
         if trials and bandwidth > _surely_elastic(study, trials[-1]):
             break
-        trial = _trial(signals, study, bandwidth, around)
+        trial = _trial(study, _prepared(study, signals, bandwidth), around)
         trials.append(trial)
         around = trial.estimate
         gained = bool(np.any(trial.spread < least - _GAIN))
@@ -182,15 +186,17 @@ def _motion_band(signals: Signals) -> float:
     return highest
 
 
+def _prepared(study: Study, signals: Sequence[Signals], bandwidth_hz: float) -> tuple[Stretch, ...]:
+    return tuple(prepare(study, s, bandwidth_hz) for s in signals)
+
+
 def _trial(
-    signals: Sequence[Signals],
     study: Study,
-    bandwidth_hz: float,
+    stretches: tuple[Stretch, ...],
     around: Estimate | None,
     motor_share: float = MOTOR_SHARE,
 ) -> _Trial:
     """Fit at one bandwidth: parameters, compliances and weights in turn until nothing moves."""
-    stretches = tuple(prepare(s, bandwidth_hz) for s in signals)
     equations = assemble(study, stretches, around)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
@@ -210,7 +216,6 @@ def _trial(
     deviation = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None
     return _Trial(
-        bandwidth_hz=bandwidth_hz,
         stretches=stretches,
         estimate=around,
         compliance_deviation=np.sqrt(compliance_variance),
@@ -242,7 +247,7 @@ def _tells_friction(study: Study, stretches: Sequence[Stretch]) -> BoolArray:
     return told
 
 
-def _elastic_remainder(signals: Sequence[Signals], study: Study, best: _Trial) -> FloatArray:
+def _elastic_remainder(study: Study, best: _Trial) -> FloatArray:
     """Variance from what the first order of elasticity leaves out.
 
     Two things: the motor's share of the first inertia, taken as one half, is changed to what is
@@ -262,8 +267,8 @@ def _elastic_remainder(signals: Sequence[Signals], study: Study, best: _Trial) -
     )
     rigid, other = side_by_side(
         [
-            partial(_trial, signals, stiff, best.bandwidth_hz, best.estimate),
-            partial(_trial, signals, study, best.bandwidth_hz, best.estimate, OTHER_SHARE),
+            partial(_trial, stiff, best.stretches, best.estimate),
+            partial(_trial, study, best.stretches, best.estimate, OTHER_SHARE),
         ]
     )
     next_order = (here - rigid.estimate.solution) * ratio**2

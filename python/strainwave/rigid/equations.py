@@ -70,6 +70,7 @@ class Stretch:
     friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
     shapes: tuple[list[tuple[int, FloatArray]], ...]  # per joint, of free friction
     free: tuple[FloatArray, ...]  # per joint (n_rows, n_free), those shapes filtered
+    noise: FloatArray  # (n_parameters,) deviation of each column's, from the angles'
 
     @property
     def duration(self) -> float:
@@ -105,11 +106,12 @@ def _reach(sample_time: float, bandwidth_hz: float) -> int:
     return int(_REACH / (bandwidth_hz * sample_time))
 
 
-def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
+def prepare(study: Study, signals: Signals, bandwidth_hz: float) -> Stretch:
     """Filter and decimate one record's torque, friction columns and free friction.
 
     Parameters
     ----------
+    study : Study
     signals : Signals
     bandwidth_hz : float [Hz]
 
@@ -150,6 +152,7 @@ def prepare(signals: Signals, bandwidth_hz: float) -> Stretch:
         friction=passed[:, :, 1:],
         shapes=tuple(shapes),
         free=tuple(free),
+        noise=_column_noise(study, signals, bandwidth_hz),
     )
 
 
@@ -181,7 +184,7 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
     n_elastic = n_compliances(study) if around is not None else 0
     n_local = n_elastic + sum(free.shape[1] for s in stretches for free in s.free)
     total = sum(s.duration for s in stretches)
-    columns = columns_of(study)
+    n_shared, n_of_body = len(columns_of(study)), n_body(study)
     shared, local, target, group, block = [], [], [], [], []
     deviation = list(_compliance_deviation(study, stretches, around)) if n_elastic else []
     first_block, at = 0, n_elastic
@@ -191,9 +194,9 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
         label = first_block + np.arange(len(stretch.rows)) * n_blocks // len(stretch.rows)
         first_block += n_blocks
         for i, free in enumerate(stretch.free):
-            friction = n_body(study) + FRICTION_COLUMNS * i
-            X = np.zeros((len(stretch.rows), len(columns)))
-            X[:, : n_body(study)] = body[:, i]
+            friction = n_of_body + FRICTION_COLUMNS * i
+            X = np.zeros((len(stretch.rows), n_shared))
+            X[:, :n_of_body] = body[:, i]
             X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
             Z = np.zeros((len(stretch.rows), n_local))
             Z[:, :n_elastic] = lags[:, i, :n_elastic]
@@ -207,7 +210,7 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
             target.append(torque[keep, i])
             group.append(np.full(np.count_nonzero(keep), i))
             block.append(label[keep])
-    noise = np.mean([_column_noise(study, s) ** 2 for s in stretches], axis=0)
+    noise = np.mean([s.noise**2 for s in stretches], axis=0)
     return Equations(
         shared=np.concatenate(shared),
         noise=np.sqrt(noise),
@@ -367,14 +370,13 @@ def _compliance_deviation(
     return np.asarray(_STIFF / (np.maximum(inertia, 1e-300) * w**2))
 
 
-def _column_noise(study: Study, stretch: Stretch) -> FloatArray:
+def _column_noise(study: Study, signals: Signals, bandwidth_hz: float) -> FloatArray:
     """Deviation of the noise that the angles' own noise leaves in each column.
 
     White noise s of an angle, sampled at T and low-passed at f, leaves
     s (2 pi f)^k sqrt(2 f T / (2 k + 1)) in the k-th derivative.
     """
-    signals = stretch.signals
-    f, T = stretch.bandwidth_hz, signals.sample_time
+    f, T = bandwidth_hz, signals.sample_time
     n = gear_ratios(study)
     first, second = (
         signals.angle_noise * (2.0 * np.pi * f) ** k * np.sqrt(2.0 * f * T / (2 * k + 1))
