@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from strainwave import excitation, scara
-from strainwave.records import Prbs
+from strainwave.records import FloatArray, Prbs, Spring
 from strainwave.simulation import build_arm, parameter_vector
+from strainwave.tuning.replayed import low_pass_kernels
 
 STUDY = scara.study(Path())
 ARM = build_arm(STUDY)
@@ -68,3 +69,45 @@ def test_threads_give_what_one_gives() -> None:
 def test_unknown_directions_are_refused(direction: tuple[str, int | None]) -> None:
     with pytest.raises(ValueError, match=f'no "{direction[0]}"'):
         ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=[direction], **EXPERIMENT)
+
+
+@pytest.mark.parametrize("spring", ["three-slope", "rigid"])  # derivatives go two ways
+@pytest.mark.parametrize("n_directions", [0, 3, 8])
+def test_rows_are_those_of_the_samples(spring: Spring, n_directions: int) -> None:
+    study = scara.study(Path(), spring)
+    arm = build_arm(study)
+    values = parameter_vector(arm, scara.parameters(spring=spring), study)
+    directions = arm.parameter_names[:n_directions]
+    full = arm.sensitivities(values, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
+    kernels = low_pass_kernels(60.0, 1e-3)
+    taps = [kernels.taps(rate=name == "link_angle") for name in RECORD]
+    found = arm.sensitivities(
+        values,
+        VOLTAGE,
+        with_respect_to=directions,
+        **EXPERIMENT,
+        taps=taps,
+        samples_per_row=kernels.step,
+    )
+    for name in RECORD:
+        for rows, samples in zip(found[name], full[name], strict=True):
+            wanted = kernels.rows(samples, rate=name == "link_angle")
+            assert rows.shape == wanted.shape
+            size = np.abs(wanted).max(initial=0.0)
+            np.testing.assert_allclose(rows, wanted, atol=1e-12 * size)
+
+
+@pytest.mark.parametrize(
+    ("taps", "samples_per_row"),
+    [([np.ones(8)] * 3, 4), ([np.ones(8)] * 3 + [np.ones(4)], 4), ([np.ones(8)] * 4, 3)],
+)
+def test_taps_that_do_not_fit_are_refused(taps: list[FloatArray], samples_per_row: int) -> None:
+    with pytest.raises(ValueError, match="expected taps for each quantity"):
+        ARM.sensitivities(
+            VALUES,
+            VOLTAGE,
+            with_respect_to=[],
+            **EXPERIMENT,
+            taps=taps,
+            samples_per_row=samples_per_row,
+        )

@@ -87,6 +87,8 @@ class Arm:
         link_angle: Sequence[float] | None = None,
         link_velocity: Sequence[float] | None = None,
         initial_voltage: Sequence[float] | None = None,
+        taps: Sequence[NDArray[np.float64]] | None = None,
+        samples_per_row: int = 1,
     ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """One arm's experiment with its exact derivatives.
 
@@ -94,8 +96,10 @@ class Arm:
         (samples, n_joints, n_directions). A direction is a name of `parameter_names`, or
         `initial_motor_angle`, `initial_motor_velocity`, `initial_link_angle` or
         `initial_link_velocity` and a joint from 1; where the links hang on their gears, the initial
-        link angle is what is added to the hanging one. The GIL is released, so that records can
-        run in threads. Errors are those of `simulate`.
+        link angle is what is added to the hanging one. With `taps`, a list for each quantity, all
+        equally long, samples x become rows, row r the sum of taps[t] x[r samples_per_row + t]. The
+        GIL is released, so that records can run in threads. Errors are those of `simulate`, and
+        ValueError for taps that do not fit.
         """
     def base_regressor(
         self,

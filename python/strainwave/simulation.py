@@ -68,6 +68,14 @@ class Trajectory:
 
 
 @dataclass(frozen=True, slots=True)
+class LowPass:
+    """Rows in place of samples: row r is the sum of taps[t] x[r samples_per_row + t]."""
+
+    taps: Mapping[Quantity, FloatArray]  # (n_taps,) each, a multiple of `samples_per_row`
+    samples_per_row: int
+
+
+@dataclass(frozen=True, slots=True)
 class SensorNoise:
     """What real sensors add; theory's orders of magnitude for a decent rig."""
 
@@ -271,6 +279,7 @@ def sensitivities(
     samples: int,
     record: Sequence[Quantity],
     longest_step: float = LONGEST_STEP,
+    low_pass: LowPass | None = None,
 ) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
     """Run one experiment on one arm, with exact derivatives of all that is recorded.
 
@@ -291,11 +300,14 @@ def sensitivities(
     longest_step : float [s]
         Of the integrator.
 
+    low_pass : LowPass, optional
+        Gives rows in place of samples.
+
     Returns
     -------
     dict
         Quantity -> values (n_samples, n_joints) and derivatives (n_samples, n_joints,
-        n_directions).
+        n_directions), or as many rows.
 
     Raises
     ------
@@ -307,6 +319,9 @@ def sensitivities(
     arm = build_arm(study)
     vector = parameter_vector(arm, values, study)
     experiment = _experiment(study, drive, sample_time, samples, longest_step)
+    if low_pass is not None:
+        experiment["taps"] = [low_pass.taps[name] for name in record]
+        experiment["samples_per_row"] = low_pass.samples_per_row
     with _told():
         found = arm.sensitivities(
             vector, with_respect_to=list(directions), record=record, **experiment

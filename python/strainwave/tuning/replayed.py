@@ -17,7 +17,7 @@ from strainwave.errors import InvalidInput
 from strainwave.filters import noise_deviation
 from strainwave.records import FloatArray, Joint, Log, Study
 from strainwave.replay import driving_voltages, missing_for_replay, missing_motor_signal, replay
-from strainwave.simulation import Drive, Quantity, sensitivities, simulate_arms
+from strainwave.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
 
 INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """What is unknown of the beginning of a record that begins in motion, joint by joint."""
@@ -158,9 +158,12 @@ class Replayed:
             samples=len(self.log),
             record=self.quantities(),
             longest_step=self.longest_step,
+            low_pass=self.low_pass(),
         )
-        seen = self.seen({name: run[0] for name, run in runs.items()})
-        return seen + self.lacking, self.seen({name: run[1] for name, run in runs.items()})
+        seen, tangent = (
+            self._by_channel({name: run[k] for name, run in runs.items()}) for k in (0, 1)
+        )
+        return seen + self.lacking, tangent
 
     def corrected(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
@@ -187,12 +190,19 @@ class Replayed:
         """What has to be simulated for the channels."""
         return list(dict.fromkeys(channel.quantity for channel in self.channels))
 
+    def low_pass(self) -> LowPass:
+        """What each quantity's samples pass through."""
+        taps = {c.quantity: self.kernels.taps(rate=c.rate) for c in self.channels}
+        return LowPass(taps, self.kernels.step)
+
     def seen(self, runs: Mapping[Quantity, FloatArray]) -> FloatArray:
         """Rows of each channel from samples (n_samples, n_joints, ...) of each quantity."""
         kinds = dict.fromkeys((channel.quantity, channel.rate) for channel in self.channels)
-        rows = {kind: self.kernels.rows(runs[kind[0]], rate=kind[1]) for kind in kinds}
-        parts = [rows[c.quantity, c.rate][:, c.joint - 1] for c in self.channels]
-        return np.stack(parts, axis=1)
+        return self._by_channel({name: self.kernels.rows(runs[name], rate=r) for name, r in kinds})
+
+    def _by_channel(self, rows: Mapping[Quantity, FloatArray]) -> FloatArray:
+        """(n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
+        return np.stack([rows[c.quantity][:, c.joint - 1] for c in self.channels], axis=1)
 
 
 def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = False) -> Replayed:

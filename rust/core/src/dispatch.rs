@@ -18,6 +18,7 @@ use crate::real::Fused;
 use crate::real::Real;
 use crate::sensitivity::{Sensitivities, by_duals};
 use crate::simulate::SideBySide;
+use crate::thinning::Thinning;
 
 /// Registers' worth of arms that take turns.
 const GROUPS: usize = 2;
@@ -162,23 +163,31 @@ fn side_by_side<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const E
     .collect()
 }
 
-/// One arm in one experiment, with the derivatives of all that is recorded.
+/// One arm in one experiment, with the derivatives of all that is recorded, or of its rows behind a
+/// low-pass.
 ///
 /// # Errors
 /// The motion diverged.
 ///
 /// # Panics
-/// `width` is more than the processor has.
+/// `width` is more than the processor has, or the low-pass is for other quantities.
 pub fn sensitivities<A: Arm<N>, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     directions: &[Source],
+    thinning: Option<&Thinning>,
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
+    let quantities = thinning.map_or(task.record.len(), Thinning::quantities);
+    assert_eq!(
+        quantities,
+        task.record.len(),
+        "a low-pass for each quantity"
+    );
     let asked = (task, member);
     if task.config.is_elastic() && !task.config.has_effects() {
-        return followed::<A, N, false>(task, member, asked, directions, width);
+        return followed::<A, N, false>(task, member, asked, directions, thinning, width);
     }
     if task.config.is_elastic()
         && let Some((config, parameters)) = without_effects(&task.config, member.parameters)
@@ -192,12 +201,13 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
             parameters: &parameters,
             ..*member
         };
-        return followed::<A, N, true>(&plain, &member, asked, directions, width);
+        return followed::<A, N, true>(&plain, &member, asked, directions, thinning, width);
     }
-    by_duals_at(task, member, directions, width)
+    let found = by_duals_at(task, member, directions, width)?;
+    Ok(found.thinned(thinning, directions.len()))
 }
 
-/// What [`sensitivities`] gives, by the chain over numbers with derivatives alone: slower, for
+/// What [`sensitivities`] gives of all samples, by the chain over numbers with derivatives alone: slower, for
 /// rigid gears and effects too, and what the faster way is checked against.
 ///
 /// # Errors
@@ -236,6 +246,7 @@ fn followed<A: Arm<N>, const N: usize, const EFFECTS: bool>(
     member: &Member<'_, N>,
     asked: (&Task<A, N>, &Member<'_, N>),
     directions: &[Source],
+    thinning: Option<&Thinning>,
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     match width {
@@ -244,6 +255,7 @@ fn followed<A: Arm<N>, const N: usize, const EFFECTS: bool>(
             member,
             asked,
             directions,
+            thinning,
             scalars: PhantomData,
         }),
         #[cfg(target_arch = "x86_64")]
@@ -252,6 +264,7 @@ fn followed<A: Arm<N>, const N: usize, const EFFECTS: bool>(
             member,
             asked,
             directions,
+            thinning,
             scalars: PhantomData,
         }),
         #[cfg(not(target_arch = "x86_64"))]

@@ -6,10 +6,11 @@
 use std::marker::PhantomData;
 
 use crate::arm::Arm;
+use crate::collected::Collected;
 use crate::column::{Column, Response, Tangent};
 use crate::drive::CurrentLoop;
 use crate::dual::Dual;
-use crate::experiment::{Diverged, Event, Member, Source, Task, values};
+use crate::experiment::{Diverged, Event, Member, Quantity, Source, Task, values};
 use crate::follower::{Follower, Through};
 use crate::friction::{Motion, Stretch};
 use crate::lengthening::Lengthening;
@@ -17,8 +18,9 @@ use crate::margin::MarginSlopes;
 use crate::plant::{Instant, Watch};
 use crate::real::{Real, Work};
 use crate::sensing::Sensing;
-use crate::sensitivity::Sensitivities;
+use crate::sensitivity::{Sensitivities, thinned};
 use crate::simulate::Group;
+use crate::thinning::Thinning;
 use crate::variation::{Linearised, Trace};
 
 /// One arm with elastic gears, derivatives in some directions: scalars `S`, `V::LANES` directions
@@ -31,6 +33,8 @@ pub(crate) struct Followed<'a, A, S, V, L, const N: usize, const EFFECTS: bool> 
     pub(crate) member: &'a Member<'a, N>,
     pub(crate) asked: (&'a Task<A, N>, &'a Member<'a, N>),
     pub(crate) directions: &'a [Source],
+    /// What becomes of the samples.
+    pub(crate) thinning: Option<&'a Thinning>,
     pub(crate) scalars: PhantomData<(S, V, L)>,
 }
 
@@ -46,15 +50,15 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECT
             chain.step(step, &event);
         }
         let Chain {
-            nominal, tangents, ..
+            nominal, collected, ..
         } = chain;
         let mut values_of = Vec::new();
         for record in nominal.results() {
-            values_of = values(&record?);
+            values_of = thinned::<V, N>(values(&record?), self.thinning);
         }
         Ok(Sensitivities {
             values: values_of,
-            tangents,
+            tangents: collected.tangents,
         })
     }
 }
@@ -73,9 +77,7 @@ struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, 
     followers: Vec<Follower<'a, A, S, V, N, EFFECTS>>,
     /// The sensors that are recorded, if any.
     sensing: Option<Sensing<V, N>>,
-    /// For each quantity samples times joints times directions.
-    tangents: Vec<Vec<f64>>,
-    sampled: usize,
+    collected: Collected<N>,
 }
 
 impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool>
@@ -83,6 +85,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
 {
     fn new(of: &Followed<'a, A, S, V, L, N, EFFECTS>) -> Self {
         let (task, width) = (of.task, of.directions.len());
+        let sizes = [task.record.len(), task.clock.samples, width, V::LANES];
         let (asked, member) = of.asked;
         let plain = |_, value| S::splat(value);
         let nominal = Group::new(task, std::slice::from_ref(of.member), &plain);
@@ -105,8 +108,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
             ),
             followers: (0..width).step_by(V::LANES).map(follower).collect(),
             sensing,
-            tangents: vec![vec![0.0; task.clock.samples * N * width]; task.record.len()],
-            sampled: 0,
+            collected: Collected::new(sizes, of.thinning),
         }
     }
 
@@ -166,9 +168,9 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
             if event.samples {
                 V::scope(Put {
                     follower,
-                    task: self.task,
-                    tangents: &mut self.tangents,
-                    place: (self.sampled, first),
+                    quantities: &self.task.record,
+                    collected: &mut self.collected,
+                    first,
                     response: &response,
                 });
             }
@@ -177,7 +179,9 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
             }
             first += V::LANES;
         }
-        self.sampled += usize::from(event.samples);
+        if event.samples {
+            self.collected.take::<V>();
+        }
         if !event.last && !smooth {
             V::scope(Redo(self));
         }
@@ -273,10 +277,10 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECT
 /// [`Follower::record`] in a scope of its own: few steps are sampled.
 struct Put<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> {
     follower: &'c Follower<'a, A, S, V, N, EFFECTS>,
-    task: &'c Task<A, N>,
-    tangents: &'c mut [Vec<f64>],
-    /// Sample, and first of the column's directions.
-    place: (usize, usize),
+    quantities: &'c [Quantity],
+    collected: &'c mut Collected<N>,
+    /// Of the column's directions.
+    first: usize,
     response: &'c Response<V, N>,
 }
 
@@ -287,6 +291,6 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> 
     #[inline(always)]
     fn run(self) {
         self.follower
-            .record(self.task, self.tangents, self.place, self.response);
+            .record(self.quantities, self.collected, self.first, self.response);
     }
 }

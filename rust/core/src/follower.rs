@@ -4,6 +4,7 @@
 //! moment.
 
 use crate::arm::Arm;
+use crate::collected::Collected;
 use crate::column::{Column, Response, Tangent};
 use crate::config::Config;
 use crate::drive::CurrentLoop;
@@ -59,7 +60,6 @@ pub(crate) struct Follower<
     /// How what is left of a step moves, between its events.
     pub(crate) left: V,
     ratio: [f64; N],
-    lanes: usize,
     /// The joint whose parameter a direction is by, and the parameter's place among its own.
     own: Vec<Option<(usize, usize)>>,
 }
@@ -88,7 +88,6 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
             sensed: None,
             left: V::splat(0.0),
             ratio,
-            lanes: V::LANES.min(directions.len()),
             own: own_parameters(&task.config, directions, V::LANES),
             dual,
         };
@@ -206,17 +205,17 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
         }
     }
 
-    /// Puts this column's lanes, from direction `first`, into a sample's place.
+    /// Puts this column's lanes into a sample: for each quantity and joint, all columns' numbers.
     #[inline(always)]
     pub(crate) fn record(
         &self,
-        task: &Task<A, N>,
-        tangents: &mut [Vec<f64>],
-        (sample, first): (usize, usize),
+        quantities: &[Quantity],
+        collected: &mut Collected<N>,
+        first: usize,
         response: &Response<V, N>,
     ) {
         let x = &self.column.tangent;
-        for (k, quantity) in task.record.iter().enumerate() {
+        for (k, quantity) in quantities.iter().enumerate() {
             let row = match quantity {
                 Quantity::Voltage => self.dual.voltage[0].map(|number| number.tangent),
                 Quantity::MotorTorque => self.torque,
@@ -230,14 +229,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
                 Quantity::Gyro => self.reading(1),
                 Quantity::Sliding => continue,
             };
-            let width = tangents[k].len() / (task.clock.samples * N);
             for i in 0..N {
-                let own = &mut tangents[k][(sample * N + i) * width + first..];
-                if self.lanes == V::LANES {
-                    row[i].store(own);
-                } else {
-                    (0..self.lanes).for_each(|lane| own[lane] = row[i].lane(lane));
-                }
+                row[i].store(&mut collected.place(k, i)[first..]);
             }
         }
     }

@@ -9,6 +9,7 @@
 //! [`sensitivity`].
 
 pub mod arm;
+mod collected;
 mod column;
 pub mod config;
 pub mod dispatch;
@@ -33,5 +34,6 @@ pub mod sensitivity;
 pub mod sensors;
 pub mod simulate;
 mod start;
+pub mod thinning;
 mod transmission;
 mod variation;

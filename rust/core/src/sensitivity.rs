@@ -10,13 +10,14 @@ use crate::dual::Dual;
 use crate::experiment::{Diverged, Member, Record, RecordOf, Source, Task, values};
 use crate::real::Real;
 use crate::simulate::SideBySide;
+use crate::thinning::Thinning;
 
 /// What was recorded, and how it depends on what was asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensitivities<const N: usize> {
-    /// As [`crate::dispatch::simulate`] gives it.
+    /// As [`crate::dispatch::simulate`] gives it, or its rows behind a low-pass.
     pub values: Record<N>,
-    /// For each quantity samples times joints times directions, the last running fastest.
+    /// For each quantity samples, or rows, times joints times directions, the last running fastest.
     pub tangents: Vec<Vec<f64>>,
 }
 
@@ -67,7 +68,37 @@ pub(crate) fn seeded<S: Real, V: Real>(
     number
 }
 
+/// A record's rows behind a low-pass, if there is one.
+#[inline(always)]
+pub(crate) fn thinned<V: Real, const N: usize>(
+    record: Record<N>,
+    thinning: Option<&Thinning>,
+) -> Record<N> {
+    let Some(thinning) = thinning else {
+        return record;
+    };
+    let mut all = Vec::with_capacity(record.len());
+    for (k, samples) in record.iter().enumerate() {
+        let rows = thinning.of::<V>(k, samples.as_flattened(), N);
+        all.push(rows.as_chunks::<N>().0.to_vec());
+    }
+    all
+}
+
 impl<const N: usize> Sensitivities<N> {
+    /// The rows behind a low-pass, if there is one.
+    pub(crate) fn thinned(self, thinning: Option<&Thinning>, directions: usize) -> Self {
+        let Some(low_pass) = thinning else {
+            return self;
+        };
+        let rows =
+            |(k, samples): (usize, Vec<f64>)| low_pass.of::<f64>(k, &samples, N * directions);
+        Self {
+            values: thinned::<f64, N>(self.values, thinning),
+            tangents: self.tangents.into_iter().enumerate().map(rows).collect(),
+        }
+    }
+
     /// Puts in the directions from the `first`, of `width` in all.
     fn take<S: Real, V: Real>(
         &mut self,

@@ -155,7 +155,7 @@ impl<A: Arm<N>, const N: usize> Case<A, N> {
 
     fn follow(&self, directions: &[Source], width: Width) -> Sensitivities<N> {
         let member = self.member(&self.parameters, self.initial);
-        sensitivities(&self.task, &member, directions, width).expect("finite")
+        sensitivities(&self.task, &member, directions, None, width).expect("finite")
     }
 
     /// The plain experiment with one number changed.

@@ -15,6 +15,7 @@ use strainwave_core::experiment::{
     Clock, Diverged, Initial, Member, Quantity, Record, Source, Task,
 };
 use strainwave_core::sensitivity::Sensitivities;
+use strainwave_core::thinning::Thinning;
 use strainwave_core::{arm, gear, rigid};
 
 type Matrix<'py> = PyReadonlyArray2<'py, f64>;
@@ -23,6 +24,8 @@ type Vector<'py> = PyReadonlyArray1<'py, f64>;
 type ServoGiven = (Vec<f64>, Vec<f64>, f64, Vec<bool>);
 /// A parameter's or an initial state's name, and its joint from 1 where it belongs to one.
 type Direction = (String, Option<usize>);
+const TAPS: &str =
+    "expected taps for each quantity recorded, all as many, and a multiple of samples_per_row";
 /// Values (samples, joints) and tangents (samples, joints, directions).
 type WithTangents<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
 
@@ -188,7 +191,8 @@ impl Arm {
 
     #[pyo3(signature = (parameters, voltage, *, with_respect_to, motor_angle, step, steps_per_tick,
         steps_per_sample, samples, record, reference=None, servo=None, steps_per_servo=1,
-        motor_velocity=None, link_angle=None, link_velocity=None, initial_voltage=None))]
+        motor_velocity=None, link_angle=None, link_velocity=None, initial_voltage=None, taps=None,
+        samples_per_row=1))]
     fn sensitivities<'py>(
         &self,
         py: Python<'py>,
@@ -208,6 +212,8 @@ impl Arm {
         link_angle: Option<Vec<f64>>,
         link_velocity: Option<Vec<f64>>,
         initial_voltage: Option<Vec<f64>>,
+        taps: Option<Vec<Vec<f64>>>,
+        samples_per_row: usize,
     ) -> PyResult<Bound<'py, PyDict>> {
         let clock = Clock {
             step,
@@ -229,8 +235,16 @@ impl Arm {
             initial_voltage,
             record: quantities(&record)?,
         };
+        let thinning = match taps {
+            None => None,
+            Some(taps) if taps.len() == experiment.record.len() => {
+                let found = Thinning::new(taps, samples_per_row);
+                Some(found.ok_or_else(|| PyValueError::new_err(TAPS))?)
+            }
+            Some(_) => return Err(PyValueError::new_err(TAPS)),
+        };
         let columns = each!(&self.0, config => follow(
-            py, config, &parameters, &with_respect_to, &experiment,
+            py, config, &parameters, &with_respect_to, &experiment, thinning.as_ref(),
         ))?;
         let result = PyDict::new(py);
         for (name, column) in record.iter().zip(columns) {
@@ -366,6 +380,7 @@ fn follow<'py, A: arm::Arm<N>, const N: usize>(
     parameters: &Vector<'_>,
     with_respect_to: &[Direction],
     experiment: &Experiment<'_>,
+    thinning: Option<&Thinning>,
 ) -> PyResult<Vec<WithTangents<'py>>> {
     let values = parameters.as_array().to_vec();
     check_values(config, &values)?;
@@ -382,9 +397,9 @@ fn follow<'py, A: arm::Arm<N>, const N: usize>(
         initial: experiment.initial()?,
     };
     let Sensitivities { values, tangents } = py
-        .detach(|| dispatch::sensitivities(&task, &member, &directions, Width::detect()))
+        .detach(|| dispatch::sensitivities(&task, &member, &directions, thinning, Width::detect()))
         .map_err(divergence)?;
-    let samples = task.clock.samples;
+    let samples = thinning.map_or(task.clock.samples, |all| all.rows(task.clock.samples));
     values
         .into_iter()
         .zip(tangents)

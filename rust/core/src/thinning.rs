@@ -1,0 +1,264 @@
+//! Recorded samples through a low-pass, of which a row is kept for every few samples.
+//!
+//! Whoever compares an experiment with a measured one wants far fewer numbers than its samples'
+//! derivatives are; so these never leave the processor's caches.
+
+use std::ops::Range;
+
+use crate::real::{Real, Work};
+
+/// A low-pass for each quantity: row r is the sum of taps[t] x[r step + t].
+#[derive(Clone, Debug)]
+pub struct Thinning {
+    taps: Vec<Vec<f64>>,
+    step: usize,
+}
+
+impl Thinning {
+    /// Of taps for each quantity, and samples from one row to the next; `None` where the lists are
+    /// not all as long as some multiple of that.
+    pub fn new(taps: Vec<Vec<f64>>, step: usize) -> Option<Self> {
+        let length = taps.first()?.len();
+        let whole = step > 0 && length > 0 && length.is_multiple_of(step);
+        let alike = taps.iter().all(|own| own.len() == length);
+        (whole && alike).then_some(Self { taps, step })
+    }
+
+    /// How many quantities it is for.
+    pub fn quantities(&self) -> usize {
+        self.taps.len()
+    }
+
+    /// Rows of so many samples: those that the low-pass reaches all samples of.
+    pub fn rows(&self, samples: usize) -> usize {
+        let length = self.taps[0].len();
+        if samples < length {
+            return 0;
+        }
+        (samples - length) / self.step + 1
+    }
+
+    /// Rows of a quantity's samples, each of `width` numbers.
+    #[inline(always)]
+    pub(crate) fn of<V: Real>(&self, quantity: usize, samples: &[f64], width: usize) -> Vec<f64> {
+        let taps = &self.taps[quantity];
+        let rows = self.rows(samples.len() / width.max(1));
+        let mut all = vec![0.0; rows * width];
+        let mut column = Vec::with_capacity(samples.len() / width.max(1));
+        for place in 0..width {
+            column.clear();
+            column.extend(samples[place..].iter().step_by(width));
+            for row in 0..rows {
+                all[row * width + place] = product::<V>(taps, &column[row * self.step..]);
+            }
+        }
+        all
+    }
+}
+
+/// Sum of taps times as many numbers.
+#[inline(always)]
+fn product<V: Real>(taps: &[f64], numbers: &[f64]) -> f64 {
+    let (taps, rest) = taps.split_at(taps.len() / V::LANES * V::LANES);
+    let (numbers, behind) = numbers.split_at(taps.len());
+    let mut sums = V::splat(0.0);
+    for (taps, numbers) in taps
+        .chunks_exact(V::LANES)
+        .zip(numbers.chunks_exact(V::LANES))
+    {
+        sums = V::load(taps).mul_add(V::load(numbers), sums);
+    }
+    let mut sum: f64 = (0..V::LANES).map(|lane| sums.lane(lane)).sum();
+    for (tap, number) in rest.iter().zip(behind) {
+        sum += tap * number;
+    }
+    sum
+}
+
+/// Samples on their way through a [`Thinning`]: `step` of them at a time are added to all rows that
+/// reach them.
+pub(crate) struct Thinned {
+    thinning: Thinning,
+    /// Numbers of one quantity in a sample, or in a row.
+    width: usize,
+    /// How many rows there will be.
+    rows: usize,
+    /// The samples since the last whole block: quantity by quantity, sample by sample.
+    block: Vec<f64>,
+    filled: usize,
+    /// Whole blocks so far.
+    blocks: usize,
+    /// Rows under way, each in the place of its number modulo how many there are, with their
+    /// quantities.
+    begun: Vec<f64>,
+}
+
+impl Thinned {
+    pub(crate) fn new(thinning: &Thinning, width: usize, samples: usize) -> Self {
+        let numbers = thinning.taps.len() * width;
+        Self {
+            width,
+            rows: thinning.rows(samples),
+            block: vec![0.0; numbers * thinning.step],
+            filled: 0,
+            blocks: 0,
+            begun: vec![0.0; numbers * (thinning.taps[0].len() / thinning.step)],
+            thinning: thinning.clone(),
+        }
+    }
+
+    /// Takes in a sample, quantity by quantity, and gives the row that it completes, if any.
+    pub(crate) fn push<V: Real>(&mut self, sample: &[f64]) -> Option<&[f64]> {
+        let (step, width) = (self.thinning.step, self.width);
+        for (k, own) in sample.chunks_exact(width).enumerate() {
+            self.block[(k * step + self.filled) * width..][..width].copy_from_slice(own);
+        }
+        self.filled += 1;
+        if self.filled < step {
+            return None;
+        }
+        V::scope(Adding::<V>(self, std::marker::PhantomData));
+        self.filled = 0;
+        self.blocks += 1;
+        let row = self.blocks.checked_sub(self.parts())?;
+        (row < self.rows).then(|| &self.begun[self.place(row)])
+    }
+
+    /// Blocks that a row reaches.
+    fn parts(&self) -> usize {
+        self.thinning.taps[0].len() / self.thinning.step
+    }
+
+    /// Where a row under way is.
+    fn place(&self, row: usize) -> Range<usize> {
+        let numbers = self.thinning.taps.len() * self.width;
+        let first = row % self.parts() * numbers;
+        first..first + numbers
+    }
+
+    /// Adds the block to all rows that reach it.
+    #[inline(always)]
+    fn add<V: Real>(&mut self) {
+        let (step, width) = (self.thinning.step, self.width);
+        let last = self.blocks;
+        for row in (last + 1).saturating_sub(self.parts())..=last {
+            let place = self.place(row);
+            if row == last {
+                self.begun[place.clone()].fill(0.0);
+            }
+            let sums = self.begun[place].chunks_exact_mut(width);
+            let blocks = self.block.chunks_exact(step * width);
+            for ((sums, block), taps) in sums.zip(blocks).zip(&self.thinning.taps) {
+                let taps = &taps[(last - row) * step..][..step];
+                let mut first = 0;
+                while first + AT_ONCE * V::LANES <= width {
+                    add_products::<V, AT_ONCE>(sums, block, taps, first);
+                    first += AT_ONCE * V::LANES;
+                }
+                while first < width {
+                    add_products::<V, 1>(sums, block, taps, first);
+                    first += V::LANES;
+                }
+            }
+        }
+    }
+}
+
+/// Registers of sums that wait for one another's multiply-adds.
+const AT_ONCE: usize = 8;
+
+/// Adds taps times samples to `C` registers of sums, from the `first` number on.
+#[inline(always)]
+fn add_products<V: Real, const C: usize>(
+    sums: &mut [f64],
+    block: &[f64],
+    taps: &[f64],
+    first: usize,
+) {
+    let width = sums.len();
+    let sums = &mut sums[first..][..C * V::LANES];
+    let mut held = [V::splat(0.0); C];
+    for c in 0..C {
+        held[c] = V::load(&sums[c * V::LANES..]);
+    }
+    for (&tap, sample) in taps.iter().zip(block.chunks_exact(width)) {
+        let sample = &sample[first..][..C * V::LANES];
+        let tap = V::splat(tap);
+        for c in 0..C {
+            held[c] = tap.mul_add(V::load(&sample[c * V::LANES..]), held[c]);
+        }
+    }
+    for c in 0..C {
+        held[c].store(&mut sums[c * V::LANES..]);
+    }
+}
+
+/// [`Thinned::add`].
+struct Adding<'t, V>(&'t mut Thinned, std::marker::PhantomData<V>);
+
+impl<V: Real> Work for Adding<'_, V> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.add::<V>();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers without a pattern.
+    fn drawn(count: usize) -> Vec<f64> {
+        (0..count).map(|k| ((k * k) as f64).sin()).collect()
+    }
+
+    #[test]
+    fn a_row_is_the_sum_of_taps_times_samples() {
+        let taps = vec![drawn(12), drawn(24)[12..].to_vec()];
+        let thinning = Thinning::new(taps.clone(), 4).expect("three blocks");
+        let samples = drawn(30);
+        assert_eq!(thinning.rows(30), 5);
+        assert_eq!(thinning.rows(11), 0);
+        for (k, taps) in taps.iter().enumerate() {
+            let rows = thinning.of::<f64>(k, &samples, 1);
+            for (r, row) in rows.iter().enumerate() {
+                let sum: f64 = (0..12).map(|t| taps[t] * samples[4 * r + t]).sum();
+                assert!((row - sum).abs() < 1e-13);
+            }
+        }
+    }
+
+    #[test]
+    fn samples_one_by_one_make_the_same_rows() {
+        let thinning = Thinning::new(vec![drawn(12), drawn(24)[12..].to_vec()], 4).expect("whole");
+        let (samples, width) = (31, 3);
+        let quantities = [drawn(93), drawn(186)[93..].to_vec()];
+        let wanted: Vec<Vec<f64>> = (0..2)
+            .map(|k| thinning.of::<f64>(k, &quantities[k], width))
+            .collect();
+        let mut thinned = Thinned::new(&thinning, width, samples);
+        let mut row = 0;
+        for s in 0..samples {
+            let own = |k: usize| &quantities[k][s * width..][..width];
+            if let Some(found) = thinned.push::<f64>(&[own(0), own(1)].concat()) {
+                for k in 0..2 {
+                    for i in 0..width {
+                        let error = found[k * width + i] - wanted[k][row * width + i];
+                        assert!(error.abs() < 1e-13);
+                    }
+                }
+                row += 1;
+            }
+        }
+        assert_eq!(row, thinning.rows(samples));
+    }
+
+    #[test]
+    fn lists_that_do_not_fit_are_none() {
+        assert!(Thinning::new(vec![drawn(12), drawn(8)], 4).is_none());
+        assert!(Thinning::new(vec![drawn(10)], 4).is_none());
+        assert!(Thinning::new(vec![drawn(10)], 0).is_none());
+        assert!(Thinning::new(Vec::new(), 1).is_none());
+    }
+}
