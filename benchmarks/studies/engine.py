@@ -139,8 +139,7 @@ class _Servo:
     def __init__(self, study: Study, drive: Drive) -> None:
         self.study, self.drive = study, drive
         self.last = _rounded(np.array([drive.motor_angle]), study.joints)[0]
-        limits = study.servo
-        ki = np.array(limits.ki) if limits else np.ones(study.n_joints)
+        ki = np.array(study.servo.ki) if study.servo else np.ones(study.n_joints)
         # what holds the arm at the start is in the integral
         self.integral = np.where(drive.servo, drive.initial_voltage / ki, 0.0)
 

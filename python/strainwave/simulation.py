@@ -299,7 +299,6 @@ def sensitivities(
         Quantities to record.
     longest_step : float [s]
         Of the integrator.
-
     low_pass : LowPass, optional
         Gives rows in place of samples.
 
