@@ -228,6 +228,17 @@ def test_one_sample_is_found_and_not_absorbed(joint: int, samples: int) -> None:
     assert told.value / SAMPLE == pytest.approx(samples, abs=0.2)
 
 
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_bent_spring_tells_a_delay_only_of_the_joint_that_was_excited(joint: int) -> None:
+    study, run = run_of(joint=joint)
+    joints = tuple(replace(own, spring="three-slope") for own in study.joints)
+    seen = links.link_side(log_of(run, joint, seed=3), replace(study, joints=joints))
+    told = seen.sensor_delay[joint - 1]
+    assert told is not None
+    assert abs(told.value) < 0.3 * SAMPLE
+    assert seen.sensor_delay[2 - joint] is None
+
+
 def test_a_bandwidth_left_out_of_the_study_shows_as_a_delay() -> None:
     study, run = run_of()
     joints = tuple(replace(joint, accelerometer_hz=None) for joint in study.joints)

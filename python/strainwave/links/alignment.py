@@ -30,8 +30,9 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     The spring gives n ddtheta_M - ddtheta_L = (1/k) T'' - (d_G/k^2) T''' + ..., with the link
     torques T linear in the base parameters; a delay D of the link's sensor adds D times the slope
     of its share of ddtheta_L. All coefficients are found at once by least squares over the spectral
-    lines in which the link moves. A three-slope spring adds bent functions of T. D_L makes D too
-    large by d_L / k.
+    lines in which the link moves. A three-slope spring adds bent functions of T. They do where this
+    joint was excited; a neighbour's torque bends otherwise, and would pass for half a sample. D_L
+    makes D too large by d_L / k.
 
     Parameters
     ----------
@@ -43,9 +44,13 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     Returns
     -------
     Delay or None
-        None where the link has no sensor of its own, or the record has too few lines.
+        None where the link has no sensor of its own, the record has too few lines, or a three-slope
+        spring was wound by another joint's excitation alone.
     """
-    if signals.sources[i] in ("motor", "deflection") or study.joints[i].spring == "rigid":
+    spring, excited = study.joints[i].spring, signals.experiment.joint
+    if signals.sources[i] in ("motor", "deflection") or spring == "rigid":
+        return None
+    if spring == "three-slope" and excited not in (None, i + 1):
         return None
     T = signals.sample_time
     n = gear_ratios(study)[i]
@@ -58,7 +63,7 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     shares = _shares(signals, study, link, i)
     columns = [_slope(shares, T, 1), _slope(torque, T, 2), _slope(torque, T, 3)]
     found = _regress(target, np.column_stack(columns), T, band, 1.0)
-    if found is not None and study.joints[i].spring == "three-slope":
+    if found is not None and spring == "three-slope":
         wound = torque @ found[0][shares.shape[1] :][: torque.shape[1]]
         wound = wound - wound.mean()
         bent = np.column_stack([np.tanh(wound / (k * (wound.std() + 1e-300))) for k in _KNEES])
