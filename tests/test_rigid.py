@@ -11,8 +11,11 @@ from scipy.signal import lfilter
 
 from strainwave import rigid, scara, signals, simulation
 from strainwave.errors import NotIdentifiable
+from strainwave.logs import read_logs
 from strainwave.parameters import Values
 from strainwave.records import FloatArray, RigidModel, Signals, Study
+from strainwave.study import read_study
+from strainwave.virtual import simulate_study
 from virtual_arms import (
     exact_motion,
     exact_signals,
@@ -328,3 +331,38 @@ def test_negative_friction_is_called_implausible() -> None:
     texts = warned(rigid.fit([exact_signals(motion, torque)], study), "implausible")
     assert texts
     assert texts[0].startswith("motor_viscous_friction")
+
+
+_BODY = {
+    "alpha": 1.24,
+    "beta": 0.371,
+    "gamma": 0.472,
+    "gravity_torque_1": 33.0,
+    "gravity_torque_2": 13.2,
+}
+_DRIVES = {
+    "motor_inertia": (1.11e-4, 4.48e-5),
+    "motor_viscous_friction": (2.09e-4, 6.87e-5),
+    "motor_coulomb_friction": (0.0761, 0.0272),
+    "friction_offset": (3.01e-3, 4.65e-4),
+    "link_viscous_friction": (0.475, 0.142),
+    "gear_damping": (19.0, 3.59),
+    "gear_stiffness": (27700.0, 7430.0),
+    "friction_settling_time": (8.29e-5, 0.0),
+}
+
+
+@pytest.mark.parametrize("seed", [141, 241])
+def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
+    """An upright arm of which some rounds, each going all the way, would never end."""
+    study = scara.study(tmp_path, "linear")
+    motion = tuple(e for e in study.experiments if e.use == "motion")
+    study = replace(study, arm=replace(study.arm, gravity=9.81), experiments=motion)
+    values: Values = {(name, None): value for name, value in _BODY.items()}
+    for name, both in _DRIVES.items():
+        values |= {(name, joint): value for joint, value in enumerate(both, start=1)}
+    noise = simulation.SensorNoise()
+    simulate_study(study, values, tmp_path, seed=seed, noise=noise, replay=False)
+    written = read_study(tmp_path / "study.toml")
+    model = rigid.fit([signals.motor_side(log, written) for log in read_logs(written)], written)
+    assert not warned(model, "not-settled")

@@ -30,6 +30,7 @@ from strainwave.rigid.equations import (
     assemble,
     decimation,
     estimate_of,
+    halfway,
     n_compliances,
     prepare,
 )
@@ -201,12 +202,17 @@ def _trial(
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.first_weights(equations.target, equations.group)
+    last = np.zeros(len(columns_of(study)))
     for rounds in range(_ROUNDS):
         factor = ls.factorise(equations, root)
         before = factor.value if around is None else around.solution
+        step = (factor.value - before) / np.clip(factor.deviation, 1e-300, None)
         moved = np.abs(factor.value - before)
         settled = rounds > 1 and np.all(moved <= _CONVERGED * factor.deviation)
-        around = estimate_of(study, stretches, equations, factor, motor_share)
+        found = estimate_of(study, stretches, equations, factor, motor_share)
+        if around is not None and step @ last < 0.0 and not settled:  # to and fro
+            found = halfway(around, found)
+        around, last = found, step
         if settled:
             break
         root = ls.root_weights(equations, factor)

@@ -268,6 +268,26 @@ def estimate_of(
     return Estimate(factor.value, compliance, tuple(standing), motor_share)
 
 
+def halfway(one: Estimate, other: Estimate) -> Estimate:
+    """The mean of two estimates of the same records.
+
+    Parameters
+    ----------
+    one, other : Estimate
+
+    Returns
+    -------
+    Estimate
+        With the other's share of the motor.
+    """
+    return Estimate(
+        0.5 * (one.solution + other.solution),
+        0.5 * (one.compliance + other.compliance),
+        tuple(0.5 * (a + b) for a, b in zip(one.standing, other.standing, strict=True)),
+        other.motor_share,
+    )
+
+
 def anti_resonances(study: Study, estimate: Estimate) -> FloatArray:
     """Lowest frequency at which each link rings on its gear, sqrt(1 / (c M_ii)) / 2 pi.
 
