@@ -206,8 +206,8 @@ def _trial(
     for rounds in range(_ROUNDS):
         factor = ls.factorise(equations, root)
         before = factor.value if around is None else around.solution
-        step = (factor.value - before) / np.clip(factor.deviation, 1e-300, None)
-        moved = np.abs(factor.value - before)
+        change = factor.value - before
+        moved, step = np.abs(change), change / np.clip(factor.deviation, 1e-300, None)
         settled = rounds > 1 and np.all(moved <= _CONVERGED * factor.deviation)
         found = estimate_of(study, stretches, equations, factor, motor_share)
         if around is not None and step @ last < 0.0 and not settled:  # to and fro

@@ -207,8 +207,8 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
     Ok(found.thinned(thinning, directions.len()))
 }
 
-/// What [`sensitivities`] gives of all samples, by the chain over numbers with derivatives alone: slower, for
-/// rigid gears and effects too, and what the faster way is checked against.
+/// What [`sensitivities`] gives of all samples, by the chain over numbers with derivatives alone:
+/// slower, for rigid gears and effects too, and what the faster way is checked against.
 ///
 /// # Errors
 /// The motion diverged.

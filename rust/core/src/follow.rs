@@ -274,7 +274,7 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECT
     }
 }
 
-/// [`Follower::record`] in a scope of its own: few steps are sampled.
+/// [`Follower::record`] in a scope of its own: where few steps are sampled, it is not in their way.
 struct Put<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> {
     follower: &'c Follower<'a, A, S, V, N, EFFECTS>,
     quantities: &'c [Quantity],
