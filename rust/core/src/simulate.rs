@@ -349,6 +349,11 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
 
     #[inline(never)]
     pub(crate) fn record(&mut self, step: usize, now: &Instant<A, R, N>) {
+        R::scope(Recording(self, step, now));
+    }
+
+    #[inline(always)]
+    fn record_all(&mut self, step: usize, now: &Instant<A, R, N>) {
         for k in 0..self.task.record.len() {
             match self.task.record[k] {
                 Quantity::Voltage => self.put(k, |group, lane, i| group.voltage[lane][i]),
@@ -378,12 +383,14 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
         self.check_finite(step);
     }
 
+    #[inline(always)]
     fn put_all(&mut self, quantity: usize, values: &[R; N]) {
         for lane in 0..R::LANES {
             self.records[lane][quantity].push(values.map(|value| value.one(lane)));
         }
     }
 
+    #[inline(always)]
     fn put(&mut self, quantity: usize, value: impl Fn(&Self, usize, usize) -> R::One) {
         for lane in 0..R::LANES {
             let row = std::array::from_fn(|i| value(self, lane, i));
@@ -391,6 +398,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
         }
     }
 
+    #[inline(always)]
     fn sensed(&self, kind: usize) -> [R; N] {
         match &self.sensors {
             Some(sensors) => sensors.readings[kind],
@@ -398,6 +406,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
         }
     }
 
+    #[inline(always)]
     fn check_finite(&mut self, step: usize) {
         for lane in 0..R::LANES {
             let state = &self.motion.state;
@@ -417,6 +426,31 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
             .zip(self.diverged)
             .map(|(record, diverged)| diverged.map_or(Ok(record), Err))
             .collect()
+    }
+}
+
+/// [`Group::record`]: what the compiler takes out of its loop, asked for or not, must not be calls.
+struct Recording<
+    'g,
+    'a,
+    A: Arm<N>,
+    R: Real,
+    const N: usize,
+    const ELASTIC: bool,
+    const EFFECTS: bool,
+>(
+    &'g mut Group<'a, A, R, N, ELASTIC, EFFECTS>,
+    usize,
+    &'g Instant<A, R, N>,
+);
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for Recording<'_, '_, A, R, N, ELASTIC, EFFECTS>
+{
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.record_all(self.1, self.2);
     }
 }
 
