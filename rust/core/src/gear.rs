@@ -24,6 +24,7 @@ struct Knee<R> {
     width: R,        // 2 w
     half_rise: R,    // (slope change) / (4 w)
     slope_change: R, // K_{j+1} - K_j
+    per_width: R,    // 1 / (4 w)
 }
 
 /// 1/K1 and 1/K2, and how fast the knees come in as K1 and K2 rise.
@@ -53,6 +54,7 @@ impl<R: Real> Spring<R> {
             width: R::splat(2.0 * corner),
             half_rise: change * R::splat(0.25 / corner),
             slope_change: change,
+            per_width: R::splat(0.25 / corner),
         };
         Self {
             k1: slopes[0],
@@ -176,8 +178,7 @@ impl<R: Real> Knee<R> {
     fn ramp(&self, twist: R) -> R {
         let into = (twist + self.shift).max(R::splat(0.0));
         let inside = into.min(self.width);
-        let share = R::splat(0.5) * inside / self.width;
-        share.mul_add(inside, into - inside)
+        (self.per_width * inside).mul_add(inside, into - inside)
     }
 
     /// Slope of what `add_to` adds.

@@ -28,12 +28,17 @@ impl<S: Real, const N: usize> Lengthening<S, N> {
     ) -> Self {
         let mut all = [Tangent::still(); 4];
         for i in 0..N {
-            let link = Stretching::of(trace.velocity[i], trace.link_acceleration[i], h);
-            let speeds = (trace.motor_velocity[i], trace.motor_acceleration[i]);
+            let link = Stretching::of(
+                trace.each(|stage| stage.velocity[i]),
+                trace.each(|stage| stage.link_acceleration[i]),
+                h,
+            );
+            let velocity = trace.each(|stage| stage.motor_velocity[i]);
+            let acceleration = trace.each(|stage| stage.motor_acceleration[i]);
             let motor = if step.settling[i].is_some() {
-                Stretching::settling(speeds.0, speeds.1)
+                Stretching::settling(velocity, acceleration)
             } else {
-                Stretching::of(speeds.0, speeds.1, h)
+                Stretching::of(velocity, acceleration, h)
             };
             let n = trace.ratio[i];
             for k in 0..4 {

@@ -178,9 +178,10 @@ impl<const N: usize> Trace<N> {
     /// Of gear `i` at stage `k`.
     #[inline(always)]
     fn twist_at(&self, i: usize, k: usize) -> Twist<f64> {
+        let stage = &self.stages[k];
         Twist {
-            angle: self.twist[i][k],
-            rate: self.ratio[i].mul_add(self.motor_velocity[i][k], -self.velocity[i][k]),
+            angle: stage.twist[i],
+            rate: self.ratio[i].mul_add(stage.motor_velocity[i], -stage.velocity[i]),
         }
     }
 

@@ -23,43 +23,78 @@ use crate::real::Real;
 pub(crate) type Stages = [f64; 4];
 
 /// What the nominal step went through.
+///
+/// Stage by stage, not quantity by quantity: a vector loaded from numbers that were just stored one
+/// by one would wait until the whole step has retired.
 #[derive(Clone, Copy)]
 pub(crate) struct Trace<const N: usize> {
     pub(crate) ratio: [f64; N],
-    angle: [Stages; N],
-    pub(crate) velocity: [Stages; N],
-    pub(crate) twist: [Stages; N],
-    pub(crate) motor_velocity: [Stages; N],
-    pub(crate) motor_acceleration: [Stages; N],
-    pub(crate) link_acceleration: [Stages; N],
+    pub(crate) stages: [Stage<N>; 4],
+}
+
+/// One of its stages.
+#[derive(Clone, Copy)]
+pub(crate) struct Stage<const N: usize> {
+    pub(crate) angle: [f64; N],
+    pub(crate) velocity: [f64; N],
+    pub(crate) twist: [f64; N],
+    pub(crate) motor_velocity: [f64; N],
+    pub(crate) motor_acceleration: [f64; N],
+    pub(crate) link_acceleration: [f64; N],
 }
 
 impl<const N: usize> Trace<N> {
     pub(crate) fn new(ratio: [f64; N]) -> Self {
-        let nothing = [[0.0; 4]; N];
-        Self {
-            ratio,
+        let nothing = [0.0; N];
+        let stage = Stage {
             angle: nothing,
             velocity: nothing,
             twist: nothing,
             motor_velocity: nothing,
             motor_acceleration: nothing,
             link_acceleration: nothing,
+        };
+        Self {
+            ratio,
+            stages: [stage; 4],
         }
+    }
+
+    /// A number at each stage.
+    #[inline(always)]
+    pub(crate) fn each(&self, number: impl Fn(&Stage<N>) -> f64) -> Stages {
+        [0, 1, 2, 3].map(|k| number(&self.stages[k]))
+    }
+
+    /// The same, stages side by side, from the `first`.
+    #[inline(always)]
+    fn across<L: Real>(&self, first: usize, number: impl Fn(&Stage<N>) -> f64) -> L {
+        L::load(&self.each(number)[first..])
+    }
+
+    /// The same of each joint.
+    #[inline(always)]
+    fn joints<L: Real>(&self, first: usize, numbers: impl Fn(&Stage<N>) -> &[f64; N]) -> [L; N] {
+        let mut all = [L::splat(0.0); N];
+        for i in 0..N {
+            all[i] = self.across(first, |stage| numbers(stage)[i]);
+        }
+        all
     }
 }
 
 impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
     #[inline(always)]
     fn stage(&mut self, k: usize, x: &State<S, N>, a: &Acceleration<S, N>) {
+        let stage = &mut self.stages[k];
         for i in 0..N {
             let twist = S::splat(self.ratio[i]).mul_add(x.motor_angle[i], -x.link_angle[i]);
-            self.angle[i][k] = x.link_angle[i].lane(0);
-            self.velocity[i][k] = x.link_velocity[i].lane(0);
-            self.twist[i][k] = twist.lane(0);
-            self.motor_velocity[i][k] = x.motor_velocity[i].lane(0);
-            self.motor_acceleration[i][k] = a.motor[i].lane(0);
-            self.link_acceleration[i][k] = a.link[i].lane(0);
+            stage.angle[i] = x.link_angle[i].lane(0);
+            stage.velocity[i] = x.link_velocity[i].lane(0);
+            stage.twist[i] = twist.lane(0);
+            stage.motor_velocity[i] = x.motor_velocity[i].lane(0);
+            stage.motor_acceleration[i] = a.motor[i].lane(0);
+            stage.link_acceleration[i] = a.link[i].lane(0);
         }
     }
 }
@@ -204,7 +239,7 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
             self.settling[i] = None;
             let time = self.plant.joints[i].settling_time.lane(0);
             if time > 0.0 && modes.free[i].lane(0) == 0.0 {
-                let speed = self.plant.joints[i].ratio.lane(0) * trace.motor_velocity[i][0];
+                let speed = self.plant.joints[i].ratio.lane(0) * trace.stages[0].motor_velocity[i];
                 self.settling[i] = Some(Settling::new(time, speed, h));
             }
             let joint = &self.plant.joints[i];
@@ -226,12 +261,12 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
     /// Link side, for the stages from the `first`.
     #[inline(always)]
     fn links(&mut self, trace: &Trace<N>, begin: &A::Posture<L>, first: usize) {
-        let mut turned: [L; N] = loaded(&trace.angle, first);
+        let mut turned: [L; N] = trace.joints(first, |stage| &stage.angle);
         for i in 0..N {
-            turned[i] = turned[i] - L::splat(trace.angle[i][0]);
+            turned[i] = turned[i] - L::splat(trace.stages[0].angle[i]);
         }
-        let dq = loaded(&trace.velocity, first);
-        let ddq = loaded(&trace.link_acceleration, first);
+        let dq = trace.joints(first, |stage| &stage.velocity);
+        let ddq = trace.joints(first, |stage| &stage.link_acceleration);
         let at = A::near(begin, &turned);
         let base = &self.plant.base;
         let inertia = A::inertia(base, &at);
@@ -264,9 +299,9 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
         }
         let mut k = A::NAMES.len();
         for j in 0..N {
+            let own = &mut self.entries[1 + (k + 4) * N..][..N];
             for i in 0..N {
-                let entry = &mut self.entries[1 + (k + 4) * N + i];
-                (-columns[j][i] * dq[j]).store(&mut entry[first..]);
+                (-columns[j][i] * dq[j]).store(&mut own[i][first..]);
             }
             k += 5 + self.gears[j].parameters() + self.of_effects[j];
         }
@@ -279,29 +314,30 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
         for i in 0..N {
             let joint = &self.plant.joints[i];
             let push = L::splat(-self.motor[2][i]);
-            let velocity = L::load(&trace.motor_velocity[i][first..]);
-            let acceleration = L::load(&trace.motor_acceleration[i][first..]);
-            let twist = L::load(&trace.twist[i][first..]);
-            let rate = joint
-                .ratio
-                .mul_add(velocity, -L::load(&trace.velocity[i][first..]));
+            let velocity = trace.across::<L>(first, |stage| stage.motor_velocity[i]);
+            let acceleration = trace.across::<L>(first, |stage| stage.motor_acceleration[i]);
+            let twist = trace.across::<L>(first, |stage| stage.twist[i]);
+            let rate = joint.ratio.mul_add(
+                velocity,
+                -trace.across::<L>(first, |stage| stage.velocity[i]),
+            );
             let direction = L::splat(modes.direction[i].lane(0));
             let motor = [push * acceleration, push * velocity, push * direction, push];
-            store(&mut self.entries, (k, N, first), &motor);
+            store::<L, N, _>(&mut self.entries, (k, first), &motor);
             k += 5;
             let stiffness = joint.spring.stiffness(twist);
             stiffness.store(&mut self.stiffness[i][first..]);
             if self.gears[i] == GearKind::ThreeSlope {
                 let by = joint.spring.by_parameters(twist, &self.per_slope[i]);
-                store(&mut self.entries, (k, N, first), &by);
+                store::<L, N, _>(&mut self.entries, (k, first), &by);
             } else {
-                store(&mut self.entries, (k, N, first), &[twist]);
+                store::<L, N, _>(&mut self.entries, (k, first), &[twist]);
             }
             k += self.gears[i].parameters();
-            store(&mut self.entries, (k - 2, N, first), &[rate]);
+            store::<L, N, _>(&mut self.entries, (k - 2, first), &[rate]);
             k += self.of_effects[i];
             if let Some(onset) = &self.onset {
-                let angle = L::load(&trace.angle[i][first..]);
+                let angle = trace.across::<L>(first, |stage| stage.angle[i]);
                 let drive = Drive {
                     motor_angle: (twist + angle) * L::splat(1.0 / trace.ratio[i]),
                     motor_velocity: velocity,
@@ -318,19 +354,16 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
 
 /// What the parameters from the `k`-th on add to their one row.
 #[inline(always)]
-fn store<L: Real>(entries: &mut [Stages], (k, stride, first): (usize, usize, usize), values: &[L]) {
-    for own in 0..values.len() {
-        values[own].store(&mut entries[1 + (k + own) * stride][first..]);
+fn store<L: Real, const N: usize, const C: usize>(
+    entries: &mut [Stages],
+    (k, first): (usize, usize),
+    values: &[L; C],
+) {
+    // one check, not one for each
+    let own = &mut entries[1 + k * N..][..C * N];
+    for c in 0..C {
+        values[c].store(&mut own[c * N][first..]);
     }
-}
-
-#[inline(always)]
-fn loaded<L: Real, const N: usize>(lists: &[Stages; N], first: usize) -> [L; N] {
-    let mut all = [L::splat(0.0); N];
-    for i in 0..N {
-        all[i] = L::load(&lists[i][first..]);
-    }
-    all
 }
 
 #[inline(always)]
