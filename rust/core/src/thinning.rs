@@ -151,45 +151,42 @@ impl Thinned {
             for ((sums, block), taps) in sums.zip(blocks).zip(&self.thinning.taps) {
                 let taps = &taps[(last - row) * step..][..step];
                 let mut first = 0;
-                while first + AT_ONCE * V::LANES <= width {
-                    add_products::<V, AT_ONCE>(sums, block, taps, first);
-                    first += AT_ONCE * V::LANES;
-                }
-                while first < width {
-                    add_products::<V, 1>(sums, block, taps, first);
-                    first += V::LANES;
-                }
+                add_products::<V, 8>(sums, block, taps, &mut first);
+                add_products::<V, 4>(sums, block, taps, &mut first);
+                add_products::<V, 2>(sums, block, taps, &mut first);
+                add_products::<V, 1>(sums, block, taps, &mut first);
             }
         }
     }
 }
 
-/// Registers of sums that wait for one another's multiply-adds.
-const AT_ONCE: usize = 8;
-
-/// Adds taps times samples to `C` registers of sums, from the `first` number on.
+/// Adds taps times samples to the sums, from the `first` number on, as long as there are `C`
+/// registers of them: so many wait for one another's multiply-adds.
 #[inline(always)]
 fn add_products<V: Real, const C: usize>(
     sums: &mut [f64],
     block: &[f64],
     taps: &[f64],
-    first: usize,
+    first: &mut usize,
 ) {
     let width = sums.len();
-    let sums = &mut sums[first..][..C * V::LANES];
-    let mut held = [V::splat(0.0); C];
-    for c in 0..C {
-        held[c] = V::load(&sums[c * V::LANES..]);
-    }
-    for (&tap, sample) in taps.iter().zip(block.chunks_exact(width)) {
-        let sample = &sample[first..][..C * V::LANES];
-        let tap = V::splat(tap);
+    while *first + C * V::LANES <= width {
+        let sums = &mut sums[*first..][..C * V::LANES];
+        let mut held = [V::splat(0.0); C];
         for c in 0..C {
-            held[c] = tap.mul_add(V::load(&sample[c * V::LANES..]), held[c]);
+            held[c] = V::load(&sums[c * V::LANES..]);
         }
-    }
-    for c in 0..C {
-        held[c].store(&mut sums[c * V::LANES..]);
+        for (&tap, sample) in taps.iter().zip(block.chunks_exact(width)) {
+            let sample = &sample[*first..][..C * V::LANES];
+            let tap = V::splat(tap);
+            for c in 0..C {
+                held[c] = tap.mul_add(V::load(&sample[c * V::LANES..]), held[c]);
+            }
+        }
+        for c in 0..C {
+            held[c].store(&mut sums[c * V::LANES..]);
+        }
+        *first += C * V::LANES;
     }
 }
 
