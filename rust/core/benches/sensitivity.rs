@@ -9,8 +9,8 @@ use strainwave_core::dispatch::{sensitivities, simulate};
 use strainwave_core::experiment::{Member, Quantity, Source};
 use strainwave_core::thinning::Thinning;
 
-/// Short, so that among many runs some are left alone by whatever else the machine does.
-const STEPS: usize = 2400;
+/// A second: short, so that among many runs some are left alone by whatever else the machine does.
+const STEPS: usize = 8000;
 
 /// Motors that take so long to stop [s], where they do not stop at once.
 const SETTLING: f64 = 1.25e-4;

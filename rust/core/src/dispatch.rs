@@ -259,7 +259,16 @@ fn followed<A: Arm<N>, const N: usize, const EFFECTS: bool>(
             scalars: PhantomData,
         }),
         #[cfg(target_arch = "x86_64")]
-        _ => F64x4::scope(Followed::<A, Fused, F64x4, F64x4, N, EFFECTS> {
+        Width::Avx2 => F64x4::scope(Followed::<A, Fused, F64x4, F64x4, N, EFFECTS> {
+            task,
+            member,
+            asked,
+            directions,
+            thinning,
+            scalars: PhantomData,
+        }),
+        #[cfg(target_arch = "x86_64")]
+        Width::Avx512 => F64x8::scope(Followed::<A, Fused, F64x8, F64x4, N, EFFECTS> {
             task,
             member,
             asked,

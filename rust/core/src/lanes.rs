@@ -133,8 +133,7 @@ vector!(
     {
         #[inline(always)]
         fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
-            let (a, b) = (Self::load(&rows[pick[0]]).0, Self::load(&rows[pick[1]]).0);
-            let (c, d) = (Self::load(&rows[pick[2]]).0, Self::load(&rows[pick[3]]).0);
+            let [a, b, c, d] = [0, 1, 2, 3].map(|lane| Self::load(&rows[pick[lane]]).0);
             // SAFETY: the processor has the feature, as the top of this file says.
             unsafe {
                 let (ab, cd) = (_mm256_unpacklo_pd(a, b), _mm256_unpacklo_pd(c, d));
@@ -162,5 +161,27 @@ vector!(
         let sign = _mm512_and_si512(mask, _mm512_castpd_si512(sign));
         _mm512_castsi512_pd(_mm512_or_si512(magnitude, sign))
     },
-    {}
+    {
+        #[inline(always)]
+        fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
+            // SAFETY: the processor has the feature, as the top of this file says.
+            let pair = |low: usize, high: usize| unsafe {
+                let row = |lane: usize| F64x4::load(&rows[pick[lane]]).0;
+                let (low, high) = (row(low), row(high));
+                _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(low), high)
+            };
+            let (a, b, c, d) = (pair(0, 2), pair(1, 3), pair(4, 6), pair(5, 7));
+            // SAFETY: as above.
+            unsafe {
+                let (ab, cd) = (_mm512_unpacklo_pd(a, b), _mm512_unpacklo_pd(c, d));
+                let (high_ab, high_cd) = (_mm512_unpackhi_pd(a, b), _mm512_unpackhi_pd(c, d));
+                [
+                    Self(_mm512_shuffle_f64x2::<0b10_00_10_00>(ab, cd)),
+                    Self(_mm512_shuffle_f64x2::<0b10_00_10_00>(high_ab, high_cd)),
+                    Self(_mm512_shuffle_f64x2::<0b11_01_11_01>(ab, cd)),
+                    Self(_mm512_shuffle_f64x2::<0b11_01_11_01>(high_ab, high_cd)),
+                ]
+            }
+        }
+    }
 );

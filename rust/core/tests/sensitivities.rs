@@ -362,9 +362,12 @@ fn check_ways<A: Arm<N>, const N: usize>(case: &Case<A, N>) {
     // large, and a servo's loop can double the rounding every few reversals.
     let off = apart(case, &directions, [&slow, &fast]);
     assert!(off < 1e-6, "{off:e}");
-    let portable = case.follow(&directions, Width::Portable);
-    let off = apart(case, &directions, [&fast, &portable]);
-    assert!(off < 1e-6, "{off:e}");
+    for other in [Width::Portable, Width::Avx2] {
+        if other <= width {
+            let off = apart(case, &directions, [&fast, &case.follow(&directions, other)]);
+            assert!(off < 1e-6, "{off:e} on {other:?}");
+        }
+    }
     let few = [directions[7], directions[0], directions[2]];
     let some = case.follow(&few, width);
     for (d, direction) in few.iter().enumerate() {
