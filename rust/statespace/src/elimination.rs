@@ -3,7 +3,8 @@
 //! For [Z; I] z = [y; 0] the normal matrix G = Z'Z + I has an envelope: below it are zeros, and the
 //! Cholesky factor keeps them. Of its inverse only what lies in the envelope is ever asked for, and
 //! that follows from the factor by a recursion that stays in the envelope as well (Erisman and
-//! Tinney, Communications of the ACM 18, 1975).
+//! Tinney, Communications of the ACM 18, 1975). All are kept as bands, row by row, which the
+//! processor's caches hold where whole matrices would not fit.
 
 use crate::products::multiply_add;
 
@@ -77,7 +78,7 @@ fn eliminated<const FUSED: bool>(
         }
     }
     let leverage = if leverage {
-        leverages::<FUSED>(&rows, &inverse_within::<FUSED>(&factor, &first), n)
+        leverages::<FUSED>(&rows, &inverse_within::<FUSED>(&factor, &first))
     } else {
         Vec::new()
     };
@@ -88,15 +89,60 @@ fn eliminated<const FUSED: bool>(
     })
 }
 
-/// Lower Cholesky factor of G, (unknowns, unknowns).
+/// A square matrix of which only a band is kept, row by row.
+struct Band {
+    /// Entries of a row left of the diagonal.
+    left: usize,
+    /// Entries of a row in all.
+    width: usize,
+    entries: Vec<f64>,
+}
+
+impl Band {
+    /// Zeros: of `n` rows, so many entries left and right of the diagonal.
+    fn new(n: usize, left: usize, right: usize) -> Self {
+        let width = left + 1 + right;
+        Self {
+            left,
+            width,
+            entries: vec![0.0; n * width],
+        }
+    }
+
+    /// Where an entry is; it must lie within the band.
+    #[inline(always)]
+    fn place(&self, row: usize, column: usize) -> usize {
+        row * self.width + column + self.left - row
+    }
+
+    #[inline(always)]
+    fn at(&self, row: usize, column: usize) -> f64 {
+        self.entries[self.place(row, column)]
+    }
+
+    /// Neighbours in a row, from one column to before another.
+    #[inline(always)]
+    fn row(&self, row: usize, from: usize, to: usize) -> &[f64] {
+        &self.entries[self.place(row, from)..][..to - from]
+    }
+
+    #[inline(always)]
+    fn row_mut(&mut self, row: usize, from: usize, to: usize) -> &mut [f64] {
+        let place = self.place(row, from);
+        &mut self.entries[place..][..to - from]
+    }
+}
+
+/// Lower Cholesky factor of G.
 #[inline(always)]
 fn factorised<const FUSED: bool>(
     rows: &[(usize, &[f64])],
     z: &[f64],
     first: &[usize],
-) -> Option<Vec<f64>> {
+) -> Option<Band> {
     let n = first.len();
-    let mut factor = vec![0.0; n * n];
+    let left = (0..n).map(|i| i - first[i]).max().unwrap_or(0);
+    let mut factor = Band::new(n, left, 0);
     for (number, rows) in rows.chunks(TOGETHER).enumerate() {
         let first = number * TOGETHER * n;
         add_products::<FUSED>(&mut factor, rows, &z[first..][..rows.len() * n], n);
@@ -145,7 +191,7 @@ fn remaining<const FUSED: bool>(
 #[inline(always)]
 fn remainder<const FUSED: bool>(
     rows: &[(usize, &[f64])],
-    factor: &[f64],
+    factor: &Band,
     first: &[usize],
 ) -> Vec<f64> {
     let (n, count) = (first.len(), rows.len());
@@ -164,9 +210,9 @@ fn remainder<const FUSED: bool>(
         let (above, row) = solved.split_at_mut(i * count);
         let row = &mut row[..count];
         for j in first[i].max(begin)..i {
-            add_scaled::<FUSED>(row, -factor[i * n + j], &above[j * count..][..count]);
+            add_scaled::<FUSED>(row, -factor.at(i, j), &above[j * count..][..count]);
         }
-        row.iter_mut().for_each(|v| *v /= factor[i * n + i]);
+        row.iter_mut().for_each(|v| *v /= factor.at(i, i));
         for (k, left) in left.chunks_exact_mut(count).enumerate() {
             add_scaled::<FUSED>(left, -row[k], row);
         }
@@ -179,47 +225,41 @@ fn remainder<const FUSED: bool>(
 /// Neighbours have nearly the same unknowns, and four at once halve the traffic with the matrix.
 #[inline(always)]
 fn add_products<const FUSED: bool>(
-    matrix: &mut [f64],
+    matrix: &mut Band,
     used: &[(usize, &[f64])],
     rows: &[f64],
     n: usize,
 ) {
     let start = used.iter().map(|(start, _)| *start).min().unwrap_or(0);
     let stop = used.iter().map(|(start, row)| start + row.len()).max();
-    let stop = stop.unwrap_or(0);
-    if rows.len() < TOGETHER * n {
-        for row in rows.chunks_exact(n) {
-            for i in start..stop {
-                let target = &mut matrix[i * n + start..=i * n + i];
-                add_scaled::<FUSED>(target, row[i], &row[start..=i]);
+    for i in start..stop.unwrap_or(0) {
+        // no row has two unknowns that are further apart than the band is wide
+        let from = start.max(i.saturating_sub(matrix.left));
+        let target = matrix.row_mut(i, from, i + 1);
+        if rows.len() == TOGETHER * n {
+            let four: [&[f64]; TOGETHER] = std::array::from_fn(|k| &rows[k * n..][..n]);
+            add_four::<FUSED>(
+                target,
+                four.map(|row| row[i]),
+                four.map(|row| &row[from..=i]),
+            );
+        } else {
+            for row in rows.chunks_exact(n) {
+                add_scaled::<FUSED>(target, row[i], &row[from..=i]);
             }
-        }
-        return;
-    }
-    let (a, rest) = rows.split_at(n);
-    let (b, rest) = rest.split_at(n);
-    let (c, d) = rest.split_at(n);
-    for i in start..stop {
-        let target = &mut matrix[i * n + start..=i * n + i];
-        let (wa, wb, wc, wd) = (a[i], b[i], c[i], d[i]);
-        let ab = a[start..=i].iter().zip(&b[start..=i]);
-        let cd = c[start..=i].iter().zip(&d[start..=i]);
-        for (t, ((a, b), (c, d))) in target.iter_mut().zip(ab.zip(cd)) {
-            let ab = multiply_add::<FUSED>(wb, *b, multiply_add::<FUSED>(wa, *a, *t));
-            *t = multiply_add::<FUSED>(wd, *d, multiply_add::<FUSED>(wc, *c, ab));
         }
     }
 }
 
 /// z' S z of each row, by the lower half of S.
 #[inline(always)]
-fn leverages<const FUSED: bool>(rows: &[(usize, &[f64])], inverse: &[f64], n: usize) -> Vec<f64> {
+fn leverages<const FUSED: bool>(rows: &[(usize, &[f64])], inverse: &Band) -> Vec<f64> {
     let mut found = Vec::with_capacity(rows.len());
     // no closure: one would be compiled for any processor, and each fused product be a call
     for &(start, row) in rows {
         let mut sum = 0.0;
         for (i, &value) in row.iter().enumerate() {
-            let entries = &inverse[(start + i) * n + start..][..=i];
+            let entries = inverse.row(start + i, start, start + i + 1);
             let below = dot::<FUSED>(&entries[..i], &row[..i]);
             sum += value * (2.0 * below + entries[i] * value);
         }
@@ -254,52 +294,46 @@ fn envelope(rows: &[(usize, &[f64])], n: usize) -> Vec<usize> {
 
 /// Lower Cholesky factor of G, whose Z'Z stands in `matrix`.
 #[inline(always)]
-fn decompose<const FUSED: bool>(matrix: &mut [f64], first: &[usize]) -> Option<()> {
-    let n = first.len();
-    for i in 0..n {
-        let (above, row) = matrix.split_at_mut(i * n);
-        let row = &mut row[..n];
+fn decompose<const FUSED: bool>(matrix: &mut Band, first: &[usize]) -> Option<()> {
+    for i in 0..first.len() {
         for j in first[i]..i {
             let from = first[i].max(first[j]);
-            let other = &above[j * n..][..n];
-            row[j] = (row[j] - dot::<FUSED>(&row[from..j], &other[from..j])) / other[j];
+            let shared = dot::<FUSED>(matrix.row(i, from, j), matrix.row(j, from, j));
+            let entry = (matrix.at(i, j) - shared) / matrix.at(j, j);
+            matrix.row_mut(i, j, j + 1)[0] = entry;
         }
-        let own = &row[first[i]..i];
-        let pivot = 1.0 + row[i] - dot::<FUSED>(own, own);
+        let own = matrix.row(i, first[i], i);
+        let pivot = 1.0 + matrix.at(i, i) - dot::<FUSED>(own, own);
         if !(pivot > 0.0 && pivot.is_finite()) {
             return None;
         }
-        row[i] = pivot.sqrt();
+        matrix.row_mut(i, i, i + 1)[0] = pivot.sqrt();
     }
     Some(())
 }
 
 /// G^-1 times several right-hand sides, in place.
 #[inline(always)]
-fn substitute<const FUSED: bool>(factor: &[f64], first: &[usize], right: &mut [f64], sides: usize) {
+fn substitute<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f64], sides: usize) {
     let n = first.len();
     for i in 0..n {
         let (above, row) = right.split_at_mut(i * sides);
         for j in first[i]..i {
             add_scaled::<FUSED>(
                 &mut row[..sides],
-                -factor[i * n + j],
+                -factor.at(i, j),
                 &above[j * sides..][..sides],
             );
         }
-        row[..sides]
-            .iter_mut()
-            .for_each(|v| *v /= factor[i * n + i]);
+        row[..sides].iter_mut().for_each(|v| *v /= factor.at(i, i));
     }
     for i in (0..n).rev() {
         let (above, row) = right.split_at_mut(i * sides);
-        row[..sides]
-            .iter_mut()
-            .for_each(|v| *v /= factor[i * n + i]);
+        row[..sides].iter_mut().for_each(|v| *v /= factor.at(i, i));
         for j in first[i]..i {
             add_scaled::<FUSED>(
                 &mut above[j * sides..][..sides],
-                -factor[i * n + j],
+                -factor.at(i, j),
                 &row[..sides],
             );
         }
@@ -310,29 +344,59 @@ fn substitute<const FUSED: bool>(factor: &[f64], first: &[usize], right: &mut [f
 ///
 /// S_ij = (d_ij / L_ii - sum over k > i of L_ki S_kj) / L_ii, from the last row up.
 #[inline(always)]
-fn inverse_within<const FUSED: bool>(factor: &[f64], first: &[usize]) -> Vec<f64> {
+fn inverse_within<const FUSED: bool>(factor: &Band, first: &[usize]) -> Band {
     let n = first.len();
-    let mut inverse = vec![0.0; n * n];
+    let mut inverse = Band::new(n, factor.left, factor.left);
+    let mut weights = Vec::with_capacity(factor.left);
+    let mut row = Vec::with_capacity(factor.left);
     let mut stop = n; // of the rows that meet unknown i
     for i in (0..n).rev() {
         while stop > i + 1 && first[stop - 1] > i {
             stop -= 1;
         }
-        let pivot = factor[i * n + i];
-        let (above, below) = inverse.split_at_mut((i + 1) * n);
-        let row = &mut above[i * n..];
+        let pivot = factor.at(i, i);
+        weights.clear();
         for k in i + 1..stop {
-            let source = &below[(k - i - 1) * n..][i + 1..stop];
-            add_scaled::<FUSED>(&mut row[i + 1..stop], -factor[k * n + i] / pivot, source);
+            weights.push(-factor.at(k, i) / pivot);
         }
-        let mut own = 1.0 / pivot;
-        for k in i + 1..stop {
-            own -= factor[k * n + i] * row[k];
-            below[(k - i - 1) * n + i] = row[k];
+        row.clear();
+        row.resize(weights.len(), 0.0);
+        let mut k = i + 1;
+        for four in weights.chunks(TOGETHER) {
+            let sources = |c: usize| inverse.row(k + c, i + 1, stop);
+            if let &[a, b, c, d] = four {
+                let sources = [sources(0), sources(1), sources(2), sources(3)];
+                add_four::<FUSED>(&mut row, [a, b, c, d], sources);
+            } else {
+                for (c, &weight) in four.iter().enumerate() {
+                    add_scaled::<FUSED>(&mut row, weight, sources(c));
+                }
+            }
+            k += four.len();
         }
-        row[i] = own / pivot;
+        let own = 1.0 / (pivot * pivot) + dot::<FUSED>(&weights, &row);
+        inverse.row_mut(i, i, i + 1)[0] = own;
+        inverse.row_mut(i, i + 1, stop).copy_from_slice(&row);
+        for (k, &entry) in (i + 1..stop).zip(&row) {
+            inverse.row_mut(k, i, i + 1)[0] = entry;
+        }
     }
     inverse
+}
+
+/// Adds four weighted lists at once: a fourth of the traffic with the sum.
+#[inline(always)]
+fn add_four<const FUSED: bool>(
+    target: &mut [f64],
+    weights: [f64; TOGETHER],
+    sources: [&[f64]; TOGETHER],
+) {
+    let [a, b, c, d] = sources;
+    let pairs = a.iter().zip(b).zip(c.iter().zip(d));
+    for (t, ((a, b), (c, d))) in target.iter_mut().zip(pairs) {
+        let two = multiply_add::<FUSED>(weights[1], *b, multiply_add::<FUSED>(weights[0], *a, *t));
+        *t = multiply_add::<FUSED>(weights[3], *d, multiply_add::<FUSED>(weights[2], *c, two));
+    }
 }
 
 #[inline(always)]
