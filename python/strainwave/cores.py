@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from typing import TypeVar
 
@@ -60,21 +60,3 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
         return [jobs[0]()]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return [done.result() for done in [pool.submit(job) for job in jobs]]
-
-
-def begin(jobs: Sequence[Callable[[], Result]]) -> list[Future[Result]]:
-    """Begin independent jobs behind what the caller does next.
-
-    Parameters
-    ----------
-    jobs : sequence of callable
-
-    Returns
-    -------
-    list of Future
-        Whose `result` waits, and raises what its job raised.
-    """
-    pool = ThreadPoolExecutor(os.cpu_count())
-    begun = [pool.submit(job) for job in jobs]
-    pool.shutdown(wait=False)
-    return begun

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -30,7 +29,7 @@ from strainwave import (
     tuning,
     validation,
 )
-from strainwave.cores import begin, one_blas_thread, side_by_side
+from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.drawing import images
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.files import write_whole
@@ -120,15 +119,12 @@ def _identify(study_path: Path, run: _Run) -> Identification:
         run.warnings.extend(log.warnings)
     elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in the_study.joints)
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
-    # the links' motion asks nothing of the rigid model, whose search keeps but one core busy
-    sides = begin([partial(links.link_side, log, the_study) for log in excited if elastic])
     model, fitted, checks = _rigid(run, the_study, all_logs)
     records: tuple[RecordModel, ...] = ()
     joints: tuple[JointModel, ...] = ()
     responses: dict[int, FrequencyResponse] = {}
     if elastic:
-        both = list(zip(excited, sides, strict=True))
-        records, joints, responses = _decoupled(run, the_study, both, model)
+        records, joints, responses = _decoupled(run, the_study, excited, model)
     tuned = None
     if "tuned" in run.stages and len(joints) == the_study.n_joints:
         tuned = _tuned(run, the_study, all_logs, model, joints)
@@ -202,7 +198,7 @@ def _rigid(
 def _decoupled(
     run: _Run,
     the_study: Study,
-    excited: Sequence[tuple[Log, Future[LinkSignals]]],
+    excited: Sequence[Log],
     model: RigidModel | None,
 ) -> tuple[tuple[RecordModel, ...], tuple[JointModel, ...], dict[int, FrequencyResponse]]:
     """Each excited record on its own, then all full-amplitude records of a joint at once."""
@@ -213,15 +209,13 @@ def _decoupled(
     if model is None and not _alone(the_study):
         return (), (), {}  # why there is none has been said
 
-    def both_sides_of(
-        log: Log, side: Future[LinkSignals]
-    ) -> tuple[Log, LinkSignals, tuple[Decoupled, ...]]:
-        both_sides = side.result()
+    def both_sides_of(log: Log) -> tuple[Log, LinkSignals, tuple[Decoupled, ...]]:
+        both_sides = links.link_side(log, the_study)
         return log, both_sides, decoupling.decouple(both_sides, model, the_study)
 
     with run.timed("decoupled", "decoupling the joints"):
         try:
-            seen = side_by_side([partial(both_sides_of, *each) for each in excited])
+            seen = side_by_side([partial(both_sides_of, log) for log in excited])
         except NotIdentifiable as failure:
             run.reasons.append(str(failure))
             return (), (), {}
