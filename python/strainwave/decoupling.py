@@ -83,8 +83,9 @@ def decouple(
             u = u - _dry_friction(signals, model, i)
         inputs = u[:, None] if tau is None else np.column_stack([u, tau[:, i]])
         band = chosen.band_hz or _band(signals, i)
-        frequency, richness = _richness(inputs, signals.sample_time, band)
-        checks = tuple(_checks(signals, study, base, i, inputs, band, richness))
+        densities = _spectra(inputs, signals.sample_time)
+        frequency, richness = _richness(densities, band)
+        checks = tuple(_checks(signals, study, base, i, inputs, band, densities, richness))
         found.append(
             Decoupled(
                 experiment=signals.experiment,
@@ -155,7 +156,7 @@ def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, Compl
 
 
 def _richness(
-    inputs: FloatArray, sample_time: float, band: tuple[float, float]
+    densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Least over largest eigenvalue of the inputs' coherency matrix, by frequency.
 
@@ -163,7 +164,7 @@ def _richness(
     function of the other, so that their effects cannot be told apart. At the ratio r the
     deviations are 1 / sqrt(4 r) times those of inputs without coherence, for small r.
     """
-    frequency, density = _spectra(inputs, sample_time)
+    frequency, density = densities
     inside = (frequency >= band[0]) & (frequency <= band[1])
     power = np.sqrt(np.einsum("fii->fi", density[inside]).real)
     floor = 1e-12 * power.max() if power.size else 1.0
@@ -179,6 +180,7 @@ def _checks(
     i: int,
     inputs: FloatArray,
     band: tuple[float, float],
+    densities: tuple[FloatArray, ComplexArray],
     richness: FloatArray,
 ) -> Iterator[Check]:
     moving = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
@@ -198,7 +200,7 @@ def _checks(
     text = f"n tau is {ratio:.3g} times u"
     text += "" if ratio >= _SEEN else "; too small for its effect to be estimated"
     yield Check("interaction-amplitude", ratio >= _SEEN, ratio, _SEEN, text)
-    yield _fullness(inputs, signals.sample_time, band)
+    yield _fullness(densities, band)
     rich = float(np.median(richness)) if richness.size else 0.0
     text = f"u and tau differ: eigenvalue ratio {rich:.3g}, median of {band[0]:.1f} to"
     text += f" {band[1]:.1f} Hz"
@@ -223,9 +225,9 @@ def _constancy(signals: LinkSignals, study: Study, base: FloatArray, i: int) -> 
     return Check("constant-inertia", change <= _CONSTANT, change, _CONSTANT, text)
 
 
-def _fullness(inputs: FloatArray, sample_time: float, band: tuple[float, float]) -> Check:
+def _fullness(densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]) -> Check:
     """Share of the band in which the power density of tau is above its noise."""
-    frequency, density = _spectra(inputs, sample_time)
+    frequency, density = densities
     power = density[:, 1, 1].real
     noise = float(np.median(power[frequency >= 0.5 * frequency[-1]]))
     inside = (frequency >= band[0]) & (frequency <= band[1])
