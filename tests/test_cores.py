@@ -1,8 +1,10 @@
-"""Independent work, side by side."""
+"""Independent work side by side, and a process of our own."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 from functools import partial
 
@@ -32,3 +34,20 @@ def test_a_job_that_fails_tells_who_asks() -> None:
 
     with pytest.raises(ValueError, match="no"):
         side_by_side([lambda: 3, job])
+
+
+def test_a_process_of_our_own_begins_no_blas_threads() -> None:
+    code = """
+from strainwave.cores import own_process
+own_process()
+import numpy
+from threadpoolctl import threadpool_info
+print(*{i["num_threads"] for i in threadpool_info() if i["internal_api"] == "openblas"})
+"""
+    free = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    found = subprocess.run(
+        [sys.executable, "-c", code], env=free, check=True, capture_output=True, text=True
+    )
+    if not found.stdout.strip():
+        pytest.skip("this NumPy has another BLAS")
+    assert found.stdout.split() == ["1"]

@@ -87,11 +87,13 @@ def identify(
     quiet: Quiet = False,
 ) -> None:
     """Identify the arm: logs in, DIR/result.json and DIR/report.html out."""
+    from strainwave.cores import own_process
+
+    own_process()
+
     from strainwave import pipeline
-    from strainwave.cores import keep_memory
     from strainwave.drawing import require_matplotlib
 
-    keep_memory()
     if figures:
         require_matplotlib()  # before the work, not after it
     chosen = pipeline.STAGES if stages is None else tuple(s.strip() for s in stages.split(","))

@@ -28,11 +28,21 @@ def one_blas_thread() -> AbstractContextManager[object]:
     return limit
 
 
-def keep_memory() -> None:
+def own_process() -> None:
+    """Make ready a process that is all ours, for as long as it lasts; before NumPy is imported.
+
+    OpenBLAS begins no threads: they would wait for work in a loop, on a core that has some. And the
+    memory that is freed is kept.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    _keep_memory()
+
+
+def _keep_memory() -> None:
     """Let the process keep what it frees, where its C library is glibc.
 
     Otherwise each array of some size is new to it, and the kernel clears it page by page: an eighth
-    of a run's time. For a process of our own only, as it lasts for the process's life.
+    of a run's time.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
