@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
+import gc
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +15,7 @@ Result = TypeVar("Result")
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 _KEPT = 2**28  # bytes
+_NEW_OBJECTS = 100_000  # from one look of the collector to the next
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
@@ -31,10 +34,13 @@ def one_blas_thread() -> AbstractContextManager[object]:
 def own_process() -> None:
     """Make ready a process that is all ours, for as long as it lasts; before NumPy is imported.
 
-    OpenBLAS begins no threads: they would wait for work in a loop, on a core that has some. And the
+    OpenBLAS begins no threads: they would wait for work in a loop, on a core that has some. The
+    collector of cycles, of which there are few, looks rarely, and at the end not at all. And the
     memory that is freed is kept.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(_NEW_OBJECTS)
+    atexit.register(gc.freeze)
     _keep_memory()
 
 
