@@ -249,34 +249,31 @@ fn followed<A: Arm<N>, const N: usize, const EFFECTS: bool>(
     thinning: Option<&Thinning>,
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
-    match width {
-        Width::Portable => f64::scope(Followed::<A, f64, f64, f64, N, EFFECTS> {
-            task,
-            member,
-            asked,
-            directions,
-            thinning,
-            scalars: PhantomData,
-        }),
+    let follow = match width {
+        Width::Portable => columns::<A, f64, f64, f64, N, EFFECTS>,
         #[cfg(target_arch = "x86_64")]
-        Width::Avx2 => F64x4::scope(Followed::<A, Fused, F64x4, F64x4, N, EFFECTS> {
-            task,
-            member,
-            asked,
-            directions,
-            thinning,
-            scalars: PhantomData,
-        }),
+        Width::Avx2 => columns::<A, Fused, F64x4, F64x4, N, EFFECTS>,
         #[cfg(target_arch = "x86_64")]
-        Width::Avx512 => F64x8::scope(Followed::<A, Fused, F64x8, F64x4, N, EFFECTS> {
-            task,
-            member,
-            asked,
-            directions,
-            thinning,
-            scalars: PhantomData,
-        }),
+        Width::Avx512 => columns::<A, Fused, F64x8, F64x4, N, EFFECTS>,
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
-    }
+    };
+    follow(task, member, asked, directions, thinning)
+}
+
+fn columns<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    asked: (&Task<A, N>, &Member<'_, N>),
+    directions: &[Source],
+    thinning: Option<&Thinning>,
+) -> Result<Sensitivities<N>, Diverged> {
+    V::scope(Followed::<A, S, V, L, N, EFFECTS> {
+        task,
+        member,
+        asked,
+        directions,
+        thinning,
+        scalars: PhantomData,
+    })
 }
