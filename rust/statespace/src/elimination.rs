@@ -131,6 +131,12 @@ impl Band {
         let place = self.place(row, from);
         &mut self.entries[place..][..to - from]
     }
+
+    #[inline(always)]
+    fn set(&mut self, row: usize, column: usize, value: f64) {
+        let place = self.place(row, column);
+        self.entries[place] = value;
+    }
 }
 
 /// Lower Cholesky factor of G.
@@ -300,14 +306,14 @@ fn decompose<const FUSED: bool>(matrix: &mut Band, first: &[usize]) -> Option<()
             let from = first[i].max(first[j]);
             let shared = dot::<FUSED>(matrix.row(i, from, j), matrix.row(j, from, j));
             let entry = (matrix.at(i, j) - shared) / matrix.at(j, j);
-            matrix.row_mut(i, j, j + 1)[0] = entry;
+            matrix.set(i, j, entry);
         }
         let own = matrix.row(i, first[i], i);
         let pivot = 1.0 + matrix.at(i, i) - dot::<FUSED>(own, own);
         if !(pivot > 0.0 && pivot.is_finite()) {
             return None;
         }
-        matrix.row_mut(i, i, i + 1)[0] = pivot.sqrt();
+        matrix.set(i, i, pivot.sqrt());
     }
     Some(())
 }
@@ -375,10 +381,10 @@ fn inverse_within<const FUSED: bool>(factor: &Band, first: &[usize]) -> Band {
             k += four.len();
         }
         let own = 1.0 / (pivot * pivot) + dot::<FUSED>(&weights, &row);
-        inverse.row_mut(i, i, i + 1)[0] = own;
+        inverse.set(i, i, own);
         inverse.row_mut(i, i + 1, stop).copy_from_slice(&row);
         for (k, &entry) in (i + 1..stop).zip(&row) {
-            inverse.row_mut(k, i, i + 1)[0] = entry;
+            inverse.set(k, i, entry);
         }
     }
     inverse
