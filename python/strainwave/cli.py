@@ -87,10 +87,6 @@ def identify(
     quiet: Quiet = False,
 ) -> None:
     """Identify the arm: logs in, DIR/result.json and DIR/report.html out."""
-    from strainwave.cores import own_process
-
-    own_process()
-
     from strainwave import pipeline
     from strainwave.drawing import require_matplotlib
 
@@ -273,6 +269,9 @@ def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 def main() -> None:
     """Run the command line; the errors that a user can mend are one sentence, without traceback."""
+    from strainwave.cores import own_process
+
+    own_process()
     try:
         app()
     except InvalidInput as error:
