@@ -1,5 +1,6 @@
 //! The derivatives of what is recorded, sample by sample.
 
+use crate::aligned::Aligned;
 use crate::real::Real;
 use crate::thinning::{Thinned, Thinning};
 
@@ -9,7 +10,7 @@ pub(crate) struct Collected<const N: usize> {
     /// Directions with the lanes that the last column has too many.
     places: usize,
     /// Quantity by quantity and joint by joint the directions.
-    sample: Vec<f64>,
+    sample: Aligned,
     thinned: Option<Thinned>,
     /// For each quantity samples, or rows, times joints times directions.
     pub(crate) tangents: Vec<Vec<f64>>,
@@ -26,7 +27,7 @@ impl<const N: usize> Collected<N> {
         Self {
             directions,
             places,
-            sample: vec![0.0; quantities * N * places],
+            sample: Aligned::zeros(quantities * N * places),
             thinned: thinning
                 .filter(|_| directions > 0)
                 .map(|thinning| Thinned::new(thinning, N * places, samples)),

@@ -8,6 +8,7 @@
 //! and [`dispatch`] chooses which. Over [`dual`] numbers the same chain gives its derivatives,
 //! [`sensitivity`].
 
+mod aligned;
 pub mod arm;
 mod collected;
 mod column;

@@ -5,6 +5,7 @@
 
 use std::ops::Range;
 
+use crate::aligned::Aligned;
 use crate::real::{Real, Work};
 
 /// A low-pass for each quantity: row r is the sum of taps[t] x[r step + t].
@@ -84,13 +85,13 @@ pub(crate) struct Thinned {
     /// How many rows there will be.
     rows: usize,
     /// The samples since the last whole block: quantity by quantity, sample by sample.
-    block: Vec<f64>,
+    block: Aligned,
     filled: usize,
     /// Whole blocks so far.
     blocks: usize,
     /// Rows under way, each in the place of its number modulo how many there are, with their
     /// quantities.
-    begun: Vec<f64>,
+    begun: Aligned,
 }
 
 impl Thinned {
@@ -99,10 +100,10 @@ impl Thinned {
         Self {
             width,
             rows: thinning.rows(samples),
-            block: vec![0.0; numbers * thinning.step],
+            block: Aligned::zeros(numbers * thinning.step),
             filled: 0,
             blocks: 0,
-            begun: vec![0.0; numbers * (thinning.taps[0].len() / thinning.step)],
+            begun: Aligned::zeros(numbers * (thinning.taps[0].len() / thinning.step)),
             thinning: thinning.clone(),
         }
     }
@@ -136,55 +137,73 @@ impl Thinned {
         first..first + numbers
     }
 
-    /// Adds the block to all rows that reach it.
+    /// Adds the block to all rows that reach it, two at a time: samples that are loaded for one row
+    /// serve the next.
     #[inline(always)]
     fn add<V: Real>(&mut self) {
+        let newest = self.place(self.blocks);
+        self.begun[newest].fill(0.0);
+        let first = (self.blocks + 1).saturating_sub(self.parts());
+        let mut rows = first..=self.blocks;
+        while let Some(row) = rows.next() {
+            match rows.next() {
+                Some(next) => self.add_to::<V, 2>([row, next]),
+                None => self.add_to::<V, 1>([row]),
+            }
+        }
+    }
+
+    /// Adds the block to some rows.
+    #[inline(always)]
+    fn add_to<V: Real, const R: usize>(&mut self, rows: [usize; R]) {
         let (step, width) = (self.thinning.step, self.width);
-        let last = self.blocks;
-        for row in (last + 1).saturating_sub(self.parts())..=last {
-            let place = self.place(row);
-            if row == last {
-                self.begun[place.clone()].fill(0.0);
-            }
-            let sums = self.begun[place].chunks_exact_mut(width);
-            let blocks = self.block.chunks_exact(step * width);
-            for ((sums, block), taps) in sums.zip(blocks).zip(&self.thinning.taps) {
-                let taps = &taps[(last - row) * step..][..step];
-                let mut first = 0;
-                add_products::<V, 8>(sums, block, taps, &mut first);
-                add_products::<V, 4>(sums, block, taps, &mut first);
-                add_products::<V, 2>(sums, block, taps, &mut first);
-                add_products::<V, 1>(sums, block, taps, &mut first);
-            }
+        let taps_from = rows.map(|row| (self.blocks - row) * step);
+        let places = rows.map(|row| self.place(row));
+        let Ok(mut sums) = self.begun.get_disjoint_mut(places) else {
+            unreachable!("rows have places of their own");
+        };
+        let blocks = self.block.chunks_exact(step * width);
+        for (k, (block, taps)) in blocks.zip(&self.thinning.taps).enumerate() {
+            let mut own = sums.each_mut().map(|sums| &mut sums[k * width..][..width]);
+            let taps = taps_from.map(|from| &taps[from..][..step]);
+            let mut first = 0;
+            add_products::<V, 4, R>(&mut own, block, &taps, &mut first);
+            add_products::<V, 2, R>(&mut own, block, &taps, &mut first);
+            add_products::<V, 1, R>(&mut own, block, &taps, &mut first);
         }
     }
 }
 
-/// Adds taps times samples to the sums, from the `first` number on, as long as there are `C`
-/// registers of them: so many wait for one another's multiply-adds.
+/// Adds taps times samples to the sums of each row, from the `first` number on, as long as there
+/// are `C` registers of them: so many wait for one another's multiply-adds.
 #[inline(always)]
-fn add_products<V: Real, const C: usize>(
-    sums: &mut [f64],
+fn add_products<V: Real, const C: usize, const R: usize>(
+    rows: &mut [&mut [f64]; R],
     block: &[f64],
-    taps: &[f64],
+    taps: &[&[f64]; R],
     first: &mut usize,
 ) {
-    let width = sums.len();
+    let width = rows[0].len();
     while *first + C * V::LANES <= width {
-        let sums = &mut sums[*first..][..C * V::LANES];
-        let mut held = [V::splat(0.0); C];
-        for c in 0..C {
-            held[c] = V::load(&sums[c * V::LANES..]);
-        }
-        for (&tap, sample) in taps.iter().zip(block.chunks_exact(width)) {
-            let sample = &sample[*first..][..C * V::LANES];
-            let tap = V::splat(tap);
+        let mut sums = [[V::splat(0.0); C]; R];
+        for r in 0..R {
             for c in 0..C {
-                held[c] = tap.mul_add(V::load(&sample[c * V::LANES..]), held[c]);
+                sums[r][c] = V::load(&rows[r][*first + c * V::LANES..]);
             }
         }
-        for c in 0..C {
-            held[c].store(&mut sums[c * V::LANES..]);
+        for (t, sample) in block.chunks_exact(width).enumerate() {
+            let sample = &sample[*first..][..C * V::LANES];
+            for c in 0..C {
+                let number = V::load(&sample[c * V::LANES..]);
+                for r in 0..R {
+                    sums[r][c] = V::splat(taps[r][t]).mul_add(number, sums[r][c]);
+                }
+            }
+        }
+        for r in 0..R {
+            for c in 0..C {
+                sums[r][c].store(&mut rows[r][*first + c * V::LANES..]);
+            }
         }
         *first += C * V::LANES;
     }

@@ -1,0 +1,38 @@
+//! Numbers that begin where a line of the cache does.
+
+use std::ops::{Deref, DerefMut};
+
+/// A line of the cache, and the widest register [bytes].
+const LINE: usize = 64;
+
+/// So many numbers, the first at the beginning of a line: a register that is loaded from two lines
+/// takes twice as long.
+pub(crate) struct Aligned {
+    numbers: Vec<f64>,
+    first: usize,
+}
+
+impl Aligned {
+    /// All zero.
+    pub(crate) fn zeros(count: usize) -> Self {
+        let mut numbers = vec![0.0; count + LINE / size_of::<f64>()];
+        let first = numbers.as_ptr().align_offset(LINE);
+        numbers.truncate(first + count);
+        Self { numbers, first }
+    }
+}
+
+impl Deref for Aligned {
+    type Target = [f64];
+    #[inline(always)]
+    fn deref(&self) -> &[f64] {
+        &self.numbers[self.first..]
+    }
+}
+
+impl DerefMut for Aligned {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [f64] {
+        &mut self.numbers[self.first..]
+    }
+}
