@@ -3,89 +3,79 @@
 use crate::arm::Arm;
 use crate::config::{Config, SETTLING};
 use crate::experiment::Source;
+use crate::forcing::{Forcing, Row};
 use crate::lengthening::Lengthening;
 use crate::plant::StepTorque;
-use crate::real::{MOST_LANES, Real};
-use crate::variation::{Linearised, Row, places};
+use crate::real::{Lanes, Real};
+use crate::variation::Linearised;
 
-/// Derivatives of twists, twist rates, link angles and link velocities.
+/// Derivatives of twists and link angles, and of the motors' and links' velocities.
+///
+/// Time runs in half steps of the integrator here, and motors turn as the links do that they would
+/// drive without gears that give way: a velocity times half a step is an angle, so that a stage is
+/// mostly the sum of the last one and its rates.
 #[derive(Clone, Copy)]
 pub(crate) struct Tangent<V, const N: usize> {
     pub(crate) twist: [V; N],
-    pub(crate) rate: [V; N],
     pub(crate) angle: [V; N],
-    pub(crate) velocity: [V; N],
+    /// n dtheta_M' times half a step.
+    pub(crate) motor: [V; N],
+    /// dtheta_L' times half a step.
+    pub(crate) link: [V; N],
 }
 
 /// Derivatives of what the state brings about at once.
 #[derive(Clone, Copy)]
 pub(crate) struct Response<V, const N: usize> {
-    /// Gear torques.
+    /// Gear torques [N m].
     pub(crate) gear: [V; N],
-    /// Second derivatives of the twists.
-    twist: [V; N],
-    /// Link accelerations.
+    /// Twist rates times half a step.
+    rate: [V; N],
+    /// n ddtheta_M' times half a step squared.
+    motor: [V; N],
+    /// ddtheta_L' times half a step squared.
     pub(crate) link: [V; N],
 }
 
 /// `V::LANES` directions.
-pub(crate) struct Column<V, const N: usize> {
+pub(crate) struct Column<V: Lanes, const N: usize> {
     pub(crate) tangent: Tangent<V, N>,
-    /// What this column's parameters add to the gears', motors' and links' rows at each stage.
-    forcing: [[[V; 4]; N]; 3],
-    /// The rows of these that are not zero always, and whose entries they hold.
-    plan: Vec<(Row, usize, [usize; MOST_LANES])>,
+    forcing: Forcing<V, N>,
     /// One where a direction is the joint's settling time.
     settling: [V; N],
 }
 
-impl<V: Real, const N: usize> Column<V, N> {
+impl<V: Lanes, const N: usize> Column<V, N> {
     pub(crate) fn new<A: Arm<N>>(
         config: &Config<A, N>,
         directions: &[Source],
         tangent: Tangent<V, N>,
     ) -> Self {
-        let places = places(config);
-        let mut plan: Vec<(Row, usize, [usize; MOST_LANES])> = Vec::new();
-        let mut settling = [V::splat(0.0); N];
         let names = config.parameter_names();
+        let mut settling = [V::splat(0.0); N];
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
-            let &Source::Parameter(k) = direction else {
-                continue;
-            };
-            if names[k].0 == SETTLING {
-                settling[places[k][0].joint].set_lane(lane, 1.0);
-            }
-            for place in &places[k] {
-                let known = plan
-                    .iter()
-                    .position(|known| (known.0, known.1) == (place.row, place.joint));
-                let at = known.unwrap_or_else(|| {
-                    plan.push((place.row, place.joint, [0; MOST_LANES]));
-                    plan.len() - 1
-                });
-                plan[at].2[lane] = place.entry;
+            if let &Source::Parameter(k) = direction
+                && let (SETTLING, Some(joint)) = names[k]
+            {
+                settling[joint - 1].set_lane(lane, 1.0);
             }
         }
         Self {
             tangent,
-            forcing: [[[V::splat(0.0); 4]; N]; 3],
-            plan,
+            forcing: Forcing::new(config, directions),
             settling,
         }
     }
 
     /// Takes the parameters' own part of a step's equations.
     #[inline(always)]
-    pub(crate) fn force<A: Arm<N>, L: Real>(&mut self, step: &Linearised<A, L, N>) {
-        for (row, joint, pick) in &self.plan {
-            self.forcing[*row as usize][*joint] = V::transposed(&step.entries, pick);
-        }
+    pub(crate) fn force<A: Arm<N>, L: Lanes>(&mut self, step: &Linearised<A, L, N>) {
+        self.forcing.take(&step.quads);
     }
 
     /// The equations of stage `k`.
     #[inline(always)]
-    pub(crate) fn respond<A: Arm<N>, L: Real>(
+    pub(crate) fn respond<A: Arm<N>, L: Lanes>(
         &self,
         step: &Linearised<A, L, N>,
         k: usize,
@@ -96,120 +86,162 @@ impl<V: Real, const N: usize> Column<V, N> {
         let zero = [c(0.0); N];
         let mut response = Response {
             gear: zero,
-            twist: zero,
+            rate: zero,
+            motor: zero,
             link: zero,
         };
+        let mut load = zero;
         for i in 0..N {
-            let gear = self.forcing[Row::Gear as usize][i][k];
-            let damped = c(step.damping[i]).mul_add(x.rate[i], gear);
-            response.gear[i] = c(step.stiffness[i][k]).mul_add(x.twist[i], damped);
-            let mut motor = self.forcing[Row::Motor as usize][i][k];
+            let rate = x.motor[i] - x.link[i];
+            let damped = c(step.damping[i]).mul_add(rate, self.forcing.of(Row::Gear, i, k));
+            let gear = c(step.stiffness[i][k]).mul_add(x.twist[i], damped);
+            let mut motor = self.forcing.of(Row::Motor, i, k);
             if let Some(torque) = torque {
                 motor = c(step.motor[2][i]).mul_add(torque[i], motor);
             }
-            let dragged = c(step.motor[1][i]).mul_add(x.rate[i] + x.velocity[i], motor);
-            response.twist[i] = c(step.motor[0][i]).mul_add(response.gear[i], dragged);
-        }
-        for i in 0..N {
-            let mut link = self.forcing[Row::Links as usize][i][k];
+            let dragged = c(step.motor[1][i]).mul_add(x.motor[i], motor);
+            response.rate[i] = rate;
+            response.gear[i] = gear;
+            response.motor[i] = c(step.motor[0][i]).mul_add(gear, dragged);
+            let mut taken = self.forcing.of(Row::Link, i, k);
             for j in 0..N {
                 if A::FELT[j] {
-                    link = c(step.by_angle[i][j][k]).mul_add(x.angle[j], link);
+                    taken = c(step.by_angle[i][j][k]).mul_add(x.angle[j], taken);
                 }
-                link = c(step.by_velocity[i][j][k]).mul_add(x.velocity[j], link);
+                taken = c(step.by_velocity[i][j][k]).mul_add(x.link[j], taken);
             }
-            // what takes longest to know comes last
-            for j in 0..N {
-                link = c(step.inverse[i][j][k]).mul_add(response.gear[j], link);
+            load[i] = gear - taken;
+        }
+        for i in 0..N {
+            let mut link = c(step.inverse[i][0][k]) * load[0];
+            for j in 1..N {
+                link = c(step.inverse[i][j][k]).mul_add(load[j], link);
             }
             response.link[i] = link;
-            response.twist[i] = response.twist[i] - link;
         }
         response
     }
 
-    /// The rest of the step, of length `h`, after its first stage.
+    /// The rest of a whole step after its first stage.
     #[inline(always)]
-    pub(crate) fn advance<A: Arm<N>, L: Real>(
+    pub(crate) fn advance<A: Arm<N>, L: Lanes>(
         &mut self,
         step: &Linearised<A, L, N>,
         first: &Response<V, N>,
         torque: Option<&StepTorque<V, N>>,
-        h: f64,
+    ) {
+        self.advance_part::<A, L, true>(step, first, torque, 1.0);
+    }
+
+    /// The rest of a part of a step after its first stage.
+    ///
+    /// The classical Runge-Kutta step, its stages half the part and the part on. `WHOLE` says that
+    /// the part is all, and takes a factor of one out of most sums.
+    #[inline(always)]
+    pub(crate) fn advance_part<A: Arm<N>, L: Lanes, const WHOLE: bool>(
+        &mut self,
+        step: &Linearised<A, L, N>,
+        first: &Response<V, N>,
+        torque: Option<&StepTorque<V, N>>,
+        part: f64,
     ) {
         let c = V::splat;
-        let half = 0.5 * h;
+        let on = |x: V, rate: V| {
+            if WHOLE {
+                x + rate
+            } else {
+                c(part).mul_add(rate, x)
+            }
+        };
+        let twice = |x: V, rate: V| c(2.0 * part).mul_add(rate, x);
         let x = self.tangent;
         let middle = torque.map(|torque| &torque.middle);
         let end = torque.map(|torque| &torque.end);
-        let at = self.held(step, x.drifted::<A>(half, first), 0);
+        let at = self.held(step, x.moved::<A>(on, &x, first), &x, (part, 0));
         let second = self.respond(step, 1, &at, middle);
-        let at = self.held(step, x.moved::<A>(half, half * half, first, &second), 0);
+        let next = x.moved::<A>(on, &at, &second);
+        let at = self.held(step, next, &at, (part, 0));
         let third = self.respond(step, 2, &at, middle);
-        let at = self.held(step, x.moved::<A>(h, h * half, &second, &third), 1);
+        let next = x.moved::<A>(twice, &at, &third);
+        let at = self.held(step, next, &at, (2.0 * part, 1));
+        let zero = [c(0.0); N];
+        let (mut three, mut all) = ([zero; 2], [zero; 2]);
+        for i in 0..N {
+            let inner = [
+                second.motor[i] + third.motor[i],
+                second.link[i] + third.link[i],
+            ];
+            three[0][i] = first.motor[i] + inner[0];
+            three[1][i] = first.link[i] + inner[1];
+            all[0][i] = three[0][i] + inner[0];
+            all[1][i] = three[1][i] + inner[1];
+        }
         let fourth = self.respond(step, 3, &at, end);
-        let sixth = h / 6.0;
-        let (for_angle, for_velocity) = first.sums(&second, &third, &fourth);
+        let (third_part, square) = (c(part / 3.0), c(part * part / 1.5));
         let mut to = x;
         for i in 0..N {
-            to.twist[i] = c(h).mul_add(x.rate[i], x.twist[i]);
-            to.twist[i] = c(h * sixth).mul_add(for_angle[0][i], to.twist[i]);
-            to.angle[i] = c(h).mul_add(x.velocity[i], x.angle[i]);
-            to.angle[i] = c(h * sixth).mul_add(for_angle[1][i], to.angle[i]);
-            to.rate[i] = c(sixth).mul_add(for_velocity[0][i], x.rate[i]);
-            to.velocity[i] = c(sixth).mul_add(for_velocity[1][i], x.velocity[i]);
+            let link_rate = twice(x.angle[i], x.link[i]);
+            let twist_rate = twice(x.twist[i], first.rate[i]);
+            to.motor[i] = third_part.mul_add(all[0][i] + fourth.motor[i], x.motor[i]);
+            to.link[i] = third_part.mul_add(all[1][i] + fourth.link[i], x.link[i]);
+            to.angle[i] = square.mul_add(three[1][i], link_rate);
+            to.twist[i] = square.mul_add(three[0][i] - three[1][i], twist_rate);
         }
-        self.tangent = self.held(step, to, 1);
+        self.tangent = self.held(step, to, &x, (0.0, 1));
     }
 
     /// How fast the end of a step of length `h` moves as it gets longer; for a column that no
     /// parameter forces.
     #[inline(always)]
-    pub(crate) fn lengthened<A: Arm<N>, L: Real>(
+    pub(crate) fn lengthened<A: Arm<N>, L: Lanes>(
         &self,
         step: &Linearised<A, L, N>,
         by: &Lengthening<V, N>,
         h: f64,
     ) -> Tangent<V, N> {
-        let c = V::splat;
+        let (c, time) = (V::splat, h / step.half);
         let [second, mut third, mut fourth] = by.stages;
-        let (half, sixth) = (c(0.5 * h), h / 6.0);
+        let (half, sixth) = (c(0.5 * time), time / 6.0);
         let [middle, end] = &by.torque;
         let a2 = self.respond(step, 1, &second, Some(middle));
         third.push(half, &a2);
         let a3 = self.respond(step, 2, &third, Some(middle));
-        fourth.shift(c(0.5 * h * h), &a2);
-        fourth.push(c(h), &a3);
+        fourth.shift(c(0.5 * time * time), &a2);
+        fourth.push(c(time), &a3);
         let a4 = self.respond(step, 3, &fourth, Some(end));
         let mut to = by.end;
         for a in [&a2, &a3] {
-            to.shift(c(h * sixth), a);
+            to.shift(c(time * sixth), a);
             to.push(c(2.0 * sixth), a);
         }
         to.push(c(sixth), &a4);
         to
     }
 
-    /// A later stage, half a step or a whole one on, in which held motors have settled.
+    /// A later stage, half of a step on or, with `end` at one, the whole, in which held motors have
+    /// settled. It was reached with the velocities of the stage `before`, over so many half steps.
     #[inline(always)]
-    fn held<A: Arm<N>, L: Real>(
+    fn held<A: Arm<N>, L: Lanes>(
         &self,
         step: &Linearised<A, L, N>,
         mut stage: Tangent<V, N>,
-        part: usize,
+        before: &Tangent<V, N>,
+        (moved, end): (f64, usize),
     ) -> Tangent<V, N> {
         let c = V::splat;
         for i in 0..N {
             let Some(settling) = &step.settling[i] else {
                 continue;
             };
-            // n dtheta_M' at the beginning of the step
-            let motor = self.tangent.rate[i] + self.tangent.velocity[i];
-            let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[part]));
-            stage.twist[i] = c(settling.angle[part]).mul_add(motor, stage.twist[i]);
+            let motor = self.tangent.motor[i];
+            let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[end]));
+            // as far as a steady motor would have gone
+            let behind = motor - before.motor[i];
+            stage.twist[i] = c(moved).mul_add(behind, stage.twist[i]);
+            stage.twist[i] = c(settling.angle[end]).mul_add(motor, stage.twist[i]);
             stage.twist[i] = by_time.mul_add(self.settling[i], stage.twist[i]);
-            stage.rate[i] = c(settling.velocity[part]).mul_add(motor, stage.rate[i]);
-            stage.rate[i] = velocity_by_time.mul_add(self.settling[i], stage.rate[i]);
+            stage.motor[i] = c(settling.velocity[end]).mul_add(motor, stage.motor[i]);
+            stage.motor[i] = velocity_by_time.mul_add(self.settling[i], stage.motor[i]);
         }
         stage
     }
@@ -221,9 +253,9 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         let zero = [V::splat(0.0); N];
         Self {
             twist: zero,
-            rate: zero,
             angle: zero,
-            velocity: zero,
+            motor: zero,
+            link: zero,
         }
     }
 
@@ -231,8 +263,8 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     #[inline(always)]
     fn push(&mut self, time: V, a: &Response<V, N>) {
         for i in 0..N {
-            self.rate[i] = time.mul_add(a.twist[i], self.rate[i]);
-            self.velocity[i] = time.mul_add(a.link[i], self.velocity[i]);
+            self.motor[i] = time.mul_add(a.motor[i], self.motor[i]);
+            self.link[i] = time.mul_add(a.link[i], self.link[i]);
         }
     }
 
@@ -240,7 +272,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     #[inline(always)]
     fn shift(&mut self, square: V, a: &Response<V, N>) {
         for i in 0..N {
-            self.twist[i] = square.mul_add(a.twist[i], self.twist[i]);
+            self.twist[i] = square.mul_add(a.motor[i] - a.link[i], self.twist[i]);
             self.angle[i] = square.mul_add(a.link[i], self.angle[i]);
         }
     }
@@ -251,57 +283,30 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         let c = |rate: S| V::splat(rate.lane(0));
         for i in 0..N {
             self.twist[i] = c(rates.twist[i]).mul_add(time, self.twist[i]);
-            self.rate[i] = c(rates.rate[i]).mul_add(time, self.rate[i]);
             self.angle[i] = c(rates.angle[i]).mul_add(time, self.angle[i]);
-            self.velocity[i] = c(rates.velocity[i]).mul_add(time, self.velocity[i]);
+            self.motor[i] = c(rates.motor[i]).mul_add(time, self.motor[i]);
+            self.link[i] = c(rates.link[i]).mul_add(time, self.link[i]);
         }
     }
 
-    /// As the `State`'s of the same name, for the link angles that are felt.
+    /// A later stage: `on` at the velocities of the stage `at` and its accelerations. Of the link
+    /// angles those that are felt.
     #[inline(always)]
-    fn drifted<A: Arm<N>>(&self, t: f64, a: &Response<V, N>) -> Self {
-        let t = V::splat(t);
+    fn moved<A: Arm<N>>(
+        &self,
+        on: impl Fn(V, V) -> V,
+        at: &Tangent<V, N>,
+        a: &Response<V, N>,
+    ) -> Self {
         let mut next = *self;
         for i in 0..N {
-            next.twist[i] = t.mul_add(self.rate[i], self.twist[i]);
-            next.rate[i] = t.mul_add(a.twist[i], self.rate[i]);
-            next.velocity[i] = t.mul_add(a.link[i], self.velocity[i]);
+            next.twist[i] = on(self.twist[i], a.rate[i]);
+            next.motor[i] = on(self.motor[i], a.motor[i]);
+            next.link[i] = on(self.link[i], a.link[i]);
             if A::FELT[i] {
-                next.angle[i] = t.mul_add(self.velocity[i], self.angle[i]);
+                next.angle[i] = on(self.angle[i], at.link[i]);
             }
         }
         next
-    }
-
-    /// The same, with what the accelerations `a` of an earlier stage add to the positions.
-    #[inline(always)]
-    fn moved<A: Arm<N>>(&self, t: f64, s: f64, a: &Response<V, N>, b: &Response<V, N>) -> Self {
-        let mut next = self.drifted::<A>(t, b);
-        let s = V::splat(s);
-        for i in 0..N {
-            next.twist[i] = s.mul_add(a.twist[i], next.twist[i]);
-            if A::FELT[i] {
-                next.angle[i] = s.mul_add(a.link[i], next.angle[i]);
-            }
-        }
-        next
-    }
-}
-
-impl<V: Real, const N: usize> Response<V, N> {
-    /// a1 + a2 + a3 and a1 + 2 a2 + 2 a3 + a4, of twists and links.
-    #[inline(always)]
-    fn sums(&self, second: &Self, third: &Self, fourth: &Self) -> ([[V; N]; 2], [[V; N]; 2]) {
-        let zero = [V::splat(0.0); N];
-        let mut sums = ([zero; 2], [zero; 2]);
-        for i in 0..N {
-            let inner = second.twist[i] + third.twist[i];
-            sums.0[0][i] = self.twist[i] + inner;
-            sums.1[0][i] = sums.0[0][i] + inner + fourth.twist[i];
-            let inner = second.link[i] + third.link[i];
-            sums.0[1][i] = self.link[i] + inner;
-            sums.1[1][i] = sums.0[1][i] + inner + fourth.link[i];
-        }
-        sums
     }
 }

@@ -94,12 +94,6 @@ const DRIVE: [&str; 5] = [
 pub(crate) const SETTLING: &str = "friction_settling_time";
 
 impl GearKind {
-    /// How many parameters it has.
-    #[inline(always)]
-    pub(crate) fn parameters(self) -> usize {
-        self.names().len()
-    }
-
     fn names(self) -> &'static [&'static str] {
         match self {
             GearKind::Linear => &["gear_stiffness", "gear_damping", SETTLING],

@@ -15,7 +15,7 @@ use crate::lanes::{F64x4, F64x8};
 use crate::onset::without_effects;
 #[cfg(target_arch = "x86_64")]
 use crate::real::Fused;
-use crate::real::Real;
+use crate::real::{Lanes, Real};
 use crate::sensitivity::{Sensitivities, by_duals};
 use crate::simulate::SideBySide;
 use crate::thinning::Thinning;
@@ -261,7 +261,14 @@ fn followed<A: Arm<N>, const N: usize, const EFFECTS: bool>(
     follow(task, member, asked, directions, thinning)
 }
 
-fn columns<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool>(
+fn columns<
+    A: Arm<N>,
+    S: Lanes<One = S>,
+    V: Lanes,
+    L: Lanes,
+    const N: usize,
+    const EFFECTS: bool,
+>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     asked: (&Task<A, N>, &Member<'_, N>),

@@ -16,7 +16,7 @@ use crate::friction::{Motion, Stretch};
 use crate::lengthening::Lengthening;
 use crate::margin::MarginSlopes;
 use crate::plant::{Instant, Watch};
-use crate::real::{Real, Work};
+use crate::real::{Lanes, Work};
 use crate::sensing::Sensing;
 use crate::sensitivity::{Sensitivities, thinned};
 use crate::simulate::Group;
@@ -38,7 +38,7 @@ pub(crate) struct Followed<'a, A, S, V, L, const N: usize, const EFFECTS: bool> 
     pub(crate) scalars: PhantomData<(S, V, L)>,
 }
 
-impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool> Work
+impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const EFFECTS: bool> Work
     for Followed<'_, A, S, V, L, N, EFFECTS>
 {
     type Output = Result<Sensitivities<N>, Diverged>;
@@ -63,8 +63,15 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECT
     }
 }
 
-struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool>
-{
+struct Chain<
+    'a,
+    A: Arm<N>,
+    S: Lanes<One = S>,
+    V: Lanes,
+    L: Lanes,
+    const N: usize,
+    const EFFECTS: bool,
+> {
     task: &'a Task<A, N>,
     asked: &'a Task<A, N>,
     nominal: Group<'a, A, S, N, true>,
@@ -80,7 +87,7 @@ struct Chain<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, 
     collected: Collected<N>,
 }
 
-impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool>
+impl<'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const EFFECTS: bool>
     Chain<'a, A, S, V, L, N, EFFECTS>
 {
     fn new(of: &Followed<'a, A, S, V, L, N, EFFECTS>) -> Self {
@@ -105,6 +112,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
                 &task.config,
                 of.member.parameters,
                 (&asked.config, member.parameters),
+                task.clock.step,
             ),
             followers: (0..width).step_by(V::LANES).map(follower).collect(),
             sensing,
@@ -175,7 +183,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
                 });
             }
             if smooth {
-                follower.advance(&self.linear, &response, self.task.clock.step);
+                follower.advance(&self.linear, &response);
             }
             first += V::LANES;
         }
@@ -238,7 +246,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EF
         let at_once = |i: usize| plant.joints[i].settling_time.lane(0) == 0.0;
         let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
         let (asked, onset) = (&self.asked.config.joints, self.linear.onset.as_ref());
-        let margin = |joint| MarginSlopes::new(plant, &asked[joint], onset, &end, joint);
+        let half = self.linear.half;
+        let margin = |joint| MarginSlopes::new(plant, &asked[joint], onset, &end, (joint, half));
         Through {
             rests: std::array::from_fn(|i| at_once(i) && !slides(i)),
             stops: event.is_some_and(|(_, joint)| at_once(joint) && slides(joint)),
@@ -257,14 +266,14 @@ struct Redo<
     'c,
     'a,
     A: Arm<N>,
-    S: Real<One = S>,
-    V: Real,
-    L: Real,
+    S: Lanes<One = S>,
+    V: Lanes,
+    L: Lanes,
     const N: usize,
     const EFFECTS: bool,
 >(&'c mut Chain<'a, A, S, V, L, N, EFFECTS>);
 
-impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECTS: bool> Work
+impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const EFFECTS: bool> Work
     for Redo<'_, '_, A, S, V, L, N, EFFECTS>
 {
     type Output = ();
@@ -275,7 +284,7 @@ impl<A: Arm<N>, S: Real<One = S>, V: Real, L: Real, const N: usize, const EFFECT
 }
 
 /// [`Follower::record`] in a scope of its own: where few steps are sampled, it is not in their way.
-struct Put<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> {
+struct Put<'c, 'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, const N: usize, const EFFECTS: bool> {
     follower: &'c Follower<'a, A, S, V, N, EFFECTS>,
     quantities: &'c [Quantity],
     collected: &'c mut Collected<N>,
@@ -284,7 +293,7 @@ struct Put<'c, 'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const E
     response: &'c Response<V, N>,
 }
 
-impl<A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool> Work
+impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, const N: usize, const EFFECTS: bool> Work
     for Put<'_, '_, A, S, V, N, EFFECTS>
 {
     type Output = ();

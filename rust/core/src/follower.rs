@@ -13,7 +13,7 @@ use crate::experiment::{Member, Quantity, Source, Task};
 use crate::friction::Motion;
 use crate::margin::MarginSlopes;
 use crate::plant::{Modes, State, StepTorque};
-use crate::real::Real;
+use crate::real::{Lanes, Real};
 use crate::sensing::{Sensed, Sensing};
 use crate::sensitivity::seeded;
 use crate::simulate::Group;
@@ -43,7 +43,7 @@ pub(crate) struct Follower<
     'a,
     A: Arm<N>,
     S: Real<One = S>,
-    V: Real,
+    V: Lanes,
     const N: usize,
     const EFFECTS: bool,
 > {
@@ -60,11 +60,13 @@ pub(crate) struct Follower<
     /// How what is left of a step moves, between its events.
     pub(crate) left: V,
     ratio: [f64; N],
+    /// Half of a step [s].
+    half: f64,
     /// The joint whose parameter a direction is by, and the parameter's place among its own.
     own: Vec<Option<(usize, usize)>>,
 }
 
-impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bool>
+impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: bool>
     Follower<'a, A, S, V, N, EFFECTS>
 {
     pub(crate) fn new(
@@ -78,7 +80,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
             Group::new(task, std::slice::from_ref(member), &given);
         let zero = [V::splat(0.0); N];
         let ratio = task.config.joints.map(|joint| joint.ratio);
-        let tangent = tangent_of(&dual.motion, &ratio);
+        let half = 0.5 * task.clock.step;
+        let tangent = tangent_of(&dual.motion, &ratio, half);
         let mut own = Self {
             column: Column::new(&task.config, directions, tangent),
             driven: task.servo.is_some(),
@@ -88,6 +91,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
             sensed: None,
             left: V::splat(0.0),
             ratio,
+            half,
             own: own_parameters(&task.config, directions, V::LANES),
             dual,
         };
@@ -107,7 +111,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
     /// The motion with this column's derivatives.
     #[inline(always)]
     fn lifted(&self, nominal: &Motion<S, N>) -> Motion<Dual<S, V>, N> {
-        lifted(nominal, &self.column.tangent, &self.torque, &self.ratio)
+        let x = self.column.tangent.per_second(self.half);
+        lifted(nominal, &x, &self.torque, &self.ratio)
     }
 
     /// What the servo makes of the motion's derivatives.
@@ -120,18 +125,17 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
 
     /// A smooth step.
     #[inline(always)]
-    pub(crate) fn advance<L: Real>(
+    pub(crate) fn advance<L: Lanes>(
         &mut self,
         linear: &Linearised<A, L, N>,
         first: &Response<V, N>,
-        h: f64,
     ) {
         if self.driven {
             let torque = self.current.over_step(&self.torque, &self.target);
-            self.column.advance(linear, first, Some(&torque), h);
+            self.column.advance(linear, first, Some(&torque));
             self.torque = torque.end;
         } else {
-            self.column.advance(linear, first, None, h);
+            self.column.advance(linear, first, None);
         }
     }
 
@@ -140,7 +144,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
     /// With its length fixed it is a step like any other. The event's instant moves by what holds
     /// its margin at zero; what was left of the step, by the opposite.
     #[inline(always)]
-    pub(crate) fn pass<L: Real>(&mut self, linear: &Linearised<A, L, N>, through: &Through<S, N>) {
+    pub(crate) fn pass<L: Lanes>(&mut self, linear: &Linearised<A, L, N>, through: &Through<S, N>) {
         for i in 0..N {
             if through.rests[i] {
                 self.rest(i);
@@ -150,8 +154,9 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
         let torque = self.torques(&through.decay);
         let x = self.column.tangent;
         let first = self.column.respond(linear, 0, &x, Some(&torque.begin));
+        let part = 0.5 * through.duration / self.half;
         self.column
-            .advance(linear, &first, Some(&torque), through.duration);
+            .advance_part::<A, L, false>(linear, &first, Some(&torque), part);
         self.torque = torque.end;
         let mut later = self.left;
         if let Some(event) = &through.event {
@@ -177,7 +182,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
     /// The motor does not move.
     #[inline(always)]
     fn rest(&mut self, joint: usize) {
-        self.column.tangent.rate[joint] = -self.column.tangent.velocity[joint];
+        self.column.tangent.motor[joint] = V::splat(0.0);
     }
 
     /// The torques' derivatives over a stretch, of which `decay` of each distance to the target is
@@ -214,16 +219,17 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Real, const N: usize, const EFFECTS: bo
         first: usize,
         response: &Response<V, N>,
     ) {
-        let x = &self.column.tangent;
+        let x = &self.column.tangent.per_second(self.half);
+        let square = V::splat(1.0 / (self.half * self.half));
         for (k, quantity) in quantities.iter().enumerate() {
             let row = match quantity {
                 Quantity::Voltage => self.dual.voltage[0].map(|number| number.tangent),
                 Quantity::MotorTorque => self.torque,
-                Quantity::MotorAngle | Quantity::Encoder => motor(&self.ratio, &x.twist, &x.angle),
-                Quantity::MotorVelocity => motor(&self.ratio, &x.rate, &x.velocity),
+                Quantity::MotorAngle | Quantity::Encoder => x.motor_angles(&self.ratio),
+                Quantity::MotorVelocity => over(&self.ratio, &x.motor),
                 Quantity::LinkAngle => x.angle,
-                Quantity::LinkVelocity => x.velocity,
-                Quantity::LinkAcceleration => response.link,
+                Quantity::LinkVelocity => x.link,
+                Quantity::LinkAcceleration => response.link.map(|one| square * one),
                 Quantity::GearTorque => response.gear,
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
@@ -255,14 +261,37 @@ fn own_parameters<A: Arm<N>, const N: usize>(
     directions.iter().take(most).map(place).collect()
 }
 
-/// Motors' derivatives from the gears' and the links'.
+/// At the motors what is given at the links' side of their gears.
 #[inline(always)]
-fn motor<V: Real, const N: usize>(ratio: &[f64; N], gear: &[V; N], link: &[V; N]) -> [V; N] {
-    let mut motor = *gear;
+fn over<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N] {
+    let mut motor = *link_side;
     for i in 0..N {
-        motor[i] = (gear[i] + link[i]) * V::splat(1.0 / ratio[i]);
+        motor[i] = link_side[i] * V::splat(1.0 / ratio[i]);
     }
     motor
+}
+
+impl<V: Real, const N: usize> Tangent<V, N> {
+    /// The same with velocities in rad/s, `half` a step being so long [s].
+    #[inline(always)]
+    fn per_second(&self, half: f64) -> Self {
+        let rate = V::splat(1.0 / half);
+        Self {
+            motor: self.motor.map(|one| rate * one),
+            link: self.link.map(|one| rate * one),
+            ..*self
+        }
+    }
+
+    /// Those of the motors' angles.
+    #[inline(always)]
+    fn motor_angles(&self, ratio: &[f64; N]) -> [V; N] {
+        let mut link_side = self.twist;
+        for i in 0..N {
+            link_side[i] = self.twist[i] + self.angle[i];
+        }
+        over(ratio, &link_side)
+    }
 }
 
 /// A motion with derivatives.
@@ -276,10 +305,10 @@ fn lifted<S: Real, V: Real, const N: usize>(
     let state = &nominal.state;
     Motion {
         state: State {
-            motor_angle: pair(&state.motor_angle, &motor(ratio, &x.twist, &x.angle)),
-            motor_velocity: pair(&state.motor_velocity, &motor(ratio, &x.rate, &x.velocity)),
+            motor_angle: pair(&state.motor_angle, &x.motor_angles(ratio)),
+            motor_velocity: pair(&state.motor_velocity, &over(ratio, &x.motor)),
             link_angle: pair(&state.link_angle, &x.angle),
-            link_velocity: pair(&state.link_velocity, &x.velocity),
+            link_velocity: pair(&state.link_velocity, &x.link),
             hysteresis: state.hysteresis.map(Dual::constant),
         },
         torque: pair(&nominal.torque, torque),
@@ -302,15 +331,17 @@ fn pair<S: Real, V: Real, const N: usize>(values: &[S; N], tangents: &[V; N]) ->
 fn tangent_of<S: Real, V: Real, const N: usize>(
     motion: &Motion<Dual<S, V>, N>,
     ratio: &[f64; N],
+    half: f64,
 ) -> Tangent<V, N> {
     let x = &motion.state;
-    let gear = |motor: &[Dual<S, V>; N], link: &[Dual<S, V>; N]| -> [V; N] {
-        std::array::from_fn(|i| V::splat(ratio[i]).mul_add(motor[i].tangent, -link[i].tangent))
-    };
+    let angle = x.link_angle.map(|number| number.tangent);
+    let at_links = |i: usize, motor: &[Dual<S, V>; N]| V::splat(ratio[i]) * motor[i].tangent;
     Tangent {
-        twist: gear(&x.motor_angle, &x.link_angle),
-        rate: gear(&x.motor_velocity, &x.link_velocity),
-        angle: x.link_angle.map(|number| number.tangent),
-        velocity: x.link_velocity.map(|number| number.tangent),
+        twist: std::array::from_fn(|i| at_links(i, &x.motor_angle) - angle[i]),
+        angle,
+        motor: std::array::from_fn(|i| V::splat(half) * at_links(i, &x.motor_velocity)),
+        link: x
+            .link_velocity
+            .map(|number| V::splat(half) * number.tangent),
     }
 }

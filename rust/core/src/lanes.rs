@@ -6,7 +6,7 @@
 
 use std::arch::x86_64::*;
 
-use crate::real::{Fused, MOST_LANES, Real, Work, operators};
+use crate::real::{Fused, Lanes, MOST_LANES, Real, Work, operators};
 
 /// Runs work compiled for AVX2 and fused multiply-add.
 ///
@@ -29,8 +29,7 @@ pub unsafe fn with_avx512<W: Work>(work: W) -> W::Output {
 macro_rules! vector {
     ($(#[$doc:meta])* $name:ident, $register:ty, $lanes:literal, $with:ident,
      $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident, $min:ident, $max:ident,
-     $splat:ident, |$x:ident| $negative:expr, |$m:ident, $s:ident| $copysign:expr,
-     { $($more:item)* }) => {
+     $splat:ident, |$x:ident| $negative:expr, |$m:ident, $s:ident| $copysign:expr) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
         #[repr(transparent)]
@@ -107,7 +106,6 @@ macro_rules! vector {
                 // SAFETY: as in `load`.
                 unsafe { to.as_mut_ptr().cast::<$register>().write_unaligned(self.0) }
             }
-            $($more)*
             #[inline(always)]
             fn one(self, index: usize) -> Fused {
                 Fused(self.lane(index))
@@ -129,23 +127,6 @@ vector!(
     |magnitude, sign| {
         let mask = _mm256_set1_pd(-0.0);
         _mm256_or_pd(_mm256_andnot_pd(mask, magnitude), _mm256_and_pd(mask, sign))
-    },
-    {
-        #[inline(always)]
-        fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|lane| Self::load(&rows[pick[lane]]).0);
-            // SAFETY: the processor has the feature, as the top of this file says.
-            unsafe {
-                let (ab, cd) = (_mm256_unpacklo_pd(a, b), _mm256_unpacklo_pd(c, d));
-                let (high_ab, high_cd) = (_mm256_unpackhi_pd(a, b), _mm256_unpackhi_pd(c, d));
-                [
-                    Self(_mm256_permute2f128_pd::<0x20>(ab, cd)),
-                    Self(_mm256_permute2f128_pd::<0x20>(high_ab, high_cd)),
-                    Self(_mm256_permute2f128_pd::<0x31>(ab, cd)),
-                    Self(_mm256_permute2f128_pd::<0x31>(high_ab, high_cd)),
-                ]
-            }
-        }
     }
 );
 
@@ -160,28 +141,70 @@ vector!(
         let magnitude = _mm512_andnot_si512(mask, _mm512_castpd_si512(magnitude));
         let sign = _mm512_and_si512(mask, _mm512_castpd_si512(sign));
         _mm512_castsi512_pd(_mm512_or_si512(magnitude, sign))
-    },
-    {
-        #[inline(always)]
-        fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
-            // SAFETY: the processor has the feature, as the top of this file says.
-            let pair = |low: usize, high: usize| unsafe {
-                let row = |lane: usize| F64x4::load(&rows[pick[lane]]).0;
-                let (low, high) = (row(low), row(high));
-                _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(low), high)
-            };
-            let (a, b, c, d) = (pair(0, 2), pair(1, 3), pair(4, 6), pair(5, 7));
-            // SAFETY: as above.
-            unsafe {
-                let (ab, cd) = (_mm512_unpacklo_pd(a, b), _mm512_unpacklo_pd(c, d));
-                let (high_ab, high_cd) = (_mm512_unpackhi_pd(a, b), _mm512_unpackhi_pd(c, d));
-                [
-                    Self(_mm512_shuffle_f64x2::<0b10_00_10_00>(ab, cd)),
-                    Self(_mm512_shuffle_f64x2::<0b10_00_10_00>(high_ab, high_cd)),
-                    Self(_mm512_shuffle_f64x2::<0b11_01_11_01>(ab, cd)),
-                    Self(_mm512_shuffle_f64x2::<0b11_01_11_01>(high_ab, high_cd)),
-                ]
-            }
-        }
     }
 );
+
+impl Lanes for F64x4 {
+    /// A negative number in the lanes that take one, and the places of the halves of each.
+    type Pick = ([f64; 4], [i32; 8]);
+
+    fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick {
+        let takes = std::array::from_fn(|lane| from[lane].map_or(0.0, |_| -1.0));
+        let half = |at: usize| from[at / 2].map_or(0, |k| (2 * k + at % 2) as i32);
+        (takes, std::array::from_fn(half))
+    }
+
+    #[inline(always)]
+    fn picked(self, (takes, places): &Self::Pick, four: &[f64; 4]) -> Self {
+        let (four, takes) = (Self::load(four), Self::load(takes));
+        // SAFETY: the processor has the feature, as the top of this file says, and there are as
+        // many places as the register holds.
+        Self(unsafe {
+            let places = _mm256_loadu_si256(places.as_ptr().cast());
+            let moved = _mm256_permutevar8x32_ps(_mm256_castpd_ps(four.0), places);
+            _mm256_blendv_pd(self.0, _mm256_castps_pd(moved), takes.0)
+        })
+    }
+
+    #[inline(always)]
+    fn store_rows(four: &[Self; 4], rows: &mut [[f64; 4]]) {
+        let [a, b, c, d] = four.map(|vector| vector.0);
+        // SAFETY: the processor has the feature, as the top of this file says.
+        let turned = unsafe {
+            let (ab, cd) = (_mm256_unpacklo_pd(a, b), _mm256_unpacklo_pd(c, d));
+            let (high_ab, high_cd) = (_mm256_unpackhi_pd(a, b), _mm256_unpackhi_pd(c, d));
+            [
+                _mm256_permute2f128_pd::<0x20>(ab, cd),
+                _mm256_permute2f128_pd::<0x20>(high_ab, high_cd),
+                _mm256_permute2f128_pd::<0x31>(ab, cd),
+                _mm256_permute2f128_pd::<0x31>(high_ab, high_cd),
+            ]
+        };
+        let rows = &mut rows[..4];
+        for lane in 0..4 {
+            Self(turned[lane]).store(&mut rows[lane]);
+        }
+    }
+}
+
+impl Lanes for F64x8 {
+    /// A bit for each lane that takes a number, and the numbers' places.
+    type Pick = (u8, [i64; 8]);
+
+    fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick {
+        let bits = from.iter().enumerate();
+        let takes = bits.fold(0, |all, (lane, k)| all | u8::from(k.is_some()) << lane);
+        (takes, from.map(|k| k.unwrap_or(0) as i64))
+    }
+
+    #[inline(always)]
+    fn picked(self, (takes, places): &Self::Pick, four: &[f64; 4]) -> Self {
+        let four = F64x4::load(four);
+        // SAFETY: as in `F64x4`.
+        Self(unsafe {
+            let places = _mm512_loadu_epi64(places.as_ptr());
+            let twice = _mm512_broadcast_f64x4(four.0);
+            _mm512_mask_permutexvar_pd(self.0, *takes, places, twice)
+        })
+    }
+}

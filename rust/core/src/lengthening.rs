@@ -5,7 +5,7 @@
 
 use crate::arm::Arm;
 use crate::column::Tangent;
-use crate::real::Real;
+use crate::real::{Lanes, Real};
 use crate::variation::{Linearised, Stages, Trace};
 
 /// How fast the stages of a step move as it gets longer, and its end, with all accelerations held.
@@ -20,7 +20,7 @@ pub(crate) struct Lengthening<S, const N: usize> {
 impl<S: Real, const N: usize> Lengthening<S, N> {
     /// Of the step of length `h` that left a trace.
     #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, L: Real>(
+    pub(crate) fn new<A: Arm<N>, L: Lanes>(
         trace: &Trace<N>,
         step: &Linearised<A, L, N>,
         torque: [[S; N]; 2],
@@ -44,9 +44,9 @@ impl<S: Real, const N: usize> Lengthening<S, N> {
             for k in 0..4 {
                 let own = &mut all[k];
                 own.twist[i] = S::splat(n * motor.place[k] - link.place[k]);
-                own.rate[i] = S::splat(n * motor.speed[k] - link.speed[k]);
                 own.angle[i] = S::splat(link.place[k]);
-                own.velocity[i] = S::splat(link.speed[k]);
+                own.motor[i] = S::splat(step.half * n * motor.speed[k]);
+                own.link[i] = S::splat(step.half * link.speed[k]);
             }
         }
         let [second, third, fourth, end] = all;

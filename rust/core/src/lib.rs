@@ -20,6 +20,7 @@ pub mod effects;
 pub mod experiment;
 mod follow;
 mod follower;
+mod forcing;
 pub mod friction;
 pub mod gear;
 #[cfg(target_arch = "x86_64")]

@@ -15,10 +15,10 @@ const MOST_OF_A_JOINT: usize = 18;
 /// The linear form that [`Plant::margins`] is where an event ends a stretch.
 pub(crate) struct MarginSlopes {
     pub(crate) joint: usize,
-    /// By the joint's twist, twist rate and link velocity.
+    /// By the joint's twist, and by n dtheta_M and dtheta_L times half a step.
     twist: f64,
-    rate: f64,
-    velocity: f64,
+    motor: f64,
+    link: f64,
     /// By its motor torque.
     torque: f64,
     /// By each of its parameters, in the order of their names.
@@ -26,8 +26,8 @@ pub(crate) struct MarginSlopes {
 }
 
 impl MarginSlopes {
-    /// Of the event of a joint at the end of a stretch; `asked` is the joint with the effects that
-    /// may be asked about.
+    /// Of the event of a joint at the end of a stretch, `half` [s] being half a step; `asked` is the
+    /// joint with the effects that may be asked about.
     ///
     /// A motor that stops at once has its speed for a margin. Else it is what friction has left
     /// beside the torque that holds the motor; of a sliding motor that will settle, times
@@ -38,13 +38,13 @@ impl MarginSlopes {
         asked: &JointConfig,
         onset: Option<&Onset<N>>,
         end: &Motion<S, N>,
-        joint: usize,
+        (joint, half): (usize, f64),
     ) -> Self {
         let mut slopes = Self {
             joint,
             twist: 0.0,
-            rate: 0.0,
-            velocity: 0.0,
+            motor: 0.0,
+            link: 0.0,
             torque: 0.0,
             by_parameter: [0.0; MOST_OF_A_JOINT],
         };
@@ -53,8 +53,7 @@ impl MarginSlopes {
         let slides = plain(end.modes.free[joint]) != 0.0;
         let time = plain(drive.settling_time);
         if slides && time == 0.0 {
-            let speed = plain(end.modes.direction[joint]) / plain(drive.ratio);
-            (slopes.rate, slopes.velocity) = (speed, speed);
+            slopes.motor = plain(end.modes.direction[joint]) / plain(drive.ratio) / half;
             return slopes;
         }
         let held = Holding::new(plant, end, joint);
@@ -67,8 +66,8 @@ impl MarginSlopes {
         let by_torque = side * scale;
         slopes.torque = by_torque;
         slopes.twist = by_torque * held.by_twist;
-        slopes.rate = by_torque * held.by_rate;
-        slopes.velocity = by_torque * held.by_motor;
+        slopes.motor = by_torque * held.by_motor / half;
+        slopes.link = by_torque * held.by_link / half;
         slopes.by_parameter = by_parameters(&drive.spring, asked, onset, &held, [by_torque, scale]);
         slopes
     }
@@ -77,7 +76,7 @@ impl MarginSlopes {
     #[inline(always)]
     pub(crate) fn along<V: Real, const N: usize>(&self, x: &Tangent<V, N>, torque: &[V; N]) -> V {
         let (c, i) = (V::splat, self.joint);
-        let moved = c(self.rate).mul_add(x.rate[i], c(self.velocity) * x.velocity[i]);
+        let moved = c(self.motor).mul_add(x.motor[i], c(self.link) * x.link[i]);
         let moved = c(self.twist).mul_add(x.twist[i], moved);
         c(self.torque).mul_add(torque[i], moved)
     }
@@ -153,11 +152,10 @@ pub(crate) struct Holding<S> {
     torque: f64,
     pub(crate) stiffness: f64,
     pub(crate) damping: f64,
-    /// The holding torque's slopes by the twist, by the twist rate with the link at rest, and by the
-    /// link's velocity with the twist at rest.
+    /// The holding torque's slopes by the twist, n dtheta_M and dtheta_L.
     by_twist: f64,
-    by_rate: f64,
     by_motor: f64,
+    by_link: f64,
 }
 
 impl<S: Real<One = S>> Holding<S> {
@@ -178,7 +176,6 @@ impl<S: Real<One = S>> Holding<S> {
             settling = plain(drive.settling_rate);
             brake = inertia * settling - plain(drive.motor_viscous);
         }
-        let by_motor = brake / ratio;
         let holding = plant.holding_torques(x, &end.torque, &end.modes);
         Self {
             joint: i,
@@ -194,8 +191,8 @@ impl<S: Real<One = S>> Holding<S> {
             stiffness,
             damping,
             by_twist: -ratio * stiffness,
-            by_rate: by_motor - ratio * damping,
-            by_motor,
+            by_motor: brake / ratio - ratio * damping,
+            by_link: ratio * damping,
         }
     }
 }

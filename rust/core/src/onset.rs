@@ -13,23 +13,15 @@
 use crate::arm::Arm;
 use crate::config::Config;
 use crate::effects::{EffectKinds, Hysteresis, Twist};
+use crate::forcing::{GEAR_EFFECTS, KINEMATIC, MOTOR_EFFECTS, Quads};
 use crate::margin::Holding;
-use crate::plant::{Joint, State};
+use crate::plant::{Modes, Plant, State};
 use crate::real::Real;
-use crate::variation::{Places, Stages, Trace};
-
-/// Which entries of the variational equations belong to which effect of one joint.
-#[derive(Clone, Copy, Default)]
-struct Entries {
-    stribeck: Option<usize>,
-    hysteresis: Option<usize>,
-    /// Of a and b, each in the gear's row and in the motor's.
-    kinematic_error: Option<[[usize; 2]; 2]>,
-}
+use crate::variation::{Stage, Trace};
 
 /// The effects that an arm lacks, joint by joint.
 pub(crate) struct Onset<const N: usize> {
-    entries: [Entries; N],
+    effects: [EffectKinds; N],
     /// w_s [rad/s].
     velocity: [f64; N],
     /// What z follows.
@@ -38,38 +30,16 @@ pub(crate) struct Onset<const N: usize> {
     pub(crate) z: [f64; N],
 }
 
-/// One joint's motor and gear at the four stages of a step.
-pub(crate) struct Drive<L> {
-    pub(crate) motor_angle: L,
-    pub(crate) motor_velocity: L,
-    /// Sign that friction opposes.
-    pub(crate) direction: L,
-    /// What one newton metre less at the motor makes of n ddtheta_M.
-    pub(crate) push: L,
-    pub(crate) stiffness: L,
-    /// Torque [N m] through the gear.
-    pub(crate) transmitted: L,
-}
-
 impl<const N: usize> Onset<N> {
-    /// Of a configuration and its parameters; `places` says where each parameter's entries are.
-    pub(crate) fn new<A: Arm<N>>(
-        config: &Config<A, N>,
-        parameters: &[f64],
-        places: &Places,
-    ) -> Self {
+    /// Of a configuration and its parameters.
+    pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, parameters: &[f64]) -> Self {
         let names = config.parameter_names();
-        let at = |name: &str, i: usize| names.iter().position(|&n| n == (name, Some(i + 1)));
-        let value = |name, i| at(name, i).map(|k| parameters[k]);
-        let entries = |name, i| at(name, i).map(|k| &places[k]);
+        let value = |name, i| {
+            let at = names.iter().position(|&n| n == (name, Some(i + 1)))?;
+            Some(parameters[at])
+        };
         Self {
-            entries: std::array::from_fn(|i| Entries {
-                stribeck: entries("stribeck_friction", i).map(|own| own[0].entry),
-                hysteresis: entries("hysteresis_torque", i).map(|own| own[0].entry),
-                kinematic_error: entries("kinematic_error_cos", i)
-                    .zip(entries("kinematic_error_sin", i))
-                    .map(|(cos, sin)| [cos, sin].map(|own| [own[0].entry, own[1].entry])),
-            }),
+            effects: config.joints.map(|joint| joint.effects),
             velocity: std::array::from_fn(|i| value("stribeck_velocity", i).unwrap_or(1.0)),
             hysteresis: std::array::from_fn(|i| {
                 let twist = value("hysteresis_twist", i)?;
@@ -79,30 +49,56 @@ impl<const N: usize> Onset<N> {
         }
     }
 
-    /// What joint `i`'s effects would add at the stages from the `first`.
+    /// What the effects would add at the stages of a step of length `h`; `push` is what one newton
+    /// metre less at each motor makes of its acceleration.
     #[inline(always)]
-    pub(crate) fn enter<L: Real>(
+    pub(crate) fn enter<A: Arm<N>, S: Real, L: Real>(
         &self,
-        entries: &mut [Stages],
-        (i, first): (usize, usize),
-        joint: &Joint<L>,
-        drive: &Drive<L>,
+        quads: &mut [Quads; N],
+        plant: &Plant<A, L, N, true>,
+        (trace, h): (&Trace<N>, f64),
+        modes: &Modes<S, N>,
+        push: &[f64; N],
     ) {
-        let own = &self.entries[i];
-        let mut put = |entry: usize, value: L| value.store(&mut entries[entry][first..]);
-        if let Some(entry) = own.stribeck {
-            let share = drive.motor_velocity * L::splat(1.0 / self.velocity[i]);
-            let left = (-(share * share)).exp();
-            put(entry, drive.push * drive.direction * left);
-        }
-        if let Some(of) = own.kinematic_error {
-            for (k, [error, slope]) in unit_errors(drive.motor_angle).into_iter().enumerate() {
-                let rate = slope * drive.motor_velocity;
-                put(
-                    of[k][0],
-                    drive.stiffness.mul_add(error, joint.gear_damping * rate),
-                );
-                put(of[k][1], drive.push * slope * drive.transmitted);
+        for i in 0..N {
+            for first in (0..4).step_by(L::LANES) {
+                let each = |number: fn(&Stage<N>) -> &[f64; N]| {
+                    trace.across::<L>(first, |stage| number(stage)[i])
+                };
+                let (push, velocity) = (L::splat(push[i]), each(|stage| &stage.motor_velocity));
+                let [gear, motor] = [GEAR_EFFECTS, MOTOR_EFFECTS];
+                let mut put = |quad: usize, slot: usize, value: L| {
+                    for lane in 0..L::LANES {
+                        quads[i][quad].0[first + lane][slot] = value.lane(lane);
+                    }
+                };
+                if self.effects[i].stribeck {
+                    let direction = L::splat(modes.direction[i].lane(0));
+                    let share = velocity * L::splat(1.0 / self.velocity[i]);
+                    put(motor, 0, push * direction * (-(share * share)).exp());
+                }
+                if self.effects[i].kinematic_error {
+                    let (joint, twist) = (&plant.joints[i], each(|stage| &stage.twist));
+                    let (angle, rate) = (each(|stage| &stage.angle), each(|stage| &stage.rate));
+                    let spring = &joint.spring;
+                    let transmitted = joint.gear_damping.mul_add(rate, spring.torque(twist));
+                    let motor_angle = (twist + angle) * L::splat(1.0 / trace.ratio[i]);
+                    let errors = unit_errors(motor_angle).into_iter().enumerate();
+                    for (k, [error, slope]) in errors {
+                        let damped = joint.gear_damping * slope * velocity;
+                        let sprung = spring.stiffness(twist).mul_add(error, damped);
+                        put(gear, KINEMATIC + k, sprung);
+                        put(motor, KINEMATIC + k, push * slope * transmitted);
+                    }
+                }
+            }
+            if let Some(law) = &self.hysteresis[i] {
+                let from = trace.twist_at(i, 0);
+                let z = |k, t| law.after(self.z[i], &from, &trace.twist_at(i, k), t);
+                let z = [self.z[i], z(1, 0.5 * h), z(2, 0.5 * h), z(3, h)];
+                for k in 0..4 {
+                    quads[i][GEAR_EFFECTS].0[k][0] = z[k];
+                }
             }
         }
     }
@@ -118,18 +114,6 @@ impl<const N: usize> Onset<N> {
             [0.0, held.stiffness * error + held.damping * rate, slope]
         });
         [friction, [0.0, self.z[i], 0.0], cos, sin]
-    }
-
-    /// z at the four stages of a step of length `h`.
-    #[inline(always)]
-    pub(crate) fn twist(&self, entries: &mut [Stages], trace: &Trace<N>, h: f64) {
-        for i in 0..N {
-            if let (Some(entry), Some(law)) = (self.entries[i].hysteresis, &self.hysteresis[i]) {
-                let from = trace.twist_at(i, 0);
-                let z = |k, t| law.after(self.z[i], &from, &trace.twist_at(i, k), t);
-                entries[entry] = [self.z[i], z(1, 0.5 * h), z(2, 0.5 * h), z(3, h)];
-            }
-        }
     }
 
     /// The step is made: z where it ended.
@@ -181,7 +165,7 @@ impl<const N: usize> Trace<N> {
         let stage = &self.stages[k];
         Twist {
             angle: stage.twist[i],
-            rate: self.ratio[i].mul_add(stage.motor_velocity[i], -stage.velocity[i]),
+            rate: stage.rate[i],
         }
     }
 

@@ -79,17 +79,6 @@ pub trait Real:
             to[lane] = self.lane(lane);
         }
     }
-    /// Four numbers, of which lane `l` holds those of `rows[pick[l]]`.
-    #[inline(always)]
-    fn transposed(rows: &[[f64; 4]], pick: &[usize; MOST_LANES]) -> [Self; 4] {
-        std::array::from_fn(|k| {
-            let mut all = Self::splat(0.0);
-            for lane in 0..Self::LANES {
-                all.set_lane(lane, rows[pick[lane]][k]);
-            }
-            all
-        })
-    }
 
     /// The root of a function whose value is known, as a function of all that the function holds.
     ///
@@ -170,6 +159,45 @@ fn series<R: Real>(x: R, coefficients: &[f64]) -> R {
     }
     sum
 }
+
+/// What registers can do beyond arithmetic, and numbers with derivatives need not: move numbers
+/// from lane to lane.
+pub trait Lanes: Real {
+    /// Which lanes take which of four numbers.
+    type Pick: Copy + Send + Sync;
+    /// Lane `l` takes number `from[l]`, or nothing.
+    fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick;
+    /// The same, but for the lanes that take one of `four` numbers.
+    fn picked(self, pick: &Self::Pick, four: &[f64; 4]) -> Self;
+    /// Stores the numbers that stand in lane `l` of all four to `rows[l]`.
+    #[inline(always)]
+    fn store_rows(four: &[Self; 4], rows: &mut [[f64; 4]]) {
+        for lane in 0..Self::LANES {
+            rows[lane] = four.map(|number| number.lane(lane));
+        }
+    }
+}
+
+/// [`Lanes`] of a scalar.
+macro_rules! one_lane {
+    ($type:ty) => {
+        impl Lanes for $type {
+            type Pick = Option<usize>;
+            #[inline(always)]
+            fn pick(from: [Option<usize>; MOST_LANES]) -> Option<usize> {
+                from[0]
+            }
+            #[inline(always)]
+            fn picked(self, pick: &Option<usize>, four: &[f64; 4]) -> Self {
+                pick.map_or(self, |k| Self::splat(four[k]))
+            }
+        }
+    };
+}
+
+one_lane!(f64);
+#[cfg(target_arch = "x86_64")]
+one_lane!(Fused);
 
 impl Real for f64 {
     const LANES: usize = 1;

@@ -13,6 +13,8 @@ type Filters<V, const N: usize, const M: usize> = [Option<Feedthrough<V, M>>; N]
 
 /// The sensors that are recorded, alike for all columns.
 pub(crate) struct Sensing<V, const N: usize> {
+    /// Half steps a second: the motion's derivatives are in half steps.
+    rate: f64,
     accelerometers: Option<Filters<V, N, 2>>,
     gyros: Option<Filters<V, N, 1>>,
 }
@@ -26,11 +28,11 @@ pub(crate) struct Sensed<V, const N: usize> {
     pub(crate) readings: [[V; N]; 2],
 }
 
-/// How the accelerometers' readings depend on the motion, each slope in all lanes.
-pub(crate) struct Readings<V, const N: usize> {
-    angle: [[V; N]; N],
-    velocity: [[V; N]; N],
-    acceleration: [[V; N]; N],
+/// How the accelerometers' readings depend on the motion.
+pub(crate) struct Readings<const N: usize> {
+    angle: [[f64; N]; N],
+    velocity: [[f64; N]; N],
+    acceleration: [[f64; N]; N],
 }
 
 impl<V: Real, const N: usize> Sensing<V, N> {
@@ -43,6 +45,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         let accelerometers = sensors.accelerometer.each_ref();
         let gyros = sensors.gyro.each_ref();
         Some(Self {
+            rate: 2.0 / task.clock.step,
             accelerometers: reads(Quantity::Accelerometer)
                 .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
             gyros: reads(Quantity::Gyro)
@@ -57,16 +60,17 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         task: &Task<A, N>,
         x: &State<S, N>,
         now: &Instant<A, S, N>,
-    ) -> Option<Readings<V, N>> {
+    ) -> Option<Readings<N>> {
         self.accelerometers.as_ref()?;
         let (places, link) = (task.config.accelerometers(), &now.acceleration.link);
         let (slopes, acceleration) =
             A::accelerometer_slopes(&places, &now.posture, &x.link_velocity, link);
-        let spread = |rows: [[S; N]; N]| rows.map(|row| row.map(|one| V::splat(one.lane(0))));
+        let spread =
+            |rows: [[S; N]; N], scale: f64| rows.map(|row| row.map(|one| scale * one.lane(0)));
         Some(Readings {
-            angle: spread(slopes.angle),
-            velocity: spread(slopes.velocity),
-            acceleration: spread(acceleration),
+            angle: spread(slopes.angle, 1.0),
+            velocity: spread(slopes.velocity, self.rate),
+            acceleration: spread(acceleration, self.rate * self.rate),
         })
     }
 }
@@ -95,12 +99,12 @@ impl<V: Real, const N: usize> Sensed<V, N> {
     pub(crate) fn sense<A: Arm<N>>(
         &mut self,
         sensing: &Sensing<V, N>,
-        readings: Option<&Readings<V, N>>,
+        readings: Option<&Readings<N>>,
         x: &Tangent<V, N>,
         response: &Response<V, N>,
     ) {
         if let (Some(filters), Some(readings)) = (&sensing.accelerometers, readings) {
-            let ideal = readings.tangents::<A>(x, response);
+            let ideal = readings.tangents::<A, V>(x, response);
             self.readings[0] = ideal;
             for i in 0..N {
                 if let Some(filter) = &filters[i] {
@@ -109,7 +113,7 @@ impl<V: Real, const N: usize> Sensed<V, N> {
             }
         }
         if let Some(filters) = &sensing.gyros {
-            let ideal = A::absolute_rates(&x.velocity);
+            let ideal = A::absolute_rates(&x.link.map(|one| V::splat(sensing.rate) * one));
             self.readings[1] = ideal;
             for i in 0..N {
                 if let Some(filter) = &filters[i] {
@@ -120,20 +124,20 @@ impl<V: Real, const N: usize> Sensed<V, N> {
     }
 }
 
-impl<V: Real, const N: usize> Readings<V, N> {
+impl<const N: usize> Readings<N> {
     #[inline(always)]
-    fn tangents<A: Arm<N>>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
+    fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
         let mut sum = [V::splat(0.0); N];
         for i in 0..N {
             for j in 0..N {
-                sum[i] = self.velocity[i][j].mul_add(x.velocity[j], sum[i]);
+                sum[i] = V::splat(self.velocity[i][j]).mul_add(x.link[j], sum[i]);
                 if A::FELT[j] {
-                    sum[i] = self.angle[i][j].mul_add(x.angle[j], sum[i]);
+                    sum[i] = V::splat(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
                 }
             }
             // known last
             for j in 0..N {
-                sum[i] = self.acceleration[i][j].mul_add(response.link[j], sum[i]);
+                sum[i] = V::splat(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
             }
         }
         sum

@@ -5,19 +5,20 @@
 //! four stages; [`Linearised`] makes the coefficients of all four from it at once, stages side by
 //! side; and each [`crate::column::Column`] of directions goes through the stages with a few multiply-adds.
 //!
-//! The coordinates are twist and twist rate of the gears in place of the motors' angles and
-//! velocities: nothing depends on those alone. With s the gear torques, primes for derivatives:
+//! The twists of the gears stand in place of the motors' angles: nothing depends on those alone.
+//! With s the gear torques, primes for derivatives, and what a parameter adds by itself left out:
 //!
-//! - s' = K twist' + d_G rate' + its own change with K1 ... T2, d_G
-//! - n ddtheta_M' = -(n^2/m_M) s' - (d_M/m_M) (rate' + dtheta_L') + ...
-//! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L') - ...
+//! - s' = K twist' + d_G (n dtheta_M' - dtheta_L')
+//! - n ddtheta_M' = -(n^2/m_M) s' - (d_M/m_M) n dtheta_M'
+//! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L')
 
 use crate::arm::{Arm, MOST_BASE};
-use crate::config::{Config, GearKind, SETTLING};
+use crate::config::{Config, GearKind};
+use crate::forcing::{GEAR, LINK, MOTOR, NOTHING, Quads};
 use crate::gear::PerSlope;
-use crate::onset::{Drive, Onset};
+use crate::onset::Onset;
 use crate::plant::{Acceleration, Modes, Plant, State, Watch, solve};
-use crate::real::Real;
+use crate::real::{Lanes, Real};
 
 /// A number at each of the four stages.
 pub(crate) type Stages = [f64; 4];
@@ -38,6 +39,7 @@ pub(crate) struct Stage<const N: usize> {
     pub(crate) angle: [f64; N],
     pub(crate) velocity: [f64; N],
     pub(crate) twist: [f64; N],
+    pub(crate) rate: [f64; N],
     pub(crate) motor_velocity: [f64; N],
     pub(crate) motor_acceleration: [f64; N],
     pub(crate) link_acceleration: [f64; N],
@@ -50,6 +52,7 @@ impl<const N: usize> Trace<N> {
             angle: nothing,
             velocity: nothing,
             twist: nothing,
+            rate: nothing,
             motor_velocity: nothing,
             motor_acceleration: nothing,
             link_acceleration: nothing,
@@ -68,7 +71,7 @@ impl<const N: usize> Trace<N> {
 
     /// The same, stages side by side, from the `first`.
     #[inline(always)]
-    fn across<L: Real>(&self, first: usize, number: impl Fn(&Stage<N>) -> f64) -> L {
+    pub(crate) fn across<L: Real>(&self, first: usize, number: impl Fn(&Stage<N>) -> f64) -> L {
         L::load(&self.each(number)[first..])
     }
 
@@ -88,10 +91,13 @@ impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
     fn stage(&mut self, k: usize, x: &State<S, N>, a: &Acceleration<S, N>) {
         let stage = &mut self.stages[k];
         for i in 0..N {
-            let twist = S::splat(self.ratio[i]).mul_add(x.motor_angle[i], -x.link_angle[i]);
+            let n = S::splat(self.ratio[i]);
+            let twist = n.mul_add(x.motor_angle[i], -x.link_angle[i]);
+            let rate = n.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
             stage.angle[i] = x.link_angle[i].lane(0);
             stage.velocity[i] = x.link_velocity[i].lane(0);
             stage.twist[i] = twist.lane(0);
+            stage.rate[i] = rate.lane(0);
             stage.motor_velocity[i] = x.motor_velocity[i].lane(0);
             stage.motor_acceleration[i] = a.motor[i].lane(0);
             stage.link_acceleration[i] = a.link[i].lane(0);
@@ -99,73 +105,24 @@ impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
     }
 }
 
-/// The row of the equations that a parameter enters.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Row {
-    /// The gear's torque.
-    Gear,
-    /// n times the motor's acceleration.
-    Motor,
-    /// The links' accelerations, all of them.
-    Links,
-}
-
-/// Where a parameter enters: a row, of which joint, and the entry that says how much.
-#[derive(Clone, Copy)]
-pub(crate) struct Place {
-    pub(crate) row: Row,
-    pub(crate) joint: usize,
-    pub(crate) entry: usize,
-}
-
-/// Every parameter's places.
-pub(crate) type Places = Vec<Vec<Place>>;
-
-/// Of a configuration's parameters, each with N entries of its own from the second on; those of a
-/// kinematic error, which enters two rows, have their second ones behind all these.
-pub(crate) fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Places {
-    let names = config.parameter_names();
-    let behind = 1 + names.len() * N;
-    let place = |(k, &(name, joint)): (usize, &(&str, Option<usize>))| {
-        let (i, entry) = (joint.unwrap_or(1) - 1, 1 + k * N);
-        let at = |row, joint, entry| Place { row, joint, entry };
-        match name {
-            "motor_inertia"
-            | "motor_viscous_friction"
-            | "motor_coulomb_friction"
-            | "friction_offset"
-            | "stribeck_friction" => vec![at(Row::Motor, i, entry)],
-            // theirs stay zero: the first acts through `Settling` alone, the others not at all
-            // where the effect itself is nothing
-            SETTLING | "stribeck_velocity" | "hysteresis_twist" => vec![at(Row::Motor, i, entry)],
-            "hysteresis_torque" => vec![at(Row::Gear, i, entry)],
-            "kinematic_error_cos" | "kinematic_error_sin" => {
-                let other = behind + 2 * i + usize::from(name.ends_with("sin"));
-                vec![at(Row::Gear, i, entry), at(Row::Motor, i, other)]
-            }
-            _ if name.starts_with("gear_") => vec![at(Row::Gear, i, entry)],
-            _ => (0..N).map(|j| at(Row::Links, j, entry + j)).collect(),
-        }
-    };
-    names.iter().enumerate().map(place).collect()
-}
-
-/// Coefficients of the linear equations at the four stages.
-pub(crate) struct Linearised<A: Arm<N>, L: Real, const N: usize> {
+/// Coefficients of the linear equations at the four stages, in the units of
+/// [`crate::column::Tangent`].
+pub(crate) struct Linearised<A: Arm<N>, L: Lanes, const N: usize> {
     plant: Plant<A, L, N, true>,
     per_slope: [PerSlope<L>; N],
     gears: [GearKind; N],
+    /// Half of the integrator's step [s].
+    pub(crate) half: f64,
     pub(crate) stiffness: [Stages; N],
     pub(crate) inverse: [[Stages; N]; N],
+    /// What a link's row takes of the gear's torque, by the link angles and velocities.
     pub(crate) by_angle: [[Stages; N]; N],
     pub(crate) by_velocity: [[Stages; N]; N],
     pub(crate) damping: [f64; N],
     /// n ddtheta_M' per gear torque, per n dtheta_M' and per motor torque.
     pub(crate) motor: [[f64; N]; 3],
-    /// What each parameter adds to its row: N places each, from the second on.
-    pub(crate) entries: Vec<Stages>,
-    /// How many parameters each joint's effects have.
-    of_effects: [usize; N],
+    /// What each parameter adds to its rows.
+    pub(crate) quads: [Quads; N],
     /// What a little of the effects that the arm lacks would add.
     pub(crate) onset: Option<Onset<N>>,
     pub(crate) settling: [Option<Settling>; N],
@@ -184,43 +141,45 @@ pub(crate) struct Settling {
 }
 
 impl Settling {
-    fn new(time: f64, speed: f64, h: f64) -> Self {
+    /// Over a step of length `h`, velocities being angles in `half` [s].
+    fn new(time: f64, speed: f64, h: f64, half: f64) -> Self {
         let parts = [0.5 * h, h];
         let left = parts.map(|t| (-t / time).exp());
         let each = |f: &dyn Fn(f64, f64) -> f64| [f(parts[0], left[0]), f(parts[1], left[1])];
         Self {
-            angle: each(&|t, left| time * (1.0 - left) - t),
+            angle: each(&|t, left| (time * (1.0 - left) - t) / half),
             velocity: each(&|_, left| left - 1.0),
             by_time: [
                 each(&|t, left| speed * (1.0 - left - left * t / time)),
-                each(&|t, left| speed * left * t / (time * time)),
+                each(&|t, left| half * speed * left * t / (time * time)),
             ],
         }
     }
 }
 
-impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
-    /// Of an arm without effects. Directions are by the parameters of `asked`, which may have
-    /// effects whose sizes are nothing.
+impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
+    /// Of an arm without effects, for steps of length `step` [s]. Directions are by the parameters
+    /// of `asked`, which may have effects whose sizes are nothing.
     pub(crate) fn new(
         config: &Config<A, N>,
         parameters: &[f64],
         (asked, all): (&Config<A, N>, &[f64]),
+        step: f64,
     ) -> Self {
         let plant: Plant<A, L, N, true> = config.plant_of(|k| L::splat(parameters[k]));
-        let places = places(asked);
+        let half = 0.5 * step;
         Self {
             per_slope: plant.joints.map(|joint| joint.spring.per_slope()),
             gears: config.joints.map(|joint| joint.gear),
+            half,
             stiffness: [[0.0; 4]; N],
             inverse: [[[0.0; 4]; N]; N],
             by_angle: [[[0.0; 4]; N]; N],
             by_velocity: [[[0.0; 4]; N]; N],
-            damping: plant.joints.map(|joint| joint.gear_damping.lane(0)),
+            damping: plant.joints.map(|joint| joint.gear_damping.lane(0) / half),
             motor: [[0.0; N]; 3],
-            entries: vec![[0.0; 4]; 1 + all.len() * N + 2 * N],
-            of_effects: asked.joints.map(|joint| joint.effects.names().count()),
-            onset: asked.has_effects().then(|| Onset::new(asked, all, &places)),
+            quads: [NOTHING; N],
+            onset: asked.has_effects().then(|| Onset::new(asked, all)),
             settling: [None; N],
             plant,
         }
@@ -236,25 +195,41 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
         h: f64,
     ) {
         for i in 0..N {
-            self.settling[i] = None;
-            let time = self.plant.joints[i].settling_time.lane(0);
-            if time > 0.0 && modes.free[i].lane(0) == 0.0 {
-                let speed = self.plant.joints[i].ratio.lane(0) * trace.stages[0].motor_velocity[i];
-                self.settling[i] = Some(Settling::new(time, speed, h));
-            }
-            let joint = &self.plant.joints[i];
-            let (n, mobility) = (joint.ratio.lane(0), joint.motor_mobility.lane(0));
-            let free = modes.free[i].lane(0) * mobility;
-            self.motor[0][i] = -n * n * free;
-            self.motor[1][i] = -joint.motor_viscous.lane(0) * free;
-            self.motor[2][i] = n * free;
+            self.motor(trace, modes, i, h);
         }
         for first in (0..4).step_by(L::LANES) {
             self.links(trace, &A::spread(begin), first);
-            self.drives(trace, modes, first);
+            for i in 0..N {
+                self.gear(trace, i, first);
+            }
         }
         if let Some(onset) = &self.onset {
-            onset.twist(&mut self.entries, trace, h);
+            let push = std::array::from_fn(|i| -self.motor[2][i]);
+            onset.enter(&mut self.quads, &self.plant, (trace, h), modes, &push);
+        }
+    }
+
+    /// One motor, which slides or is held.
+    #[inline(always)]
+    fn motor<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, i: usize, h: f64) {
+        let (joint, half) = (&self.plant.joints[i], self.half);
+        let (time, n) = (joint.settling_time.lane(0), joint.ratio.lane(0));
+        self.settling[i] = None;
+        if time > 0.0 && modes.free[i].lane(0) == 0.0 {
+            let speed = n * trace.stages[0].motor_velocity[i];
+            self.settling[i] = Some(Settling::new(time, speed, h, half));
+        }
+        let free = modes.free[i].lane(0) * joint.motor_mobility.lane(0) * half;
+        let push = n * free * half;
+        self.motor[0][i] = -n * push;
+        self.motor[1][i] = -joint.motor_viscous.lane(0) * free;
+        self.motor[2][i] = push;
+        let direction = modes.direction[i].lane(0);
+        for k in 0..4 {
+            let stage = &trace.stages[k];
+            let (acceleration, velocity) = (stage.motor_acceleration[i], stage.motor_velocity[i]);
+            let by = [acceleration, velocity, direction, 1.0];
+            put::<L>(&mut self.quads[i][MOTOR].0[k], &by, -push);
         }
     }
 
@@ -274,113 +249,53 @@ impl<A: Arm<N>, L: Real, const N: usize> Linearised<A, L, N> {
         for i in 0..N {
             slopes.velocity[i][i] = slopes.velocity[i][i] + self.plant.joints[i].link_viscous;
         }
-        let mut columns = [[L::splat(0.0); N]; N];
+        let (square, rate) = (L::splat(self.half * self.half), L::splat(1.0 / self.half));
         for j in 0..N {
-            columns[j][j] = L::splat(1.0);
-            columns[j] = solve(&inertia, &columns[j]);
-        }
-        for i in 0..N {
-            for j in 0..N {
-                columns[j][i].store(&mut self.inverse[i][j][first..]);
+            let mut column = [L::splat(0.0); N];
+            column[j] = square;
+            let column = solve(&inertia, &column);
+            for i in 0..N {
+                column[i].store(&mut self.inverse[i][j][first..]);
                 if A::FELT[j] {
-                    let force = column(&slopes.angle, j);
-                    resisted(&columns, &force, i).store(&mut self.by_angle[i][j][first..]);
+                    slopes.angle[i][j].store(&mut self.by_angle[i][j][first..]);
                 }
-                let force = column(&slopes.velocity, j);
-                resisted(&columns, &force, i).store(&mut self.by_velocity[i][j][first..]);
+                (rate * slopes.velocity[i][j]).store(&mut self.by_velocity[i][j][first..]);
             }
         }
-        let regressor: [[L; N]; MOST_BASE] = A::regressor(&at, &dq, &ddq);
-        for b in 0..A::NAMES.len() {
-            for i in 0..N {
-                let entry = &mut self.entries[1 + b * N + i];
-                resisted(&columns, &regressor[b], i).store(&mut entry[first..]);
-            }
-        }
-        let mut k = A::NAMES.len();
-        for j in 0..N {
-            let own = &mut self.entries[1 + (k + 4) * N..][..N];
-            for i in 0..N {
-                (-columns[j][i] * dq[j]).store(&mut own[i][first..]);
-            }
-            k += 5 + self.gears[j].parameters() + self.of_effects[j];
-        }
-    }
-
-    /// Motors and gears, for the stages from the `first`.
-    #[inline(always)]
-    fn drives<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, first: usize) {
-        let mut k = A::NAMES.len();
+        let (zero, by) = (L::splat(0.0), A::regressor(&at, &dq, &ddq));
+        let by: [[L; N]; MOST_BASE] = by;
         for i in 0..N {
-            let joint = &self.plant.joints[i];
-            let push = L::splat(-self.motor[2][i]);
-            let velocity = trace.across::<L>(first, |stage| stage.motor_velocity[i]);
-            let acceleration = trace.across::<L>(first, |stage| stage.motor_acceleration[i]);
-            let twist = trace.across::<L>(first, |stage| stage.twist[i]);
-            let rate = joint.ratio.mul_add(
-                velocity,
-                -trace.across::<L>(first, |stage| stage.velocity[i]),
-            );
-            let direction = L::splat(modes.direction[i].lane(0));
-            let motor = [push * acceleration, push * velocity, push * direction, push];
-            store::<L, N, _>(&mut self.entries, (k, first), &motor);
-            k += 5;
-            let stiffness = joint.spring.stiffness(twist);
-            stiffness.store(&mut self.stiffness[i][first..]);
-            if self.gears[i] == GearKind::ThreeSlope {
-                let by = joint.spring.by_parameters(twist, &self.per_slope[i]);
-                store::<L, N, _>(&mut self.entries, (k, first), &by);
-            } else {
-                store::<L, N, _>(&mut self.entries, (k, first), &[twist]);
-            }
-            k += self.gears[i].parameters();
-            store::<L, N, _>(&mut self.entries, (k - 2, first), &[rate]);
-            k += self.of_effects[i];
-            if let Some(onset) = &self.onset {
-                let angle = trace.across::<L>(first, |stage| stage.angle[i]);
-                let drive = Drive {
-                    motor_angle: (twist + angle) * L::splat(1.0 / trace.ratio[i]),
-                    motor_velocity: velocity,
-                    direction,
-                    push,
-                    stiffness,
-                    transmitted: joint.gear_damping.mul_add(rate, joint.spring.torque(twist)),
-                };
-                onset.enter(&mut self.entries, (i, first), joint, &drive);
-            }
+            let quads = &mut self.quads[i];
+            let four = [dq[i], by[0][i], by[1][i], by[2][i]];
+            L::store_rows(&four, &mut quads[LINK].0[first..]);
+            let four = [by[3][i], by[4][i], zero, zero];
+            L::store_rows(&four, &mut quads[LINK + 1].0[first..]);
         }
     }
-}
 
-/// What the parameters from the `k`-th on add to their one row.
-#[inline(always)]
-fn store<L: Real, const N: usize, const C: usize>(
-    entries: &mut [Stages],
-    (k, first): (usize, usize),
-    values: &[L; C],
-) {
-    // one check, not one for each
-    let own = &mut entries[1 + k * N..][..C * N];
-    for c in 0..C {
-        values[c].store(&mut own[c * N][first..]);
+    /// One gear, for the stages from the `first`.
+    #[inline(always)]
+    fn gear(&mut self, trace: &Trace<N>, i: usize, first: usize) {
+        let (joint, quads) = (&self.plant.joints[i], &mut self.quads[i]);
+        let zero = L::splat(0.0);
+        let twist = trace.across::<L>(first, |stage| stage.twist[i]);
+        let rate = trace.across::<L>(first, |stage| stage.rate[i]);
+        let stiffness = joint.spring.stiffness(twist);
+        stiffness.store(&mut self.stiffness[i][first..]);
+        let mut four = [twist, rate, zero, zero];
+        if self.gears[i] == GearKind::ThreeSlope {
+            let [k1, k2, k3, t1, t2] = joint.spring.by_parameters(twist, &self.per_slope[i]);
+            four = [k1, k2, k3, t1];
+            L::store_rows(&[t2, rate, zero, zero], &mut quads[GEAR + 1].0[first..]);
+        }
+        L::store_rows(&four, &mut quads[GEAR].0[first..]);
     }
 }
 
+/// Stores four numbers times a factor, as one vector where there are vectors.
 #[inline(always)]
-fn column<L: Copy, const N: usize>(matrix: &[[L; N]; N], j: usize) -> [L; N] {
-    let mut column = matrix[0];
-    for i in 0..N {
-        column[i] = matrix[i][j];
+fn put<L: Real>(to: &mut [f64; 4], numbers: &[f64; 4], factor: f64) {
+    for first in (0..4).step_by(L::LANES) {
+        (L::load(&numbers[first..]) * L::splat(factor)).store(&mut to[first..]);
     }
-    column
-}
-
-/// What a torque that a link's row has on its left side takes from the acceleration of link `i`.
-#[inline(always)]
-fn resisted<L: Real, const N: usize>(inverse: &[[L; N]; N], torque: &[L; N], i: usize) -> L {
-    let mut sum = -(inverse[0][i] * torque[0]);
-    for j in 1..N {
-        sum = (-inverse[j][i]).mul_add(torque[j], sum);
-    }
-    sum
 }
