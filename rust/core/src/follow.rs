@@ -161,8 +161,9 @@ impl<'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const
     /// The derivatives' part of an instant and of the step that follows it.
     #[inline(always)]
     fn follow(&mut self, event: &Event, before: &Motion<S, N>, now: &Instant<A, S, N>) {
-        let sensing = self.sensing.as_ref();
-        let readings = sensing.and_then(|all| all.readings(self.task, &before.state, now));
+        if let Some(sensing) = &mut self.sensing {
+            sensing.take(self.task, &before.state, now);
+        }
         let smooth = !event.last && self.nominal.stretches.is_empty();
         let mut first = 0;
         for follower in &mut self.followers {
@@ -170,8 +171,8 @@ impl<'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const
             let x = follower.column.tangent;
             let torque = follower.driven.then_some(&follower.torque);
             let response = follower.column.respond(&self.linear, 0, &x, torque);
-            if let (Some(sensing), Some(sensed)) = (sensing, &mut follower.sensed) {
-                sensed.sense::<A>(sensing, readings.as_ref(), &x, &response);
+            if let (Some(sensing), Some(sensed)) = (&self.sensing, &mut follower.sensed) {
+                sensed.sense::<A>(sensing, &x, &response);
             }
             if event.samples {
                 V::scope(Put {

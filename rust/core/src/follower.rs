@@ -111,8 +111,12 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
     /// The motion with this column's derivatives.
     #[inline(always)]
     fn lifted(&self, nominal: &Motion<S, N>) -> Motion<Dual<S, V>, N> {
-        let x = self.column.tangent.per_second(self.half);
-        lifted(nominal, &x, &self.torque, &self.ratio)
+        lifted(
+            nominal,
+            &self.column.tangent,
+            &self.torque,
+            (&self.ratio, self.half),
+        )
     }
 
     /// What the servo makes of the motion's derivatives.
@@ -219,17 +223,17 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
         first: usize,
         response: &Response<V, N>,
     ) {
-        let x = &self.column.tangent.per_second(self.half);
-        let square = V::splat(1.0 / (self.half * self.half));
+        let x = &self.column.tangent;
+        let rate = V::splat(1.0 / self.half);
         for (k, quantity) in quantities.iter().enumerate() {
             let row = match quantity {
                 Quantity::Voltage => self.dual.voltage[0].map(|number| number.tangent),
                 Quantity::MotorTorque => self.torque,
                 Quantity::MotorAngle | Quantity::Encoder => x.motor_angles(&self.ratio),
-                Quantity::MotorVelocity => over(&self.ratio, &x.motor),
+                Quantity::MotorVelocity => over(&self.ratio, &x.motor).map(|one| rate * one),
                 Quantity::LinkAngle => x.angle,
-                Quantity::LinkVelocity => x.link,
-                Quantity::LinkAcceleration => response.link.map(|one| square * one),
+                Quantity::LinkVelocity => x.link.map(|one| rate * one),
+                Quantity::LinkAcceleration => response.link.map(|one| rate * rate * one),
                 Quantity::GearTorque => response.gear,
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
@@ -272,17 +276,6 @@ fn over<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N]
 }
 
 impl<V: Real, const N: usize> Tangent<V, N> {
-    /// The same with velocities in rad/s, `half` a step being so long [s].
-    #[inline(always)]
-    fn per_second(&self, half: f64) -> Self {
-        let rate = V::splat(1.0 / half);
-        Self {
-            motor: self.motor.map(|one| rate * one),
-            link: self.link.map(|one| rate * one),
-            ..*self
-        }
-    }
-
     /// Those of the motors' angles.
     #[inline(always)]
     fn motor_angles(&self, ratio: &[f64; N]) -> [V; N] {
@@ -300,15 +293,16 @@ fn lifted<S: Real, V: Real, const N: usize>(
     nominal: &Motion<S, N>,
     x: &Tangent<V, N>,
     torque: &[V; N],
-    ratio: &[f64; N],
+    (ratio, half): (&[f64; N], f64),
 ) -> Motion<Dual<S, V>, N> {
     let state = &nominal.state;
+    let per_second = |velocities: [V; N]| velocities.map(|one| V::splat(1.0 / half) * one);
     Motion {
         state: State {
             motor_angle: pair(&state.motor_angle, &x.motor_angles(ratio)),
-            motor_velocity: pair(&state.motor_velocity, &over(ratio, &x.motor)),
+            motor_velocity: pair(&state.motor_velocity, &per_second(over(ratio, &x.motor))),
             link_angle: pair(&state.link_angle, &x.angle),
-            link_velocity: pair(&state.link_velocity, &x.link),
+            link_velocity: pair(&state.link_velocity, &per_second(x.link)),
             hysteresis: state.hysteresis.map(Dual::constant),
         },
         torque: pair(&nominal.torque, torque),

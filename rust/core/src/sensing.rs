@@ -17,6 +17,7 @@ pub(crate) struct Sensing<V, const N: usize> {
     rate: f64,
     accelerometers: Option<Filters<V, N, 2>>,
     gyros: Option<Filters<V, N, 1>>,
+    readings: Readings<N>,
 }
 
 /// One column's sensors: the states of their filters, and what they read now.
@@ -28,8 +29,8 @@ pub(crate) struct Sensed<V, const N: usize> {
     pub(crate) readings: [[V; N]; 2],
 }
 
-/// How the accelerometers' readings depend on the motion.
-pub(crate) struct Readings<const N: usize> {
+/// How the accelerometers' readings depend on the motion at an instant.
+struct Readings<const N: usize> {
     angle: [[f64; N]; N],
     velocity: [[f64; N]; N],
     acceleration: [[f64; N]; N],
@@ -50,28 +51,36 @@ impl<V: Real, const N: usize> Sensing<V, N> {
                 .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
             gyros: reads(Quantity::Gyro)
                 .then(|| gyros.map(|one| Some(one.as_ref()?.feedthrough()))),
+            readings: Readings {
+                angle: [[0.0; N]; N],
+                velocity: [[0.0; N]; N],
+                acceleration: [[0.0; N]; N],
+            },
         })
     }
 
-    /// How the readings of an instant depend on the motion, if there are accelerometers.
+    /// Takes how the readings of an instant depend on the motion.
     #[inline(always)]
-    pub(crate) fn readings<A: Arm<N>, S: Real>(
-        &self,
+    pub(crate) fn take<A: Arm<N>, S: Real>(
+        &mut self,
         task: &Task<A, N>,
         x: &State<S, N>,
         now: &Instant<A, S, N>,
-    ) -> Option<Readings<N>> {
-        self.accelerometers.as_ref()?;
+    ) {
+        if self.accelerometers.is_none() {
+            return;
+        }
         let (places, link) = (task.config.accelerometers(), &now.acceleration.link);
         let (slopes, acceleration) =
             A::accelerometer_slopes(&places, &now.posture, &x.link_velocity, link);
-        let spread =
-            |rows: [[S; N]; N], scale: f64| rows.map(|row| row.map(|one| scale * one.lane(0)));
-        Some(Readings {
-            angle: spread(slopes.angle, 1.0),
-            velocity: spread(slopes.velocity, self.rate),
-            acceleration: spread(acceleration, self.rate * self.rate),
-        })
+        let (rate, own) = (self.rate, &mut self.readings);
+        for i in 0..N {
+            for j in 0..N {
+                own.angle[i][j] = slopes.angle[i][j].lane(0);
+                own.velocity[i][j] = rate * slopes.velocity[i][j].lane(0);
+                own.acceleration[i][j] = rate * rate * acceleration[i][j].lane(0);
+            }
+        }
     }
 }
 
@@ -99,12 +108,11 @@ impl<V: Real, const N: usize> Sensed<V, N> {
     pub(crate) fn sense<A: Arm<N>>(
         &mut self,
         sensing: &Sensing<V, N>,
-        readings: Option<&Readings<N>>,
         x: &Tangent<V, N>,
         response: &Response<V, N>,
     ) {
-        if let (Some(filters), Some(readings)) = (&sensing.accelerometers, readings) {
-            let ideal = readings.tangents::<A, V>(x, response);
+        if let Some(filters) = &sensing.accelerometers {
+            let ideal = sensing.readings.tangents::<A, V>(x, response);
             self.readings[0] = ideal;
             for i in 0..N {
                 if let Some(filter) = &filters[i] {
@@ -125,19 +133,23 @@ impl<V: Real, const N: usize> Sensed<V, N> {
 }
 
 impl<const N: usize> Readings<N> {
+    /// A sensor feels the joints up to its own, and not how fast that one turns: what it would feel
+    /// of it points along the link.
     #[inline(always)]
     fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
-        let mut sum = [V::splat(0.0); N];
+        let (c, mut sum) = (V::splat, [V::splat(0.0); N]);
         for i in 0..N {
-            for j in 0..N {
-                sum[i] = V::splat(self.velocity[i][j]).mul_add(x.link[j], sum[i]);
+            for j in 0..i {
+                sum[i] = c(self.velocity[i][j]).mul_add(x.link[j], sum[i]);
+            }
+            for j in 0..=i {
                 if A::FELT[j] {
-                    sum[i] = V::splat(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
+                    sum[i] = c(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
                 }
             }
             // known last
-            for j in 0..N {
-                sum[i] = V::splat(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
+            for j in 0..=i {
+                sum[i] = c(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
             }
         }
         sum
