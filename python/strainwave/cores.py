@@ -39,6 +39,7 @@ def own_process() -> None:
     memory that is freed is kept.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to find none takes a while
     gc.set_threshold(_NEW_OBJECTS)
     atexit.register(gc.freeze)
     _keep_memory()
