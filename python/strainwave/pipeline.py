@@ -222,12 +222,10 @@ def _decoupled(
         for log, both_sides, parts in seen:
             run.warnings.extend(both_sides.warnings)
             run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
-        records, joints, together = _physical(run, the_study, model, seen)
+        records, joints, responses = _physical(run, the_study, model, seen)
     for found in joints:
         run.warnings.extend(found.warnings)
-    at_full = [parts for log, _, parts in seen if log.experiment.use == "frequency"]
-    responses = {joint: _response([parts[joint - 1] for parts in at_full]) for joint in together}
-    return tuple(records), tuple(joints), {j: r for j, r in responses.items() if r is not None}
+    return tuple(records), tuple(joints), responses
 
 
 def _physical(
@@ -235,24 +233,32 @@ def _physical(
     the_study: Study,
     model: RigidModel | None,
     seen: Sequence[tuple[Log, LinkSignals, tuple[Decoupled, ...]]],
-) -> tuple[list[RecordModel], list[JointModel], list[int]]:
-    """Models of each record and, for each joint excited at full amplitude, of all at once."""
+) -> tuple[list[RecordModel], list[JointModel], dict[int, FrequencyResponse]]:
+    """Models of each record and, for each joint excited at full amplitude, of all at once.
+
+    Beside these the joint's nonparametric response, where its inputs can be told apart.
+    """
+    at_full = [parts for log, _, parts in seen if log.experiment.use == "frequency"]
     together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
     for log, both_sides, parts in seen:
         for part in _excited_joints(parts, log):
             if log.experiment.use == "frequency":
                 together.setdefault(part.joint, []).append((both_sides, part))
 
-    def all_at_once(joint: int) -> physical.JointFit | Caution:
+    def all_at_once(
+        joint: int,
+    ) -> tuple[physical.JointFit | Caution, FrequencyResponse | None]:
+        response = _response([parts[joint - 1] for parts in at_full])
         try:
-            return physical.fit_joint(together[joint], model, the_study)
+            return physical.fit_joint(together[joint], model, the_study), response
         except NotIdentifiable as failure:
-            return Caution("not-identifiable", f"joint {joint}", str(failure))
+            return Caution("not-identifiable", f"joint {joint}", str(failure)), response
 
     numbers = sorted(together)
     found = side_by_side([partial(all_at_once, n) for n in numbers])
-    run.warnings.extend(each for each in found if isinstance(each, Caution))
-    fits = {fit.model.joint: fit for fit in found if isinstance(fit, physical.JointFit)}
+    run.warnings.extend(each for each, _ in found if isinstance(each, Caution))
+    fits = {fit.model.joint: fit for fit, _ in found if isinstance(fit, physical.JointFit)}
+    responses = {n: r for n, (_, r) in zip(numbers, found, strict=True) if r is not None}
 
     def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
         how = physical.RecordOptions(state_space=log.experiment.use == "frequency")
@@ -266,7 +272,7 @@ def _physical(
             for part in _excited_joints(parts, log)
         ]
     )
-    return records, [fit.model for fit in fits.values()], numbers
+    return records, [fit.model for fit in fits.values()], responses
 
 
 def _tuned(

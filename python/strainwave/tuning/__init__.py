@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
-from strainwave.cores import one_blas_thread
+from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.errors import NotIdentifiable
 from strainwave.records import ArmModel, Criticism, FloatArray, JointModel, Log, RigidModel, Study
 from strainwave.replay import missing_for_replay
@@ -163,21 +164,24 @@ def _tuned(
         status = "at-bounds"
     if not fit.converged:
         status = "iteration-limit"
-    residuals = tuple(residual_tests(fit.misfit, fit.z))
-    criticism = Criticism(residuals, tuple(richer_models(fit, study)))
+    criticism = Criticism(residual_tests(fit.misfit, fit.z), tuple(richer_models(fit, study)))
     repeated = [
         log
         for log in begun.logs
         if log.experiment.use == "tuning" and missing_for_replay(study, log) is None
     ]
+    arms = (values, first)
+    repeats = side_by_side(
+        [partial(predict_closed_loop, arm, log, study) for arm in arms for log in repeated]
+    )
     return ArmModel(
         parameters=parameters,
         values=values,
         covariance=covariance,
         fit_percent=fit.misfit.fits(fit.z),
         initial_fit_percent=before,
-        simulated=tuple(predict_closed_loop(values, log, study) for log in repeated),
-        initial=tuple(predict_closed_loop(first, log, study) for log in repeated),
+        simulated=tuple(repeats[: len(repeated)]),
+        initial=tuple(repeats[len(repeated) :]),
         iterations=fit.iterations,
         status=status,
         warnings=(

@@ -30,9 +30,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from strainwave.cores import side_by_side
 from strainwave.distributions import student_quantile
 from strainwave.records import FloatArray, IntArray
 from strainwave.tuning.misfit import BLOCKS, Misfit, Rows, lagged_products
@@ -86,9 +88,8 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     Confidence
         Correlations are those of the steady one.
     """
-    records = [
-        _evidence(own, block) for own, block in zip(misfit.rows(z), misfit.blocks(), strict=True)
-    ]
+    each = zip(misfit.rows(z), misfit.blocks(), strict=True)
+    records = side_by_side([partial(_evidence, own, block) for own, block in each])
     search, prior = misfit.search, misfit.search.prior
     slope = search.slope(z)
     rows = prior.rows @ slope

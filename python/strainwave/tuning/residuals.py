@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import chain
 from math import erfc, sqrt
 
 import numpy as np
 
+from strainwave.cores import side_by_side
 from strainwave.records import Caution, FloatArray, ResidualTest
-from strainwave.tuning.misfit import Misfit, lagged_products
+from strainwave.tuning.misfit import Misfit, Rows, Weights, lagged_products
 from strainwave.tuning.replayed import Replayed
 
 _SEGMENTS = 8  # of a record, half of each in common with the next, over which spectra are averaged
@@ -19,7 +22,7 @@ _LOUD = 3.0  # times the sensor's noise from which what is left is worth a word
 _SURELY = 1e-3  # probability below which chance is no explanation
 
 
-def residual_tests(misfit: Misfit, z: FloatArray) -> Iterator[ResidualTest]:
+def residual_tests(misfit: Misfit, z: FloatArray) -> tuple[ResidualTest, ...]:
     """Every channel of every record.
 
     Parameters
@@ -28,15 +31,18 @@ def residual_tests(misfit: Misfit, z: FloatArray) -> Iterator[ResidualTest]:
     z : (n_unknowns,)
         Where the fit ended.
 
-    Yields
-    ------
-    ResidualTest
+    Returns
+    -------
+    tuple of ResidualTest
     """
-    for record, rows, weights in zip(misfit.records, misfit.rows(z), misfit.weights, strict=True):
+
+    def tested(record: Replayed, rows: Rows, weights: Weights) -> list[ResidualTest]:
         left = rows.residual * weights.deviation
         inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], rate=False)
-        for k in range(len(record.channels)):
-            yield _tested(record, k, left[:, k], inputs)
+        return [_tested(record, k, left[:, k], inputs) for k in range(len(record.channels))]
+
+    each = zip(misfit.records, misfit.rows(z), misfit.weights, strict=True)
+    return tuple(chain.from_iterable(side_by_side([partial(tested, *one) for one in each])))
 
 
 def _tested(record: Replayed, k: int, left: FloatArray, inputs: FloatArray) -> ResidualTest:
