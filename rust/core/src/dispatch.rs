@@ -30,7 +30,7 @@ pub enum Width {
     Portable,
     /// AVX2 and fused multiply-add: four numbers a register.
     Avx2,
-    /// AVX-512: eight numbers a register.
+    /// AVX-512 as servers have had it since 2017 (F, VL, DQ, BW): eight numbers a register.
     Avx512,
 }
 
@@ -40,7 +40,11 @@ impl Width {
         #[cfg(target_arch = "x86_64")]
         {
             let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-            if avx2 && is_x86_feature_detected!("avx512f") {
+            let avx512 = is_x86_feature_detected!("avx512f")
+                && is_x86_feature_detected!("avx512vl")
+                && is_x86_feature_detected!("avx512dq")
+                && is_x86_feature_detected!("avx512bw");
+            if avx2 && avx512 {
                 return Self::Avx512;
             }
             if avx2 {

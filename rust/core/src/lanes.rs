@@ -17,11 +17,11 @@ pub unsafe fn with_avx2<W: Work>(work: W) -> W::Output {
     work.run()
 }
 
-/// Runs work compiled for AVX-512.
+/// Runs work compiled for AVX-512, whose registers narrower work has, too.
 ///
 /// # Safety
 /// The processor has it, and what `with_avx2` needs.
-#[target_feature(enable = "avx2,fma,avx512f")]
+#[target_feature(enable = "avx2,fma,avx512f,avx512vl,avx512dq,avx512bw")]
 pub unsafe fn with_avx512<W: Work>(work: W) -> W::Output {
     work.run()
 }
@@ -131,7 +131,7 @@ vector!(
 );
 
 vector!(
-    /// Eight numbers; feature `avx512f`.
+    /// Eight numbers; features `avx512f,avx512vl,avx512dq,avx512bw`.
     F64x8, __m512d, 8, with_avx512,
     _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_div_pd, _mm512_fmadd_pd,
     _mm512_min_pd, _mm512_max_pd, _mm512_set1_pd,
