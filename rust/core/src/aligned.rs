@@ -36,3 +36,19 @@ impl DerefMut for Aligned {
         &mut self.numbers[self.first..]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_begin_with_a_line_and_are_as_many_as_asked_for() {
+        for count in [0, 1, 7, 8, 1000] {
+            let mut numbers = Aligned::zeros(count);
+            assert_eq!(numbers.as_ptr() as usize % LINE, 0);
+            assert_eq!(numbers.len(), count);
+            numbers.fill(1.0);
+            assert_eq!(numbers.iter().sum::<f64>(), count as f64);
+        }
+    }
+}

@@ -164,28 +164,17 @@ impl<V: Lanes, const N: usize> Column<V, N> {
         let third = self.respond(step, 2, &at, middle);
         let next = x.moved::<A>(twice, &at, &third);
         let at = self.held(step, next, &at, (2.0 * part, 1));
-        let zero = [c(0.0); N];
-        let (mut three, mut all) = ([zero; 2], [zero; 2]);
-        for i in 0..N {
-            let inner = [
-                second.motor[i] + third.motor[i],
-                second.link[i] + third.link[i],
-            ];
-            three[0][i] = first.motor[i] + inner[0];
-            three[1][i] = first.link[i] + inner[1];
-            all[0][i] = three[0][i] + inner[0];
-            all[1][i] = three[1][i] + inner[1];
-        }
+        // before the fourth stage: the sums need fewer registers than what they are of
+        let [places, velocities] = first.sums(&second, &third);
         let fourth = self.respond(step, 3, &at, end);
         let (third_part, square) = (c(part / 3.0), c(part * part / 1.5));
         let mut to = x;
         for i in 0..N {
-            let link_rate = twice(x.angle[i], x.link[i]);
-            let twist_rate = twice(x.twist[i], first.rate[i]);
-            to.motor[i] = third_part.mul_add(all[0][i] + fourth.motor[i], x.motor[i]);
-            to.link[i] = third_part.mul_add(all[1][i] + fourth.link[i], x.link[i]);
-            to.angle[i] = square.mul_add(three[1][i], link_rate);
-            to.twist[i] = square.mul_add(three[0][i] - three[1][i], twist_rate);
+            to.motor[i] = third_part.mul_add(velocities.motor[i] + fourth.motor[i], x.motor[i]);
+            to.link[i] = third_part.mul_add(velocities.link[i] + fourth.link[i], x.link[i]);
+            to.angle[i] = square.mul_add(places.link[i], twice(x.angle[i], x.link[i]));
+            let twist = places.motor[i] - places.link[i];
+            to.twist[i] = square.mul_add(twist, twice(x.twist[i], first.rate[i]));
         }
         self.tangent = self.held(step, to, &x, (0.0, 1));
     }
@@ -308,5 +297,34 @@ impl<V: Real, const N: usize> Tangent<V, N> {
             }
         }
         next
+    }
+}
+
+/// Sums of accelerations.
+#[derive(Clone, Copy)]
+struct Sum<V, const N: usize> {
+    motor: [V; N],
+    link: [V; N],
+}
+
+impl<V: Real, const N: usize> Sum<V, N> {
+    #[inline(always)]
+    fn plus(mut self, motor: &[V; N], link: &[V; N]) -> Self {
+        for i in 0..N {
+            self.motor[i] = self.motor[i] + motor[i];
+            self.link[i] = self.link[i] + link[i];
+        }
+        self
+    }
+}
+
+impl<V: Real, const N: usize> Response<V, N> {
+    /// a1 + a2 + a3, by which places move, and with a2 + a3 once more, which velocities add a4 to.
+    #[inline(always)]
+    fn sums(&self, second: &Self, third: &Self) -> [Sum<V, N>; 2] {
+        let Self { motor, link, .. } = *second;
+        let inner = Sum { motor, link }.plus(&third.motor, &third.link);
+        let places = inner.plus(&self.motor, &self.link);
+        [places, places.plus(&inner.motor, &inner.link)]
     }
 }
