@@ -67,12 +67,6 @@ impl<V: Lanes, const N: usize> Column<V, N> {
         }
     }
 
-    /// Takes the parameters' own part of a step's equations.
-    #[inline(always)]
-    pub(crate) fn force<A: Arm<N>, L: Lanes>(&mut self, step: &Linearised<A, L, N>) {
-        self.forcing.take(&step.quads);
-    }
-
     /// The equations of stage `k`.
     #[inline(always)]
     pub(crate) fn respond<A: Arm<N>, L: Lanes>(
@@ -90,12 +84,13 @@ impl<V: Lanes, const N: usize> Column<V, N> {
             motor: zero,
             link: zero,
         };
+        let forced = |row, joint| self.forcing.of(&step.quads, row, joint, k);
         let mut load = zero;
         for i in 0..N {
             let rate = x.motor[i] - x.link[i];
-            let damped = c(step.damping[i]).mul_add(rate, self.forcing.of(Row::Gear, i, k));
+            let damped = c(step.damping[i]).mul_add(rate, forced(Row::Gear, i));
             let gear = c(step.stiffness[i][k]).mul_add(x.twist[i], damped);
-            let mut motor = self.forcing.of(Row::Motor, i, k);
+            let mut motor = forced(Row::Motor, i);
             if let Some(torque) = torque {
                 motor = c(step.motor[2][i]).mul_add(torque[i], motor);
             }
@@ -103,7 +98,7 @@ impl<V: Lanes, const N: usize> Column<V, N> {
             response.rate[i] = rate;
             response.gear[i] = gear;
             response.motor[i] = c(step.motor[0][i]).mul_add(gear, dragged);
-            let mut taken = self.forcing.of(Row::Link, i, k);
+            let mut taken = forced(Row::Link, i);
             for j in 0..N {
                 if A::FELT[j] {
                     taken = c(step.by_angle[i][j][k]).mul_add(x.angle[j], taken);

@@ -167,7 +167,6 @@ impl<'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const
         let smooth = !event.last && self.nominal.stretches.is_empty();
         let mut first = 0;
         for follower in &mut self.followers {
-            follower.column.force(&self.linear);
             let x = follower.column.tangent;
             let torque = follower.driven.then_some(&follower.torque);
             let response = follower.column.respond(&self.linear, 0, &x, torque);

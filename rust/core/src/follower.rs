@@ -154,7 +154,6 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
                 self.rest(i);
             }
         }
-        self.column.force(linear);
         let torque = self.torques(&through.decay);
         let x = self.column.tangent;
         let first = self.column.respond(linear, 0, &x, Some(&torque.begin));

@@ -47,33 +47,29 @@ pub(crate) type Quads = [Quad; 7];
 /// Nothing at all.
 pub(crate) const NOTHING: Quads = [Quad([[0.0; 4]; 4]); 7];
 
-/// Where a parameter enters: row and quad among those of all joints, and its slot of the quad.
+fn row(quad: usize) -> Row {
+    match quad {
+        MOTOR | MOTOR_EFFECTS => Row::Motor,
+        GEAR..LINK | GEAR_EFFECTS => Row::Gear,
+        _ => Row::Link,
+    }
+}
+
+/// Where a parameter enters: a joint's quad, and its slot there.
 #[derive(Clone, Copy)]
 struct Place {
-    row: usize,
+    joint: usize,
     quad: usize,
     slot: usize,
 }
 
-impl Place {
-    /// The `slot`-th of a joint's parameters in some row, from a quad on.
-    fn new<const N: usize>(joint: usize, quad: usize, slot: usize) -> Self {
-        let row = match quad {
-            MOTOR | MOTOR_EFFECTS => Row::Motor,
-            LINK => Row::Link,
-            _ => Row::Gear,
-        };
-        Self {
-            row: row as usize * N + joint,
-            quad: joint * NOTHING.len() + quad + slot / 4,
-            slot: slot % 4,
-        }
-    }
-}
-
 /// The places of each of a configuration's parameters.
 fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
-    let at = Place::new::<N>;
+    let at = |joint, quad, slot| Place {
+        joint,
+        quad: quad + slot / 4,
+        slot: slot % 4,
+    };
     let place = |(k, (name, joint)): (usize, (&str, Option<usize>))| {
         let i = joint.unwrap_or(1) - 1;
         match name {
@@ -109,19 +105,15 @@ fn damping_slot(gear: GearKind) -> usize {
     if gear == GearKind::ThreeSlope { 5 } else { 1 }
 }
 
-/// What a column's parameters add to the gears', motors' and links' rows at each stage.
-pub(crate) struct Forcing<V: Lanes, const N: usize> {
-    rows: [[[V; 4]; N]; 3],
-    picks: Vec<Picked<V::Pick>>,
-}
+/// Most quads that one row has.
+const MOST_QUADS: usize = 3;
 
-/// What a column takes from one quad for one row.
-struct Picked<P> {
-    row: usize,
-    quad: usize,
-    pick: P,
-    /// Whether nothing of this row comes before it.
-    first: bool,
+/// From which quads a row takes numbers, and how; the first ones.
+type Picks<P> = [Option<(usize, P)>; MOST_QUADS];
+
+/// What a column's parameters add to the gears', motors' and links' rows.
+pub(crate) struct Forcing<V: Lanes, const N: usize> {
+    picks: [[Picks<V::Pick>; N]; 3],
 }
 
 impl<V: Lanes, const N: usize> Forcing<V, N> {
@@ -132,47 +124,30 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
             if let &Source::Parameter(k) = direction {
                 for place in &places[k] {
-                    let slots = wanted.entry((place.row, place.quad)).or_default();
+                    let slots = wanted.entry((place.joint, place.quad)).or_default();
                     slots[lane] = Some(place.slot);
                 }
             }
         }
-        let mut before = None;
-        let picks = wanted.into_iter().map(|((row, quad), slots)| Picked {
-            row,
-            quad,
-            pick: V::pick(slots),
-            first: before.replace(row) != Some(row),
-        });
-        Self {
-            picks: picks.collect(),
-            rows: [[[V::splat(0.0); 4]; N]; 3],
+        let mut picks = [[[None; MOST_QUADS]; N]; 3];
+        for ((joint, quad), slots) in wanted {
+            let own = &mut picks[row(quad) as usize][joint];
+            let next = own.iter().position(Option::is_none);
+            own[next.expect("no row has more quads")] = Some((quad, V::pick(slots)));
         }
+        Self { picks }
     }
 
-    /// Takes a step's quads, joint by joint.
+    /// What is added to a joint's row at a stage of a step with these quads.
     #[inline(always)]
-    pub(crate) fn take(&mut self, quads: &[Quads; N]) {
-        let (rows, quads) = (self.rows.as_flattened_mut(), quads.as_flattened());
-        let nothing = [V::splat(0.0); 4];
-        let mut row = nothing;
-        for own in &self.picks {
-            if own.first {
-                row = nothing;
-            }
-            let from = &quads[own.quad].0;
-            for k in 0..4 {
-                row[k] = row[k].picked(&own.pick, &from[k]);
-            }
-            // whole, even where more of the row will come: a part of a register that is stored
-            // keeps those waiting who need the whole
-            rows[own.row] = row;
+    pub(crate) fn of(&self, quads: &[Quads; N], row: Row, joint: usize, stage: usize) -> V {
+        let mut sum = V::splat(0.0);
+        for own in &self.picks[row as usize][joint] {
+            let Some((quad, pick)) = own else {
+                break;
+            };
+            sum = sum.picked(pick, &quads[joint][*quad].0[stage]);
         }
-    }
-
-    /// What is added to a joint's row at a stage.
-    #[inline(always)]
-    pub(crate) fn of(&self, row: Row, joint: usize, stage: usize) -> V {
-        self.rows[row as usize][joint][stage]
+        sum
     }
 }
