@@ -52,6 +52,9 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
         ddq: &[R; N],
     ) -> [R; N];
     /// How these readings depend on angles and velocities, and on the accelerations.
+    ///
+    /// A sensor feels the joints up to its own, and not how fast that one turns, for what it would
+    /// feel of it points along the link: all other entries are zero, and are not looked at.
     fn accelerometer_slopes<R: Real>(
         sensors: &Accelerometers<N>,
         at: &Self::Posture<R>,

@@ -223,16 +223,18 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
         response: &Response<V, N>,
     ) {
         let x = &self.column.tangent;
-        let rate = V::splat(1.0 / self.half);
+        let per_second = V::splat(1.0 / self.half);
         for (k, quantity) in quantities.iter().enumerate() {
             let row = match quantity {
                 Quantity::Voltage => self.dual.voltage[0].map(|number| number.tangent),
                 Quantity::MotorTorque => self.torque,
                 Quantity::MotorAngle | Quantity::Encoder => x.motor_angles(&self.ratio),
-                Quantity::MotorVelocity => over(&self.ratio, &x.motor).map(|one| rate * one),
+                Quantity::MotorVelocity => x.motor_velocities(&self.ratio, self.half),
                 Quantity::LinkAngle => x.angle,
-                Quantity::LinkVelocity => x.link.map(|one| rate * one),
-                Quantity::LinkAcceleration => response.link.map(|one| rate * rate * one),
+                Quantity::LinkVelocity => x.link_velocities(self.half),
+                Quantity::LinkAcceleration => {
+                    response.link.map(|one| per_second * per_second * one)
+                }
                 Quantity::GearTorque => response.gear,
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
@@ -275,7 +277,7 @@ fn over<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N]
 }
 
 impl<V: Real, const N: usize> Tangent<V, N> {
-    /// Those of the motors' angles.
+    /// Of the motors' angles [rad].
     #[inline(always)]
     fn motor_angles(&self, ratio: &[f64; N]) -> [V; N] {
         let mut link_side = self.twist;
@@ -283,6 +285,18 @@ impl<V: Real, const N: usize> Tangent<V, N> {
             link_side[i] = self.twist[i] + self.angle[i];
         }
         over(ratio, &link_side)
+    }
+
+    /// Of the motors' velocities [rad/s], `half` [s] being half a step.
+    #[inline(always)]
+    fn motor_velocities(&self, ratio: &[f64; N], half: f64) -> [V; N] {
+        over(ratio, &self.motor).map(|one| V::splat(1.0 / half) * one)
+    }
+
+    /// Of the links' velocities [rad/s].
+    #[inline(always)]
+    fn link_velocities(&self, half: f64) -> [V; N] {
+        self.link.map(|one| V::splat(1.0 / half) * one)
     }
 }
 
@@ -295,13 +309,12 @@ fn lifted<S: Real, V: Real, const N: usize>(
     (ratio, half): (&[f64; N], f64),
 ) -> Motion<Dual<S, V>, N> {
     let state = &nominal.state;
-    let per_second = |velocities: [V; N]| velocities.map(|one| V::splat(1.0 / half) * one);
     Motion {
         state: State {
             motor_angle: pair(&state.motor_angle, &x.motor_angles(ratio)),
-            motor_velocity: pair(&state.motor_velocity, &per_second(over(ratio, &x.motor))),
+            motor_velocity: pair(&state.motor_velocity, &x.motor_velocities(ratio, half)),
             link_angle: pair(&state.link_angle, &x.angle),
-            link_velocity: pair(&state.link_velocity, &per_second(x.link)),
+            link_velocity: pair(&state.link_velocity, &x.link_velocities(half)),
             hysteresis: state.hysteresis.map(Dual::constant),
         },
         torque: pair(&nominal.torque, torque),

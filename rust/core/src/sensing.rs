@@ -17,7 +17,7 @@ pub(crate) struct Sensing<V, const N: usize> {
     rate: f64,
     accelerometers: Option<Filters<V, N, 2>>,
     gyros: Option<Filters<V, N, 1>>,
-    readings: Readings<N>,
+    slopes: ReadingSlopes<N>,
 }
 
 /// One column's sensors: the states of their filters, and what they read now.
@@ -30,7 +30,7 @@ pub(crate) struct Sensed<V, const N: usize> {
 }
 
 /// How the accelerometers' readings depend on the motion at an instant.
-struct Readings<const N: usize> {
+struct ReadingSlopes<const N: usize> {
     angle: [[f64; N]; N],
     velocity: [[f64; N]; N],
     acceleration: [[f64; N]; N],
@@ -51,7 +51,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
                 .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
             gyros: reads(Quantity::Gyro)
                 .then(|| gyros.map(|one| Some(one.as_ref()?.feedthrough()))),
-            readings: Readings {
+            slopes: ReadingSlopes {
                 angle: [[0.0; N]; N],
                 velocity: [[0.0; N]; N],
                 acceleration: [[0.0; N]; N],
@@ -73,7 +73,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         let (places, link) = (task.config.accelerometers(), &now.acceleration.link);
         let (slopes, acceleration) =
             A::accelerometer_slopes(&places, &now.posture, &x.link_velocity, link);
-        let (rate, own) = (self.rate, &mut self.readings);
+        let (rate, own) = (self.rate, &mut self.slopes);
         for i in 0..N {
             for j in 0..N {
                 own.angle[i][j] = slopes.angle[i][j].lane(0);
@@ -112,7 +112,7 @@ impl<V: Real, const N: usize> Sensed<V, N> {
         response: &Response<V, N>,
     ) {
         if let Some(filters) = &sensing.accelerometers {
-            let ideal = sensing.readings.tangents::<A, V>(x, response);
+            let ideal = sensing.slopes.tangents::<A, V>(x, response);
             self.readings[0] = ideal;
             for i in 0..N {
                 if let Some(filter) = &filters[i] {
@@ -132,9 +132,8 @@ impl<V: Real, const N: usize> Sensed<V, N> {
     }
 }
 
-impl<const N: usize> Readings<N> {
-    /// A sensor feels the joints up to its own, and not how fast that one turns: what it would feel
-    /// of it points along the link.
+impl<const N: usize> ReadingSlopes<N> {
+    /// Of what [`Arm::accelerometer_slopes`] says is not zero.
     #[inline(always)]
     fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
         let (c, mut sum) = (V::splat, [V::splat(0.0); N]);

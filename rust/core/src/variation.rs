@@ -262,14 +262,17 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
                 (rate * slopes.velocity[i][j]).store(&mut self.by_velocity[i][j][first..]);
             }
         }
-        let (zero, by) = (L::splat(0.0), A::regressor(&at, &dq, &ddq));
-        let by: [[L; N]; MOST_BASE] = by;
+        let regressor: [[L; N]; MOST_BASE] = A::regressor(&at, &dq, &ddq);
         for i in 0..N {
-            let quads = &mut self.quads[i];
-            let four = [dq[i], by[0][i], by[1][i], by[2][i]];
-            L::store_rows(&four, &mut quads[LINK].0[first..]);
-            let four = [by[3][i], by[4][i], zero, zero];
-            L::store_rows(&four, &mut quads[LINK + 1].0[first..]);
+            let mut by = [L::splat(0.0); 8];
+            by[0] = dq[i];
+            for b in 0..MOST_BASE {
+                by[1 + b] = regressor[b][i];
+            }
+            let (fours, _) = by.as_chunks::<4>();
+            for (k, four) in fours.iter().enumerate() {
+                L::store_rows(four, &mut self.quads[i][LINK + k].0[first..]);
+            }
         }
     }
 
