@@ -6,7 +6,7 @@ in rad. Joints are numbered from 1 where a person reads them and from 0 as array
 
 from __future__ import annotations
 
-from strainwave.records.answers import Caution, Parameter, Prediction
+from strainwave.records.answers import Caution, Parameter, Prediction, Suspicion
 from strainwave.records.arm import ArmModel, Criticism, ResidualTest, RicherModel, TorqueHistogram
 from strainwave.records.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from strainwave.records.joints import (
@@ -106,6 +106,7 @@ __all__ = [
     "Spring",
     "StateSpace",
     "Study",
+    "Suspicion",
     "Sweep",
     "SweepPoint",
     "TopicChannel",

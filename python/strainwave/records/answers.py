@@ -18,6 +18,18 @@ class Caution:
     message: str  # what, and what to do about it
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Suspicion:
+    """One cause that would explain why the channels contradict one another or the study."""
+
+    code: str  # one of the input faults of docs/troubleshooting.md: "wrong-unit", "wrong-sign", ...
+    where: str  # channel, experiment or key of the study that is at fault: "a1", "joint 2"
+    message: str  # in one sentence, with the number found
+    remedy: str  # the line of study.toml, or the step at the rig, that would mend it
+    factor: float | None = None  # by which the data differ from what the study implies
+    delay_s: float | None = None  # by which the channel lags [s]
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One physical parameter with its uncertainty; `None` is what could not be told."""

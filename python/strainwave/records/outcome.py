@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from strainwave.records.answers import Caution, Parameter, Prediction
+from strainwave.records.answers import Caution, Parameter, Prediction, Suspicion
 from strainwave.records.arm import ArmModel
 from strainwave.records.joints import JointModel, RecordModel, Sweep
 from strainwave.records.rigid import RigidModel
@@ -46,6 +46,7 @@ class Identification(Shown):
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint
     sweeps: tuple[Sweep, ...] = ()
     tuned: ArmModel | None = None
+    suspected: tuple[Suspicion, ...] = ()  # causes of contradictions in the input
     reason: str | None = None  # why the question could not be answered, or not wholly
 
     @property
