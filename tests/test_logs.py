@@ -273,12 +273,26 @@ def test_an_empty_window_names_what_the_log_holds(tmp_path: Path) -> None:
 
 
 def test_a_channel_map_must_name_a_column(tmp_path: Path) -> None:
-    text = studies.STUDY + '[channels]\na2 = "accel_2"\n'
-    with pytest.raises(InvalidInput, match=r"no column 'accel_2', which .channels. names for 'a2'"):
+    text = studies.STUDY + '[channels]\ntheta_m2 = "pos_2"\n'
+    named = r"no column 'pos_2', which .channels. names for 'theta_m2'"
+    with pytest.raises(InvalidInput, match=named):
         read(tmp_path, None, text)
     text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nadd = { u1 = "push" }')
     with pytest.raises(InvalidInput, match="no column 'push', which is to be added to 'u1'"):
         read(tmp_path, None, text)
+
+
+def test_a_mapped_column_may_be_missing_from_some_logs_but_not_from_all(tmp_path: Path) -> None:
+    own = studies.columns()
+    text = studies.STUDY.replace('"prbs"\nfile = "motion.csv"', '"prbs"\nfile = "prbs.csv"')
+    text += '[channels]\na2 = "accel_2"\n'
+    (tmp_path / "prbs.csv").write_text(studies.csv_text(own))
+    with pytest.raises(InvalidInput, match=r"no log has the column 'accel_2', .* for 'a2'"):
+        read_logs(read_study(studies.write(tmp_path, text)))
+    (tmp_path / "prbs.csv").write_text(studies.csv_text({**own, "accel_2": own["a1"]}))
+    motion, prbs = read_logs(read_study(studies.write(tmp_path, text)))
+    assert "a2" not in motion.channels
+    np.testing.assert_allclose(prbs.channels["a2"], own["a1"], atol=1e-8)
 
 
 def test_a_voltage_needs_its_torque(tmp_path: Path) -> None:

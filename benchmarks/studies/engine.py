@@ -9,7 +9,7 @@ stop a motor.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -69,16 +69,17 @@ def in_mujoco(
         at = [model.sensor(f"{name}{i}").adr[0] + component for i in joints]
         return np.asarray(seen[:, at])
 
-    angle = sensed("theta_m", 0)
-    found: dict[Quantity, FloatArray] = {
-        "voltage": voltage,
-        "link_angle": sensed("theta_l", 0),
-        "encoder": _rounded(angle, study.joints),
-        "accelerometer": _filtered(sensed("a", 1), 2, [j.accelerometer_hz for j in study.joints]),
-        "gyro": _filtered(sensed("gyro", 2), 1, [j.gyro_hz for j in study.joints]),
+    made: dict[Quantity, Callable[[], FloatArray]] = {
+        "voltage": lambda: voltage,
+        "link_angle": lambda: sensed("theta_l", 0),
+        "encoder": lambda: _rounded(sensed("theta_m", 0), study.joints),
+        "accelerometer": lambda: _filtered(
+            sensed("a", 1), 2, [j.accelerometer_hz for j in study.joints]
+        ),
+        "gyro": lambda: _filtered(sensed("gyro", 2), 1, [j.gyro_hz for j in study.joints]),
     }
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
-    return Trajectory(time, {name: found[name][::per_sample] for name in record})
+    return Trajectory(time, {name: made[name]()[::per_sample] for name in record})
 
 
 def _model(study: Study, values: Values) -> Any:

@@ -39,17 +39,20 @@ def read_logs(study: Study, experiments: Sequence[Experiment] | None = None) -> 
     Raises
     ------
     InvalidInput
-        A log is at fault.
+        A log is at fault, or a column that the study maps is in none of them.
     """
     chosen = study.experiments if experiments is None else experiments
-    return tuple(side_by_side([partial(read_log, study, each) for each in chosen]))
+    found = tuple(side_by_side([partial(read_log, study, each) for each in chosen]))
+    _check_mapped(study, found)
+    return found
 
 
 def read_log(study: Study, experiment: Experiment) -> Log:
     """One experiment's log: columns to channels, window, uniform time.
 
     A channel's value is scale * column + offset; a column that `add` names is taken in the
-    channel's own unit: value = scale * (column + added) + offset.
+    channel's own unit: value = scale * (column + added) + offset. A mapped column that this log
+    lacks means that the channel is absent here, if the log can do without.
 
     Parameters
     ----------
@@ -110,7 +113,10 @@ def _sources(
     for name in channel_names(study.n_joints):
         channel = study.channels.get(name)
         if channel is not None and channel.column not in table.names:
-            raise _no_column(channel.column, f"which [channels] names for '{name}'", table, path)
+            if name == "t" or name.startswith("theta_m"):
+                what = f"which [channels] names for '{name}'"
+                raise _no_column(channel.column, what, table, path)
+            continue  # absent in this log
         if channel is not None or name in table.names:
             sources[name] = channel or Channel(name)
     for channel_name, column in experiment.add.items():
@@ -120,6 +126,17 @@ def _sources(
             raise _no_column(channel_name, "to which another is to be added", table, path)
     _check_required(sources, study, table, path)
     return sources
+
+
+def _check_mapped(study: Study, read: Sequence[Log]) -> None:
+    """A mapped column may be missing from some logs, not from all."""
+    for name, channel in study.channels.items():
+        if name != "t" and read and not any(name in log.channels for log in read):
+            raise InvalidInput(
+                f"no log has the column '{channel.column}', which [channels] names for '{name}'",
+                where=str(study.path),
+                remedy=f"correct channels.{name}, or take it out",
+            )
 
 
 def _check_required(
