@@ -6,11 +6,12 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from functools import partial
 
 import pytest
 
-from strainwave.cores import side_by_side
+from strainwave.cores import Stopped, side_by_side, stop_if_asked
 
 
 def test_results_come_in_order() -> None:
@@ -34,6 +35,37 @@ def test_a_job_that_fails_tells_who_asks() -> None:
 
     with pytest.raises(ValueError, match="no"):
         side_by_side([lambda: 3, job])
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is but one core")
+def test_a_job_that_fails_ends_those_beside_it() -> None:
+    """Also those that such a job began itself; and those that wait never begin."""
+    begun, ended = threading.Event(), list[threading.Thread]()
+    late = list[int]()
+
+    def endless() -> None:
+        begun.set()
+        try:
+            while True:
+                stop_if_asked()
+        except Stopped:
+            ended.append(threading.current_thread())
+            raise
+
+    def fails() -> None:
+        begun.wait(30.0)
+        raise ValueError("no")
+
+    def begins_two() -> None:
+        side_by_side([endless, endless])
+
+    jobs: list[Callable[[], object]] = [fails, begins_two, partial(late.append, 1)]
+    with pytest.raises(ValueError, match="no"):
+        side_by_side(jobs)
+    assert len(ended) == 2
+    assert not any(thread.is_alive() for thread in ended)
+    assert late in ([], [1])  # its turn may have come before the failure
+    stop_if_asked()  # outside of them nothing is stopped
 
 
 def test_a_process_of_our_own_begins_no_blas_threads() -> None:

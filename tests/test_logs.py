@@ -12,7 +12,7 @@ import scipy.io
 
 import studies
 from strainwave.errors import InvalidInput
-from strainwave.logs import read_log, read_logs, write_log
+from strainwave.logs import read_log, read_logs, tables, write_log
 from strainwave.records import FloatArray, Log, Study
 from strainwave.study import read_study
 
@@ -322,3 +322,10 @@ def test_reads_every_log_of_the_measured_data(shared_data: Path) -> None:
         told[path.parent.name] = {warning.code for log in logs for warning in log.warnings}
     assert told.pop("dfki-double-pendulum") == {"resampled"}
     assert not any(told.values())
+
+
+def test_arrow_holds_no_object_of_pythons() -> None:
+    """Its threads would need the interpreter to let go of one, and may come too late for that."""
+    data = b"t,u1\n" * 1000
+    assert tables._reader(data).read_buffer().address != pa.py_buffer(data).address
+    assert tables._reader(data).read() == data

@@ -6,6 +6,7 @@ import atexit
 import ctypes
 import gc
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -59,10 +60,46 @@ def _keep_memory() -> None:
         mallopt(option, _KEPT)
 
 
+class Stopped(BaseException):
+    """Work that nobody waits for any more: a job beside it failed, or the user asked for the end.
+
+    No error, so that nothing which handles errors takes it for one.
+    """
+
+
+class _Group:
+    """Jobs that end together, as part of a job of another group or of none."""
+
+    def __init__(self, parent: _Group | None) -> None:
+        self.parent = parent
+        self.stopped = False
+
+    def is_stopped(self) -> bool:
+        return self.stopped or (self.parent is not None and self.parent.is_stopped())
+
+
+_thread = threading.local()
+
+
+def stop_if_asked() -> None:
+    """End here where nobody waits for this job's result any more; long loops call it every round.
+
+    Raises
+    ------
+    Stopped
+        A job of the same `side_by_side` failed, or its caller was interrupted.
+    """
+    group: _Group | None = getattr(_thread, "group", None)
+    if group is not None and group.is_stopped():
+        raise Stopped
+
+
 def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     """Do independent jobs on all cores.
 
-    Threads, because NumPy and the core let go of the interpreter while they work.
+    Threads, because NumPy and the core let go of the interpreter while they work. None of them
+    outlives the call: where a job fails or the caller is interrupted, those that wait never begin,
+    and those that run end at their next `stop_if_asked`.
 
     Parameters
     ----------
@@ -75,5 +112,17 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     """
     if len(jobs) == 1:  # a thread costs as much as a small job
         return [jobs[0]()]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return [done.result() for done in [pool.submit(job) for job in jobs]]
+    group = _Group(getattr(_thread, "group", None))
+    pool = ThreadPoolExecutor(os.cpu_count())
+    try:
+        results = [pool.submit(_in_group, group, job) for job in jobs]
+        return [each.result() for each in results]
+    finally:
+        group.stopped = True
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _in_group(group: _Group, job: Callable[[], Result]) -> Result:
+    _thread.group = group
+    stop_if_asked()
+    return job()

@@ -202,7 +202,7 @@ def _read_csv(
     point = "," if delimiter != "," and _has_decimal_comma(data, delimiter, skipped) else "."
     try:
         table = pa.csv.read_csv(
-            pa.BufferReader(data),
+            _reader(data),
             read_options=pa.csv.ReadOptions(
                 skip_rows=skipped + 1, column_names=list(names), use_threads=True
             ),
@@ -220,6 +220,19 @@ def _read_csv(
         raise InvalidInput(
             f"cannot be read as CSV ({error})", where=str(path), remedy="write it anew"
         ) from error
+
+
+def _reader(data: bytes) -> Any:
+    """What Arrow reads bytes from: a copy in its own memory.
+
+    Arrow's threads may let go of what they read after its result is here, and of an object of
+    Python's they would have to ask an interpreter that may be gone: the process then dies.
+    """
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    sink.write(data)
+    return pa.BufferReader(sink.getvalue())
 
 
 def _has_decimal_comma(data: bytes, delimiter: str, skipped: int) -> bool:
@@ -289,7 +302,7 @@ def _open_parquet(path: Path) -> Table:
 
     data = read_bytes(path, "the log")
     try:
-        file = pa.parquet.ParquetFile(pa.BufferReader(data))
+        file = pa.parquet.ParquetFile(_reader(data))
         names = list(file.schema_arrow.names)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _no_parquet(path, error) from error

@@ -1,0 +1,230 @@
+"""How refusals end, many at a time: `python -m benchmarks.studies.refusals --runs 1000`.
+
+Every fault is put once into a small two-link study, and the command is run on it again and again,
+several processes at a time, so that threads which outlive a refusal get their chance to do harm.
+Each run must exit with 2, print one line, and leave nothing behind.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import os
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from strainwave.logs import write_log
+
+STUDY = """\
+[arm]
+kind = "planar-two-link"
+link_length = 0.35
+
+[[joint]]
+spring = "linear"
+gear_ratio = 0.01
+torque_per_volt = 0.08
+
+[[joint]]
+spring = "linear"
+gear_ratio = 0.01
+torque_per_volt = 0.03
+"""
+EXPERIMENT = (
+    '[[experiment]]\nname = "{name}"\nfile = "{file}"\nuse = "motion"\ncontrol = {servos}\n'
+)
+RECORDS = 6
+TIMEOUT = 120.0  # s
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How one run ended."""
+
+    code: int
+    lines: int  # on standard error
+    left: bool  # something in the output folder
+    said: str
+
+
+def study_in(folder: Path, ending: str, samples: int) -> Path:
+    """Write a study of several records of one kind of file; returns the study file."""
+    time = 1e-3 * np.arange(samples)
+    text = STUDY
+    for number in range(RECORDS):
+        phase = 0.7 * number
+        columns = {
+            "t": time,
+            "u1": np.sin(9.0 * time + phase),
+            "u2": np.cos(7.0 * time + phase),
+            "theta_m1": 10.0 * np.sin(3.0 * time + phase),
+            "theta_m2": 10.0 * np.cos(4.0 * time + phase),
+            "a1": np.cos(30.0 * time),
+        }
+        write_log(folder / f"log{number}{ending}", columns)
+        text += EXPERIMENT.format(
+            name=f"log{number}", file=f"log{number}{ending}", servos='["servo", "servo"]'
+        )
+    (folder / "study.toml").write_text(text)
+    return folder / "study.toml"
+
+
+# --- faults, each put into a study's folder; what they return are further arguments --------------
+
+
+def _nan(folder: Path) -> list[str]:
+    _replace_value(folder / "log0.csv", b"nan")
+    return []
+
+
+def _text(folder: Path) -> list[str]:
+    _replace_value(folder / "log0.csv", b"broken")
+    return []
+
+
+def _no_column(folder: Path) -> list[str]:
+    path = folder / "log1.csv"
+    path.write_bytes(path.read_bytes().replace(b"theta_m2", b"theta_x2", 1))
+    return []
+
+
+def _no_file(folder: Path) -> list[str]:
+    (folder / "log2.csv").unlink()
+    return []
+
+
+def _cut_off(folder: Path) -> list[str]:
+    path = folder / "log3.csv"
+    path.write_bytes(path.read_bytes()[:-30])
+    return []
+
+
+def _empty(folder: Path) -> list[str]:
+    (folder / "log4.csv").write_bytes(b"")
+    return []
+
+
+def _bad_key(folder: Path) -> list[str]:
+    path = folder / "study.toml"
+    path.write_text(path.read_text().replace("spring", "sprung", 1))
+    return []
+
+
+def _bad_option(_: Path) -> list[str]:
+    return ["--stages", "frobnicate"]
+
+
+def _damaged_middle(folder: Path) -> list[str]:
+    path = next(folder.glob("log0.*"))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 200] = b"\xff" * 200
+    path.write_bytes(data)
+    return []
+
+
+def _damaged_end(folder: Path) -> list[str]:
+    path = next(folder.glob("log0.*"))
+    path.write_bytes(path.read_bytes()[:-100])
+    return []
+
+
+def _nan_packed(folder: Path) -> list[str]:
+    path = folder / "log0.csv.gz"
+    data = gzip.decompress(path.read_bytes())
+    path.write_bytes(gzip.compress(_with_value(data, b"nan")))
+    return []
+
+
+def _nan_parquet(folder: Path) -> list[str]:
+    import pyarrow.parquet
+
+    table = pyarrow.parquet.read_table(folder / "log0.parquet")
+    columns = {name: table[name].to_numpy().copy() for name in table.column_names}
+    columns["u1"][len(columns["u1"]) // 2] = np.nan
+    write_log(folder / "log0.parquet", columns)
+    return []
+
+
+def _replace_value(path: Path, text: bytes) -> None:
+    path.write_bytes(_with_value(path.read_bytes(), text))
+
+
+def _with_value(data: bytes, text: bytes) -> bytes:
+    lines = data.split(b"\n")
+    fields = lines[len(lines) // 2].split(b",")
+    fields[1] = text
+    lines[len(lines) // 2] = b",".join(fields)
+    return b"\n".join(lines)
+
+
+KINDS: dict[str, tuple[str, Callable[[Path], list[str]]]] = {
+    "a NaN in a CSV log": (".csv", _nan),
+    "text in a CSV log": (".csv", _text),
+    "a missing column": (".csv", _no_column),
+    "a missing log": (".csv", _no_file),
+    "a CSV log cut off": (".csv", _cut_off),
+    "an empty log": (".csv", _empty),
+    "an unknown key": (".csv", _bad_key),
+    "an unknown stage": (".csv", _bad_option),
+    "a NaN in a gzip log": (".csv.gz", _nan_packed),
+    "a damaged gzip log": (".csv.gz", _damaged_middle),
+    "a gzip log cut off": (".csv.gz", _damaged_end),
+    "a NaN in a Parquet log": (".parquet", _nan_parquet),
+    "a damaged Parquet log": (".parquet", _damaged_middle),
+    "a Parquet log cut off": (".parquet", _damaged_end),
+}
+
+
+def ended(study: Path, arguments: list[str], number: int) -> Ended:
+    """Run once."""
+    out = study.parent / f"out{number}"
+    command = [sys.executable, "-m", "strainwave", "identify", str(study), "--out", str(out)]
+    done = subprocess.run(
+        [*command, *arguments], capture_output=True, text=True, check=False, timeout=TIMEOUT
+    )
+    return Ended(done.returncode, done.stderr.count("\n"), out.exists(), done.stderr.strip())
+
+
+def of_kind(kind: str, runs: int, at_once: int, samples: int) -> list[Ended]:
+    """Many runs on one fault."""
+    ending, spoil = KINDS[kind]
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(at_once) as pool:
+        study = study_in(Path(name), ending, samples)
+        arguments = spoil(study.parent)
+        return list(pool.map(lambda number: ended(study, arguments, number), range(runs)))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=1000, help="of each kind")
+    parser.add_argument("--at-once", type=int, default=3 * (os.cpu_count() or 1) // 2)
+    parser.add_argument("--samples", type=int, default=4000, help="of each log")
+    parser.add_argument("--kind", action="append", choices=list(KINDS), help="only this one")
+    chosen = parser.parse_args()
+    table = Table("fault", "runs", "exit codes", "one line each", "nothing left", box=None)
+    wrong = 0
+    for kind in chosen.kind or KINDS:
+        found = of_kind(kind, chosen.runs, chosen.at_once, chosen.samples)
+        codes = Counter(one.code for one in found)
+        clean, nothing = all(one.lines == 1 for one in found), not any(one.left for one in found)
+        wrong += sum(n for code, n in codes.items() if code != 2) + (not clean) + (not nothing)
+        told = ", ".join(f"{code}: {n}" for code, n in sorted(codes.items()))
+        table.add_row(
+            kind, str(len(found)), told, *("yes" if ok else "NO" for ok in (clean, nothing))
+        )
+    Console().print(table)
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()
