@@ -40,11 +40,12 @@ def test_a_job_that_fails_tells_who_asks() -> None:
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is but one core")
 def test_a_job_that_fails_ends_those_beside_it() -> None:
     """Also those that such a job began itself; and those that wait never begin."""
-    begun, ended = threading.Event(), list[threading.Thread]()
+    begun = threading.Barrier(3, timeout=30.0)
+    ended = list[threading.Thread]()
     late = list[int]()
 
     def endless() -> None:
-        begun.set()
+        begun.wait()
         try:
             while True:
                 stop_if_asked()
@@ -53,7 +54,7 @@ def test_a_job_that_fails_ends_those_beside_it() -> None:
             raise
 
     def fails() -> None:
-        begun.wait(30.0)
+        begun.wait()
         raise ValueError("no")
 
     def begins_two() -> None:
