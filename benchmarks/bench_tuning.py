@@ -30,10 +30,11 @@ from strainwave.records import (
     RigidModel,
     Spring,
     Study,
+    TuningOptions,
 )
 from strainwave.simulation import SensorNoise
 from strainwave.study import read_study
-from strainwave.tuning import TuningOptions, tune
+from strainwave.tuning import tune
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import replayed
 from strainwave.tuning.unknowns import CURVE, KNEES, search_of, with_curves
@@ -133,8 +134,9 @@ def _start(values: Values) -> Values:
 
 
 def _fit(study: Study, logs: list[Log], values: Values) -> None:
-    options = TuningOptions(cutoff_hz=CUTOFF, settling=False, start=_start(values))
-    tune(logs, _nothing(values), _models(study, values), study, options)
+    options = TuningOptions(cutoff_hz=CUTOFF, settling=False)
+    models = _models(study, values)
+    tune(logs, _nothing(values), models, study, options, start=_start(values))
 
 
 def _nothing(values: Values) -> RigidModel:
@@ -172,7 +174,7 @@ def _scipy(study: Study, logs: list[Log], values: Values) -> float:
         )
 
     start = search.coordinates(_start(values))
-    bounds = (-search.reach, search.reach)
+    bounds = (-search.upper, search.upper)
     return best_of(
         lambda: least_squares(
             residual, start, jacobian, bounds, loss="soft_l1", x_scale="jac", ftol=1e-6

@@ -62,10 +62,12 @@ def from_wrong_starts(
     known: Values,
     options: TuningOptions | None = None,
     share: float = 0.05,
+    start: Values | None = None,
 ) -> ArmModel:
     """Joint models off by that share either way, a rigid model whose inertias are 1 % off."""
     joints = joint_models(study, known, share, FACTORS)
-    return tune(records, rigid_model(study, known, 0.01, 1.0), joints, study, options)
+    model = rigid_model(study, known, 0.01, 1.0)
+    return tune(records, model, joints, study, options, start=start)
 
 
 def rig_records() -> tuple[Study, Values, list[Log]]:
@@ -493,7 +495,7 @@ def test_a_curve_whose_knee_starts_out_of_reach_is_found() -> None:
     """Twice the largest torque: no derivative brings that knee back."""
     study, known, records = shaken("three-slope", 10.0)
     far: Values = {(KNEES[1], joint): 8.0 * known[KNEES[1], joint] for joint in (1, 2)}
-    model = from_wrong_starts(records, study, known, TuningOptions(start=far))
+    model = from_wrong_starts(records, study, known, start=far)
     errors = errors_of(model, known)
     for joint in (1, 2):
         for name in (*CURVE[:2], KNEES[0]):
@@ -503,7 +505,7 @@ def test_a_curve_whose_knee_starts_out_of_reach_is_found() -> None:
 def test_a_start_may_be_given() -> None:
     """From the truth the search is short, and stays there."""
     study, known, records = rig_records()
-    model = from_wrong_starts(records, study, known, TuningOptions(start=known), 0.2)
+    model = from_wrong_starts(records, study, known, share=0.2, start=known)
     assert model.status == "converged"
     assert model.iterations < 0.7 * standard().iterations
     for (name, joint), (_, deviations) in errors_of(model, known).items():
@@ -522,8 +524,8 @@ def test_starts_from_far_end_at_the_same_place(spring: str, seed: int) -> None:
             up = 3.0 if key[0] == "gear_damping" else 1.3
             down = 1.0 / 3.0 if key[0] == "gear_damping" else 0.7
             far[key] = value * float(rng.choice([up, down]))
-    home = from_wrong_starts(records, study, known, TuningOptions(start=known))
-    model = from_wrong_starts(records, study, known, TuningOptions(start=far))
+    home = from_wrong_starts(records, study, known, start=known)
+    model = from_wrong_starts(records, study, known, start=far)
     assert model.status == "converged"
     ends = {(p.name, p.joint): p for p in model.parameters}
     for p in home.parameters:

@@ -60,7 +60,7 @@ def mixed(share: float = 0.01) -> tuple[Study, Values, Search]:
 
 def somewhere(search: Search, seed: int) -> FloatArray:
     rng = np.random.default_rng(seed)
-    return np.asarray(search.reach * rng.uniform(-1.0, 1.0, len(search.unknowns)))
+    return np.asarray(search.upper * rng.uniform(-1.0, 1.0, len(search.unknowns)))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -104,7 +104,7 @@ def test_trusted_steps_stay_in_reach(seed: int) -> None:
     wild = np.random.default_rng(seed).uniform(-50.0, 50.0, len(z))
     step = search.trusted(z, wild, 1.0)
     values, after = search.parameters(z), search.parameters(search.moved(z, step))
-    assert np.all(np.abs(search.moved(z, step)) <= search.reach)
+    assert np.all(np.abs(search.moved(z, step)) <= search.upper)
     assert np.all(np.sign(step) * np.sign(wild) >= 0.0)
     positive = [k for k, u in enumerate(search.unknowns) if not u.signed and u.name != KNEES[1]]
     assert np.all(after[positive] < 2.6 * values[positive])
@@ -114,19 +114,19 @@ def test_trusted_steps_stay_in_reach(seed: int) -> None:
 
 def test_coordinates_stay_in_reach() -> None:
     _, _, search = mixed()
-    outside = search.values(1.5 * search.reach)
-    np.testing.assert_allclose(search.coordinates(outside), search.reach)
+    outside = search.values(1.5 * search.upper)
+    np.testing.assert_allclose(search.coordinates(outside), search.upper)
     # what no positive parameter can be is as small as it may be
     negative = dict.fromkeys(search.keys, -1.0)
     z = search.coordinates(negative)
     positive = [k for k, unknown in enumerate(search.unknowns) if not unknown.signed]
-    np.testing.assert_array_equal(z[positive], -search.reach[positive])
+    np.testing.assert_array_equal(z[positive], -search.upper[positive])
 
 
 def test_reach_is_a_factor() -> None:
     _, _, search = mixed()
     start = search.values(np.zeros(len(search.unknowns)))
-    most = search.values(search.reach)
+    most = search.values(search.upper)
     for name, factor in [("beta", 3.0), ("gamma", 3.0)]:
         assert most[name, None] == pytest.approx(factor * start[name, None])
     for name, factor in [("motor_inertia", 3.0), ("gear_damping", 30.0), (VISCOUS[0], 30.0)]:
@@ -135,7 +135,7 @@ def test_reach_is_a_factor() -> None:
 
 def test_signed_parameters_pass_zero() -> None:
     _, _, search = mixed()
-    lowest, highest = search.values(-search.reach), search.values(search.reach)
+    lowest, highest = search.values(-search.upper), search.values(search.upper)
     for key in [("friction_offset", 1), ("gravity_torque_1", None)]:
         assert lowest[key] < 0.0 < highest[key]
     positive = {u.key for u in search.unknowns if not u.signed}

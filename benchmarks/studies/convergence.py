@@ -18,7 +18,7 @@ from benchmarks.studies.arms import each, with_logs
 from strainwave import logs, pipeline
 from strainwave.parameters import Values
 from strainwave.study import read_study
-from strainwave.tuning import TuningOptions, tune
+from strainwave.tuning import tune
 
 OFF, FAR_OFF = 0.3, 3.0
 SAME = 0.5  # of a standard deviation
@@ -31,10 +31,7 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     before = pipeline.identify(path, stages=("rigid", "decoupled"))
     rng = np.random.default_rng(int(1e12 * values["motor_inertia", 1]))
     starts = values, _far_from(values, rng)
-    ends = [
-        tune(all_logs, before.rigid, before.joints, study, TuningOptions(start=start))
-        for start in starts
-    ]
+    ends = [tune(all_logs, before.rigid, before.joints, study, start=start) for start in starts]
     home = {(q.name, q.joint): q for q in ends[0].parameters if q.value is not None}
     apart = {
         f"{p.name} {p.joint or ''}".strip(): abs(p.value - q.value) / q.std

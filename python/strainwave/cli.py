@@ -83,6 +83,14 @@ def identify(
         str | None,
         typer.Option("--stages", help="Run only the first stages, for example: rigid."),
     ] = None,
+    options: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="An option of a stage, over the study's: links.order=1, statespace.method=n4sid.",
+            metavar="STAGE.KEY=VALUE",
+        ),
+    ] = None,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -94,7 +102,9 @@ def identify(
         require_matplotlib()  # before the work, not after it
     chosen = pipeline.STAGES if stages is None else tuple(s.strip() for s in stages.split(","))
     with _progress(quiet) as tell:
-        identification = pipeline.identify(study, stages=chosen, progress=tell)
+        identification = pipeline.identify(
+            study, stages=chosen, options=options or None, progress=tell
+        )
         tell("writing the report")
         pipeline.write(identification, out, figures=figures)
     if not quiet:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,9 +12,12 @@ from strainwave.records import (
     ComplexArray,
     Decoupled,
     FloatArray,
+    FrequencyOptions,
     FrequencyResponse,
     Resonance,
 )
+
+__all__ = ["FrequencyOptions", "by_periods", "by_welch", "resonance", "respond"]
 
 _FEWEST_PERIODS = 2
 _OVERLAP = 0.5
@@ -24,15 +26,6 @@ _ROUNDS = 20  # of reweighting; it settles in a few
 _BELOW, _ABOVE = 0.5, 1.6  # the fit's window around the dip and the peak
 _FEW_LINES = 12
 _SMOOTH = 5  # lines of the running median in which dip and peak are sought
-
-
-@dataclass(frozen=True, slots=True)
-class FrequencyOptions:
-    """What may be set by hand."""
-
-    inputs: int | None = None  # how many of the inputs to use; None: all
-    segment: float | None = None  # [s] of Welch's method; None: a period, or a quarter record
-    transient_periods: int = 1  # left out at the start, where there are enough
 
 
 def respond(

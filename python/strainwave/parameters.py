@@ -52,6 +52,37 @@ def unit_of(name: str, joint: Joint) -> str:
     return units[joint.motion == "prismatic"]
 
 
+def whole_arm_parameters(study: Study) -> tuple[str, ...]:
+    """Names that the options of the whole-arm fit may use: of all joints, and of each on its own.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    tuple of str
+        "beta", "gear_stiffness", "gear_stiffness 1", ...
+    """
+    names = ["alpha", "beta", "gamma"] if study.n_joints > 1 else []
+    if study.arm.gravity is not None:
+        names += [f"gravity_torque_{i}" for i in range(1, study.n_joints + 1)]
+    of_joints: dict[str, list[int]] = {}
+    for number, joint in enumerate(study.joints, start=1):
+        own = ["motor_inertia", "motor_viscous_friction", "motor_coulomb_friction"]
+        own += ["friction_offset", "link_viscous_friction", "gear_stiffness", "gear_damping"]
+        if study.n_joints == 1:
+            own.append("link_inertia")
+        if joint.spring == "three-slope":
+            own += [f"gear_stiffness_k{k}" for k in (1, 2, 3)]
+            own += [f"gear_knee_t{k}" for k in (1, 2)]
+        for name in own:
+            of_joints.setdefault(name, []).append(number)
+    for name, numbers in of_joints.items():
+        names += [name, *(f"{name} {number}" for number in numbers)]
+    return tuple(names)
+
+
 def read_parameters(path: Path) -> Values:
     """Read parameter values.
 

@@ -7,12 +7,15 @@ decides what happens when one cannot answer.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from strainwave import (
     __version__,
@@ -37,11 +40,13 @@ from strainwave.records import (
     ArmModel,
     Caution,
     Decoupled,
+    FrequencyOptions,
     FrequencyResponse,
     Identification,
     JointModel,
     LinkSignals,
     Log,
+    Options,
     Prediction,
     RecordModel,
     RigidModel,
@@ -84,7 +89,11 @@ def check_stages(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def identify(
-    study_path: Path, *, stages: Sequence[str] = STAGES, progress: Progress = lambda _: None
+    study_path: Path,
+    *,
+    stages: Sequence[str] = STAGES,
+    options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
+    progress: Progress = lambda _: None,
 ) -> Identification:
     """Logs to models: every stage on one study.
 
@@ -94,6 +103,9 @@ def identify(
         The study file.
     stages : sequence of str
         A prefix of `STAGES`.
+    options : Options, mapping or sequence of str, optional
+        In place of the study's [options]: all of them, those that change (stage -> key -> value),
+        or "stage.key=value" as on the command line.
     progress : callable
         Told what is being done.
 
@@ -108,12 +120,16 @@ def identify(
         The study, a log or an argument is at fault.
     """
     with one_blas_thread():  # once for all: threads must not set it for one another
-        return _identify(study_path, _Run(check_stages(stages), progress))
+        run = _Run(check_stages(stages), progress)
+        with run.timed("read", "reading the logs"):
+            the_study = study.read_study(study_path)
+            if options is not None:
+                the_study = study.with_options(the_study, options)
+        return _identify(the_study, run)
 
 
-def _identify(study_path: Path, run: _Run) -> Identification:
+def _identify(the_study: Study, run: _Run) -> Identification:
     with run.timed("read", "reading the logs"):
-        the_study = study.read_study(study_path)
         all_logs = logs.read_logs(the_study)
     for log in all_logs:
         run.warnings.extend(log.warnings)
@@ -171,7 +187,7 @@ def _rigid(
             use: _signals(all_logs, use, the_study, run.warnings) for use in ("motion", "check")
         }
         try:
-            model = rigid.fit(seen["motion"], the_study)
+            model = rigid.fit(seen["motion"], the_study, the_study.options.rigid)
         except NotIdentifiable as failure:
             if _single_and_excited(the_study, all_logs) and "decoupled" in run.stages:
                 run.warnings.append(Caution("no-rigid-model", str(the_study.path), str(failure)))
@@ -210,7 +226,7 @@ def _decoupled(
         return (), (), {}  # why there is none has been said
 
     def both_sides_of(log: Log) -> tuple[Log, LinkSignals, tuple[Decoupled, ...]]:
-        both_sides = links.link_side(log, the_study)
+        both_sides = links.link_side(log, the_study, the_study.options.links)
         return log, both_sides, decoupling.decouple(both_sides, model, the_study)
 
     with run.timed("decoupled", "decoupling the joints"):
@@ -238,6 +254,8 @@ def _physical(
 
     Beside these the joint's nonparametric response, where its inputs can be told apart.
     """
+    options = the_study.options
+    how = physical.RecordOptions(options.physical, options.statespace)
     at_full = [parts for log, _, parts in seen if log.experiment.use == "frequency"]
     together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
     for log, both_sides, parts in seen:
@@ -247,23 +265,28 @@ def _physical(
 
     def all_at_once(
         joint: int,
-    ) -> tuple[physical.JointFit | Caution, FrequencyResponse | None]:
-        response = _response([parts[joint - 1] for parts in at_full])
+    ) -> tuple[physical.JointFit | JointModel | Caution, FrequencyResponse | None]:
+        response = _response([parts[joint - 1] for parts in at_full], options.responses)
+        own = together[joint]
         try:
-            return physical.fit_joint(together[joint], model, the_study), response
-        except NotIdentifiable as failure:
+            if options.physical.route == "equations":
+                return physical.fit_joint(own, model, the_study, options.physical), response
+            return physical.joint_by_transfer([d for _, d in own], model, the_study, how), response
+        except (NotIdentifiable, np.linalg.LinAlgError) as failure:
             return Caution("not-identifiable", f"joint {joint}", str(failure)), response
 
     numbers = sorted(together)
     found = side_by_side([partial(all_at_once, n) for n in numbers])
     run.warnings.extend(each for each, _ in found if isinstance(each, Caution))
     fits = {fit.model.joint: fit for fit, _ in found if isinstance(fit, physical.JointFit)}
+    joints = [fit.model for fit in fits.values()]
+    joints += [each for each, _ in found if isinstance(each, JointModel)]
     responses = {n: r for n, (_, r) in zip(numbers, found, strict=True) if r is not None}
 
     def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
-        how = physical.RecordOptions(state_space=log.experiment.use == "frequency")
+        own = replace(how, state_space=log.experiment.use == "frequency")
         fit = fits.get(part.joint)
-        return physical.identify_record(both_sides, part, model, the_study, how, fit)
+        return physical.identify_record(both_sides, part, model, the_study, own, fit)
 
     records = side_by_side(
         [
@@ -272,7 +295,7 @@ def _physical(
             for part in _excited_joints(parts, log)
         ]
     )
-    return records, [fit.model for fit in fits.values()], responses
+    return records, joints, responses
 
 
 def _tuned(
@@ -285,7 +308,7 @@ def _tuned(
     """All parameters at once on all records; None, with a caution, without any."""
     with run.timed("tuned", "fitting the whole arm to all records at once"):
         try:
-            found = tuning.tune(all_logs, model, joints, the_study)
+            found = tuning.tune(all_logs, model, joints, the_study, the_study.options.tuning)
         except NotIdentifiable as failure:
             run.warnings.append(Caution("not-tuned", str(the_study.path), str(failure)))
             return None
@@ -322,10 +345,10 @@ def _used_for(all_logs: Sequence[Log], use: str) -> list[Log]:
     return [log for log in all_logs if log.experiment.use == use]
 
 
-def _response(records: Sequence[Decoupled]) -> FrequencyResponse | None:
+def _response(records: Sequence[Decoupled], options: FrequencyOptions) -> FrequencyResponse | None:
     """The nonparametric response beside the models; None where the inputs cannot be told apart."""
     try:
-        return frequency.respond(records)
+        return frequency.respond(records, options)
     except (NotIdentifiable, InvalidInput):  # records of several sample times do not combine
         return None
 

@@ -53,6 +53,7 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "version": identification.version,
         "study": {"path": str(identification.study.path), "sha256": identification.study.sha256},
         "created": identification.created,
+        "options": asdict(identification.study.options),
         "status": "determined" if identification.determined else "not-identifiable",
         "reason": identification.reason,
         "parameters": [_parameter(p) for p in identification.parameters],
@@ -96,7 +97,7 @@ def _check_fits(identification: Identification) -> dict[str, dict[str, float]]:
 
 def _record(record: RecordModel) -> dict[str, Any]:
     """One excited record: the physical model, and the state-space model beside it."""
-    chosen = record.physical or record.transfer
+    chosen = record.joint_model
     own = _nothing(record) if chosen is None else _joint(chosen)
     own["experiment"] = record.signals.experiment.name
     own["equation_fit_percent"] = own.pop("fit_percent")

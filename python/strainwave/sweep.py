@@ -46,7 +46,7 @@ def _others_free(record: RecordModel) -> bool:
 def _points(records: Iterable[RecordModel]) -> list[SweepPoint]:
     points = []
     for record in records:
-        prbs, joint = record.signals.experiment.prbs, record.physical
+        prbs, joint = record.signals.experiment.prbs, record.joint_model
         mode = None if joint is None else joint.anti_resonance
         if prbs is None or joint is None or mode is None or mode.frequency_std_hz is None:
             continue

@@ -115,7 +115,7 @@ def test_a_band_may_be_set() -> None:
 
 def test_the_search_may_begin_elsewhere(models: list[tuple[Case, JointModel]]) -> None:
     one, model = models[0]
-    near = found_in(one, PhysicalOptions(search_from_hz=model.band_hz))
+    near = identify_joint(one.records, one.model, one.study, search_from_hz=model.band_hz)
     # bands settle to a twentieth, and the band is a small part of a deviation
     np.testing.assert_allclose(near.band_hz, model.band_hz, rtol=0.05)
     off = np.abs(vector_of(near) - vector_of(model))[WELL_TOLD]

@@ -11,7 +11,6 @@ import pytest
 from joint_records import case
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.physical.linear import (
-    LinearOptions,
     band_of,
     judge,
     modes_of,
@@ -21,7 +20,7 @@ from strainwave.physical.linear import (
     without_alternating,
 )
 from strainwave.physical.two_inertia import anti_resonance, resonance
-from strainwave.records import Decoupled, Fusion, StateSpace
+from strainwave.records import Decoupled, Fusion, LinearOptions, StateSpace
 from strainwave.statespace import frequency_response
 from two_inertia import TwoInertia, state_space
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from strainwave.records import (
     Fusion,
     Joint,
     Lag,
+    LinkOptions,
     LinkSignals,
     LinkSource,
     Log,
@@ -34,16 +34,6 @@ _EDGE = 2.0  # periods of the slowest low-pass until its start is forgotten
 _MISALIGNED = 0.6  # samples of delay that are worth a warning
 _CERTAIN = 4.0  # deviations of a delay that are not by chance
 _SPREAD = 0.25  # samples of uncertainty above which a delay is not told
-
-
-@dataclass(frozen=True, slots=True)
-class LinkOptions:
-    """What may be set by hand."""
-
-    time_constant: float = 0.2  # T_V [s] of the fusion (10)
-    order: Literal[1, 2] = 2  # of its low-pass
-    bandwidth_hz: float | None = None  # zero-phase, over all; None: only where angles are
-    # differenced twice, and then as wide as their noise allows
 
 
 def link_side(log: Log, study: Study, options: LinkOptions | None = None) -> LinkSignals:

@@ -2,7 +2,7 @@
 
 Two ways lead there: straight from the equations of motion (`identify_joint`), and through a
 state-space model and its transfer functions (`state_space_of`, `from_state_space`), the paper's.
-`identify_record` goes both.
+`identify_record` goes both, or only the second where the options ask for it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from strainwave.cores import one_blas_thread
 from strainwave.errors import StrainwaveError
 from strainwave.physical.grey_box import FIRST_BAND_HZ, GreyBoxFit, RigidKnowledge, Solved, solve
 from strainwave.physical.linear import (
-    LinearOptions,
-    band_around,
+    band_for,
     judge,
     modes_of,
     other_bands,
@@ -32,8 +31,10 @@ from strainwave.records import (
     Caution,
     Decoupled,
     JointModel,
+    LinearOptions,
     LinkSignals,
     Modes,
+    PhysicalOptions,
     RecordModel,
     RigidModel,
     StateSpace,
@@ -49,6 +50,7 @@ __all__ = [
     "from_state_space",
     "identify_joint",
     "identify_record",
+    "joint_by_transfer",
     "judge",
     "modes_of",
     "rigid_knowledge",
@@ -56,15 +58,6 @@ __all__ = [
 ]
 
 Result = TypeVar("Result")
-
-
-@dataclass(frozen=True, slots=True)
-class PhysicalOptions:
-    """What may be set by hand."""
-
-    band_hz: tuple[float, float] | None = None  # of the equations' filter; None: from the data
-    search_from_hz: tuple[float, float] = FIRST_BAND_HZ  # where the data are first asked for it
-    use_rigid: bool = True  # whether what the rigid model knows joins as equations
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +99,8 @@ def identify_joint(
     model: RigidModel | None,
     study: Study,
     options: PhysicalOptions | None = None,
+    *,
+    search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
 ) -> JointModel:
     """Physical parameters of one joint from its equations of motion, (S6) and (S7).
 
@@ -116,6 +111,8 @@ def identify_joint(
     model : RigidModel or None
     study : Study
     options : PhysicalOptions, optional
+    search_from_hz : (float, float)
+        The band where the data are first asked for the equations' filter.
 
     Returns
     -------
@@ -123,7 +120,7 @@ def identify_joint(
         A parameter that the records hardly tell has the value None, and a warning says so; an
         impossible one is reported as it came, with a warning.
     """
-    return fit_joint(records, model, study, options).model
+    return fit_joint(records, model, study, options, search_from_hz=search_from_hz).model
 
 
 def fit_joint(
@@ -131,6 +128,8 @@ def fit_joint(
     model: RigidModel | None,
     study: Study,
     options: PhysicalOptions | None = None,
+    *,
+    search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
 ) -> JointFit:
     """The fit behind `identify_joint`, for those who want its records' own; arguments are the same.
 
@@ -144,7 +143,7 @@ def fit_joint(
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems, as in the rigid step
-        solved = solve(records, study, known, chosen.band_hz, chosen.search_from_hz)
+        solved = solve(records, study, known, chosen.band_hz, search_from_hz)
         return JointFit(_joint_model(solved), solved)
 
 
@@ -209,42 +208,88 @@ def identify_record(
             return None
 
     def grey_box() -> JointModel:
-        how = chosen.physical
         if together is not None and where in together.model.experiments:
             return together.of_record(where)
-        if together is not None:  # it looks first where all together ring
-            how = replace(how, search_from_hz=together.model.band_hz)
-        return identify_joint([(signals, decoupled)], model, study, how)
+        # it looks first where all together ring
+        first = FIRST_BAND_HZ if together is None else together.model.band_hz
+        pair = [(signals, decoupled)]
+        return identify_joint(pair, model, study, chosen.physical, search_from_hz=first)
 
-    physical = tried("grey-box-failed", grey_box)
+    by_equations = chosen.physical.route == "equations"
+    physical = tried("grey-box-failed", grey_box) if by_equations else None
     linear = modes = transfer = check = None
-    if chosen.state_space:
+    if chosen.state_space or not by_equations:
         linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))
     if linear is not None:
         found = linear
-        known = rigid_knowledge(model, study, decoupled.joint)
         modes = tried("modes-failed", lambda: modes_of(found))
         check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
-        others = _in_other_bands(decoupled, found, modes, chosen.linear)
         transfer = tried(
             "transfer-function-failed",
-            lambda: from_state_space(found, decoupled, study, known, others),
+            lambda: _by_transfer([decoupled], found, modes, model, study, chosen),
         )
     return RecordModel(decoupled, physical, linear, modes, transfer, check, tuple(warnings))
 
 
+def joint_by_transfer(
+    records: Sequence[Decoupled],
+    model: RigidModel | None,
+    study: Study,
+    options: RecordOptions | None = None,
+) -> JointModel:
+    """Physical parameters of one joint by the paper's route, (15) to (18).
+
+    Parameters
+    ----------
+    records : sequence of Decoupled
+        Of one joint; one state-space model is fitted to all of them.
+    model : RigidModel or None
+    study : Study
+    options : RecordOptions, optional
+
+    Returns
+    -------
+    JointModel
+
+    Raises
+    ------
+    InvalidInput
+        Records of different joints or rates.
+    NotIdentifiable
+        No stretch of a record is long enough, or the state-space model does not ring.
+    """
+    chosen = options or RecordOptions()
+    with one_blas_thread():
+        found = state_space_of(records, chosen.linear)
+        return _by_transfer(records, found, modes_of(found), model, study, chosen)
+
+
+def _by_transfer(
+    records: Sequence[Decoupled],
+    found: StateSpace,
+    modes: Modes | None,
+    model: RigidModel | None,
+    study: Study,
+    options: RecordOptions,
+) -> JointModel:
+    """What a state-space model says of the joint, with what the rigid model knows if wanted."""
+    known = rigid_knowledge(model if options.physical.use_rigid else None, study, records[0].joint)
+    others = _in_other_bands(records, found, modes, options.linear)
+    return from_state_space(found, records, study, known, others)
+
+
 def _in_other_bands(
-    record: Decoupled, near: StateSpace, modes: Modes | None, options: LinearOptions
+    records: Sequence[Decoupled], near: StateSpace, modes: Modes | None, options: LinearOptions
 ) -> list[StateSpace]:
     """Models that show how much the band matters; none where they fail or make no sense."""
     if modes is None or modes.anti_resonance is None or modes.resonance is None:
         return []
     rings = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
-    band = options.band_hz or band_around(*rings, [record])
     found = []
-    for other in other_bands(band, [record]):
+    for other in other_bands(band_for(rings, records, options), records):
+        how = replace(options, band_hz=other, decimation=None)  # the rate follows the band
         try:
-            fitted = state_space_of(record, replace(options, band_hz=other), near)
+            fitted = state_space_of(records, how, near)
             model = replace(fitted, covariance=None)
             if model.status == "converged" and modes_of(model).resonance:
                 found.append(model)

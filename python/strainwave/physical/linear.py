@@ -15,8 +15,8 @@ link velocity, as in (11), (12). What prediction-error estimation asks of the da
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, cast
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from strainwave.records import (
     Fusion,
     Hold,
     InputOutput,
+    LinearOptions,
     ModelCheck,
     Modes,
     StateSpace,
@@ -50,18 +51,6 @@ _FAR_OFF = 0.25
 _HIGH_PASS, _LOW_PASS = 2, 6  # powers of the frequency ratios in the gain
 _RAISED = 0.75  # of the new rate, up to which inputs are raised: sinc^2 is then a tenth
 _OTHER_BAND = 1.2  # factor by which band edges are moved to see what the model leaves out
-
-
-@dataclass(frozen=True, slots=True)
-class LinearOptions:
-    """What may be set by hand."""
-
-    # None: the physical 3, or the paper's 4 where 3 does not do
-    order: Literal[3, 4] | None = None
-    outputs: Literal["both", "motor"] = "both"
-    inputs: Literal["both", "motor"] = "both"  # "motor": the interaction torque is left out
-    method: Literal["pem", "subspace"] = "pem"
-    band_hz: tuple[float, float] | None = None  # of the filter; None: from the resonances found
 
 
 def state_space_of(
@@ -99,14 +88,15 @@ def state_space_of(
     check_alike(joint)
     if chosen.band_hz is not None:
         return _model(joint, chosen.band_hz, chosen, near)
-    band = _search(joint)
+    band = _at_rate(_search(joint), joint, chosen)
     model = _model(joint, band, chosen)
     found = modes_of(replace(model, covariance=None))
     # a part of the signals may show other modes than the joint's, and the band would run off
     whole = chosen.inputs == chosen.outputs == "both"
     if not (whole and found.anti_resonance and found.resonance):
         return model
-    better = band_around(found.anti_resonance.frequency_hz, found.resonance.frequency_hz, joint)
+    rings = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
+    better = band_for(rings, joint, chosen)
     return model if same_band(band, better, _FAR_OFF) else _model(joint, better, chosen)
 
 
@@ -162,7 +152,7 @@ def judge(
     if not (found.anti_resonance and found.resonance):
         raise NotIdentifiable("the model does not ring: there is no band to judge it in")
     rings = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
-    data = _data(joint, band_around(min(rings), max(rings), joint), chosen)
+    data = _data(joint, band_for((min(rings), max(rings)), joint, chosen), chosen)
     cuts = [round(_FITTED * len(piece.inputs)) for piece in data]
     first = [piece.window(0, cut) for piece, cut in zip(data, cuts, strict=True)]
     last = [piece.window(cut, len(piece.inputs)) for piece, cut in zip(data, cuts, strict=True)]
@@ -242,6 +232,35 @@ def band_around(
         low = max(low, _SLOWEST / (longest * record.sample_time))
         high = min(high, 0.4 / record.sample_time, 0.8 * (record.bandwidth_hz or np.inf))
     return min(low, high / 4.0), high
+
+
+def band_for(
+    rings_hz: tuple[float, float], records: Sequence[Decoupled], options: LinearOptions
+) -> tuple[float, float]:
+    """The band of the filter that the options give, else that around a joint's resonances.
+
+    Parameters
+    ----------
+    rings_hz : (float, float) [Hz]
+        Anti-resonance and resonance.
+    records : sequence of Decoupled
+    options : LinearOptions
+
+    Returns
+    -------
+    (float, float) [Hz]
+    """
+    return options.band_hz or _at_rate(band_around(*rings_hz, records), records, options)
+
+
+def _at_rate(
+    band_hz: tuple[float, float], records: Sequence[Decoupled], options: LinearOptions
+) -> tuple[float, float]:
+    """The band up to where the rate asks for the low-pass, if the rate is given."""
+    if options.decimation is None:
+        return band_hz
+    high = 1.0 / (_OVERSAMPLED * options.decimation * records[0].sample_time)
+    return min(band_hz[0], high / 4.0), high
 
 
 def same_band(band: tuple[float, float], other: tuple[float, float], within: float) -> bool:
@@ -328,7 +347,7 @@ def _pieces(
 ) -> Iterator[InputOutput]:
     low, high = band_hz
     T = record.sample_time
-    step = max(1, round(1.0 / (_OVERSAMPLED * high * T)))
+    step = options.decimation or max(1, round(1.0 / (_OVERSAMPLED * high * T)))
     n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
     n_out = 1 if options.outputs == "motor" else 2
 
@@ -388,7 +407,12 @@ def _model(
 
 
 def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> StateSpace:
-    return pem(data, order) if options.method == "pem" else subspace(data, order)
+    if options.method == "pem":
+        if options.horizon is None:
+            return pem(data, order)
+        return pem(data, order, start=subspace(data, order, horizon=options.horizon))
+    way = "auto" if options.method == "subspace" else options.method
+    return subspace(data, order, method=way, horizon=options.horizon)
 
 
 def _near(

@@ -67,7 +67,7 @@ class _Pairs:
 
 def from_state_space(
     model: StateSpace,
-    record: Decoupled,
+    records: Decoupled | Sequence[Decoupled],
     study: Study,
     known: RigidKnowledge,
     others: Sequence[StateSpace] = (),
@@ -78,13 +78,13 @@ def from_state_space(
     ----------
     model : StateSpace
         From `state_space_of`; of more than three states, the least damped pairs are taken.
-    record : Decoupled
-        The record it was estimated from.
+    records : Decoupled or sequence of Decoupled
+        What it was estimated from.
     study : Study
     known : RigidKnowledge
         c_0 and c_1 for (18). Where they are not known, the model's own are taken, (17).
     others : sequence of StateSpace
-        Of the same record in other bands. A joint as in (1), (2) would give the same in each; how
+        Of the same records in other bands. A joint as in (1), (2) would give the same in each; how
         far they lie apart is counted as model error.
 
     Returns
@@ -99,8 +99,10 @@ def from_state_space(
     NotIdentifiable
         The model has no oscillating pole and zero pair.
     """
-    number = record.joint
-    joint, where = study.joints[number - 1], record.experiment.name
+    joint_records = (records,) if isinstance(records, Decoupled) else tuple(records)
+    number, ratio = joint_records[0].joint, joint_records[0].gear_ratio
+    names = tuple(record.experiment.name for record in joint_records)
+    joint, where = study.joints[number - 1], ", ".join(names)
     nominal = _pairs(model, None)
     vector, scatter = _propagated(model, nominal)
     if scatter is None:
@@ -109,16 +111,16 @@ def from_state_space(
     if moves:
         scatter = scatter + np.mean([np.outer(move, move) for move in moves], axis=0)
     lag, sources = _with_rigid(vector[:6], scatter[:6, :6], known)
-    found = from_coefficients(lag[:2], lag[2:4], lag[4:], record.gear_ratio)
-    J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], record.gear_ratio).vector, lag)
+    found = from_coefficients(lag[:2], lag[2:4], lag[4:], ratio)
+    J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], ratio).vector, lag)
     covariance = J @ sources @ J.T
     values = dict(zip(NAMES, found.vector.tolist(), strict=True))
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     told = tuple(not d > _TOLD * abs(v) for d, v in zip(deviation, found.vector, strict=True))
     ring = np.sqrt(np.clip(np.diag(scatter)[6:], 0.0, None))
     modes = [_mode(nominal.zero, ring[:2]), _mode(nominal.pole, ring[2:])]
-    band = band_around(modes[0].frequency_hz, modes[1].frequency_hz, [record])
-    fit = _fit_percent(found, record, band)
+    band = band_around(modes[0].frequency_hz, modes[1].frequency_hz, joint_records)
+    fit = _fit_percent(found, joint_records, band)
     reciprocity = _reciprocity(model, modes[0].frequency_hz, modes[1].frequency_hz)
     if reciprocity is not None:
         fit["reciprocity"] = reciprocity
@@ -126,7 +128,7 @@ def from_state_space(
     warnings = (*cautions_of(*said, where), *_doubts(nominal, lag, reciprocity, where))
     return JointModel(
         joint=number,
-        experiments=(where,),
+        experiments=names,
         method="transfer-function",
         parameters=tuple(parameters_of(*said)),
         values=values,
@@ -225,13 +227,24 @@ def _mode(value: complex, deviation: FloatArray) -> Mode:
 
 
 def _fit_percent(
-    joint: TwoInertia, record: Decoupled, band: tuple[float, float]
+    joint: TwoInertia, records: Sequence[Decoupled], band: tuple[float, float]
 ) -> dict[str, float]:
     """How well the physical parameters explain both velocities from the inputs, in the band."""
     A, B, C = state_space(joint)
-    n_in = record.inputs.shape[1]
-    B[:, n_in:] = 0.0
+    B[:, records[0].inputs.shape[1] :] = 0.0
     physical = ContinuousStateSpace(A, B, C, np.zeros((2, 2)))
+    pairs = [_seen_and_missed(physical, record, band) for record in records]
+    miss = np.concatenate([missed for _, missed in pairs])
+    size = np.linalg.norm(np.concatenate([y - y.mean(axis=0) for y, _ in pairs]), axis=0)
+    fits = 100.0 * (1.0 - np.linalg.norm(miss, axis=0) / size)
+    return dict(zip(("motor_velocity", "link_velocity"), fits.tolist(), strict=True))
+
+
+def _seen_and_missed(
+    physical: ContinuousStateSpace, record: Decoupled, band: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Both velocities of a record in the band, and what a model leaves of them."""
+    n_in = record.inputs.shape[1]
 
     def modelled(f: FloatArray) -> ComplexArray:
         return np.asarray(band_of(f, band)[:, None, None] * _response(physical, _s(f)))
@@ -246,10 +259,7 @@ def _fit_percent(
     inputs = np.zeros((len(record.inputs), 2))
     inputs[:, :n_in] = record.inputs
     y = by_spectrum(record.outputs, measured, record.sample_time, reach)[rows]
-    miss = y - by_spectrum(inputs, modelled, record.sample_time, reach)[rows]
-    size = np.linalg.norm(y - y.mean(axis=0), axis=0)
-    fits = 100.0 * (1.0 - np.linalg.norm(miss, axis=0) / size)
-    return dict(zip(("motor_velocity", "link_velocity"), fits.tolist(), strict=True))
+    return y, y - by_spectrum(inputs, modelled, record.sample_time, reach)[rows]
 
 
 def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | None:

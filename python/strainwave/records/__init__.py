@@ -18,6 +18,15 @@ from strainwave.records.joints import (
     Sweep,
     SweepPoint,
 )
+from strainwave.records.options import (
+    FrequencyOptions,
+    LinearOptions,
+    LinkOptions,
+    Options,
+    PhysicalOptions,
+    RigidOptions,
+    TuningOptions,
+)
 from strainwave.records.outcome import Comparison, Identification
 from strainwave.records.rigid import RigidModel
 from strainwave.records.signals import Delay, Fusion, Lag, LinkSignals, LinkSource, Log, Signals
@@ -73,6 +82,7 @@ __all__ = [
     "Effect",
     "Experiment",
     "FloatArray",
+    "FrequencyOptions",
     "FrequencyResponse",
     "Fusion",
     "Hold",
@@ -83,6 +93,8 @@ __all__ = [
     "Joint",
     "JointModel",
     "Lag",
+    "LinearOptions",
+    "LinkOptions",
     "LinkSignals",
     "LinkSource",
     "Log",
@@ -91,8 +103,10 @@ __all__ = [
     "Modes",
     "Motion",
     "NonNegative",
+    "Options",
     "OrderSelection",
     "Parameter",
+    "PhysicalOptions",
     "Positive",
     "Prbs",
     "Prediction",
@@ -101,6 +115,7 @@ __all__ = [
     "Resonance",
     "RicherModel",
     "RigidModel",
+    "RigidOptions",
     "Servo",
     "Signals",
     "Spring",
@@ -111,6 +126,7 @@ __all__ = [
     "SweepPoint",
     "TopicChannel",
     "TorqueHistogram",
+    "TuningOptions",
     "Use",
     "channel_names",
 ]

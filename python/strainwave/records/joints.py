@@ -86,12 +86,17 @@ class RecordModel(Shown):
     """Everything one record tells of the joint that was excited in it."""
 
     signals: Decoupled
-    physical: JointModel | None  # from the equations of motion; None: it failed
+    physical: JointModel | None  # from the equations of motion; None: it failed, or not wanted
     state_space: StateSpace | None  # by prediction-error minimisation; None: it failed
     modes: Modes | None  # of the state-space model
     transfer: JointModel | None  # from the state-space model, by (17), (18)
     check: ModelCheck | None = None  # the state-space model on a part that it was not fitted to
     warnings: tuple[Caution, ...] = ()
+
+    @property
+    def joint_model(self) -> JointModel | None:
+        """From the equations of motion, or where there is none, by (17), (18)."""
+        return self.physical or self.transfer
 
 
 @dataclass(frozen=True, slots=True)

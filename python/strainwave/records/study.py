@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, MinLen
 
+from strainwave.records.options import Options
+
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
 
@@ -118,6 +120,7 @@ class Study:
     experiments: tuple[Experiment, ...]
     servo: Servo | None = None
     channels: Mapping[str, Channel] = field(default_factory=dict)
+    options: Options = field(default_factory=Options)  # of the stages: `[options]`
 
     @property
     def n_joints(self) -> int:

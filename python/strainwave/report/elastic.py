@@ -44,7 +44,9 @@ def resonance_rows(identification: Identification) -> list[tuple[str, ...]]:
         Joint, records, anti-resonance, its damping, resonance, its damping, stiffness.
     """
     rows = [_row(joint, "all, at once") for joint in identification.joints]
-    rows += [_row(r.physical, _name(r)) for r in identification.records if r.physical]
+    for record in identification.records:
+        if record.joint_model is not None:
+            rows.append(_row(record.joint_model, _name(record)))
     return sorted(rows, key=lambda row: row[0])
 
 

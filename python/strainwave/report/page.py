@@ -7,6 +7,7 @@ from html import escape
 
 from strainwave.formatting import percent
 from strainwave.records import ArmModel, Identification, Prediction
+from strainwave.records.options import chosen_options
 from strainwave.report import bode, correlations, elastic, gears, torques
 from strainwave.report.criticism import criticised
 from strainwave.report.figures import MOST_POINTS, Figure
@@ -226,6 +227,8 @@ def _making(identification: Identification) -> str:
         ("made", identification.created),
         ("time taken", timing),
     ]
+    chosen = chosen_options(study.options)
+    facts.append(("options", ", ".join(chosen) if chosen else "as by default"))
     if identification.rigid is not None:
         model = identification.rigid
         facts.append(

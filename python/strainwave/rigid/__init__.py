@@ -20,7 +20,16 @@ from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.distributions import student_quantile
 from strainwave.errors import NotIdentifiable
 from strainwave.prediction import band_prediction
-from strainwave.records import BoolArray, Caution, FloatArray, Parameter, RigidModel, Signals, Study
+from strainwave.records import (
+    BoolArray,
+    Caution,
+    FloatArray,
+    Parameter,
+    RigidModel,
+    RigidOptions,
+    Signals,
+    Study,
+)
 from strainwave.regressor import columns_of
 from strainwave.rigid.equations import (
     MOTOR_SHARE,
@@ -35,6 +44,8 @@ from strainwave.rigid.equations import (
     prepare,
 )
 
+__all__ = ["OTHER_SHARE", "RigidOptions", "fit"]
+
 _ROUNDS = 20
 _CONVERGED = 0.02  # change in white-error deviations, which are the smallest there are
 _STEP = 2.0**0.5  # between bandwidths tried; twice as wide where nothing is elastic
@@ -47,13 +58,6 @@ _MUCH_STANDING = 0.3  # share of a record
 _POOR = 300.0  # condition number; good motion gives 10 to 50
 _REMEDY = "record both joints moving together, in both directions, at varied speeds and postures"
 _BELOW_RESONANCE = 3.0  # anti-resonance over bandwidth from which first order suffices
-
-
-@dataclass(frozen=True, slots=True)
-class RigidOptions:
-    """What may be set by hand."""
-
-    bandwidth_hz: float | None = None  # of the equations' filter; None: chosen from the data
 
 
 @dataclass(frozen=True, slots=True)

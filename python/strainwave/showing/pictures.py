@@ -91,13 +91,13 @@ def _(
 
 @figure_of.register
 def _(record: RecordModel) -> figures.Figure:
-    if record.physical is None:
+    if record.joint_model is None:
         raise InvalidInput(
             "the record has no physical model to draw",
             where=record.signals.experiment.name,
             remedy="read its warnings, which say why",
         )
-    return bode.bode(record.physical, record.signals.gear_ratio, None)
+    return bode.bode(record.joint_model, record.signals.gear_ratio, None)
 
 
 @figure_of.register

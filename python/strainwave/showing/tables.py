@@ -76,8 +76,8 @@ def _(joint: JointModel) -> str:
 
 @html_of.register
 def _(record: RecordModel) -> str:
-    if record.physical is not None:
-        return html_of(record.physical)
+    if record.joint_model is not None:
+        return html_of(record.joint_model)
     head = f"joint {record.signals.joint}, record {record.signals.experiment.name}: no model"
     return _html(head, (), (), record.warnings)
 

@@ -1,12 +1,13 @@
 """A state-space model straight from data: no start, no iterations, no local minima.
 
-Two ways to the states. "moesp" takes A and C from the space in which the past moves future outputs
-once future inputs are projected out (Verhaegen and Dewilde, Int. J. Control 56, 1992) and the
-states from the oblique projection of N4SID (Van Overschee and De Moor, Automatica 30, 1994).
+Three ways to the states. "moesp" takes A and C from the space in which the past moves future
+outputs once future inputs are projected out (Verhaegen and Dewilde, Int. J. Control 56, 1992) and
+the states from the oblique projection of N4SID (Van Overschee and De Moor, Automatica 30, 1994).
+"n4sid" takes that projection's own singular vectors as states and regresses everything on them.
 "predictor" builds the states from a long autoregression, whose innovations are white under feedback
 too (Jansson's SSARX, 2003; Chiuso's PBSID_opt, Automatica 43, 2007): the one to use in closed loop.
 
-Both work on the triangular factor of the data alone. B, D and the initial state are estimated anew
+All work on the triangular factor of the data alone. B, D and the initial state are estimated anew
 as the least-squares solution of the whole predictor.
 """
 
@@ -25,7 +26,7 @@ from strainwave.statespace._hankel import solve_upper, triangular_factor
 from strainwave.statespace._riccati import innovations_gain, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 
-Method = Literal["auto", "moesp", "predictor"]
+Method = Literal["auto", "moesp", "n4sid", "predictor"]
 
 # Past samples tried at most. Lightly damped joints ring for longer, but what a longer past would
 # add to the start is less than the prediction-error step finds anyway.
@@ -67,8 +68,8 @@ def subspace(
         Records are never joined: no row of the Hankel matrix spans two of them.
     order : int, optional
         None: the largest ratio between successive singular values decides.
-    method : "auto", "moesp" or "predictor"
-        "auto" runs both and keeps the one that predicts better.
+    method : "auto", "moesp", "n4sid" or "predictor"
+        "auto" runs MOESP and the predictor and keeps the one that predicts better.
     horizon : int, optional
         Past samples of a row, and future ones. None: as many as Akaike's criterion gives an
         autoregression of the data.
@@ -116,7 +117,7 @@ def realise(
     _check_length(data, order or 1, length)
     best: tuple[float, Realisation] | None = None
     for way in ways:
-        found = (_moesp if way == "moesp" else _predictor)(data, order, length, feedthrough)
+        found = _WAYS[way](data, order, length, feedthrough)
         if len(ways) == 1:
             return found
         evaluator = Evaluator(data, found.matrices.order)
@@ -194,14 +195,8 @@ def _predictor(
 
 def _moesp(data: Stack, order: int | None, past: int, feedthrough: tuple[bool, ...]) -> Realisation:
     """A and C from the extended observability matrix, states from the oblique projection."""
-    m, p = data.n_inputs, data.n_outputs
-    width = m + p
-    window = np.arange(2 * past * width).reshape(2 * past, width)
-    history, future = window[:past], window[past:]
-    columns = [future[:, :m], history, future[:, m:]]
-    R, _ = triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))
-    known = past * m
-    lead = known + past * width
+    p = data.n_outputs
+    R, known, lead = _past_and_future(data, past)
     L_wy = R[known:lead, lead:]  # future outputs on the past, future inputs projected out
     reduced = np.linalg.qr(L_wy, mode="r")
     _, s, Vt = np.linalg.svd(reduced)
@@ -209,11 +204,47 @@ def _moesp(data: Stack, order: int | None, past: int, feedthrough: tuple[bool, .
     sight = Vt[:n].T * np.sqrt(s[:n])
     C = sight[:p]
     A = np.asarray(np.linalg.lstsq(sight[:-p], sight[p:], rcond=None)[0])
-    # x = sight^+ (oblique projection) = sight^+ L_wy' L_ww'^-1 w, newest sample of w first.
+    # x = sight^+ (oblique projection) = sight^+ L_wy' L_ww'^-1 w
     oblique = solve_upper(R[known:lead, known:lead], L_wy @ np.linalg.pinv(sight).T)
-    to_state = oblique.T.reshape(n, past, width)[:, ::-1].reshape(n, -1)
+    return _from_oblique(oblique, data, past, s, feedthrough, given=(A, C))
+
+
+def _n4sid(data: Stack, order: int | None, past: int, feedthrough: tuple[bool, ...]) -> Realisation:
+    """States from the oblique projection itself, unweighted; A, B, C, D by regression on them."""
+    R, known, lead = _past_and_future(data, past)
+    onto_past = solve_upper(R[known:lead, known:lead], R[known:lead, lead:])
+    # the projection's rows are w' onto_past; all of w counts, not only what future inputs leave
+    _, s, Vt = np.linalg.svd(np.linalg.qr(R[:lead, known:lead] @ onto_past, mode="r"))
+    n = order or _largest_gap(s)
+    sight = Vt[:n].T * np.sqrt(s[:n])
+    return _from_oblique(
+        onto_past @ np.linalg.pinv(sight).T, data, past, s, feedthrough, given=None
+    )
+
+
+def _past_and_future(data: Stack, past: int) -> tuple[FloatArray, int, int]:
+    """R of [future inputs, past w, future outputs], where the past begins and where it ends."""
+    m, width = data.n_inputs, data.n_inputs + data.n_outputs
+    window = np.arange(2 * past * width).reshape(2 * past, width)
+    history, future = window[:past], window[past:]
+    columns = [future[:, :m], history, future[:, m:]]
+    R, _ = triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))
+    return R, past * m, past * m + past * width
+
+
+def _from_oblique(
+    oblique: FloatArray,
+    data: Stack,
+    past: int,
+    singular_values: FloatArray,
+    feedthrough: tuple[bool, ...],
+    given: tuple[FloatArray, FloatArray] | None,
+) -> Realisation:
+    """From the states as combinations of the past, (past * width, n), oldest sample first."""
+    n = oblique.shape[1]
+    to_state = oblique.T.reshape(n, past, -1)[:, ::-1].reshape(n, -1)
     R, _ = triangular_factor(data, past + 1, _regression_order(data, past))
-    return _from_states(R, to_state, data, past, s, feedthrough, given=(A, C))
+    return _from_states(R, to_state, data, past, singular_values, feedthrough, given)
 
 
 def _from_states(
@@ -290,5 +321,11 @@ def _check(order: int | None, horizon: int | None, method: str) -> None:
     for name, number in (("order", order), ("horizon", horizon)):
         if number is not None and number < 1:
             raise InvalidInput(f"expected {name} of at least 1, got {number}")
-    if method not in ("auto", "moesp", "predictor"):
-        raise InvalidInput(f'expected method "auto", "moesp" or "predictor", got {method!r}')
+    known = ("auto", *_WAYS)
+    if method not in known:
+        raise InvalidInput(
+            f"expected method {', '.join(known[:-1])} or {known[-1]}, got {method!r}"
+        )
+
+
+_WAYS = {"moesp": _moesp, "n4sid": _n4sid, "predictor": _predictor}

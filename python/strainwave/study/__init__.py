@@ -9,16 +9,18 @@ import dataclasses
 import hashlib
 import re
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from strainwave.errors import InvalidInput
 from strainwave.files import decode, read_bytes, write_whole
-from strainwave.records import Study
-from strainwave.study.checks import check_files, check_fit, check_sizes
+from strainwave.records import Options, Study
+from strainwave.study.checks import check_files, check_fit, check_options, check_sizes
+from strainwave.study.flags import Flag, parsed
 from strainwave.study.reader import Reader
 
-__all__ = ["read_study", "write_study"]
+__all__ = ["read_study", "with_options", "write_study"]
 
 _TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)')
 
@@ -57,6 +59,43 @@ def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
     check_sizes(study, reader)
     if logs_exist:
         check_files(study, reader)
+    return study
+
+
+def with_options(
+    study: Study, options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str]
+) -> Study:
+    """A study with other options of the stages.
+
+    Parameters
+    ----------
+    study : Study
+    options : Options, mapping or sequence of str
+        All of them anew; or those that change, stage -> key -> value; or the same as on the
+        command line, "stage.key=value" with a TOML value each.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    InvalidInput
+        One is unknown, or of another type or range than it may have.
+    """
+    if isinstance(options, Options):
+        changed = dataclasses.replace(study, options=options)
+        check_options(changed, Flag(study.path, "options"))
+        return changed
+    given: dict[str, Mapping[str, Any]]
+    if isinstance(options, Mapping):
+        given = {f"options.{stage}": {stage: table} for stage, table in options.items()}
+    else:
+        given = {f"--set {text}": parsed(text) for text in options}
+    for place, table in given.items():
+        reader = Flag(study.path, place)
+        study = dataclasses.replace(study, options=reader.options(table, study.options))
+        check_options(study, reader)
     return study
 
 
@@ -100,6 +139,9 @@ def write_study(study: Study, path: Path) -> None:
     if study.channels:
         document["channels"] = {name: _table(channel) for name, channel in study.channels.items()}
     document["experiment"] = [_table(experiment) for experiment in study.experiments]
+    options = _table(study.options)
+    if options:
+        document["options"] = options
     write_whole(path.parent, {path.name: tomli_w.dumps(document).encode()})
 
 

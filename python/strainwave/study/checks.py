@@ -6,6 +6,7 @@ from typing import Any
 
 from strainwave.errors import InvalidInput
 from strainwave.files import nearest
+from strainwave.parameters import whole_arm_parameters
 from strainwave.records import Study, channel_names
 from strainwave.study.reader import Reader
 
@@ -60,6 +61,55 @@ def check_fit(study: Study, reader: Reader) -> None:
     _check_effects(study, reader)
     _check_channels(study, reader)
     _check_experiments(study, reader, count)
+    check_options(study, reader)
+
+
+def check_options(study: Study, reader: Reader) -> None:
+    """Check that bands and ranges rise, and that parameters are this arm's.
+
+    Parameters
+    ----------
+    study : Study
+    reader : Reader
+
+    Raises
+    ------
+    InvalidInput
+        They do not, or are not.
+    """
+    options = study.options
+    for stage, band in (
+        ("statespace", options.statespace.band_hz),
+        ("physical", options.physical.band_hz),
+    ):
+        if band is not None and band[0] >= band[1]:
+            raise InvalidInput(
+                f"the band from {band[0]:g} to {band[1]:g} Hz is empty",
+                where=reader.place(f"options.{stage}", None, "band_hz"),
+                remedy="give the lower frequency first",
+            )
+    known = whole_arm_parameters(study)
+    for key, names in (("ranges", tuple(options.tuning.ranges)), ("hold", options.tuning.hold)):
+        for name in names:
+            if name not in known:
+                raise InvalidInput(
+                    f"'{name}' is no parameter of the whole-arm fit",
+                    where=reader.place("options.tuning", None, key),
+                    remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
+                )
+    for name, (least, most) in options.tuning.ranges.items():
+        if not least <= 1.0 <= most or least == most:
+            raise InvalidInput(
+                f"the range of {name}, {least:g} to {most:g} times its start, leaves the start out",
+                where=reader.place("options.tuning", None, "ranges"),
+                remedy="give two factors about 1, the lower one first: [0.5, 2.0]",
+            )
+        if name.startswith("friction_offset"):
+            raise InvalidInput(
+                f"'{name}' may be zero or have either sign, so that factors bound nothing",
+                where=reader.place("options.tuning", None, "ranges"),
+                remedy="hold it, or leave it free",
+            )
 
 
 def _check_count(values: tuple[Any, ...], count: int, place: str, key: str) -> None:

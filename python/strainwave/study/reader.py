@@ -15,7 +15,16 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 from strainwave.errors import InvalidInput
 from strainwave.files import nearest
-from strainwave.records import Arm, Channel, Experiment, Joint, Servo, Study, TopicChannel
+from strainwave.records import (
+    Arm,
+    Channel,
+    Experiment,
+    Joint,
+    Options,
+    Servo,
+    Study,
+    TopicChannel,
+)
 
 T = TypeVar("T")
 
@@ -25,6 +34,7 @@ _TABLES = {
     "servo": Servo,
     "channels": Channel,
     "experiment": Experiment,
+    "options": Options,
 }
 
 
@@ -79,7 +89,46 @@ class Reader:
                 self.record(Experiment, {"control": ["open"] * count} | table, "experiment", i)
                 for i, table in enumerate(experiments)
             ),
+            options=self.options(self._one(document, "options") or {}, Options()),
         )
+
+    def options(self, table: Mapping[str, Any], before: Options) -> Options:
+        """Tables by stage over what was chosen before.
+
+        Parameters
+        ----------
+        table : mapping
+            Stage -> table of its options.
+        before : Options
+
+        Returns
+        -------
+        Options
+
+        Raises
+        ------
+        InvalidInput
+            A stage or an option is unknown, or of another type or range than it may have.
+        """
+        stages = {f.name: getattr(before, f.name) for f in dataclasses.fields(before)}
+        self._known_keys(table, stages, "options")
+        for stage, own in table.items():
+            if not isinstance(own, dict):
+                raise InvalidInput(
+                    f"'{stage}' is {_shown(own)}",
+                    where=self.place("options", None, stage),
+                    remedy=f"give a table of options: {stage} = {{ ... }}",
+                )
+            earlier = {
+                f.name: getattr(stages[stage], f.name)
+                for f in dataclasses.fields(stages[stage])
+                if f.name not in own
+            }
+            kind = type(stages[stage])
+            stages[stage] = dataclasses.replace(
+                self.record(kind, own, f"options.{stage}"), **earlier
+            )
+        return Options(**stages)
 
     def record(
         self, kind: type[T], table: Mapping[str, Any], name: str, index: int | None = None
@@ -119,6 +168,12 @@ class Reader:
                 where=self.place(name, index, key),
                 remedy="mend the value",
             ) from error
+        if isinstance(value, bool) and not isinstance(checked, bool):  # true equals one
+            raise InvalidInput(
+                f"'{key}' is {_shown(value)}, but it should be a number",
+                where=self.place(name, index, key),
+                remedy="mend the value",
+            )
         if _not_finite(checked):
             raise InvalidInput(
                 f"'{key}' is {_shown(value)}",
@@ -189,6 +244,12 @@ class Reader:
 
     def _line(self, name: str, index: int | None, key: str | None) -> int | None:
         """The line of a table's header, or of a key under it."""
+        outer, _, inner = name.rpartition(".")
+        if outer and self._header(name, index, None) is None:  # it stands inline in another one
+            return self._line(outer, index, inner)
+        return self._header(name, index, key)
+
+    def _header(self, name: str, index: int | None, key: str | None) -> int | None:
         seen, inside, header = -1, name == "", None
         for number, line in enumerate(self.text.splitlines(), start=1):
             stripped = line.strip()
@@ -212,12 +273,15 @@ def _adapter(hint: Any) -> Any:
 
 
 def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _tuples(entry) for name, entry in value.items()}
     return tuple(_tuples(v) for v in value) if isinstance(value, list) else value
 
 
 def _not_finite(value: Any) -> bool:
-    values = value if isinstance(value, tuple) else (value,)
-    return any(isinstance(v, float) and v - v != 0.0 for v in values)
+    if isinstance(value, tuple | dict):
+        return any(map(_not_finite, value.values() if isinstance(value, dict) else value))
+    return isinstance(value, float) and value - value != 0.0
 
 
 def _shown(value: Any) -> str:

@@ -6,7 +6,7 @@ the earlier stages found.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -16,17 +16,27 @@ import numpy as np
 from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
 from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.errors import NotIdentifiable
-from strainwave.records import ArmModel, Criticism, FloatArray, JointModel, Log, RigidModel, Study
+from strainwave.records import (
+    ArmModel,
+    Criticism,
+    FloatArray,
+    JointModel,
+    Log,
+    RigidModel,
+    Study,
+    TuningOptions,
+)
 from strainwave.replay import missing_for_replay
 from strainwave.tuning.carried import carried_torques, gear_torques, histograms_of, largest_of
 from strainwave.tuning.effects import left_out, records_with, tried
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
 from strainwave.tuning.residuals import residual_cautions, residual_tests
+from strainwave.tuning.restricted import as_published, published_records, restricted
 from strainwave.tuning.richer import effect_cautions, richer_models
-from strainwave.tuning.searching import TuningOptions, finely, roughly
+from strainwave.tuning.searching import finely, roughly
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
-from strainwave.tuning.unknowns import SETTLING, Search, search_of, with_curves
+from strainwave.tuning.unknowns import SETTLING, Key, Search, search_of, with_curves
 from strainwave.tuning.variants import (
     bent,
     with_named_effects,
@@ -40,7 +50,7 @@ __all__ = ["Fit", "TuningOptions", "fitted", "tune"]
 _BAND = 5.0  # times the highest resonance: beyond, little is left of what the gears do
 _LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
 _STEPS = 8.0  # in a period of the cut-off, of the first search; the fit itself takes more
-_EDGE = 0.01  # of its reach, so near to which a parameter counts as at its bound
+_EDGE = 0.01  # of half its range, so near to which a parameter counts as at its bound
 
 
 def tune(
@@ -49,6 +59,8 @@ def tune(
     joints: Sequence[JointModel],
     study: Study,
     options: TuningOptions | None = None,
+    *,
+    start: Mapping[Key, float] | None = None,
 ) -> ArmModel:
     """Every parameter of the arm from all `frequency`, `sweep` and `tuning` records at once.
 
@@ -70,6 +82,8 @@ def tune(
         One a joint, to start from.
     study : Study
     options : TuningOptions, optional
+    start : dict, optional
+        (name, joint) -> value, in place of those of the stages before.
 
     Returns
     -------
@@ -85,7 +99,8 @@ def tune(
         A record lacks something that going through it again needs.
     """
     with one_blas_thread():  # thousands of small factorisations
-        return _tuned(logs, model, joints, study, options or TuningOptions())
+        chosen = as_published(options or TuningOptions())
+        return _tuned(_begun(logs, model, joints, study, chosen, start), study, chosen)
 
 
 def fitted(
@@ -94,6 +109,8 @@ def fitted(
     joints: Sequence[JointModel],
     study: Study,
     options: TuningOptions | None = None,
+    *,
+    start: Mapping[Key, float] | None = None,
 ) -> Fit:
     """The fit behind `tune`, for those who want its rows; arguments and errors are the same.
 
@@ -101,9 +118,9 @@ def fitted(
     -------
     Fit
     """
-    chosen = options or TuningOptions()
+    chosen = as_published(options or TuningOptions())
     with one_blas_thread():
-        return _whole_fit(_begun(logs, model, joints, study, chosen), study, chosen)
+        return _whole_fit(_begun(logs, model, joints, study, chosen, start), study, chosen)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +139,11 @@ def _begun(
     joints: Sequence[JointModel],
     study: Study,
     chosen: TuningOptions,
+    given: Mapping[Key, float] | None,
 ) -> _Begun:
     used = usable(logs, study)
+    if chosen.as_published:
+        used = published_records(used, study)
     if not used:
         raise NotIdentifiable(
             'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
@@ -134,23 +154,19 @@ def _begun(
     records = tuple(replayed(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
     search = _search(records, model, joints, study, chosen)
     start = np.zeros(len(search.unknowns))
-    if chosen.start is not None:
-        start = search.coordinates({**search.values(start), **chosen.start})
+    if given is not None:
+        start = search.coordinates({**search.values(start), **given})
+    keys = search.keys
+    search = restricted(search, chosen, start)
+    start = start[[key in search.keys for key in keys]]
     coarse = Misfit.of(search, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records])
     if coarse.linearise(start) is None:
         raise NotIdentifiable("tuning cannot simulate what the steps before found")
     return _Begun(used, records, coarse, start)
 
 
-def _tuned(
-    logs: Sequence[Log],
-    model: RigidModel | None,
-    joints: Sequence[JointModel],
-    study: Study,
-    chosen: TuningOptions,
-) -> ArmModel:
+def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
     """What `tune` promises, however many threads BLAS may have."""
-    begun = _begun(logs, model, joints, study, chosen)
     before = begun.coarse.fits(begun.start)
     first = begun.coarse.search.values(begun.start)
     fit = _whole_fit(begun, study, chosen)
@@ -242,5 +258,7 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
 
 def at_bounds(fit: Fit) -> list[bool]:
     """Which unknowns ended at the end of their range."""
-    near: list[bool] = (np.abs(fit.z) > (1.0 - _EDGE) * fit.misfit.search.reach).tolist()
+    search = fit.misfit.search
+    edge = 0.5 * _EDGE * (search.upper - search.lower)
+    near: list[bool] = ((fit.z < search.lower + edge) | (fit.z > search.upper - edge)).tolist()
     return near

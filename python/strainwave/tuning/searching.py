@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from strainwave.errors import NotIdentifiable
-from strainwave.records import FloatArray
+from strainwave.records import FloatArray, TuningOptions
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.told import Fit
 from strainwave.tuning.trust_region import minimise
-from strainwave.tuning.unknowns import Key
 
 SOON, ROUGHLY = 1.0, 2e-3  # gain still foretold at a rough end, in units of the cost and as a share
 _FINE, _GUESSED = 1e-2, 2e-2  # the same of the fit itself, and by weights that are guessed
@@ -22,18 +20,6 @@ _ROUGH_ROUNDS = 8  # of the same far from the minimum
 _SETTLED = 0.2  # relative change of the weights
 _SMALLER = 0.7  # of what they were: errors that show a search had ended early
 _NEAR = 1e-8  # damping of a search that is close
-
-
-@dataclass(frozen=True, slots=True)
-class TuningOptions:
-    """What may be set by hand."""
-
-    cutoff_hz: float | None = None  # of what is compared; None: from the resonances
-    settling: bool | None = None  # whether friction takes its time; None: if the data say so
-    start: Mapping[Key, float] | None = None  # values in place of those of the steps before
-    closed_loop: bool = False  # servoed joints by references and servo, not recorded voltages
-    least_deviation: float = 0.002  # of what the rigid step knows, as a share of each value
-    max_iterations: int = 100
 
 
 def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:

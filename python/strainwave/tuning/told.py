@@ -67,16 +67,20 @@ def parameters_of(
     units = [unknown.unit for unknown in search.unknowns]
     told = _curves_told(fit, fit.confidence.combined, largest_torque)
     weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
+    held = [0.0] * len(keys)
     for number, joint in enumerate(study.joints, start=1):
         derived = {"total_viscous_friction": total_viscous(study, number)}
         if study.n_joints > 1:
             derived["link_inertia"] = link_inertia(study, number)
         for name, parts in derived.items():
+            if not any(key in keys for key in parts):
+                continue  # all of it is held
             names.append((name, number))
             units.append(unit_of(name, joint))
             weight.append(combination(keys, parts))
+            held.append(sum(w * search.fixed.get(key, 0.0) for key, w in parts.items()))
     W = np.array(weight)
-    values = W @ search.parameters(fit.z)
+    values = W @ search.parameters(fit.z) + np.array(held)
     covariance = W @ fit.confidence.combined @ W.T
     deviation = np.sqrt(np.diag(covariance))
     deviation[[told.get(name, name) is None for name in names]] = np.inf

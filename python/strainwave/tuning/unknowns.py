@@ -49,6 +49,7 @@ class Unknown:
     scale: float
     signed: bool
     reach: float  # how far z may go, up and down
+    limits: tuple[float, float] | None = None  # of z, where they are set by hand
 
     @property
     def key(self) -> Key:
@@ -80,9 +81,14 @@ class Search:
     prior: Prior
 
     @property
-    def reach(self) -> FloatArray:
-        """(n_unknowns,) the bounds of z are minus and plus this."""
-        return np.array([unknown.reach for unknown in self.unknowns])
+    def lower(self) -> FloatArray:
+        """(n_unknowns,) the least z."""
+        return np.array([u.limits[0] if u.limits else -u.reach for u in self.unknowns])
+
+    @property
+    def upper(self) -> FloatArray:
+        """(n_unknowns,) the largest z."""
+        return np.array([u.limits[1] if u.limits else u.reach for u in self.unknowns])
 
     @property
     def keys(self) -> list[Key]:
@@ -123,16 +129,17 @@ class Search:
         """
         end, positive = z + step, self._positive
         end[positive] = z[positive] + np.log1p(step[positive])
-        return np.asarray(np.clip(end, -self.reach, self.reach))
+        return np.asarray(np.clip(end, self.lower, self.upper))
 
     def bounded(self, z: FloatArray, gradient: FloatArray) -> BoolArray:
         """Which unknowns stand at the end of their range and would go beyond: (n_unknowns,)."""
-        return np.asarray((np.abs(z) >= self.reach) & (np.sign(z) * gradient < 0.0))
+        low, high = (z <= self.lower) & (gradient > 0.0), (z >= self.upper) & (gradient < 0.0)
+        return np.asarray(low | high)
 
     def trusted(self, z: FloatArray, step: FloatArray, share: float) -> FloatArray:
         """A step that stays in reach and changes no positive value by too much at once."""
         positive = self._positive
-        down, up = -self.reach - z, self.reach - z
+        down, up = self.lower - z, self.upper - z
         down[positive], up[positive] = np.expm1(down[positive]), np.expm1(up[positive])
         least = [_TO_NOTHING if u.name == SETTLING else _LOWEST for u in self.unknowns]
         down[positive] = np.maximum(down, share * np.array(least))[positive]
@@ -158,7 +165,7 @@ class Search:
                 z.append((value - unknown.start) / unknown.scale)
             else:
                 z.append(np.log(max(value / unknown.scale, 1e-12)))
-        return np.asarray(np.clip(np.array(z), -self.reach, self.reach))
+        return np.asarray(np.clip(np.array(z), self.lower, self.upper))
 
     def holding(self, values: Mapping[Key, float]) -> Search:
         """With some of the unknowns held at given values."""
@@ -369,12 +376,11 @@ def _starts(model: RigidModel | None, joints: Mapping[int, JointModel], study: S
         start["motor_inertia", number] = values["motor_inertia"]
         if study.n_joints == 1:
             start["link_inertia", number] = values["link_inertia"]
-        for name in (*VISCOUS, COULOMB):
+        for name in VISCOUS:
             start[name, number] = values[name]
         start[OFFSET, number] = _known(model, OFFSET, number) or 0.0
-        found = _known(model, COULOMB, number)
-        if found is not None:
-            start[COULOMB, number] = found
+        found = _known(model, COULOMB, number)  # not every route to a joint's model tells it
+        start[COULOMB, number] = values.get(COULOMB, 0.0) if found is None else found
         for name in ("gear_stiffness", "gear_damping"):
             start[name, number] = values[name]
     for (name, own), value in start.items():

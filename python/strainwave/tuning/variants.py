@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.records import Study
+from strainwave.records import Study, TuningOptions
 from strainwave.tuning.carried import gear_torques
 from strainwave.tuning.curves import other_starts
 from strainwave.tuning.effects import Tried, idle, records_with, with_effects, without
 from strainwave.tuning.misfit import Misfit
-from strainwave.tuning.searching import ROUGHLY, SOON, TuningOptions, finely, search_from
+from strainwave.tuning.searching import ROUGHLY, SOON, finely, search_from
 from strainwave.tuning.told import Fit
 from strainwave.tuning.unknowns import CURVE, SETTLING, SETTLING_START, Search, with_settling
 
@@ -103,7 +103,7 @@ def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
         return fit
     values = fit.misfit.search.values(fit.z)
     deviation = np.sqrt(np.diag(fit.confidence.cautious))
-    lowest = fit.z < -_NOTHING * fit.misfit.search.reach
+    lowest = fit.z < _NOTHING * fit.misfit.search.lower
     idle = {
         key: 0.0
         for key, std, least in zip(fit.misfit.search.keys, deviation, lowest, strict=True)
