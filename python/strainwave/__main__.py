@@ -1,5 +1,23 @@
-"""`python -m strainwave`: the command line where its script is not on the path."""
+"""The process of the command line: `strainwave`, and `python -m strainwave` off the path."""
 
-from strainwave.cli import main
+from __future__ import annotations
 
-main()
+import sys
+
+
+def main() -> None:
+    """Listen for Ctrl-C before anything heavy is imported, then run the command line."""
+    from strainwave import interrupt
+
+    interrupt.listen()
+    try:
+        from strainwave.cli import main as run
+
+        run()
+    except interrupt.Interrupted:
+        interrupt.say()
+        sys.exit(interrupt.STOPPED)
+
+
+if __name__ == "__main__":
+    main()

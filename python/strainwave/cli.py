@@ -1,6 +1,7 @@
 """The command line: arguments, progress, exit codes. No arithmetic.
 
-Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data cannot answer the question.
+Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data cannot answer the question; 130 the
+user stopped it by Ctrl-C.
 """
 
 from __future__ import annotations

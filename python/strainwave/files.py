@@ -5,10 +5,16 @@ from __future__ import annotations
 import difflib
 import os
 import tempfile
+import threading
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from strainwave.errors import InvalidInput
+
+writing = threading.Lock()
+"""Held while files are written; who ends the process waits for it."""
+written: list[Path] = []
+"""What this process has written, in order."""
 
 
 def write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
@@ -28,6 +34,12 @@ def write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
     InvalidInput
         The folder cannot be made or written to.
     """
+    with writing:
+        _write_whole(folder, contents)
+        written.extend(folder / name for name in contents)
+
+
+def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
     aside: list[tuple[Path, Path]] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
