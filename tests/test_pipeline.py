@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from strainwave import pipeline
-from strainwave.records import Identification, JointModel
+from strainwave import pipeline, scara, virtual
+from strainwave.records import Identification, JointModel, Prbs
 
 
 @pytest.fixture(scope="session")
@@ -26,6 +28,27 @@ def lab(shared_data: Path) -> Callable[[str], tuple[Identification, dict[str, An
         return made[arm]
 
     return of
+
+
+def test_progress_says_which_part_of_how_many_runs(tmp_path: Path) -> None:
+    """One arm, tuned on a short record: parts in order, evaluations counted up to their limit."""
+    study = scara.study(tmp_path, "linear")
+    short = [replace(e, prbs=Prbs(8, 1e-3, 2, 10.0)) if e.prbs else e for e in study.experiments]
+    chosen = [e for e in short if e.use in ("motion", "frequency")]
+    study = replace(study, experiments=tuple(chosen))
+    virtual.simulate_study(study, scara.parameters(5, "linear"), tmp_path, replay=False)
+    said: list[str] = []
+    found = pipeline.identify(tmp_path / "study.toml", progress=said.append)
+    pipeline.write(found, tmp_path / "out", progress=said.append)
+    places = [int(text.split(" of ")[0]) for text in said]
+    assert places == sorted(places)
+    assert said[0] == "1 of 7: reading the logs"
+    assert said[-1] == "7 of 7: writing the report"
+    counts = [re.search(r"evaluation (\d+) of at most 100", text) for text in said]
+    assert found.tuned is not None
+    evaluations = [int(match[1]) for match in counts if match]
+    assert evaluations[:3] == [1, 2, 3]
+    assert evaluations[-1] >= found.tuned.iterations
 
 
 def value(model: JointModel, name: str) -> float:

@@ -106,8 +106,7 @@ def identify(
         identification = pipeline.identify(
             study, stages=chosen, options=options or None, progress=tell
         )
-        tell("writing the report")
-        pipeline.write(identification, out, figures=figures)
+        pipeline.write(identification, out, figures=figures, progress=tell)
     if not quiet:
         from strainwave.summary import print_summary
 

@@ -107,7 +107,7 @@ def identify(
         In place of the study's [options]: all of them, those that change (stage -> key -> value),
         or "stage.key=value" as on the command line.
     progress : callable
-        Told what is being done.
+        Called with what is being done, which part of how many.
 
     Returns
     -------
@@ -306,9 +306,15 @@ def _tuned(
     joints: Sequence[JointModel],
 ) -> ArmModel | None:
     """All parameters at once on all records; None, with a caution, without any."""
-    with run.timed("tuned", "fitting the whole arm to all records at once"):
+    what = "fitting the whole arm to all records at once"
+
+    def count(evaluation: int, most: int) -> None:
+        run.tell("tuned", f"{what}: evaluation {evaluation} of at most {most}")
+
+    with run.timed("tuned", what):
         try:
-            found = tuning.tune(all_logs, model, joints, the_study, the_study.options.tuning)
+            options = the_study.options.tuning
+            found = tuning.tune(all_logs, model, joints, the_study, options, progress=count)
         except NotIdentifiable as failure:
             run.warnings.append(Caution("not-tuned", str(the_study.path), str(failure)))
             return None
@@ -368,7 +374,13 @@ def _alone(the_study: Study) -> bool:
     return the_study.n_joints == 1 and the_study.arm.gravity is None
 
 
-def write(identification: Identification, folder: Path, *, figures: bool = False) -> None:
+def write(
+    identification: Identification,
+    folder: Path,
+    *,
+    figures: bool = False,
+    progress: Progress = lambda _: None,
+) -> None:
     """Result and report, and if wanted every figure as SVG and PNG: all whole or none.
 
     Parameters
@@ -378,6 +390,8 @@ def write(identification: Identification, folder: Path, *, figures: bool = False
         Made where it does not exist; an earlier result in it is replaced.
     figures : bool
         Whether the report's figures go to `figures/` in the folder, too.
+    progress : callable
+        Called with what is being done.
 
     Raises
     ------
@@ -386,6 +400,8 @@ def write(identification: Identification, folder: Path, *, figures: bool = False
     """
     from strainwave.report import figures_of, render
 
+    parts = len(_planned(identification.stages))
+    progress(f"{parts} of {parts}: writing the report")
     begin = time.perf_counter()
     page = render(identification).encode()
     timing = {**identification.timing_s, "report": time.perf_counter() - begin}
@@ -404,16 +420,35 @@ class _Run:
 
     stages: tuple[str, ...]
     progress: Progress
+    parts: list[str] = field(default_factory=list)  # that have begun, or been passed over
     warnings: list[Caution] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
     timing_s: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def timed(self, part: str, said: str) -> Iterator[None]:
-        self.progress(said)
+        self.tell(part, said)
         begin = time.perf_counter()
         yield
         self.timing_s[part] = self.timing_s.get(part, 0.0) + time.perf_counter() - begin
+
+    def tell(self, part: str, said: str) -> None:
+        """Say what is being done, and how far that is: parts that cannot run are passed over."""
+        planned = _planned(self.stages)
+        begun = len(self.parts)
+        if part in planned[begun:]:
+            self.parts = planned[: planned.index(part, begun) + 1]
+        self.progress(f"{len(self.parts)} of {len(planned)}: {said}")
+
+
+def _planned(stages: Sequence[str]) -> list[str]:
+    """The timed parts of a run, in order."""
+    planned = ["read", "rigid", "checks"]
+    if "decoupled" in stages:
+        planned.append("decoupled")
+    if "tuned" in stages:
+        planned += ["tuned", "checks"]
+    return [*planned, "report"]
 
 
 def _signals(

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from strainwave import _core
+from strainwave.cores import stop_if_asked
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.parameters import Values, completed
 from strainwave.records import FloatArray, Study
@@ -265,6 +266,7 @@ def simulate_arms(
     vectors = np.array([parameter_vector(arm, values, study) for values in arms])
     experiment = _experiment(study, drive, sample_time, samples, longest_step)
     with _told():
+        stop_if_asked()
         recorded = arm.simulate(vectors, record=record, **experiment)
     return {name: recorded[name] for name in record}
 
@@ -322,6 +324,7 @@ def sensitivities(
         experiment["taps"] = [low_pass.taps[name] for name in record]
         experiment["samples_per_row"] = low_pass.samples_per_row
     with _told():
+        stop_if_asked()
         found = arm.sensitivities(
             vector, with_respect_to=list(directions), record=record, **experiment
         )

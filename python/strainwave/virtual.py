@@ -142,7 +142,7 @@ def simulate_study(
     experiments = []
     written = []
     for number, experiment in enumerate(study.experiments):
-        progress(f"simulating {experiment.name}")
+        progress(f"simulating {experiment.name}, {number + 1} of {len(study.experiments)}")
         rng = np.random.default_rng([seed, number])
         plan = _known(study, experiment, values) if replay else None
         plan = plan or _invent(study, experiment, values, rng)
@@ -184,8 +184,7 @@ def demonstrate(
         study, values, folder, seed=seed, noise=SensorNoise(), replay=False, progress=progress
     )
     identification = pipeline.identify(folder / "study.toml", progress=progress)
-    progress("writing the report")
-    pipeline.write(identification, folder, figures=figures)
+    pipeline.write(identification, folder, figures=figures, progress=progress)
     return identification, derived(values, study)
 
 

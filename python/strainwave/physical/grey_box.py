@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave import least_squares as ls
+from strainwave.cores import stop_if_asked
 from strainwave.errors import NotIdentifiable
 from strainwave.filters import band_pass, differentiate, lagged
 from strainwave.physical.linear import same_band
@@ -364,6 +365,7 @@ def _settled(weighted: _Weighted, known: RigidKnowledge, within: float) -> _Weig
     """Weights and linearisation in turn, until a round moves no unknown by `within` deviations."""
     pieces, equations, root, x = weighted.pieces, weighted.equations, weighted.root, weighted.x
     for _ in range(_ROUNDS):
+        stop_if_asked()
         factor = ls.factorise(equations, root)
         settled = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
         x = factor.value

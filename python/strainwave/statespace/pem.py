@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave.cores import stop_if_asked
 from strainwave.errors import InvalidInput
 from strainwave.records import Caution, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, balanced, n_entries, rescale
@@ -160,6 +161,7 @@ def _fit(
         start = replace(start, initial_states=np.zeros_like(start.initial_states))
     # Coordinates are the fit's own affair: the better conditioned, the fewer its steps.
     start = balanced(start)
+    stop_if_asked()
     fit = evaluator.core.fit(
         start.pack(),
         gain=options.disturbance == "innovations",

@@ -34,7 +34,7 @@ from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
 from strainwave.tuning.residuals import residual_cautions, residual_tests
 from strainwave.tuning.restricted import as_published, published_records, restricted
 from strainwave.tuning.richer import effect_cautions, richer_models
-from strainwave.tuning.searching import finely, roughly
+from strainwave.tuning.searching import Progress, finely, reported, roughly
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
 from strainwave.tuning.unknowns import SETTLING, Key, Search, search_of, with_curves
 from strainwave.tuning.variants import (
@@ -61,6 +61,7 @@ def tune(
     options: TuningOptions | None = None,
     *,
     start: Mapping[Key, float] | None = None,
+    progress: Progress | None = None,
 ) -> ArmModel:
     """Every parameter of the arm from all `frequency`, `sweep` and `tuning` records at once.
 
@@ -84,6 +85,8 @@ def tune(
     options : TuningOptions, optional
     start : dict, optional
         (name, joint) -> value, in place of those of the stages before.
+    progress : callable, optional
+        Called with the number of each evaluation, and the most there may be.
 
     Returns
     -------
@@ -98,7 +101,7 @@ def tune(
     InvalidInput
         A record lacks something that going through it again needs.
     """
-    with one_blas_thread():  # thousands of small factorisations
+    with one_blas_thread(), reported(progress):  # thousands of small factorisations
         chosen = as_published(options or TuningOptions())
         return _tuned(_begun(logs, model, joints, study, chosen, start), study, chosen)
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from functools import partial
+from itertools import count
 
 import numpy as np
 
@@ -11,7 +15,7 @@ from strainwave.errors import NotIdentifiable
 from strainwave.records import FloatArray, TuningOptions
 from strainwave.tuning.misfit import Misfit
 from strainwave.tuning.told import Fit
-from strainwave.tuning.trust_region import minimise
+from strainwave.tuning.trust_region import Linearised, minimise
 
 SOON, ROUGHLY = 1.0, 2e-3  # gain still foretold at a rough end, in units of the cost and as a share
 _FINE, _GUESSED = 1e-2, 2e-2  # the same of the fit itself, and by weights that are guessed
@@ -20,6 +24,24 @@ _ROUGH_ROUNDS = 8  # of the same far from the minimum
 _SETTLED = 0.2  # relative change of the weights
 _SMALLER = 0.7  # of what they were: errors that show a search had ended early
 _NEAR = 1e-8  # damping of a search that is close
+
+
+Progress = Callable[[int, int], None]
+"""Called with the number of an evaluation, and the most there may be."""
+_progress: ContextVar[Progress] = ContextVar("_progress", default=lambda _k, _most: None)
+
+
+@contextmanager
+def reported(progress: Progress | None) -> Iterator[None]:
+    """Let searches begun inside say how far they are."""
+    if progress is None:
+        yield
+        return
+    before = _progress.set(progress)
+    try:
+        yield
+    finally:
+        _progress.reset(before)
 
 
 def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
@@ -121,8 +143,14 @@ def search_from(
         The arm cannot be simulated there.
     """
     left = options.max_iterations - spent
+    evaluation = count(spent + 1)
+
+    def linearise(x: FloatArray) -> Linearised | None:
+        _progress.get()(next(evaluation), options.max_iterations)
+        return misfit.linearise(x)
+
     found = minimise(
-        misfit.linearise,
+        linearise,
         z,
         misfit.search,
         tolerance=tolerance,
