@@ -111,7 +111,7 @@ def identify(
         from strainwave.summary import print_summary
 
         print_summary(identification, out, figures=figures)
-    raise typer.Exit(DONE if identification.determined else NOT_ANSWERED)
+    raise typer.Exit(identification.verdict.exit_code)
 
 
 @app.command(
@@ -262,7 +262,7 @@ def demo(
             found = virtual.compare(identification, out, seed=seed, progress=tell)
         if not quiet:
             print_comparisons(found, out)
-    raise typer.Exit(DONE if identification.determined else NOT_ANSWERED)
+    raise typer.Exit(identification.verdict.exit_code)
 
 
 @contextmanager

@@ -32,6 +32,8 @@ from strainwave import (
     tuning,
     validation,
 )
+from strainwave.activity import activity_of
+from strainwave.cautions import published_warnings
 from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.drawing import images
 from strainwave.errors import InvalidInput, NotIdentifiable
@@ -112,7 +114,7 @@ def identify(
     Returns
     -------
     Identification
-        With a `reason` where the data could not answer the whole question.
+        Its `verdict` says what the data answered and what not.
 
     Raises
     ------
@@ -161,21 +163,10 @@ def _identify(the_study: Study, run: _Run) -> Identification:
         responses=responses,
         sweeps=sweep.sweeps(records),
         tuned=tuned,
-        reason="; ".join(run.reasons) or None,
+        failures=tuple(run.failures),
+        activity=activity_of(all_logs, the_study),
     )
-    return replace(found, warnings=_still_true(found))
-
-
-def _still_true(found: Identification) -> tuple[Caution, ...]:
-    """Without what an earlier stage could not tell and a later one could."""
-    told = {
-        p.name if p.joint is None else f"{p.name} of joint {p.joint}"
-        for p in found.parameters
-        if p.value is not None
-    }
-    return tuple(
-        w for w in found.warnings if not (w.code == "not-identifiable" and w.where in told)
-    )
+    return replace(found, warnings=published_warnings(found))
 
 
 def _rigid(
@@ -192,13 +183,12 @@ def _rigid(
             if _single_and_excited(the_study, all_logs) and "decoupled" in run.stages:
                 run.warnings.append(Caution("no-rigid-model", str(the_study.path), str(failure)))
             else:
-                run.reasons.append(str(failure))
+                run.failures.append(str(failure))
             return None, (), ()
         run.warnings.extend(model.warnings)
-        run.reasons.extend(_not_told(model))
     if model.status == "not-identifiable":
         return model, (), ()
-    with run.timed("checks", "predicting the records it never saw"):
+    with run.timed("checks", "predicting the check records"):
         predictions = {
             use: tuple(
                 side_by_side(
@@ -233,7 +223,7 @@ def _decoupled(
         try:
             seen = side_by_side([partial(both_sides_of, log) for log in excited])
         except NotIdentifiable as failure:
-            run.reasons.append(str(failure))
+            run.failures.append(str(failure))
             return (), (), {}
         for log, both_sides, parts in seen:
             run.warnings.extend(both_sides.warnings)
@@ -319,8 +309,6 @@ def _tuned(
             run.warnings.append(Caution("not-tuned", str(the_study.path), str(failure)))
             return None
     run.warnings.extend(found.warnings)
-    if found.status == "iteration-limit":
-        run.reasons.append("the whole-arm fit did not converge")
     return found
 
 
@@ -333,7 +321,7 @@ def _with_elastic(
 ) -> tuple[Prediction, ...]:
     """The check records' torques from the rigid model, and their motion from the tuned arm."""
     made = list(checks)
-    with run.timed("checks", "simulating the records it never saw"):
+    with run.timed("checks", "simulating the check records"):
         told = [
             log
             for log in _used_for(all_logs, "check")
@@ -422,7 +410,7 @@ class _Run:
     progress: Progress
     parts: list[str] = field(default_factory=list)  # that have begun, or been passed over
     warnings: list[Caution] = field(default_factory=list)
-    reasons: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
     timing_s: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
@@ -459,13 +447,3 @@ def _signals(
     found = side_by_side([partial(signals.motor_side, log, the_study) for log in chosen])
     warnings.extend(caution for each in found for caution in each.warnings)
     return found
-
-
-def _not_told(model: RigidModel) -> list[str]:
-    """Why the question is not wholly answered, if it is not."""
-    missing = [
-        p.name if p.joint is None else f"{p.name} of joint {p.joint}"
-        for p in model.parameters
-        if p.value is None
-    ]
-    return [f"the motion records do not tell {', '.join(missing)}"] if missing else []

@@ -22,6 +22,7 @@ from strainwave.records import (
     RecordModel,
     RigidModel,
     StateSpace,
+    Verdict,
 )
 
 SCHEMA = "strainwave/result/1"
@@ -48,14 +49,16 @@ def to_document(identification: Identification) -> dict[str, Any]:
         stages["sweeps"] = [asdict(sweep) for sweep in identification.sweeps]
     if identification.tuned is not None:
         stages["tuned"] = _tuned(identification.tuned)
+    verdict = identification.verdict
     document = {
         "schema": SCHEMA,
         "version": identification.version,
         "study": {"path": str(identification.study.path), "sha256": identification.study.sha256},
         "created": identification.created,
         "options": asdict(identification.study.options),
-        "status": "determined" if identification.determined else "not-identifiable",
-        "reason": identification.reason,
+        "status": verdict.status,
+        "reason": "; ".join(verdict.reasons) or None,
+        "verdict": _verdict(verdict),
         "parameters": [_parameter(p) for p in identification.parameters],
         "stages": stages,
         "checks": [
@@ -73,6 +76,20 @@ def to_json(identification: Identification) -> bytes:
     """`to_document` as UTF-8 text that ends with a newline."""
     text = json.dumps(to_document(identification), indent=2, ensure_ascii=False, allow_nan=False)
     return (text + "\n").encode()
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    suspected = [
+        {key: value for key, value in asdict(one).items() if value is not None}
+        for one in verdict.suspected
+    ]
+    return {
+        "identified": list(verdict.identified),
+        "not_identified": list(verdict.not_identified),
+        "rejected": list(verdict.rejected),
+        "validated": asdict(verdict.validated),
+        "suspected": suspected,
+    }
 
 
 def _rigid(model: RigidModel) -> dict[str, Any]:
@@ -243,12 +260,13 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
     }
 
 
-def _warning(warning: Caution) -> dict[str, str]:
-    return {"code": warning.code, "where": warning.where, "message": warning.message}
+def _warning(warning: Caution) -> dict[str, Any]:
+    shown = {"code": warning.code, "where": warning.where, "message": warning.message}
+    return shown | ({"experiments": warning.experiments} if warning.experiments else {})
 
 
 def _finite(value: Any) -> Any:
-    """Numbers that JSON can hold; what is not finite could not be told, and is null."""
+    """Numbers that JSON can hold; what is not finite is not known, and null."""
     if isinstance(value, dict):
         return {key: _finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -10,7 +10,17 @@ from rich.table import Table
 from rich.text import Text
 
 from strainwave.formatting import percent, plus_minus
-from strainwave.records import Comparison, Identification, JointModel, Parameter, Sweep
+from strainwave.records import (
+    Caution,
+    Comparison,
+    Decision,
+    Identification,
+    JointModel,
+    Parameter,
+    Sweep,
+    Verdict,
+)
+from strainwave.report import by_weight
 
 Truth = Mapping[tuple[str, int | None], float]
 """Known values of a virtual arm, by name and joint."""
@@ -24,7 +34,7 @@ def print_summary(
     figures: bool = False,
     console: Console | None = None,
 ) -> None:
-    """Print parameters, fits, warnings and where the files are.
+    """Print parameters, fits, warnings, the verdict and where the files are.
 
     Parameters
     ----------
@@ -39,28 +49,54 @@ def print_summary(
         The terminal, if not standard output.
     """
     console = console or Console(highlight=False)
-    if identification.parameters:
-        console.print(_parameters(identification.parameters, truth))
+    decisions = identification.decisions
+    if decisions:
+        console.print(_parameters(decisions, truth))
     for joint in identification.joints:
         console.print(Text(_frequencies(joint)))
     for sweep in identification.sweeps:
         console.print(Text(_trend(sweep)))
-    for title, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
-        together: dict[str, dict[str, float]] = {}
-        for prediction in predictions:
-            together.setdefault(prediction.experiment, {}).update(prediction.fit_percent)
-        for experiment, by_channel in together.items():
-            fits = ", ".join(f"{name} {percent(fit)}" for name, fit in by_channel.items())
-            console.print(f"fit ({title}) {experiment}: {fits}", markup=False)
-    for warning in identification.warnings:
-        text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
-        console.print(text, style="yellow")
-    if identification.reason is not None:
-        console.print(Text(f"not identifiable: {identification.reason}"), style="bold red")
+    for line in _fits(identification):
+        console.print(line, markup=False)
+    for warning in by_weight(identification.warnings):
+        console.print(_warning(warning), style="yellow")
+    for line, style in _verdict(identification.verdict):
+        console.print(Text(line), style=style)
     total = sum(identification.timing_s.values())
     for name in ("report.html", "result.json", *(["figures"] if figures else [])):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     console.print(f"{total:.1f} s")
+
+
+def _verdict(verdict: Verdict) -> Iterator[tuple[str, str]]:
+    """The verdict, why, and what validation says."""
+    style = {"determined": "bold", "partly-determined": "bold yellow"}.get(verdict.status)
+    yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style or "bold red"
+    for reason in verdict.reasons:
+        yield f"  {reason}", style or "bold red"
+    for suspicion in verdict.suspected:
+        yield f"  remedy: {suspicion.remedy}", "bold red"
+
+
+def _fits(identification: Identification) -> Iterator[str]:
+    """One line per record: what was fitted, then what was kept for validation."""
+    together: dict[tuple[str, str], dict[str, float]] = {}
+    for title, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
+        for prediction in predictions:
+            found = together.setdefault((title, prediction.experiment), {})
+            found.update(prediction.fit_percent)
+    if not identification.fitted and identification.tuned is not None:
+        for name, by_channel in identification.tuned.fit_percent.items():
+            together["fitted", name] = dict(by_channel)
+    for (title, experiment), by_channel in together.items():
+        fits = ", ".join(f"{name} {percent(fit)}" for name, fit in by_channel.items())
+        yield f"fit ({title}) {experiment}: {fits}"
+
+
+def _warning(warning: Caution) -> Text:
+    """In one line what is the matter; what to do about it stands in the report."""
+    first = warning.message.split("; ")[0]
+    return Text(f"warning [{warning.code}] {warning.where}: {first}")
 
 
 def print_comparisons(
@@ -86,7 +122,7 @@ def print_comparisons(
 
 
 def _frequencies(joint: JointModel) -> str:
-    """One line on where a joint rings."""
+    """One line on a joint's resonances."""
     parts = []
     for name, mode in (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance)):
         if mode is not None:
@@ -104,7 +140,7 @@ def _trend(sweep: Sweep) -> str:
     )
 
 
-def _parameters(parameters: tuple[Parameter, ...], truth: Truth | None) -> Table:
+def _parameters(decisions: Sequence[Decision], truth: Truth | None) -> Table:
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")  # 80 columns, with truth
     table.add_column("parameter", no_wrap=True)
     table.add_column("joint")
@@ -114,8 +150,11 @@ def _parameters(parameters: tuple[Parameter, ...], truth: Truth | None) -> Table
     if truth is not None:
         table.add_column("truth", justify="right")
         table.add_column("off %", justify="right")
-    for p in parameters:
+    for decision in decisions:
+        p = decision.parameter
         value, spread = plus_minus(p.value, p.std)
+        if p.value is None:
+            value, spread = "rejected" if decision.rejected else "not identified", ""
         row = [p.name, str(p.joint or "arm"), value, spread, p.unit]
         if truth is not None:
             row += _against_truth(p, truth.get((p.name, p.joint)))

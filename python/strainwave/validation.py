@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from strainwave.closed_loop import predict_closed_loop
 from strainwave.errors import NotIdentifiable
+from strainwave.parameters import Values
 from strainwave.prediction import band_prediction
 from strainwave.records import ArmModel, Caution, Log, Prediction, RigidModel, Signals, Study
+
+_STIFFER = 1.2
+"""Stiffness for the question whether a record shows any: an error that validation should see."""
 
 
 def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Prediction:
@@ -81,11 +87,35 @@ def predict_elastic(arm: ArmModel, log: Log, study: Study) -> Prediction:
     -------
     Prediction
         Motor velocities and, where there are accelerometers, accelerations. The fit of a channel
-        that hardly stands out of its noise is NaN, and a warning says so.
+        that hardly stands out of its noise is NaN, and a warning says so. `stiffness_effect` says
+        whether the record exercises each elastic gear.
 
     Raises
     ------
     InvalidInput
         The log or the study lacks something that replaying it needs.
     """
-    return predict_closed_loop(dict(arm.values), log, study)
+    values = dict(arm.values)
+    predicted = predict_closed_loop(values, log, study)
+    elastic = [n for n, joint in enumerate(study.joints, start=1) if joint.spring != "rigid"]
+    effects = {n: _stiffness_effect(predicted, n, values, log, study) for n in elastic}
+    return replace(predicted, stiffness_effect=effects)
+
+
+def _stiffness_effect(
+    predicted: Prediction, joint: int, values: Values, log: Log, study: Study
+) -> float:
+    """Largest change of a predicted channel by a fifth more stiffness of one gear, in its spreads.
+
+    A motion too slow to twist a gear is predicted as well with any stiffness: it says nothing of
+    the elastic model.
+    """
+    stiffer = {
+        (name, number): value * (_STIFFER if number == joint and "stiffness" in name else 1.0)
+        for (name, number), value in values.items()
+    }
+    other = predict_closed_loop(stiffer, log, study).predicted
+    judged = np.isfinite([predicted.fit_percent[name] for name in predicted.channels])
+    change = np.sqrt(np.mean((other - predicted.predicted) ** 2, axis=0))
+    spread = np.std(predicted.measured, axis=0)
+    return float(np.max(change[judged] / spread[judged], initial=0.0))

@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 
 import strainwave
+from elastic_results import elastic_identification
 from results import identification, prediction
-from strainwave.records import Caution, Identification, Parameter
+from strainwave.records import Activity, Caution, Identification, Parameter, Suspicion
 from strainwave.report import remedies
 from strainwave.report.verdict import named, verdict
+from virtual_arms import rigid_drive
 
 PACKAGE = Path(strainwave.__file__).parent
 ELSEWHERE = ("design", "export")  # their warnings never reach a report
@@ -36,33 +38,43 @@ def told(name: str, value: float | None, half: float | None, joint: int | None =
 @pytest.mark.parametrize(
     ("value", "half", "said"),
     [
-        (1.0, 0.009, "Told to 1 % or better"),
-        (1.0, 0.011, "Told to 10 % or better"),
-        (-1.0, 0.5, "Told roughly"),
-        (1.0, 1.5, "Not to be told from zero"),
-        (0.0, 1.5, "Not to be told from zero"),
-        (1.0, None, "Told without an interval"),
-        (None, None, "Not told"),
+        (1.0, 0.009, "95 % half-width 1 % or better"),
+        (1.0, 0.011, "95 % half-width 10 % or better"),
+        (1.0, 0.5, "95 % half-width worse than 10 %"),
+        (1.0, 1.5, "Not identified: the 95 % interval is wider than the value"),
+        (1.0, None, "Not identified: the 95 % interval is wider than the value"),
+        (None, None, "Not identified"),
+        (-1.0, 0.1, "Rejected: do not use"),
     ],
 )
 def test_each_parameter_is_classed_by_its_interval(
     value: float | None, half: float | None, said: str
 ) -> None:
     text = of(told("gear_damping", value, half))
-    assert re.search(rf"\|{said}[^|]*\|\|gear damping \(1\)\|", text), text
+    assert f"|{said}||gear damping (1)|" in text, text
 
 
-def test_it_counts_what_was_told() -> None:
+def test_it_counts_what_is_identified() -> None:
     alpha = told("alpha", 1.0, 0.05, None)
-    assert "All 2 parameters have a value, 1 of them to 10 %" in of(alpha, told("beta", 1.0, 0.2))
-    assert "1 of 2 parameters have a value, 1 of them" in of(alpha, told("beta", None, None))
-    assert "No parameter was found." in of()
-    assert "Not everything could be told.| nothing moved" in of(reason="nothing moved")
+    assert "All 2 parameters are identified, 1 with a 95 % half-width of 10 %" in of(
+        alpha, told("beta", 1.0, 0.2)
+    )
+    assert "1 of 2 parameters are identified, 1 with" in of(alpha, told("beta", None, None))
+    assert "No parameter was estimated." in of()
+    assert "Not determined.| nothing moved; not identified: beta" in of(failures=("nothing moved",))
+
+
+def test_nearly_nothing_is_said_to_be_so() -> None:
+    active = (Activity(1, torque=1.0, velocity=50.0, acceleration=500.0),)
+    text = of(told("motor_coulomb_friction", 0.001, 0.015), activity=active)
+    assert "|Zero within 2 % of the joint torque||motor coulomb friction (1)|" in text
 
 
 def test_combinations_stand_beside_the_parameters() -> None:
-    pair = Caution("only-together", "alpha and gear_damping of joint 1", "told only together")
-    assert "Told only in combination||alpha and gear damping of joint 1|" in of(warnings=(pair,))
+    pair = Caution("only-together", "alpha and gear_damping of joint 1", "only the sum")
+    assert "Only the combination is identified||alpha and gear damping of joint 1|" in of(
+        warnings=(pair,)
+    )
 
 
 def test_names_are_gathered_over_the_joints() -> None:
@@ -70,32 +82,71 @@ def test_names_are_gathered_over_the_joints() -> None:
     assert named([told("alpha", 1.0, 0.1, None), *both]) == "alpha, link inertia (1, 2)"
 
 
-def test_fits_of_the_records_it_never_saw() -> None:
+def test_fits_of_validation_data() -> None:
     text = of(checks=(prediction("a", 91.25, 99.0), prediction("b", 95.0, float("nan"))))
-    assert "at least 91.2 % (fit of torque1 in “a”), and 95.0 % in the middle of 3 channels" in text
+    assert "median fit 95.0 % of 3 channels, least 91.2 % (torque1 in “a”)" in text
+    assert "explains" not in text
     assert "No record was kept" in of(checks=())
     assert "hardly move" in of(checks=(prediction("a", float("nan")),))
 
 
-def test_the_grade_is_that_of_the_middle() -> None:
+def test_the_grade_is_that_of_the_median() -> None:
     for middle, grade in ((96.0, "very well"), (86.0, "well"), (61.0, "in part"), (5.0, "badly")):
         text = of(checks=(prediction("a", 1.0, middle, 99.0),))
-        assert f"foretells {grade}: it explains at least 1.0 %" in text
+        assert f"The rigid model predicts the torques of validation data {grade}: median" in text
 
 
-def test_only_what_is_found_and_foretold_is_green() -> None:
-    one = replace(identification(), warnings=())
+def test_only_validation_data_that_twist_the_gears_speak_for_the_elastic_model() -> None:
+    one = elastic_identification()
+    steps = replace(prediction("steps", 99.0, 99.0), channels=("omega_m1", "a1"))
+    steps = replace(steps, fit_percent={"omega_m1": 99.0, "a1": 98.0})
+    slow = replace(steps, stiffness_effect={1: 0.03, 2: 0.04})
+    half = replace(steps, stiffness_effect={1: 0.2, 2: 0.04})
+    for checks in ((), (prediction("a", 99.0),), (slow,), (half,)):
+        text = verdict(replace(one, checks=checks))
+        assert "very well" not in text.replace("torques of validation data very well", "")
+        assert not checks or "Elastic model not validated" in text
+        assert not replace(one, checks=checks).verdict.validated.elastic
+    full = replace(one, checks=(replace(steps, stiffness_effect={1: 0.2, 2: 0.3}),))
+    assert full.verdict.validated.elastic
+    assert not full.verdict.validated.rigid
+    text = verdict(full)
+    assert "The elastic model predicts the motion of validation data very well" in text
+    assert "not validated" not in text
+
+
+def drive(**changed: object) -> Identification:
+    """A rigid drive of which everything is identified."""
+    one = identification()
     assert one.rigid is not None
-    fine = replace(one, rigid=replace(one.rigid, parameters=one.rigid.parameters[:1]))
+    names = ("inertia", "motor_viscous_friction", "motor_coulomb_friction")
+    rigid = replace(one.rigid, parameters=tuple(told(name, 1.0, 0.01) for name in names))
+    fine = replace(one, study=rigid_drive(), warnings=(), rigid=rigid)
+    return replace(fine, **changed)  # type: ignore[arg-type]
+
+
+def test_only_what_is_determined_and_predicted_is_green() -> None:
+    fine = drive()
+    assert fine.rigid is not None
+    vague = (*fine.rigid.parameters, told("friction_offset", 1.0, 2.0))
     for found, mark in (
         (fine, ""),
-        (one, "doubt"),  # a parameter was not told
+        (replace(fine, rigid=replace(fine.rigid, parameters=vague)), "doubt"),
         (replace(fine, checks=(prediction("a", 50.0),)), "doubt"),
         (replace(fine, warnings=identification().warnings), "doubt"),
         (replace(fine, warnings=(Caution("resampled", "a.csv", "uneven"),)), ""),
-        (replace(fine, reason="nothing moved"), "bad"),
+        (replace(fine, failures=("nothing moved",)), "bad"),
     ):
         assert f'class="verdict {mark}"' in verdict(found)
+
+
+def test_a_fault_of_the_input_comes_first() -> None:
+    fault = Suspicion(
+        code="wrong-unit", where="u1", message="u1 is 9.81 of it.", remedy="Set scale = 9.81."
+    )
+    text = re.sub(r"<[^>]+>", "|", verdict(drive(suspected=(fault,))))
+    assert "The input contradicts itself." in text
+    assert "|u1|: u1 is 9.81 of it. Set scale = 9.81." in text
 
 
 def test_the_most_serious_warning_is_named() -> None:

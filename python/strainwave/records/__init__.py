@@ -7,8 +7,16 @@ in rad. Joints are numbered from 1 where a person reads them and from 0 as array
 from __future__ import annotations
 
 from strainwave.records.answers import Caution, Parameter, Prediction, Suspicion
-from strainwave.records.arm import ArmModel, Criticism, ResidualTest, RicherModel, TorqueHistogram
+from strainwave.records.arm import (
+    ArmModel,
+    Criticism,
+    ResidualTest,
+    RicherModel,
+    StageDifference,
+    TorqueHistogram,
+)
 from strainwave.records.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from strainwave.records.final_table import Decision, half_width
 from strainwave.records.joints import (
     Check,
     Decoupled,
@@ -28,8 +36,18 @@ from strainwave.records.options import (
     TuningOptions,
 )
 from strainwave.records.outcome import Comparison, Identification
+from strainwave.records.ranges import is_physical, physical_range
 from strainwave.records.rigid import RigidModel
-from strainwave.records.signals import Delay, Fusion, Lag, LinkSignals, LinkSource, Log, Signals
+from strainwave.records.signals import (
+    Activity,
+    Delay,
+    Fusion,
+    Lag,
+    LinkSignals,
+    LinkSource,
+    Log,
+    Signals,
+)
 from strainwave.records.statespace import (
     ContinuousStateSpace,
     FrequencyResponse,
@@ -62,9 +80,11 @@ from strainwave.records.study import (
     Use,
     channel_names,
 )
+from strainwave.records.verdict import Status, Validated, Verdict
 
 __all__ = [
     "CHANNELS",
+    "Activity",
     "Arm",
     "ArmKind",
     "ArmModel",
@@ -77,6 +97,7 @@ __all__ = [
     "ContinuousStateSpace",
     "Control",
     "Criticism",
+    "Decision",
     "Decoupled",
     "Delay",
     "Effect",
@@ -119,7 +140,9 @@ __all__ = [
     "Servo",
     "Signals",
     "Spring",
+    "StageDifference",
     "StateSpace",
+    "Status",
     "Study",
     "Suspicion",
     "Sweep",
@@ -128,5 +151,10 @@ __all__ = [
     "TorqueHistogram",
     "TuningOptions",
     "Use",
+    "Validated",
+    "Verdict",
     "channel_names",
+    "half_width",
+    "is_physical",
+    "physical_range",
 ]

@@ -16,6 +16,7 @@ class Caution:
     code: str  # kebab-case, stable: the troubleshooting page is indexed by it
     where: str  # file, experiment, joint or parameter
     message: str  # what, and what to do about it
+    experiments: tuple[str, ...] = ()  # the records, where one cause shows in several
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +33,7 @@ class Suspicion:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One physical parameter with its uncertainty; `None` is what could not be told."""
+    """One physical parameter with its uncertainty; `None` is what was not identified."""
 
     name: str  # as in docs/notation.md
     joint: int | None  # from 1; None for the arm's own
@@ -41,6 +42,11 @@ class Parameter:
     unit: str
     stage: str
     ci95: tuple[float, float] | None = None
+
+    @property
+    def label(self) -> str:
+        """Name with joint, as in the verdict: "gear_stiffness 1"; "beta" of the arm."""
+        return self.name if self.joint is None else f"{self.name} {self.joint}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,4 +60,11 @@ class Prediction(Shown):
     predicted: FloatArray  # (n_samples, n_channels)
     fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
     unfiltered_fit_percent: Mapping[str, float] = field(default_factory=dict)  # with y as logged
+    stiffness_effect: Mapping[int, float] = field(default_factory=dict)
+    """Joint -> largest change that a fifth more gear stiffness makes, in spreads of a channel."""
     warnings: tuple[Caution, ...] = ()
+
+    @property
+    def of_drive(self) -> bool:
+        """Whether drive signals are predicted from the motion, by the rigid model."""
+        return self.channels[0].startswith(("u", "torque"))

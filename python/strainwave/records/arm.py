@@ -62,6 +62,27 @@ class TorqueHistogram:
 
 
 @dataclass(frozen=True, slots=True)
+class StageDifference:
+    """One value as the rigid and as the whole-arm fit give it.
+
+    The whole-arm fit takes the rigid model as a prior, so that its value has moved towards the
+    rigid one already; the standard deviation of the difference counts that.
+    """
+
+    name: str
+    joint: int | None  # from 1; None for the arm's own
+    rigid: float
+    whole_arm: float
+    std: float  # of the difference
+    unit: str
+
+    @property
+    def deviations(self) -> float:
+        """The difference in standard deviations."""
+        return (self.whole_arm - self.rigid) / self.std
+
+
+@dataclass(frozen=True, slots=True)
 class ArmModel(Shown):
     """All parameters of the arm, fitted at once to all records that excite its gears."""
 
@@ -77,3 +98,5 @@ class ArmModel(Shown):
     warnings: tuple[Caution, ...] = ()
     criticism: Criticism | None = None
     carried: tuple[TorqueHistogram, ...] = ()  # one a joint with an elastic gear
+    at_bounds: tuple[tuple[str, int | None], ...] = ()  # parameters that ended at a range's end
+    differences: tuple[StageDifference, ...] = ()  # from the rigid model, value by value

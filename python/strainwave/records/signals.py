@@ -83,6 +83,19 @@ class Delay:
     std: float  # [s]
 
 
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """How hard one joint worked in the fitted records: root mean squares, seen at the motor.
+
+    What makes a parameter's interval a torque, so that "nearly nothing" has a size.
+    """
+
+    joint: int  # from 1
+    torque: float  # [N m], or [N]
+    velocity: float  # [rad/s], or [m/s]
+    acceleration: float  # [rad/s^2], or [m/s^2]
+
+
 LinkSource = Literal["accelerometer", "encoder", "deflection", "gyro", "motor"]
 """Where a link's acceleration comes from; "motor": the gear was taken as rigid."""
 

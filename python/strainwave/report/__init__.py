@@ -2,5 +2,6 @@
 
 from strainwave.report.comparisons import render_comparisons
 from strainwave.report.page import figures_of, render
+from strainwave.report.remedies import by_weight
 
-__all__ = ["figures_of", "render", "render_comparisons"]
+__all__ = ["by_weight", "figures_of", "render", "render_comparisons"]

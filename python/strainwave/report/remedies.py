@@ -14,6 +14,18 @@ REMEDIES = {
         "Do not use the value. Check gear_ratio, torque_per_volt, the signs of the channels, "
         "and what else acts on the joint."
     ),
+    "stages-disagree": (
+        "Look for the causes in the order given: drive the motor with less voltage, check the "
+        "clock of the fast records, the drive's dead zone, then friction."
+    ),
+    "rejected": (
+        "Do not use the value, which no longer is in the table. The stage's own warnings say what "
+        "made it impossible."
+    ),
+    "elastic-not-validated": (
+        'Record steps under the servo, or a PRBS, with use = "check": motor angles, voltages and '
+        "the servo's references, and a [servo] table in the study."
+    ),
     "not-tuned": (
         "Use the values of single joints meanwhile; log the angle and the voltage of every motor."
     ),
@@ -97,6 +109,7 @@ MILD = frozenset(
         "equivalent-stiffness",
         "effect-left-out",
         "friction-settles",
+        "elastic-not-validated",
         "nothing-to-predict",
         "reordered",
         "resampled",
@@ -121,6 +134,20 @@ def most_serious(warnings: Iterable[Caution]) -> Caution:
     return min(warnings, key=_weight)
 
 
+def by_weight(warnings: Iterable[Caution]) -> list[Caution]:
+    """The most serious first; of equals in their order.
+
+    Parameters
+    ----------
+    warnings : iterable of Caution
+
+    Returns
+    -------
+    list of Caution
+    """
+    return sorted(warnings, key=_weight)
+
+
 def warnings_table(warnings: Iterable[Caution]) -> str:
     """Every warning with its remedy, the most serious first.
 
@@ -135,7 +162,7 @@ def warnings_table(warnings: Iterable[Caution]) -> str:
     """
     rows = "".join(
         row((place_of(w), prose(w.message), prose(REMEDIES.get(w.code, _UNHEARD)), w.code))
-        for w in sorted(warnings, key=_weight)
+        for w in by_weight(warnings)
     )
     heads = ("where", "what", "what to do", "code")
     return table("Warnings", heads, rows, heading=False)

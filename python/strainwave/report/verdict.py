@@ -1,26 +1,36 @@
-"""The verdict: how good, what to trust and what not, in plain words computed from the result."""
+"""The verdict in words: what is identified, what is not, and how validation data are predicted."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 
 import numpy as np
 
-from strainwave.records import Identification, Parameter, Prediction
+from strainwave.cautions import not_exercised
+from strainwave.records import Decision, Identification, Parameter, Verdict, half_width
 from strainwave.report.remedies import MILD, most_serious, place_of
 
 _CLASSES = (
-    (0.01, "Told to 1 % or better"),
-    (0.1, "Told to 10 % or better"),
-    (1.0, "Told roughly, worse than 10 %"),
-    (math.inf, "Not to be told from zero"),
+    (0.01, "95 % half-width 1 % or better"),
+    (0.1, "95 % half-width 10 % or better"),
+    (1.0, "95 % half-width worse than 10 %"),
+    (math.inf, "Zero within 2 % of the joint torque"),
 )
-"""Half of the 95 % interval over the value, and what is said of it."""
-_USEFUL = 0.1  # of these: up to which a parameter is good to simulate with
-_WELL = 85.0  # [%] fit in the middle from which a model foretells well
+"""Of identified parameters: half of the 95 % interval over the value, and what is said of it."""
+_UNCERTAIN = "Not identified: the 95 % interval is wider than the value"
+_EMPTY = "Not identified"
+_REJECTED = "Rejected: do not use"
+_USEFUL = 0.1  # of the half-width: up to which a parameter is good to simulate with
+_WELL = 85.0  # [%] median fit from which a model predicts well
 _GRADES = ((95.0, "very well"), (_WELL, "well"), (60.0, "in part"), (-math.inf, "badly"))
+_LEADS = {
+    "determined": "Determined.",
+    "partly-determined": "Partly determined.",
+    "not-determined": "Not determined.",
+    "inconsistent-input": "The input contradicts itself.",
+}
 
 
 def verdict(identification: Identification) -> str:
@@ -35,44 +45,54 @@ def verdict(identification: Identification) -> str:
     str
         HTML.
     """
-    parameters = identification.parameters
-    missing = [p for p in parameters if p.value is None]
-    fits = _fits(identification.checks)
+    found = identification.verdict
+    decisions = identification.decisions
     grave = [w for w in identification.warnings if w.code not in MILD]
-    good = not (missing or grave or (fits and _middle(fits) < _WELL))
-    mark = "" if good else "doubt"
-    lead = f"<strong>{_found(parameters)}</strong>"
-    if identification.reason is not None:
+    weak = any(fits and _median(fits) < _WELL for fits in _fits(identification).values())
+    mark = "doubt" if grave or weak or found.not_identified or found.rejected else ""
+    if found.status != "determined":
         mark = "bad"
-        lead = "<strong>Not everything could be told.</strong> " + escape(identification.reason)
-    said = [lead, _on_new_data(identification.checks, fits), *_of_warnings(identification)]
-    text = "".join(f"<p>{one}</p>" for one in said)
-    return f'<div class="verdict {mark}">{text}{_trust(identification)}</div>'
+    why = "; ".join(found.reasons)
+    lead = f"<strong>{_LEADS[found.status]}</strong> " + escape(why + ". " if why else "")
+    said = [lead + _counted(decisions), *_suspicions(found), *_on_new_data(identification)]
+    text = "".join(f"<p>{one}</p>" for one in [*said, *_of_warnings(identification)])
+    return f'<div class="verdict {mark}">{text}{_groups(identification, decisions)}</div>'
 
 
-def _trust(identification: Identification) -> str:
-    """Parameters by how surely they are told."""
+def _suspicions(found: Verdict) -> Iterator[str]:
+    """What is wrong with the input, and the line that would mend it."""
+    for one in found.suspected:
+        yield f"<strong>{escape(one.where)}</strong>: {escape(one.message)} {escape(one.remedy)}"
+
+
+def _groups(identification: Identification, decisions: Sequence[Decision]) -> str:
+    """Parameters by how certain they are; those that do not count last."""
     groups: dict[str, list[Parameter]] = {name: [] for _, name in _CLASSES}
-    groups |= {"Told without an interval": [], "Not told": []}
-    for p in identification.parameters:
-        groups[_class(p)].append(p)
+    groups |= {_UNCERTAIN: [], _EMPTY: [], _REJECTED: []}
+    for decision in decisions:
+        groups[_class(decision)].append(decision.parameter)
     terms = [(name, named(found)) for name, found in groups.items() if found]
+    known = {d.parameter.label for d in decisions}
+    absent = [name for name in identification.verdict.not_identified if name not in known]
+    if absent:
+        terms.append(("Not reached", ", ".join(name.replace("_", " ") for name in absent)))
     together = [
         w.where.replace("_", " ") for w in identification.warnings if w.code == "only-together"
     ]
     if together:
-        terms.append(("Told only in combination", "; ".join(together)))
+        terms.append(("Only the combination is identified", "; ".join(together)))
     items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(text)}</dd>" for term, text in terms)
     return f"<dl>{items}</dl>" if items else ""
 
 
-def _class(parameter: Parameter) -> str:
-    if parameter.value is None:
-        return "Not told"
-    if parameter.ci95 is None:
-        return "Told without an interval"
-    half = 0.5 * (parameter.ci95[1] - parameter.ci95[0])
-    relative = half / abs(parameter.value) if parameter.value else math.inf
+def _class(decision: Decision) -> str:
+    p = decision.parameter
+    if p.value is None:
+        return _REJECTED if decision.rejected else _EMPTY
+    half = half_width(p)
+    if not decision.identified or half is None:
+        return _UNCERTAIN
+    relative = half / abs(p.value) if p.value else math.inf
     return next(name for limit, name in _CLASSES if relative <= limit)
 
 
@@ -97,44 +117,64 @@ def named(parameters: Iterable[Parameter]) -> str:
     )
 
 
-def _found(parameters: Sequence[Parameter]) -> str:
-    """How many have a value, and how many of these are good for something."""
-    if not parameters:
-        return "No parameter was found."
-    told = sum(p.value is not None for p in parameters)
-    sure = sum(
-        _class(p) in (name for limit, name in _CLASSES if limit <= _USEFUL) for p in parameters
-    )
-    whole = f"All {told}" if told == len(parameters) else f"{told} of {len(parameters)}"
-    return f"{whole} parameters have a value, {sure} of them to {100.0 * _USEFUL:.0f} % or better."
-
-
-def _on_new_data(checks: Sequence[Prediction], fits: Sequence[tuple[float, str, str]]) -> str:
-    """How well the records are foretold that were not fitted."""
-    if not checks:
-        return "No record was kept for checking: nothing says how the model does on new data."
-    if not fits:
-        return "The check records hardly move: nothing says how the model does on new data."
-    worst, middle = min(fits), _middle(fits)
-    grade = next(word for least, word in _GRADES if middle >= least)
+def _counted(decisions: Sequence[Decision]) -> str:
+    """How many parameters are identified, and how many of these well enough to simulate with."""
+    if not decisions:
+        return "No parameter was estimated."
+    good = {name for limit, name in _CLASSES if limit <= _USEFUL}
+    sure = sum(_class(d) in good for d in decisions)
+    number = sum(d.identified for d in decisions)
+    whole = f"All {number}" if number == len(decisions) else f"{number} of {len(decisions)}"
+    verb = "is" if whole == "All 1" else "are"
+    noun = "parameter" if len(decisions) == 1 else "parameters"
     return (
-        f"Records it never saw the model foretells {grade}: it explains at least {worst[0]:.1f} % "
-        f"(fit of {escape(worst[2])} in “{escape(worst[1])}”), and {middle:.1f} % in the middle "
-        f"of {_count(len(fits), 'channel')}."
+        f"{whole} {noun} {verb} identified, {sure} with a 95 % half-width of "
+        f"{100.0 * _USEFUL:.0f} % or better."
     )
 
 
-def _fits(checks: Sequence[Prediction]) -> list[tuple[float, str, str]]:
-    """Fit, record and channel of all that moves."""
-    return [
-        (fit, prediction.experiment, channel)
-        for prediction in checks
-        for channel, fit in prediction.fit_percent.items()
-        if math.isfinite(fit)
-    ]
+def _on_new_data(identification: Identification) -> Iterator[str]:
+    """How well each model predicts validation data, and whether these exercise it at all."""
+    if not identification.checks:
+        yield "No record was kept for validation: nothing says how the model does on new data."
+        return
+    fits, validated = _fits(identification), identification.verdict.validated
+    if fits["rigid"]:
+        yield _graded("The rigid model predicts the torques of validation data", fits["rigid"])
+    elastic = any(joint.spring != "rigid" for joint in identification.study.joints)
+    if elastic and validated.elastic:
+        yield _graded("The elastic model predicts the motion of validation data", fits["elastic"])
+    elif elastic:
+        yield (
+            f"<strong>Elastic model not validated:</strong> {escape(not_exercised(identification))}"
+        )
+    elif not fits["rigid"]:
+        yield "The validation data hardly move: nothing says how the model does on new data."
 
 
-def _middle(fits: Sequence[tuple[float, str, str]]) -> float:
+def _graded(lead: str, fits: Sequence[tuple[float, str, str]]) -> str:
+    worst, median = min(fits), _median(fits)
+    grade = next(word for least, word in _GRADES if median >= least)
+    return (
+        f"{lead} {grade}: median fit {median:.1f} % of {_count(len(fits), 'channel')}, "
+        f"least {worst[0]:.1f} % ({escape(worst[2])} in “{escape(worst[1])}”)."
+    )
+
+
+def _fits(identification: Identification) -> dict[str, list[tuple[float, str, str]]]:
+    """Fit, record and channel of all that moves, by model."""
+    found: dict[str, list[tuple[float, str, str]]] = {"rigid": [], "elastic": []}
+    for prediction in identification.checks:
+        own = found["rigid" if prediction.of_drive else "elastic"]
+        own += [
+            (fit, prediction.experiment, channel)
+            for channel, fit in prediction.fit_percent.items()
+            if math.isfinite(fit)
+        ]
+    return found
+
+
+def _median(fits: Sequence[tuple[float, str, str]]) -> float:
     return float(np.median([fit for fit, _, _ in fits]))
 
 

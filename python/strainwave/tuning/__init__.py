@@ -211,6 +211,11 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         ),
         criticism=criticism,
         carried=histograms_of(carried),
+        at_bounds=tuple(
+            key
+            for key, ended in zip(fit.misfit.search.keys, at_bounds(fit), strict=True)
+            if ended and key[0] != SETTLING
+        ),
     )
 
 

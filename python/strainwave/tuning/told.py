@@ -20,6 +20,7 @@ from strainwave.tuning.unknowns import (
     Key,
     combination,
     link_inertia,
+    rigid_inertia,
     total_viscous,
 )
 
@@ -72,6 +73,8 @@ def parameters_of(
         derived = {"total_viscous_friction": total_viscous(study, number)}
         if study.n_joints > 1:
             derived["link_inertia"] = link_inertia(study, number)
+        if number == 1:
+            derived |= rigid_inertia(study)
         for name, parts in derived.items():
             if not any(key in keys for key in parts):
                 continue  # all of it is held

@@ -222,6 +222,23 @@ def link_inertia(study: Study, joint: int) -> dict[Key, float]:
     return {("beta", None): 1.0}
 
 
+def rigid_inertia(study: Study) -> dict[str, dict[Key, float]]:
+    """What the rigid step has in place of joint 1's motor and link, as a combination by its name.
+
+    Of two links alpha + m_M1 / n_1^2; of one joint m_M + n^2 m_L.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    dict
+    """
+    name = "inertia" if study.n_joints == 1 else "rigid_inertia"
+    return {name: _parts((name, 1), study)}
+
+
 def total_viscous(study: Study, joint: int) -> dict[Key, float]:
     """d_M + n^2 d_L of a joint as a combination of parameters.
 
