@@ -6,7 +6,7 @@ in rad. Joints are numbered from 1 where a person reads them and from 0 as array
 
 from __future__ import annotations
 
-from strainwave.records.answers import Caution, Parameter, Prediction, Suspicion
+from strainwave.records.answers import Caution, Consistency, Parameter, Prediction, Suspicion
 from strainwave.records.arm import (
     ArmModel,
     Criticism,
@@ -95,6 +95,7 @@ __all__ = [
     "Comparison",
     "ComplexArray",
     "ContinuousStateSpace",
+    "Consistency",
     "Control",
     "Criticism",
     "Decision",

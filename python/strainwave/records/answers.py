@@ -32,6 +32,23 @@ class Suspicion:
 
 
 @dataclass(frozen=True, slots=True)
+class Consistency:
+    """Whether a study's channels agree with one another and with the study, before any estimate."""
+
+    suspected: tuple[Suspicion, ...] = ()
+
+    @property
+    def motors_agree(self) -> bool:
+        """Whether nothing is suspected of the motors' signals: only link sensors are."""
+        link = ("a", "gyro", "theta_l", "deflection")
+        return all(
+            each.strip().startswith(link) or each.endswith(("accelerometer_distance", "length"))
+            for found in self.suspected
+            for each in found.where.split(",")
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Parameter:
     """One physical parameter with its uncertainty; `None` is what was not identified."""
 

@@ -1,0 +1,69 @@
+"""Sensors at the end of their range: flat tops at the largest or smallest reading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from strainwave.records import FloatArray, Log, Study, Suspicion
+
+_KINDS = ("a", "gyro", "theta_l", "deflection", "torque", "omega_m")
+_RUN = 3  # equal samples at the extreme that make a flat top
+_SHARE = 2e-3  # of a record at the end of the range, from which a fit notices
+_FEWEST_VALUES = 50  # different ones, below which a coarse channel has flat tops of its own
+
+
+def clipped(logs: Sequence[Log], study: Study) -> Iterator[Suspicion]:
+    """Channels that stay at their extremes again and again.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+    study : Study
+
+    Returns
+    -------
+    iterator of Suspicion
+    """
+    for kind in _KINDS:
+        for i in range(1, study.n_joints + 1):
+            name = f"{kind}{i}"
+            shares = {
+                log.name: (_share(log.channels[name]), log.channels[name])
+                for log in logs
+                if name in log.channels
+            }
+            worst = [record for record, (share, _) in shares.items() if share > _SHARE]
+            if not worst:
+                continue
+            first = max(worst, key=lambda record: shares[record][0])
+            share, values = shares[first]
+            yield Suspicion(
+                code="clipped",
+                where=name,
+                message=(
+                    f"{name} stays at {values.min():.4g} or {values.max():.4g} for "
+                    f"{100.0 * share:.2g} % of {first}: the sensor is at the end of its range"
+                    + (f" (also in {', '.join(w for w in worst if w != first)})" if worst[1:] else "")
+                ),
+                remedy="Lower the amplitude, or use a sensor of larger range; leave the channel out "
+                "of the study until then",
+            )
+
+
+def _share(values: FloatArray) -> float:
+    """Share of the samples in runs of equal values at either extreme, away from the middle."""
+    low, high = float(values.min()), float(values.max())
+    middle, size = float(np.median(values)), high - low
+    if size == 0.0 or len(np.unique(values[:: max(1, len(values) // 4096)])) < _FEWEST_VALUES:
+        return 0.0
+    share = 0.0
+    for extreme in (low, high):
+        if abs(extreme - middle) < 0.25 * size:
+            continue
+        at = np.abs(values - extreme) <= 1e-9 * size
+        edges = np.flatnonzero(np.diff(np.r_[0, at.astype(np.int8), 0]))
+        runs = edges[1::2] - edges[::2]
+        share += float(runs[runs >= _RUN].sum()) / len(values)
+    return share
