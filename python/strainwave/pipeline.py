@@ -19,6 +19,7 @@ import numpy as np
 
 from strainwave import (
     __version__,
+    consistency,
     decoupling,
     frequency,
     links,
@@ -41,6 +42,7 @@ from strainwave.files import write_whole
 from strainwave.records import (
     ArmModel,
     Caution,
+    Consistency,
     Decoupled,
     FrequencyOptions,
     FrequencyResponse,
@@ -135,9 +137,16 @@ def _identify(the_study: Study, run: _Run) -> Identification:
         all_logs = logs.read_logs(the_study)
     for log in all_logs:
         run.warnings.extend(log.warnings)
+    input_check = _consistency(run, the_study, all_logs)
+    contradicted = bool(input_check.suspected)
     elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in the_study.joints)
+    elastic = elastic and not contradicted
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
-    model, fitted, checks = _rigid(run, the_study, all_logs)
+    model: RigidModel | None = None
+    fitted: tuple[Prediction, ...] = ()
+    checks: tuple[Prediction, ...] = ()
+    if input_check.motors_agree:  # the rigid model asks nothing of link sensors
+        model, fitted, checks = _rigid(run, the_study, all_logs)
     records: tuple[RecordModel, ...] = ()
     joints: tuple[JointModel, ...] = ()
     responses: dict[int, FrequencyResponse] = {}
@@ -163,10 +172,17 @@ def _identify(the_study: Study, run: _Run) -> Identification:
         responses=responses,
         sweeps=sweep.sweeps(records),
         tuned=tuned,
+        suspected=input_check.suspected,
         failures=tuple(run.failures),
         activity=activity_of(all_logs, the_study),
     )
     return replace(found, warnings=published_warnings(found))
+
+
+def _consistency(run: _Run, the_study: Study, all_logs: Sequence[Log]) -> Consistency:
+    """Whether the input agrees with itself."""
+    with run.timed("consistency", "comparing the channels with one another"):
+        return consistency.check(all_logs, the_study)
 
 
 def _rigid(

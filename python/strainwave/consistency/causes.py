@@ -15,7 +15,7 @@ from strainwave.records import Suspicion
 _DEGREE = float(np.pi / 180.0)
 _G = 9.80665
 _NAMED = 0.04  # of a known factor, within which a found one is that
-_LARGEST_TRIM = 3.0  # of a distance or length: beyond, a wrong unit or sign is the likelier cause
+_WHOLE_TURNS = 0.01  # of a gear's reduction, within which it is a whole number
 
 _UNITS: dict[str, dict[str, float]] = {
     "a": {"g": _G, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "mg": 1e-3 * _G},
@@ -84,10 +84,9 @@ def _time(seen: Evidence, found: Sequence[Observation]) -> Iterator[Cause]:
     clocks = _values(found, "prbs-clock") + _values(found, "servo-clock")
     tried = [1.0 / float(np.median(clocks))] if clocks else []
     tried += list(_TIMES.values())
-    for factor in tried:
-        known = _named(factor, _TIMES)
-        if known is not None:
-            name, factor = known
+    for ratio in tried:
+        name, factor = _named(ratio, _TIMES) or ("", ratio)
+        if name:
             suspicion = Suspicion(
                 code="wrong-unit",
                 where="t",
@@ -103,8 +102,8 @@ def _time(seen: Evidence, found: Sequence[Observation]) -> Iterator[Cause]:
                 code="clock-drift",
                 where="t",
                 message=(
-                    f"the logger's clock runs at {number(1.0 / factor, 6)} of the drive's: voltages "
-                    f"change on a clock of that many times the study's PRBS or servo clock"
+                    f"the logger's clock runs at {number(1.0 / factor, 6)} of the drive's: voltages"
+                    " change on a clock of that many times the study's PRBS or servo clock"
                 ),
                 remedy=scaled_line(seen.study, "t", factor)
                 + ", or mend prbs.clock and the servo's period if those are at fault",
@@ -151,7 +150,7 @@ def _scaled(seen: Evidence, name: str, factor: float, unit: str | None, over: st
 
 
 def _tried(ratios: Sequence[float], names: dict[str, float]) -> Iterator[tuple[float, str | None]]:
-    """Factors worth trying for a channel found at some ratios: a sign, a known unit, or as found."""
+    """Factors worth trying for a channel found at some ratios: a sign, a known unit, as found."""
     yield -1.0, None
     seen: list[float] = []
     for ratio in ratios:
@@ -239,7 +238,7 @@ def _angle(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator
 
 
 def _link_scales(found: Sequence[Observation], joint: int) -> list[float]:
-    """What the link's sensors read over what they should: of a joint's own, the most direct first."""
+    """What a joint's link sensors read over what they should, the most direct first."""
     kinds = ("gyro", "theta_l", "a")
     scales = [s for kind in kinds for s in _values(found, "scale", f"{kind}{joint}")]
     return scales + _values(found, "own", f"a{joint}")
@@ -251,10 +250,10 @@ def _gear(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator[
     tried = [scale * n for scale in _link_scales(found, joint) if scale > 0.0]
     if _link_scales(found, joint) or any(o.joint in (1, 2) for o in found):
         tried += [0.5 * n, 2.0 * n, 1.0 / n]
-    for ratio in tried:
-        turns = round(1.0 / ratio)
-        if turns > 1 and abs(turns * ratio - 1.0) < 0.01:
-            ratio = 1.0 / turns
+    for found_ratio in tried:
+        turns = round(1.0 / found_ratio)
+        whole = turns > 1 and abs(turns * found_ratio - 1.0) < _WHOLE_TURNS
+        ratio = 1.0 / turns if whole else found_ratio
         if abs(ratio / n - 1.0) < 0.02:
             continue
         suspicion = Suspicion(
@@ -294,8 +293,8 @@ def _geometry(seen: Evidence, found: Sequence[Observation], joint: int) -> Itera
             ),
             remedy=(
                 f"set accelerometer_distance = {number(right)} in [[joint]] {joint} (from that "
-                f"link's own axis), or {column_line(seen.study, name, 1.0 / ratio)} if the sensor's "
-                "scale is at fault"
+                f"link's own axis), or {column_line(seen.study, name, 1.0 / ratio)} if the "
+                "sensor's scale is at fault"
             ),
             factor=1.0 / ratio,
         )

@@ -39,16 +39,19 @@ def clipped(logs: Sequence[Log], study: Study) -> Iterator[Suspicion]:
                 continue
             first = max(worst, key=lambda record: shares[record][0])
             share, values = shares[first]
+            others = f" (also in {', '.join(w for w in worst if w != first)})" if worst[1:] else ""
             yield Suspicion(
                 code="clipped",
                 where=name,
                 message=(
                     f"{name} stays at {values.min():.4g} or {values.max():.4g} for "
-                    f"{100.0 * share:.2g} % of {first}: the sensor is at the end of its range"
-                    + (f" (also in {', '.join(w for w in worst if w != first)})" if worst[1:] else "")
+                    f"{100.0 * share:.2g} % of {first}{others}: the sensor is at the end of "
+                    "its range"
                 ),
-                remedy="Lower the amplitude, or use a sensor of larger range; leave the channel out "
-                "of the study until then",
+                remedy=(
+                    "Lower the amplitude, or use a sensor of larger range; leave the channel out "
+                    "of the study until then"
+                ),
             )
 
 

@@ -111,4 +111,4 @@ def _period(values: FloatArray, log: Log, prbs: Prbs) -> float | None:
         return None
     whole = np.flatnonzero(correlation > _REPEATS)
     lag = int(whole[whole > first][0]) if np.any(whole > first) else lag
-    return lag * log.sample_time / (2**prbs.order - 1)
+    return float(lag * log.sample_time / (2**prbs.order - 1))

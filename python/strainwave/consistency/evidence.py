@@ -61,7 +61,7 @@ class Evidence:
                 direction = direction.copy()
                 direction[:, int(channel[-1]) - 1] *= -1.0
             if channel in clocks.level:
-                level = clocks.level | {channel: abs(factor) * clocks.level[channel]}
+                level = {**clocks.level, channel: abs(factor) * clocks.level[channel]}
                 clocks = replace(clocks, level=level)
             records.append(
                 replace(record, channels=channels, noise=noise, direction=direction, clocks=clocks)
@@ -175,6 +175,7 @@ def _slow(log: Log, study: Study) -> SlowRecord | None:
 
 
 def is_slow(experiment: Experiment) -> bool:
+    """Whether an experiment moves all joints slowly, so that gears are as good as rigid."""
     return experiment.joint is None and experiment.use in ("motion", "check")
 
 
@@ -204,4 +205,6 @@ def motion_band(angle: FloatArray, sample_time: float, *, slow: bool) -> float:
     frequency = np.fft.rfftfreq(len(velocity), sample_time)
     share, reach = _SLOW if slow else _FAST
     moved = power.T[power[-1] > 0.0]
-    return max((reach * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moved), default=0.0)
+    return max(
+        (reach * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moved), default=0.0
+    )

@@ -55,7 +55,7 @@ def references(seen: Evidence) -> list[Ratio]:
     list of Ratio
         Where a servo of the study acts and its reference moves.
     """
-    found = []
+    found: list[Ratio] = []
     for record, i in _servoed(seen):
         reference = record.channels[f"ref{i}"]
         velocity = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
@@ -78,7 +78,7 @@ def servo_outputs(seen: Evidence) -> list[Ratio]:
     list of Ratio
         Where a servo acts alone, without a PRBS on top.
     """
-    found = []
+    found: list[Ratio] = []
     servo = seen.study.servo
     for record, i in _servoed(seen):
         name = f"u{i}"
@@ -104,7 +104,7 @@ def velocities(seen: Evidence) -> list[Ratio]:
     -------
     list of Ratio
     """
-    found = []
+    found: list[Ratio] = []
     for record in seen.records:
         for i in range(1, seen.study.n_joints + 1):
             name = f"omega_m{i}"
@@ -209,7 +209,7 @@ def motor_torque(record: SlowRecord, study: Study, i: int) -> FloatArray:
 
 
 def _columns(record: SlowRecord, study: Study, i: int) -> dict[str, FloatArray]:
-    """Motor torque per parameter of one joint's equation, as if the parameters stood there alone."""
+    """Motor torque per parameter of one joint's equation, taken apart from the other's."""
     n = gear_ratios(study)
     joints = range(1, study.n_joints + 1)
     motor = np.column_stack([record.channels[f"theta_m{j}"] for j in joints])

@@ -98,7 +98,7 @@ class Observation:
             return abs(self.value) > _CERTAIN * self.std
         if self.value == 0.0 or abs(self.value - 1.0) <= _CERTAIN * self.std:
             return False
-        return abs(np.log(self.value)) > np.log1p(tolerance)
+        return bool(abs(np.log(self.value)) > np.log1p(tolerance))
 
     @property
     def weight(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from strainwave.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.consistency.regression import Fit, regress
 from strainwave.filters import differentiate, lagged
-from strainwave.records import FloatArray, Lag, Study
+from strainwave.records import BoolArray, FloatArray, Lag, Study
 from strainwave.regressor import gear_ratios
 
 LINK_CHANNELS = ("a", "gyro", "theta_l")
@@ -55,10 +55,8 @@ def readings(seen: Evidence) -> list[Reading]:
     list of Reading
         Without those of which a record tells nothing.
     """
-    slow = {
-        name for r in seen.records if is_slow(r.experiment) for name in r.channels
-    }
-    found = []
+    slow = {name for r in seen.records if is_slow(r.experiment) for name in r.channels}
+    found: list[Reading] = []
     for record in seen.records:
         motion = _Motion.of(record, seen.study)
         for kind in LINK_CHANNELS:
@@ -141,9 +139,7 @@ def _read(
         each = _fit(target, [*parts.values(), *columns], np.r_[[free] * len(parts), prior], inside)
         if each is not None:
             spread = np.sqrt(np.diag(each.covariance))
-            apart = {
-                key: (float(each.value[k]), float(spread[k])) for k, key in enumerate(parts)
-            }
+            apart = {key: (float(each.value[k]), float(spread[k])) for k, key in enumerate(parts)}
     size = float(np.std(target))
     scale = float(together.value[0])
     yield Reading(
@@ -162,7 +158,7 @@ def _read(
 
 
 def _fit(
-    target: FloatArray, columns: list[FloatArray], prior: FloatArray, inside: FloatArray
+    target: FloatArray, columns: list[FloatArray], prior: FloatArray, inside: BoolArray
 ) -> Fit | None:
     return regress(target, np.column_stack(columns)[inside], prior)
 
