@@ -20,7 +20,15 @@ from strainwave.errors import InvalidInput
 from strainwave.logs import read_log, read_logs, write_log
 from strainwave.records import FloatArray, Log, Prbs
 from strainwave.starting import start_study
-from strainwave.starting.nature import quantum, relation, sequence_of, time_unit, wraps
+from strainwave.starting.names import Named, parse
+from strainwave.starting.nature import (
+    quantum,
+    relation,
+    sequence_of,
+    time_unit,
+    usual_counts,
+    wraps,
+)
 from strainwave.study import read_study
 
 DEG, RPM, G = np.pi / 180.0, np.pi / 30.0, 9.80665
@@ -29,6 +37,12 @@ ANSWERS = {
     "gear_ratio": "0.01",
     "torque_per_volt": "0.08",
     "accelerometer_distance": "0.3",
+    "accelerometer_hz": "300.0",
+    "gyro_hz": "50.0",
+    "current_loop_hz": "1000.0",
+    "kp": "0.1",
+    "ki": "1.5",
+    "limit": "10.0",
 }
 
 
@@ -51,7 +65,9 @@ def filled_in(path: Path, answers: dict[str, str] = ANSWERS) -> Path:
     """What a user does: every TODO gets the number that its key asks for."""
     text = path.read_text()
     for key, value in answers.items():
-        text = re.sub(rf"^({key} = .*?)\bTODO\b", rf"\g<1>{value}", text, flags=re.MULTILINE)
+        line = re.compile(rf"^({key} = .*?)\bTODO\b", flags=re.MULTILINE)
+        while line.search(text):
+            text = line.sub(rf"\g<1>{value}", text)
     path.write_text(text)
     return path
 
@@ -218,17 +234,18 @@ def test_a_sensor_that_names_no_joint_goes_to_the_last_link(tmp_path: Path) -> N
     assert '"acc_x": another axis of the same sensor' in text
 
 
-def test_a_column_that_some_logs_lack_is_left_to_the_user(tmp_path: Path) -> None:
+def test_a_column_that_some_logs_lack_is_absent_there(tmp_path: Path) -> None:
     truth = motion()
     columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
     write_log(tmp_path / "a.csv", columns | {"speed_1": truth["omega_m1"], "gyro2": truth["gyro2"]})
     write_log(tmp_path / "b.csv", columns)
     start_study([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "study.toml")
     text = (tmp_path / "study.toml").read_text()
-    assert '\n# omega_m1 = "speed_1"\n' in text
-    assert "not in b.csv, and a mapped column must be in every log" in text
+    assert '\nomega_m1 = "speed_1" ' in text
+    assert "not in b.csv: absent there" in text
     study = read_study(filled_in(tmp_path / "study.toml"))
-    assert ["gyro2" in log.channels for log in read_logs(study)] == [True, False]
+    for name in ("omega_m1", "gyro2"):
+        assert [name in log.channels for log in read_logs(study)] == [True, False]
 
 
 def test_text_and_nan_columns_are_left_out_and_told(tmp_path: Path) -> None:
@@ -237,11 +254,113 @@ def test_text_and_nan_columns_are_left_out_and_told(tmp_path: Path) -> None:
     rows = zip(*(truth[n] for n in names[:5]), strict=True)
     lines = [",".join(f"{v:.9g}" for v in row) + ",nan,on" for row in rows]
     (tmp_path / "run.csv").write_text("\n".join([",".join(names), *lines]))
-    start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
-    text = (tmp_path / "study.toml").read_text()
-    assert "note: column 'omega_m1' is left out: sample 1 is nan" in text
-    assert "note: column 'state' is left out" in text
+    begun = start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
+    assert len(begun.warnings) == 2
+    assert "run.csv: column 'state' is left out" in begun.warnings[0]
+    rows_lost = f"'omega_m1' has {len(lines)} sample(s) that are no number, the first in row 1"
+    assert f"{rows_lost}: it is left out" in begun.warnings[1]
+    text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
+    assert all(f"note: {warning}" in text for warning in begun.warnings)
     read_study(filled_in(tmp_path / "study.toml"))
+
+
+def test_a_column_with_one_nan_is_mapped_and_named_in_the_terminal(tmp_path: Path) -> None:
+    columns = {n: v for n, v in motion().items() if n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
+    columns["speed_1"] = motion()["omega_m1"].copy()
+    columns["speed_1"][700] = np.nan
+    write_log(tmp_path / "run.csv", columns)
+    said = run_init(tmp_path / "run.csv", "--out", tmp_path / "study.toml").stdout
+    assert (
+        "warning: run.csv: column 'speed_1' has 1 sample(s) that are no number, the first" in said
+    )
+    assert "in row 701 (nan): identify refuses the log" in said
+    study = read_study(filled_in(tmp_path / "study.toml"))
+    assert study.channels["omega_m1"].column == "speed_1"
+    with pytest.raises(InvalidInput, match="line 702"):
+        read_logs(study)
+
+
+def test_more_joints_than_two_are_the_first_thing_said(tmp_path: Path) -> None:
+    truth = motion()
+    columns = {"t": truth["t"]}
+    for number in range(1, 7):
+        columns[f"q{number}"] = truth[f"theta_m{1 + number % 2}"]
+        columns[f"tau{number}"] = truth[f"u{1 + number % 2}"]
+    write_log(tmp_path / "six.csv", columns)
+    said = run_init(tmp_path / "six.csv", "--out", tmp_path / "study.toml").stdout
+    assert said.startswith(
+        "limit: these logs have angles of 6 joints; an arm of one joint, or of two"
+    )
+    assert "Taken as joint 1 and 2: 1, 2 of the logs" in said
+    del columns["t"]
+    write_log(tmp_path / "timeless.csv", columns)
+    with pytest.raises(
+        InvalidInput, match="columns are of 6 joints: an arm of one joint, or of two"
+    ):
+        start_study([tmp_path / "timeless.csv"], tmp_path / "other.toml")
+
+
+def steps(joint: int, level: float, seconds: float = 3.0) -> dict[str, FloatArray]:
+    """A step record of one joint under its servo, as a rig logs it; the other one stands."""
+    t = 0.001 * np.arange(round(1000 * seconds))
+    rng = np.random.default_rng(joint)
+    reference = np.where((t > 0.5) & (t < 2.0), level, 0.0)
+    velocity = level * np.interp(t, [0.5, 0.7, 2.0, 2.2], [0.0, 1.0, 1.0, 0.0])
+    columns = {"t": t}
+    for i in (1, 2):
+        own = i == joint
+        columns[f"u{i}"] = 0.02 * velocity + 0.01 * rng.normal(size=len(t)) if own else 0.0 * t
+        columns[f"theta_m{i}"] = np.cumsum(velocity) * 0.001 if own else 0.0 * t
+        columns[f"ref{i}"] = reference if own else 0.0 * t
+        columns[f"a{i}"] = np.gradient(velocity, t) * 0.003 + 0.01 * rng.normal(size=len(t))
+    return columns
+
+
+def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_path: Path) -> None:
+    moved = {n: v for n, v in motion().items() if n[:-1] in ("", "u", "theta_m", "a")}
+    moved |= {f"ref{i}": motion()[f"omega_m{i}"] for i in (1, 2)}
+    write_log(tmp_path / "motion.csv", moved)
+    for name, joint, level in (("a", 1, 50.0), ("b", 1, 90.0), ("c", 2, 50.0), ("d", 2, 90.0)):
+        write_log(tmp_path / f"{name}.csv", steps(joint, level))
+    logs = [tmp_path / f"{name}.csv" for name in ("motion", "a", "b", "c", "d")]
+    begun = start_study(logs, tmp_path / "study.toml")
+    assert not begun.warnings
+    text = (tmp_path / "study.toml").read_text()
+    assert "\n[servo]\n" in text
+    assert "Needed: a, b, c, d moved under the servo" in text
+    study = read_study(filled_in(tmp_path / "study.toml"))
+    assert study.servo is not None
+    uses = [(e.name, e.use, e.joint) for e in study.experiments]
+    assert uses == [
+        ("motion", "motion", None),
+        ("a", "tuning", 1),
+        ("b", "check", 1),
+        ("c", "tuning", 2),
+        ("d", "check", 2),
+    ]
+    begun = start_study(logs[:2], tmp_path / "fewer.toml")
+    assert "no record checks the elastic model of joint 1, 2" in begun.warnings[0]
+
+
+@pytest.mark.parametrize(("counts", "decimals"), [(8192, 3), (8192, 9), (10000, 3), (4000, 6)])
+def test_encoder_counts_are_those_that_are_sold(counts: int, decimals: int, tmp_path: Path) -> None:
+    """Also where a log has few digits: the finest of these is a fortieth of a count."""
+    truth = motion()
+    angle = np.round(truth["theta_m1"] * counts / (2 * np.pi)) * 360.0 / counts
+    rounded = [f"{value:.{decimals}f}" for value in angle]
+    lines = [
+        f"{t:.3f},{a},{u:.4f}" for t, a, u in zip(truth["t"], rounded, truth["u1"], strict=True)
+    ]
+    (tmp_path / "run.csv").write_text("\n".join(["t,pos1 [deg],u1", *lines]))
+    start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
+    assert read_study(filled_in(tmp_path / "study.toml")).joints[0].encoder_counts == counts
+
+
+def test_counts_that_nobody_sells_are_not_believed() -> None:
+    assert usual_counts(8199.0) == 8192
+    assert usual_counts(8300.0) is None
+    assert [usual_counts(n) for n in (20000.3, 1048576.0, 4096.4)] == [20000, 1048576, 4096]
+    assert parse("gyr1 [deg/s]") == Named("gyro", 1, unit="degs", word="gyr", sure=True)
 
 
 # --- a whole rig ------------------------------------------------------------------------------

@@ -66,11 +66,15 @@ def init(
         tell("looking at the logs")
         started = start_study(logs, out)
     if not quiet:
+        if started.limit:
+            typer.echo(f"limit: {started.limit}")
         typer.echo(
             f"{started.path}: {started.joints} joint(s), {started.experiments} record(s), "
             f"{len(started.channels)} channel(s) guessed ({', '.join(started.channels)}); "
             f"{started.todos} value(s) are TODO"
         )
+        for warning in started.warnings:
+            typer.echo(f"warning: {warning}")
 
 
 @app.command(

@@ -7,7 +7,7 @@ whose it is; `joint_columns` and `axes` join what they say of one joint, `channe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +16,8 @@ from strainwave.files import write_whole
 from strainwave.starting.channels import map_channels
 from strainwave.starting.guesses import Mapping
 from strainwave.starting.looked_at import Record, in_common, look_at
-from strainwave.starting.uses import propose
-from strainwave.starting.written import study_text, todos
+from strainwave.starting.uses import Proposed, propose, unchecked_joints
+from strainwave.starting.written import is_elastic, study_text, todos
 
 __all__ = ["Started", "start_study"]
 
@@ -31,6 +31,8 @@ class Started:
     channels: tuple[str, ...]
     experiments: int
     todos: int  # values to be filled in
+    limit: str  # what of the logs is beyond the arms that can be identified; empty: nothing
+    warnings: tuple[str, ...]
 
 
 def start_study(logs: Sequence[Path], out: Path) -> Started:
@@ -71,7 +73,30 @@ def start_study(logs: Sequence[Path], out: Path) -> Started:
         [fullest, *(r for r in records if r is not fullest)], mapping, experiments, out
     )
     write_whole(out.parent, {out.name: text.encode()})
-    return Started(out, len(mapping.joints), tuple(mapping.guesses), len(records), todos(text))
+    return Started(
+        path=out,
+        joints=len(mapping.joints),
+        channels=tuple(mapping.guesses),
+        experiments=len(records),
+        todos=todos(text),
+        limit=mapping.limit,
+        warnings=tuple(_warnings(records, mapping, experiments)),
+    )
+
+
+def _warnings(
+    records: Sequence[Record], mapping: Mapping, experiments: Sequence[Proposed]
+) -> Iterator[str]:
+    """What a person should know before the study is filled in."""
+    for record in records:
+        for fault in record.faults:
+            yield f"{record.path.name}: {fault}"
+    unchecked = unchecked_joints(experiments, len(mapping.joints))
+    if is_elastic(mapping, experiments) and unchecked:
+        yield (
+            f"no record checks the elastic model of joint {', '.join(map(str, unchecked))}: record "
+            "steps of each joint alone, two or more (strainwave excite plans them)"
+        )
 
 
 def _check_alike(records: Sequence[Record], fullest: Record, mapping: Mapping) -> None:

@@ -24,9 +24,9 @@ def map_channels(record: Record) -> Mapping:
     -------
     Mapping
     """
-    named, notes = named_columns(record)
+    named, limit, notes = named_columns(record)
     count = max((each.number or 1 for each in named.values()), default=1)
-    mapping = Mapping(notes=notes)
+    mapping = Mapping(limit=limit, notes=notes)
     for joint in range(1, count + 1):
         of_it = {n: e for n, e in named.items() if (e.number or 1) == joint}
         JointColumns(record, of_it, joint, mapping).map()

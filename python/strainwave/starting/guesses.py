@@ -29,7 +29,7 @@ class JointFacts:
 
     prismatic: bool = False
     gear_ratio: tuple[float, str] | None = None  # and why
-    encoder_counts: tuple[float, str] | None = None
+    encoder_counts: tuple[int | None, str] | None = None  # None: steps of no usual size
     voltage: bool = False  # the drive's input is a voltage
     link_sensors: set[str] = field(default_factory=set)
 
@@ -42,4 +42,5 @@ class Mapping:
     joints: list[JointFacts] = field(default_factory=list)
     unused: dict[str, str] = field(default_factory=dict)  # column -> why
     missing: dict[str, str] = field(default_factory=dict)  # channel -> what it is
+    limit: str = ""  # what of the logs is beyond the arms that can be identified
     notes: tuple[str, ...] = ()

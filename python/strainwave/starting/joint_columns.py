@@ -11,7 +11,7 @@ from strainwave.starting.axes import chosen_axis, scale_and_reason
 from strainwave.starting.guesses import AGREES, Guess, JointFacts, Mapping, Sure
 from strainwave.starting.looked_at import Record
 from strainwave.starting.names import COUNTS, LINEAR, UNITS, Named
-from strainwave.starting.nature import flat_top, levels, proportion, quantum, wraps
+from strainwave.starting.nature import flat_top, levels, proportion, quantum, usual_counts, wraps
 from strainwave.starting.nature import relation as relation_of
 from strainwave.starting.units import NEAR, nearest_unit, unit_pair
 
@@ -145,8 +145,11 @@ class JointColumns:
             return
         counts = 2.0 * pi / (step * scale)
         if 16.0 < counts < 5e6:
-            why = f"{angle!r} changes in steps of {step * scale:.4g} rad"
-            self.facts.encoder_counts = (float(round(counts)), why)
+            why = f"{angle!r} changes in steps of {step * scale:.6g} rad, {counts:.6g} a turn"
+            usual = usual_counts(counts)
+            if usual is not None and round(counts) != usual:
+                why += f"; {usual} is the nearest number that encoders have"
+            self.facts.encoder_counts = (usual, why) if usual else (None, why)
 
     def _reference(self, angle: str) -> None:
         for column in self._of("reference"):

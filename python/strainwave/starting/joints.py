@@ -7,14 +7,13 @@ from dataclasses import replace
 
 from strainwave.records import FloatArray
 from strainwave.starting.looked_at import Record
-from strainwave.starting.names import Named, parse
+from strainwave.starting.names import MOST_JOINTS, Named, parse
 from strainwave.starting.nature import levels, relation
 
-MOST_JOINTS = 2
 _DERIVATIVE = 0.95  # correlation above which a column without a name is another's derivative
 
 
-def named_columns(record: Record) -> tuple[dict[str, Named], tuple[str, ...]]:
+def named_columns(record: Record) -> tuple[dict[str, Named], str, tuple[str, ...]]:
     """Every column with its quantity, and with its joint's number from 1.
 
     Parameters
@@ -25,8 +24,10 @@ def named_columns(record: Record) -> tuple[dict[str, Named], tuple[str, ...]]:
     -------
     dict of str to Named
         Those beyond the joints that an arm here can have are left out.
+    str
+        What of the log is beyond such an arm; empty: nothing.
     tuple of str
-        What to say of it.
+        What else to say of it.
     """
     named = {name: parse(name) for name in record.columns}
     notes: list[str] = []
@@ -37,10 +38,14 @@ def named_columns(record: Record) -> tuple[dict[str, Named], tuple[str, ...]]:
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
     moving = [j for j in joints if _moves(record, numbered, j)] or joints
     chosen = sorted(moving[:MOST_JOINTS])
+    limit = ""
     if len(joints) > len(chosen):
-        notes.append(
-            f"{len(joints)} joints have angles; strainwave tells one, or two in one plane: "
-            f"taken as the first and second are {', '.join(_called(numbered, j) for j in chosen)}"
+        limit = (
+            f"these logs have angles of {len(joints)} joints; an arm of one joint, or of two links "
+            "in one plane, is what can be identified so far. Taken as joint "
+            f"{' and '.join(str(k) for k in range(1, len(chosen) + 1))}: "
+            f"{', '.join(_called(numbered, j) for j in chosen)} of the logs. The result holds only "
+            "if the other joints stand still in every record"
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}
     for name, each in numbered.items():
@@ -54,7 +59,7 @@ def named_columns(record: Record) -> tuple[dict[str, Named], tuple[str, ...]]:
         for name, each in numbered.items()
         if (each.number or 1) in order
     }
-    return kept, tuple(notes)
+    return kept, limit, tuple(notes)
 
 
 def _numbered(named: Mapping[str, Named]) -> dict[str, Named]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +11,12 @@ import numpy as np
 from strainwave.errors import InvalidInput
 from strainwave.logs.bags import Bag, is_bag
 from strainwave.logs.clocks import FEWEST_ROWS, Track, one_clock
-from strainwave.logs.tables import first_impossible, open_table
+from strainwave.logs.tables import LARGEST, first_impossible, open_table
 from strainwave.records import Experiment, FloatArray
-from strainwave.starting.names import UNITS, parse
+from strainwave.starting.names import MOST_JOINTS, UNITS, parse
 from strainwave.starting.nature import is_clock, time_unit
+
+_FEW_LOST = 0.05  # share of a column's samples; with more lost, what it is can hardly be seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +30,7 @@ class Record:
     time_unit: str
     columns: dict[str, FloatArray]  # name -> (n_samples,)
     notes: tuple[str, ...]
+    faults: tuple[str, ...] = ()  # what `identify` would refuse, or what was left out
 
     @property
     def period(self) -> float:
@@ -63,7 +66,7 @@ def look_at(path: Path) -> Record:
 
 def _table(path: Path) -> Record:
     table = open_table(path)
-    columns, notes = {}, []
+    columns, faults = {}, []
     try:
         columns = table.read(list(table.names))
     except InvalidInput:  # one of them is not numbers; the others may be
@@ -71,7 +74,7 @@ def _table(path: Path) -> Record:
             try:
                 columns |= table.read([name])
             except InvalidInput as error:
-                notes.append(f"column {name!r} is left out: {error.problem}")
+                faults.append(f"column {name!r} is left out: {error.problem}")
     columns, said = _finite(columns)
     rows = max((len(values) for values in columns.values()), default=0)
     columns = {name: values for name, values in columns.items() if len(values) == rows}
@@ -83,7 +86,7 @@ def _table(path: Path) -> Record:
         )
     name, unit, scale = _clock(columns, path)
     time = scale * columns.pop(name)
-    return Record(path, time, name, scale, unit, columns, (*notes, *said))
+    return Record(path, time, name, scale, unit, columns, (), (*faults, *said))
 
 
 def _clock(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]:
@@ -102,7 +105,19 @@ def _clock(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]
     raise InvalidInput(
         f"there is no column of time among {', '.join(columns)}{more if clocks else ''}",
         where=str(path),
-        remedy="add a column t [s]: the row's number divided by the sampling rate will do",
+        remedy="add a column t [s]: the row's number divided by the sampling rate will do"
+        + _beyond(columns),
+    )
+
+
+def _beyond(columns: Collection[str]) -> str:
+    """A word on logs of more joints than can be identified, before more work goes into them."""
+    numbers = {number for name in columns if (number := parse(name).number) is not None}
+    if len(numbers) <= MOST_JOINTS:
+        return ""
+    return (
+        f". The columns are of {len(numbers)} joints: an arm of one joint, or of two links in one "
+        "plane, is what can be identified so far"
     )
 
 
@@ -117,11 +132,11 @@ def _bag(path: Path) -> Record:
             "docs/study.md",
         )
     tracks, cautions = bag.tracks(wanted)
-    notes = [caution.message for caution in cautions]
+    notes, faults = [caution.message for caution in cautions], list[str]()
     usable: list[Track] = []
     for track in tracks:
         columns, said = _finite(track.columns)
-        notes += said
+        faults += said
         if columns and len(track.time) >= FEWEST_ROWS:
             usable.append(Track(track.name, track.time, columns, track.row_name))
     usable.sort(key=_without_angle)
@@ -131,7 +146,7 @@ def _bag(path: Path) -> Record:
     as_is = Experiment(path.name, path.name, "motion", ())
     time, columns, told = one_clock(usable, commanded, as_is, path)
     notes += [caution.message for caution in told]
-    return Record(path, time, None, 1.0, "s", columns, tuple(notes))
+    return Record(path, time, None, 1.0, "s", columns, tuple(notes), tuple(faults))
 
 
 def _without_angle(track: Track) -> bool:
@@ -139,13 +154,27 @@ def _without_angle(track: Track) -> bool:
 
 
 def _finite(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:
+    """Columns of numbers; where few are none, they are interpolated, to see what the column is."""
     kept, said = {}, []
     for name, values in columns.items():
         row = first_impossible(values)
         if row is None:
             kept[name] = values
-        else:
-            said.append(f"column {name!r} is left out: sample {row + 1} is {values[row]}")
+            continue
+        possible = np.abs(values) < LARGEST
+        lost = len(values) - int(np.count_nonzero(possible))
+        what = (
+            f"column {name!r} has {lost} sample(s) that are no number, the first in row {row + 1}"
+        )
+        if lost > _FEW_LOST * len(values):
+            said.append(f"{what}: it is left out")
+            continue
+        rows = np.arange(len(values))
+        kept[name] = np.interp(rows, rows[possible], values[possible])
+        said.append(
+            f"{what} ({values[row]}): identify refuses the log while a channel uses it. Mend it, "
+            "cut it off with start and stop, or rename the column"
+        )
     return kept, said
 
 

@@ -23,10 +23,13 @@ Quantity = Literal[
 ]
 Side = Literal["motor", "link"]
 
+MOST_JOINTS = 2
+"""Of an arm that can be identified."""
+
 _WORDS: tuple[tuple[Quantity, str], ...] = (  # the first that matches decides
     ("deflection", "defl deflection twist torsion"),
-    ("gyro", "gyro gyroscope angularvelocity angvel"),
-    ("acceleration", "a acc accel acceleration accelerometer linearacceleration qdd ddq"),
+    ("gyro", "gyro gyr gyros gyroscope angularvelocity angvel angrate"),
+    ("acceleration", "a acc accel acceleration accelerometer accelero linearacceleration qdd ddq"),
     ("reference", "ref reference des desired target setpoint sp goal"),
     ("current", "i iq cur curr current amps amp"),
     ("torque", "tau torque trq effort force moment"),

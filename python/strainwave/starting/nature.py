@@ -13,7 +13,8 @@ _JUMP = 0.3  # of the range, within one sample
 _ALIKE = 0.98  # share of a sequence's samples that come again
 _WHOLE = 0.02  # of a unit: how far from a whole number
 _FLAT = 2e-3  # share of a record that a drive is at its limit, to be worth a word
-_USUAL = 2e-4  # how far from an encoder's counts, as far as logged digits tell
+_USUAL = 2e-3  # how far from counts that are sold: digits of the log, and of pi in its scale
+_LINES = (100, 125, 200, 250, 256, 300, 360, 400, 500, 512, 600, 625, 720, 800, 900)  # a decade of
 _MOST_LOOKED_AT = 200_000
 
 
@@ -150,16 +151,55 @@ def quantum(values: FloatArray) -> float | None:
         return None
     least = float(steps.min())
     small = steps[steps < 50.0 * least]
-    step = float(np.median(small / np.maximum(np.round(small / least), 1.0)))
-    away = np.abs(small / step - np.round(small / step))
-    return step if len(small) >= 20 and away.max() < _WHOLE * 5 else None
+    if len(small) < 20:
+        return None
+    by_all = float(np.median(small / np.maximum(np.round(small / least), 1.0)))
+    by_single = float(np.mean(small[small < 1.5 * least]))  # rounded to few digits, the surer
+    for step in (by_all, by_single):
+        away = np.abs(small / step - np.round(small / step))
+        if away.max() < _WHOLE * 5:
+            return _refined(values[:_MOST_LOOKED_AT] - values[0], step)
+    return None
 
 
-def is_usual(counts: float) -> bool:
-    """Whether encoders with so many counts a turn are sold: powers of two, or round numbers."""
-    power = 2.0 ** round(float(np.log2(counts)))
-    round_number = float(f"{counts:.2g}")
-    return any(abs(counts / each - 1.0) < _USUAL for each in (power, round_number))
+def _refined(values: FloatArray, step: float) -> float:
+    """A step from ever longer ways, whose number of steps the shorter ones give.
+
+    Each way is ten times as long as the one before, over which the step was known to a twentieth
+    of a count; where a column's values stop being whole multiples, the last step stays.
+    """
+    reach = 50.0
+    while True:
+        near = values[(np.abs(values) < reach * step) & (values != 0.0)]
+        if len(near) >= 20:
+            whole = np.round(near / step)
+            if np.abs(near / step - whole).max() > 0.3:
+                return step
+            step = float(near @ whole / (whole @ whole))
+        if reach * step > np.abs(values).max():
+            return step
+        reach *= 10.0
+
+
+def usual_counts(counts: float) -> int | None:
+    """The number of counts per turn that encoders are sold with, nearest to one that was found.
+
+    Powers of two, and once, twice or four times the usual numbers of lines.
+
+    Parameters
+    ----------
+    counts : float
+        Per turn, as a column's steps give it.
+
+    Returns
+    -------
+    int or None
+        None: nothing usual lies near.
+    """
+    lines = [n * 10**decade for n in _LINES for decade in range(5)]
+    known = {2**bits for bits in range(5, 25)} | {m * n for n in lines for m in (1, 2, 4)}
+    nearest = min(known, key=lambda each: abs(each - counts))
+    return nearest if abs(counts / nearest - 1.0) < _USUAL else None
 
 
 def runs_alike(values: FloatArray) -> bool:

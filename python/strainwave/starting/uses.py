@@ -62,6 +62,34 @@ def propose(records: Sequence[Record], mapping: Mapping, elastic: bool) -> list[
     return found
 
 
+def _elastic_checks(found: list[Proposed]) -> None:
+    """Of each joint's steps one to check the elastic model with; the last only if others fit it."""
+    checked = {each.joint for each in found if each.use == "check"}
+    excited = {each.joint for each in found if each.use in ("frequency", "sweep")}
+    for joint in {each.joint for each in found if each.use == "tuning"} - checked:
+        steps = [each for each in found if each.use == "tuning" and each.joint == joint]
+        if len(steps) > 1 or joint in excited:
+            steps[-1].use = "check"
+            steps[-1].why += "; kept to check the elastic model with"
+
+
+def unchecked_joints(found: Sequence[Proposed], joints: int) -> list[int]:
+    """Joints whose elastic model no record would check.
+
+    Parameters
+    ----------
+    found : sequence of Proposed
+    joints : int
+        Of the arm.
+
+    Returns
+    -------
+    list of int
+    """
+    checked = {each.joint for each in found if each.use == "check"}
+    return [joint for joint in range(1, joints + 1) if joint not in checked]
+
+
 def _one(record: Record, mapping: Mapping, elastic: bool) -> Proposed:
     seen = [_joint(record, mapping, j) for j in range(1, len(mapping.joints) + 1)]
     control: tuple[Control, ...] = tuple("servo" if each.servo else "open" for each in seen)
@@ -155,6 +183,7 @@ def _checks(found: list[Proposed]) -> None:
     for each in found:
         if each.use == "tuning" and each.joint in excited and "servo" not in each.control:
             each.use, each.why = "check", f"{each.why} in open loop; kept to check with"
+    _elastic_checks(found)
     if not any(each.use == "motion" for each in found):
         slow = [e for e in found if e.use == "check" and e.joint is None]
         if slow:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from strainwave.starting.guesses import Guess, JointFacts, Mapping
 from strainwave.starting.looked_at import Record
-from strainwave.starting.nature import is_usual
 from strainwave.starting.uses import Proposed
 
 TODO = "TODO"
@@ -19,8 +18,13 @@ _HEAD = (
     "says why, and whether it is sure, likely or unsure. docs/study.md has every key. When all is "
     "filled in:"
 )
+_SERVO_NEEDED = (
+    "Needed: {names} moved under the servo, and only a simulation with the same servo can be "
+    "compared with {them}. Gains that nobody knows: take the table out; the elastic model is then "
+    "fitted, but not validated."
+)
+_SERVO_OPTIONAL = "only for `strainwave simulate` and `strainwave excite`"
 _SERVO = (  # key, value, comment
-    ("[servo]", "", "only for `strainwave simulate` and `strainwave excite`"),
     ("kind", '"pi-velocity"', "u = kp e + ki integral(e), e = reference - motor velocity"),
     ("period", "{period:.6g}", "[s] of its clock"),
     ("kp", "{gains}", "[V s/rad] at the motor, one a joint: the drive's set-up"),
@@ -39,6 +43,16 @@ _WHERE = {
     "constant [N m/A], from their data sheets",
     "accelerometer_distance": "[m] from this link's own axis to the sensor: measure it",
 }
+
+
+_BANDWIDTH = (
+    "bandwidth [Hz] of the sensor with its filter, from the data sheet or the set-up. Without it "
+    "the lag counts as delay or damping; take the line out only where it exceeds the sampling rate"
+)
+_CURRENT_LOOP = (
+    "bandwidth [Hz] from voltage to torque, from the drive's data sheet; take the line out only "
+    "where it exceeds the sampling rate"
+)
 
 
 def study_text(
@@ -62,7 +76,7 @@ def study_text(
     parts = [_arm(mapping)]
     for number, facts in enumerate(mapping.joints, start=1):
         parts.append(_joint(number, facts, elastic))
-    parts.append(_servo(records[0], mapping))
+    parts.append(_servo(records[0], mapping, experiments, elastic))
     parts.append(_channels(records, mapping))
     parts.append("\n".join(_wrapped(_EXPERIMENTS)))
     parts += [_experiment(each, out) for each in experiments]
@@ -108,12 +122,23 @@ def _off(key: str, value: str, comment: str) -> str:
     return f"{code:<26}  # {comment}"
 
 
-def _servo(record: Record, mapping: Mapping) -> str:
+def _servo(record: Record, mapping: Mapping, experiments: Sequence[Proposed], elastic: bool) -> str:
+    """[servo]: to be filled in where steps are compared with a simulation, or else optional."""
     gains = "[" + ", ".join([TODO] * len(mapping.joints)) + "]"
-    return "\n".join(
-        _off(key, value.format(period=record.period, gains=gains), comment)
+    entries = [
+        (key, value.format(period=record.period, gains=gains), comment)
         for key, value, comment in _SERVO
-    )
+    ]
+    steps = [
+        each.record.name
+        for each in experiments
+        if each.use in ("tuning", "check") and each.joint is not None and "servo" in each.control
+    ]
+    if not (elastic and steps):
+        return "\n".join([_off("[servo]", "", _SERVO_OPTIONAL), *(_off(*e) for e in entries)])
+    names = ", ".join(steps[:4]) + (f" and {len(steps) - 4} more" if len(steps) > 4 else "")
+    why = _wrapped(_SERVO_NEEDED.format(names=names, them="it" if len(steps) == 1 else "them"))
+    return "\n".join([*why, "[servo]", *(_line(*each) for each in entries)])
 
 
 def _arm(mapping: Mapping) -> str:
@@ -142,15 +167,15 @@ def _joint(number: int, facts: JointFacts, elastic: bool) -> str:
         lines.append(_line("torque_per_volt", TODO, _WHERE["torque_per_volt"]))
     if facts.encoder_counts:
         counts, said = facts.encoder_counts
-        put, sure = (_line, "likely") if is_usual(counts) else (_off, "unsure")
-        lines.append(put("encoder_counts", f"{counts:.0f}", f"{sure}: {said}; a motor turn"))
+        put, sure = (_line, "likely") if counts else (_off, "unsure")
+        lines.append(put("encoder_counts", str(counts or TODO), f"{sure}: {said}; per motor turn"))
     if "a" in facts.link_sensors:
         lines.append(_line("accelerometer_distance", TODO, _WHERE["accelerometer_distance"]))
-        lines.append(_off("accelerometer_hz", "300.0", "bandwidth [Hz]: the sensor's data sheet"))
+        lines.append(_line("accelerometer_hz", TODO, _BANDWIDTH))
     if "gyro" in facts.link_sensors:
-        lines.append(_off("gyro_hz", "50.0", "bandwidth [Hz]: the sensor's data sheet"))
-    if facts.voltage:
-        lines.append(_off("current_loop_hz", "1000.0", "voltage to torque: the drive's data sheet"))
+        lines.append(_line("gyro_hz", TODO, _BANDWIDTH))
+    if facts.voltage and elastic:
+        lines.append(_line("current_loop_hz", TODO, _CURRENT_LOOP))
     return "\n".join(lines)
 
 
@@ -196,21 +221,19 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
         lines.append(_line(channel, f'"{TODO}"', f"no column was found for {what}"))
     for column, why in mapping.unused.items():
         lines += _wrapped(f"not used: {json.dumps(column, ensure_ascii=False)}: {why}")
-    for note in dict.fromkeys((*mapping.notes, *record.notes)):
-        lines += _wrapped(f"note: {note}")
+    told = (f"{each.path.name}: {said}" for each in records for said in each.faults)
+    for note in dict.fromkeys((mapping.limit, *mapping.notes, *record.notes, *told)):
+        if note:
+            lines += _wrapped(f"note: {note}")
     return "\n".join(lines)
 
 
 def _guess(guess: Guess, records: Sequence[Record]) -> str:
-    """One channel; where a log lacks its column, a line to be taken in once all have it."""
+    """One channel; in logs that lack its column it is absent."""
     comment = f"{guess.sure}: {guess.why}"
     lacking = [record.path.name for record in records if guess.column not in record.columns]
     if lacking:
-        comment = (
-            f"not in {', '.join(lacking)}, and a mapped column must be in every log. {comment}"
-        )
-        code = f"{guess.channel} = {_entry(guess.column, guess.scale)}"
-        return "\n".join([*_wrapped(comment), f"# {code}"])
+        comment += f"; not in {', '.join(lacking)}: absent there"
     if guess.scale is None:
         comment = f"{TODO}: {guess.todo}. {comment}"
     return _line(guess.channel, _entry(guess.column, guess.scale), comment)
