@@ -302,7 +302,7 @@ def test_more_joints_than_two_are_the_first_thing_said(tmp_path: Path) -> None:
 
 def steps(joint: int, level: float, seconds: float = 3.0) -> dict[str, FloatArray]:
     """A step record of one joint under its servo, as a rig logs it; the other one stands."""
-    t = 0.001 * np.arange(round(1000 * seconds))
+    t = 0.001 * np.arange(round(1000 * seconds), dtype=np.float64)
     rng = np.random.default_rng(joint)
     reference = np.where((t > 0.5) & (t < 2.0), level, 0.0)
     velocity = level * np.interp(t, [0.5, 0.7, 2.0, 2.2], [0.0, 1.0, 1.0, 0.0])
@@ -312,8 +312,10 @@ def steps(joint: int, level: float, seconds: float = 3.0) -> dict[str, FloatArra
         columns[f"u{i}"] = 0.02 * velocity + 0.01 * rng.normal(size=len(t)) if own else 0.0 * t
         columns[f"theta_m{i}"] = np.cumsum(velocity) * 0.001 if own else 0.0 * t
         columns[f"ref{i}"] = reference if own else 0.0 * t
-        columns[f"a{i}"] = np.gradient(velocity, t) * 0.003 + 0.01 * rng.normal(size=len(t))
-    return columns
+        columns[f"a{i}"] = np.asarray(np.gradient(velocity, t)) * 0.003 + 0.01 * rng.normal(
+            size=len(t)
+        )
+    return {name: np.asarray(values, dtype=np.float64) for name, values in columns.items()}
 
 
 def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_path: Path) -> None:
