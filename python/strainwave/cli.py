@@ -247,6 +247,10 @@ def demo(
     quick: Annotated[
         bool, typer.Option("--quick", help="Leave out the comparisons with the published figures.")
     ] = False,
+    seeds: Annotated[
+        int,
+        typer.Option("--seeds", min=1, help="Of how many seeds to compare the published figures."),
+    ] = 1,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -263,7 +267,7 @@ def demo(
         print_summary(identification, out, truth=truth, figures=figures)
     if not quick:
         with _progress(quiet) as tell:
-            found = virtual.compare(identification, out, seed=seed, progress=tell)
+            found = virtual.compare(identification, out, seed=seed, seeds=seeds, progress=tell)
         if not quiet:
             print_comparisons(found, out)
     raise typer.Exit(identification.verdict.exit_code)

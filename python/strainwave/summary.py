@@ -12,12 +12,12 @@ from rich.text import Text
 from strainwave.formatting import percent, plus_minus
 from strainwave.records import (
     Caution,
-    Comparison,
     Decision,
     Identification,
     JointModel,
     Parameter,
     Sweep,
+    Tally,
     Verdict,
 )
 from strainwave.report import by_weight
@@ -100,24 +100,28 @@ def _warning(warning: Caution) -> Text:
 
 
 def print_comparisons(
-    comparisons: Sequence[Comparison], folder: Path, *, console: Console | None = None
+    tallies: Sequence[Tally], folder: Path, *, console: Console | None = None
 ) -> None:
-    """Print each claim with its number and verdict.
+    """Print each claim with its verdict, what shows it, and why where it is not shown.
 
     Parameters
     ----------
-    comparisons : sequence of Comparison
+    tallies : sequence of Tally
     folder : Path
-        Where comparisons.html and comparisons.json were written.
+        Where comparisons.html, comparisons.json and comparisons.md were written.
     console : rich Console, optional
         The terminal, if not standard output.
     """
     console = console or Console(highlight=False)
-    for c in comparisons:
-        verdict = "Holds" if c.holds else "Does not hold"
-        line = Text(f"Fig. {c.figure:>2}: {c.claim} {verdict}: {c.message}")
-        console.print(line, style="" if c.holds else "yellow", soft_wrap=True)
-    for name in ("comparisons.html", "comparisons.json"):
+    for tally in tallies:
+        c = tally.first
+        how = "" if c.protocol == "own" else " (as published)"
+        line = Text(f"Fig. {c.figure:>2}{how}: {c.claim} {tally.verdict}: {c.message}")
+        shown = tally.count("shown") == len(tally.runs)
+        console.print(line, style="" if shown else "yellow", soft_wrap=True)
+        for reason in c.reasons:
+            console.print(Text(f"         {reason}"), style="yellow", soft_wrap=True)
+    for name in ("comparisons.html", "comparisons.json", "comparisons.md"):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
 
 

@@ -19,7 +19,7 @@ from strainwave.applied import read_applied
 from strainwave.errors import InvalidInput
 from strainwave.files import write_whole
 from strainwave.parameters import Values, link_inertia, read_parameters
-from strainwave.records import Comparison, Experiment, FloatArray, Identification, Prbs, Study
+from strainwave.records import Experiment, FloatArray, Identification, Prbs, Study, Tally
 from strainwave.replay import replay as replay_log
 from strainwave.report import render_comparisons
 from strainwave.simulation import (
@@ -189,9 +189,14 @@ def demonstrate(
 
 
 def compare(
-    identification: Identification, folder: Path, *, seed: int, progress: Progress
-) -> tuple[Comparison, ...]:
-    """The source's claims put to the built-in arm: comparisons.html and comparisons.json.
+    identification: Identification,
+    folder: Path,
+    *,
+    seed: int,
+    progress: Progress,
+    seeds: int = 1,
+) -> tuple[Tally, ...]:
+    """The source's claims put to the built-in arm: comparisons.html, .json and .md.
 
     Parameters
     ----------
@@ -199,18 +204,26 @@ def compare(
         Of that arm; its tuned parameters are compared, if it has them.
     folder : Path
     seed : int
+        The first.
     progress : callable
+    seeds : int
+        How many.
 
     Returns
     -------
-    tuple of Comparison
+    tuple of Tally
     """
-    tuned = identification.tuned.values if identification.tuned else None
-    found = comparisons.compare(tuned, seed=seed, progress=progress)
+    numbers = range(seed, seed + seeds)
+    found = comparisons.compare_seeds(numbers, tuned=identification.tuned, progress=progress)
     progress("writing the comparisons")
     page = render_comparisons(found, arm=scara.DESCRIPTION)
-    document = comparisons.to_json(found, seed)
-    write_whole(folder, {"comparisons.html": page.encode(), "comparisons.json": document})
+    document = comparisons.document_of(found, numbers)
+    files = {
+        "comparisons.html": page.encode(),
+        "comparisons.json": comparisons.to_json(document),
+        "comparisons.md": comparisons.to_markdown(document).encode(),
+    }
+    write_whole(folder, files)
     return found
 
 

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import pytest
 
-from strainwave.comparisons import ComparisonOptions, compare
-from strainwave.records import Comparison
+from strainwave.comparisons import ComparisonOptions, compare_seeds
+from strainwave.records import Comparison, Tally
 
+SEED = 1
 SHORT = ComparisonOptions(amplitudes=(4.0, 10.0), payloads=(5, 3), records=2)
 
 
 @pytest.fixture(scope="session")
-def comparisons() -> dict[int, Comparison]:
+def tallies() -> tuple[Tally, ...]:
+    """By our own settings."""
+    return compare_seeds([SEED], options=SHORT)
+
+
+@pytest.fixture(scope="session")
+def comparisons(tallies: tuple[Tally, ...]) -> dict[int, Comparison]:
     """By figure."""
-    return {c.figure: c for c in compare(seed=1, options=SHORT)}
+    return {tally.first.figure: tally.first for tally in tallies}

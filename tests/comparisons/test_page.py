@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from io import StringIO
@@ -18,11 +19,12 @@ from results import identification
 from strainwave import cli, virtual
 from strainwave import comparisons as package
 from strainwave.drawing import draw
-from strainwave.records import Comparison
+from strainwave.records import Caution, Comparison, Criterion, Evidence, Tally
 from strainwave.report import curves, render_comparisons
 from strainwave.summary import print_comparisons
 
 Found = dict[int, Comparison]
+Tallies = tuple[Tally, ...]
 
 
 class Outside(HTMLParser):
@@ -44,16 +46,17 @@ class Outside(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_the_page_is_whole_and_fetches_nothing(comparisons: Found) -> None:
-    page = render_comparisons(list(comparisons.values()), arm="an arm")
+def test_the_page_is_whole_and_fetches_nothing(tallies: Tallies) -> None:
+    page = render_comparisons(tallies, arm="an arm")
     outside = Outside()
     outside.feed(page)
     assert (outside.open, outside.fetched) == ([], [])
-    for c in comparisons.values():
-        assert f'id="fig-{c.figure}"' in page
+    for tally in tallies:
+        assert f'id="fig-{tally.first.figure}"' in page
+        assert all(e.name in page for e in tally.first.evidence)
     drawn = re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)
     assert drawn is not None
-    assert len(json.loads(drawn[1])) == sum(len(c.plots) for c in comparisons.values())
+    assert len(json.loads(drawn[1])) == sum(len(tally.first.plots) for tally in tallies)
 
 
 def test_every_figure_can_be_drawn_without_a_browser(comparisons: Found) -> None:
@@ -67,55 +70,81 @@ def test_every_figure_can_be_drawn_without_a_browser(comparisons: Found) -> None
 def test_names_cannot_leave_their_place(comparisons: Found) -> None:
     evil = "</script><script>alert(1)</script>"
     plot = {"data": [{"name": evil}], "layout": {"meta": evil}}
-    one = replace(comparisons[4], title=evil, claim=evil, message=evil, holds=False, plots=(plot,))
-    page = render_comparisons([one], arm=evil)
+    one = replace(
+        comparisons[4],
+        title=evil,
+        claim=evil,
+        message=evil,
+        criteria=(Criterion(evil, 1.0, "at most", 0.0, evil, evil),),
+        evidence=(Evidence(evil, evil, "converged", warnings=(Caution(evil, evil, evil),)),),
+        plots=(plot,),
+    )
+    page = render_comparisons([Tally((one,))], arm=evil)
     assert evil not in page
     assert "0 of 1" in page
     assert "does not hold" in page
 
 
-def test_the_file_holds_every_number(comparisons: Found) -> None:
-    empty = replace(comparisons[4], values={"x": float("nan")})
-    document = json.loads(package.to_json([empty, *list(comparisons.values())[1:]], seed=3))
-    assert document["seed"] == 3
-    first, *rest = document["comparisons"]
-    assert first["values"] == {"x": None}
-    for entry in rest:
-        assert entry["holds"] == comparisons[entry["figure"]].holds
-        assert entry["values"].keys() == comparisons[entry["figure"]].values.keys()
+def test_the_file_holds_every_number(tallies: Tallies) -> None:
+    first = tallies[1].first
+    lost = replace(first, criteria=(replace(first.criteria[0], value=float("nan")),))
+    document = package.document_of([Tally((first, lost)), *tallies[2:]], seeds=(3, 4))
+    document = json.loads(package.to_json(document))
+    assert document["seeds"] == [3, 4]
+    entry, *rest = document["claims"]
+    assert entry["outcomes"] == ["shown", "does-not-hold"]
+    assert [c["values"][1] for c in entry["criteria"]] == [None] * len(first.criteria)
+    assert [c["passed"][0] for c in entry["criteria"]] == [True] * len(first.criteria)
+    for entry, tally in zip(rest, tallies[2:], strict=True):
+        assert entry["outcomes"] == [tally.first.outcome]
+        assert entry["values"].keys() == tally.first.values.keys()
+        statuses = [model["status"] for model in entry["models"][0]]
+        assert statuses == [e.status for e in tally.first.evidence]
 
 
-def test_one_line_a_figure(comparisons: Found) -> None:
+def test_the_markdown_counts_and_gives_reasons(tallies: Tallies) -> None:
+    good = next(t.first for t in tallies if t.first.outcome == "shown")
+    bad = replace(good, criteria=tuple(replace(c, value=float("nan")) for c in good.criteria))
+    text = package.to_markdown(package.document_of([Tally((good, good, bad))], seeds=(0, 1, 2)))
+    assert "shown 2/3, does not hold 1/3" in text
+    assert f"| {good.figure} | {good.claim} |" in text
+    assert "2/3 |" in text
+    assert f"- does not hold in 1: {good.criteria[0].name} none, expected" in text
+
+
+def test_one_line_a_figure(tallies: Tallies) -> None:
     text = StringIO()
-    shown = [replace(comparisons[4], holds=False), comparisons[5]]
+    good = tallies[1].first
+    bad = replace(good, criteria=(replace(good.criteria[0], value=9.0),))
+    shown = [Tally((bad,)), Tally((good,))]
     print_comparisons(shown, Path("out"), console=Console(file=text, highlight=False))
     lines = text.getvalue().splitlines()
     assert lines[0].startswith("Fig.  4: ")
-    assert "Does not hold: 2 levels" in lines[0]
-    assert "Holds: " in lines[1]
-    assert lines[2:] == ["written: out/comparisons.html", "written: out/comparisons.json"]
+    assert "does not hold: 2 levels" in lines[0]
+    assert lines[1].strip() == "levels 9, expected at most 2"
+    assert " shown: " in lines[2]
+    names = [f"written: out/comparisons.{ending}" for ending in ("html", "json", "md")]
+    assert lines[3:] == names
 
 
 def test_quick_leaves_the_comparisons_out(
-    comparisons: Found, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tallies: Tallies, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[object] = []
+    given: list[tuple[object, object]] = []
 
-    def compare(tuned: object, **_: object) -> tuple[Comparison, ...]:
-        given.append(tuned)
-        return tuple(comparisons.values())
+    def compare(seeds: Sequence[int], *, tuned: object, **_: object) -> Tallies:
+        given.append((list(seeds), tuned))
+        return tuple(Tally(tally.runs * len(seeds)) for tally in tallies)
 
-    monkeypatch.setattr(package, "compare", compare)
+    monkeypatch.setattr(package, "compare_seeds", compare)
     monkeypatch.setattr(virtual, "demonstrate", lambda *_, **__: (identification(), {}))
-    for arguments, expected in (
-        (["--quick"], set()),
-        ([], {"comparisons.html", "comparisons.json"}),
-    ):
+    written = {f"comparisons.{ending}" for ending in ("html", "json", "md")}
+    for arguments, expected in ((["--quick"], set()), (["--seeds", "3", "--seed", "5"], written)):
         done = CliRunner().invoke(cli.app, ["demo", "--out", str(tmp_path), *arguments])
-        assert done.exit_code == 0, done.output
+        assert done.exit_code == identification().verdict.exit_code, done.output
         assert {path.name for path in tmp_path.iterdir()} == expected
         assert ("Fig. 15" in done.output) == bool(expected)
-    assert given == [None]
+    assert given == [([5, 6, 7], None)]
 
 
 def test_bode_has_bands_and_a_phase_from_the_middle() -> None:

@@ -1,44 +1,104 @@
-"""Comparisons -> comparisons.json."""
+"""Claims over several seeds -> comparisons.json, and from that the page docs/comparisons.md."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from strainwave import __version__
-from strainwave.records import Comparison
+from strainwave.records import Comparison, Tally
 
-SCHEMA = "strainwave/comparisons/1"
+SCHEMA = "strainwave/comparisons/2"
 
 
-def to_json(comparisons: Sequence[Comparison], seed: int) -> bytes:
-    """Claims, verdicts and numbers, without the figures, as UTF-8 text that ends with a newline.
+def document_of(tallies: Sequence[Tally], seeds: Sequence[int]) -> dict[str, Any]:
+    """Claims, verdicts and numbers of every seed, without the figures.
 
     Parameters
     ----------
-    comparisons : sequence of Comparison
-    seed : int
+    tallies : sequence of Tally
+    seeds : sequence of int
+        In the order of each tally's runs.
+
+    Returns
+    -------
+    dict
+        Of what JSON knows; a number that does not exist is None.
+    """
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "seeds": list(seeds),
+        "claims": [_claim(tally) for tally in tallies],
+    }
+
+
+def to_json(document: Mapping[str, Any]) -> bytes:
+    """`document_of` as UTF-8 text that ends with a newline.
+
+    Parameters
+    ----------
+    document : mapping
 
     Returns
     -------
     bytes
     """
-    document = {
-        "schema": SCHEMA,
-        "version": __version__,
-        "seed": seed,
-        "comparisons": [
+    return (json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def _claim(tally: Tally) -> dict[str, Any]:
+    first = max(tally.runs, key=lambda run: len(run.criteria))  # one that did not fail
+    return {
+        "figure": first.figure,
+        "protocol": first.protocol,
+        "title": first.title,
+        "claim": first.claim,
+        "outcomes": [run.outcome for run in tally.runs],
+        "messages": [run.message for run in tally.runs],
+        "reasons": [list(run.reasons) for run in tally.runs],
+        "criteria": [
             {
-                "figure": c.figure,
-                "title": c.title,
-                "claim": c.claim,
-                "holds": c.holds,
-                "values": {k: float(v) if math.isfinite(v) else None for k, v in c.values.items()},
-                "message": c.message,
+                "name": each.name,
+                "bound": each.bound,
+                "limit": each.limit,
+                "reason": each.reason,
+                "values": [_value(run, each.name) for run in tally.runs],
+                "passed": [_passed(run, each.name) for run in tally.runs],
             }
-            for c in comparisons
+            for each in first.criteria
         ],
+        "values": {
+            name: [_number(run.values.get(name, math.nan)) for run in tally.runs]
+            for name in first.values
+        },
+        "models": [[_model(run, k) for k in range(len(run.evidence))] for run in tally.runs],
     }
-    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    return (text + "\n").encode()
+
+
+def _model(run: Comparison, k: int) -> dict[str, Any]:
+    found = run.evidence[k]
+    return {
+        "name": found.name,
+        "method": found.method,
+        "order": found.order,
+        "status": found.status,
+        "growth": _number(found.growth),
+        "sound": found.sound,
+        "decisive": found.decisive,
+        "warnings": [{"code": w.code, "message": w.message} for w in found.warnings],
+    }
+
+
+def _value(run: Comparison, name: str) -> float | None:
+    return next((_number(c.value) for c in run.criteria if c.name == name), None)
+
+
+def _passed(run: Comparison, name: str) -> bool:
+    return any(c.passed for c in run.criteria if c.name == name)
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.6g}") if math.isfinite(value) else None

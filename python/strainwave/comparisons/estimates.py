@@ -1,130 +1,173 @@
-"""State-space models of a decoupled joint, their responses, and how far they are off."""
+"""State-space models of a decoupled joint by the product's own step, and how far they are off."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.errors import NotIdentifiable, NumericalFailure
-from strainwave.filters import low_pass
+from strainwave.errors import NumericalFailure, StrainwaveError
+from strainwave.physical import modes_of, state_space_of
+from strainwave.physical.linear import without_alternating
 from strainwave.physical.two_inertia import TwoInertia, state_space
 from strainwave.physical.two_inertia import anti_resonance as true_anti_resonance
 from strainwave.physical.two_inertia import resonance as true_resonance
 from strainwave.records import (
+    ArmModel,
+    Caution,
     ComplexArray,
     ContinuousStateSpace,
+    Criterion,
     Decoupled,
+    Evidence,
     FloatArray,
     FrequencyResponse,
-    Hold,
-    InputOutput,
+    JointModel,
+    LinearOptions,
     Mode,
     StateSpace,
 )
 from strainwave.report.curves import Curve
-from strainwave.statespace import (
-    frequency_response,
-    modes,
-    pem,
-    subspace,
-    to_continuous,
-    without_means,
-)
+from strainwave.statespace import frequency_response, to_continuous
 
-BANDWIDTH_HZ = 150.0  # zero-phase; well below the new Nyquist frequency, well above the resonances
-STEP = 1e-3  # [s]
-MODEL_ORDER = 3  # twist and two velocities
 LINES_HZ = np.geomspace(1.0, 100.0, 240)
 JUDGED_HZ = (3.0, 60.0)  # where errors of responses are taken: around dip and peak
-_EDGE = 0.01  # [s] of a record's ends that the filters' transients spoil
-
-Way = Literal["pem", "moesp"]
+CLOSE_PERCENT = 5.0
+_STEP = 1e-3  # [s] over which a physical model's growth is taken
+CLOSE = "5 % in a frequency are 10 % in a stiffness, as which a parameter counts as well known"
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """A model of motor torque to motor velocity with its modes."""
 
-    model: StateSpace
-    continuous: ContinuousStateSpace | None  # None: there is none
-    response: FrequencyResponse | None  # of the latter at `LINES_HZ`
-    anti_resonance: Mode | None
-    resonance: Mode | None
+    evidence: Evidence
+    model: StateSpace | None  # None: the estimation failed
+    continuous: ContinuousStateSpace | None = None  # None: there is none
+    response: FrequencyResponse | None = None  # of the latter at `LINES_HZ`
+    anti_resonance: Mode | None = None
+    resonance: Mode | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """How far an estimate is from the truth; NaN where it has no such thing."""
+    """How far an estimate is from the truth; infinite where it has no such thing."""
 
     anti_resonance_percent: float
     resonance_percent: float
     response_db: float  # root mean square over `JUDGED_HZ`, logarithmic in frequency
 
-
-def stretch(decoupled: Decoupled, *, inputs: int = 2, outputs: int = 2) -> InputOutput:
-    """A joint's record as the estimators want it: smooth and thinned.
-
-    Parameters
-    ----------
-    decoupled : Decoupled
-    inputs, outputs : int
-        How many to keep.
-
-    Returns
-    -------
-    InputOutput
-    """
-    T = decoupled.sample_time
-    first: Hold = "first"
-    every = max(1, round(STEP / T))
-    edge = round(_EDGE / T)
-    rows = slice(edge, -edge, every)
-    return InputOutput(
-        low_pass(decoupled.inputs[:, :inputs], BANDWIDTH_HZ, T)[rows],
-        low_pass(decoupled.outputs[:, :outputs], BANDWIDTH_HZ, T)[rows],
-        every * T,
-        hold=(first,) * inputs,
-    )
+    @property
+    def worst_percent(self) -> float:
+        """The larger error of the two frequencies."""
+        return max(abs(self.anti_resonance_percent), abs(self.resonance_percent))
 
 
-def estimate(
-    *records: Decoupled,
-    way: Way = "pem",
-    inputs: int = 2,
-    outputs: int = 2,
-    start: StateSpace | None = None,
-) -> Estimate:
-    """A third-order model of one joint.
+def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) -> Estimate:
+    """A model of one joint by `physical.state_space_of`, as `identify` makes it.
 
     Parameters
     ----------
-    records : Decoupled
-    way : "pem" or "moesp"
-    inputs : int
-        1 leaves the interaction torque out.
-    outputs : int
-        1 leaves the link velocity out.
-    start : StateSpace, optional
-        Of PEM; None: from subspace methods.
+    records : sequence of Decoupled
+    options : LinearOptions
+    name : str
+        Of the model, for whoever reads its status.
 
     Returns
     -------
     Estimate
+        With the model's status and warnings; where the estimation failed, with the reason.
     """
-    data = without_means([stretch(record, inputs=inputs, outputs=outputs) for record in records])
-    if way == "pem":
-        model = pem(data, None if start else MODEL_ORDER, start=start)
-    else:
-        model = subspace(data, MODEL_ORDER, method="moesp")
     try:
-        continuous = to_continuous(model)
-        found = modes(model, 0, 0)
+        model = state_space_of(records, options)
+    except (StrainwaveError, np.linalg.LinAlgError) as problem:
+        said = Caution("state-space-failed", name, str(problem))
+        return Estimate(Evidence(name, options.method, "failed", warnings=(said,)), None)
+    evidence = Evidence(
+        name,
+        options.method,
+        model.status,
+        order=model.order,
+        growth=float(np.abs(np.linalg.eigvals(model.A)).max()),
+        warnings=model.warnings,
+    )
+    try:
+        found = modes_of(model)
+        continuous = to_continuous(without_alternating(model))
         response = frequency_response(continuous, LINES_HZ)
-    except (NotIdentifiable, NumericalFailure):  # a model that no continuous-time joint has
-        return Estimate(model, None, None, None, None)
-    return Estimate(model, continuous, response, found.anti_resonance, found.resonance)
+    except (StrainwaveError, NumericalFailure, np.linalg.LinAlgError) as problem:
+        said = Caution("modes-failed", name, str(problem))
+        return Estimate(replace(evidence, warnings=(*model.warnings, said)), model)
+    return Estimate(evidence, model, continuous, response, found.anti_resonance, found.resonance)
+
+
+def evidence_of(model: JointModel | ArmModel, name: str) -> Evidence:
+    """Status and warnings of a physical model.
+
+    Parameters
+    ----------
+    model : JointModel or ArmModel
+    name : str
+
+    Returns
+    -------
+    Evidence
+    """
+    method = model.method if isinstance(model, JointModel) else "whole-arm fit"
+    return Evidence(name, method, model.status, warnings=model.warnings)
+
+
+def response_evidence(model: JointModel, joint: TwoInertia, name: str) -> Evidence:
+    """Of a physical model of which only the response counts, not each parameter by itself.
+
+    Parameters
+    ----------
+    model : JointModel
+    joint : TwoInertia
+        Its parameters.
+    name : str
+
+    Returns
+    -------
+    Evidence
+    """
+    slowest = float(np.linalg.eigvals(state_space(joint)[0]).real.max())
+    return replace(evidence_of(model, name), growth=float(np.exp(slowest * _STEP)))
+
+
+def close(name: str, percent: float, otherwise: str = "") -> Criterion:
+    """That an error of a frequency is small.
+
+    Parameters
+    ----------
+    name : str
+    percent : float
+    otherwise : str
+        Why it is not, where it is not.
+
+    Returns
+    -------
+    Criterion
+    """
+    return Criterion(name, abs(percent), "at most", CLOSE_PERCENT, CLOSE, otherwise)
+
+
+def far(name: str, percent: float, otherwise: str = "") -> Criterion:
+    """That an error of a frequency is not small; a missing frequency is the largest error.
+
+    Parameters
+    ----------
+    name : str
+    percent : float
+    otherwise : str
+        Why it is small, where it is.
+
+    Returns
+    -------
+    Criterion
+    """
+    return Criterion(name, abs(percent), "at least", CLOSE_PERCENT, CLOSE, otherwise)
 
 
 def response_of(joint: TwoInertia, frequencies_hz: FloatArray = LINES_HZ) -> FrequencyResponse:
@@ -155,7 +198,7 @@ def errors_of(found: Estimate, truth: TwoInertia) -> Errors:
     -------
     Errors
     """
-    db = float("nan")
+    db = float("inf")
     if found.response is not None:
         db = distance_db(found.response.response[:, 0, 0], response_of(truth).response[:, 0, 0])
     return Errors(
@@ -228,6 +271,7 @@ def estimated_curve(name: str, found: Estimate, *, band: bool = False) -> list[C
     Parameters
     ----------
     name : str
+        What is wrong with the model is added to it.
     found : Estimate
     band : bool
 
@@ -235,10 +279,13 @@ def estimated_curve(name: str, found: Estimate, *, band: bool = False) -> list[C
     -------
     list of Curve
     """
-    return [] if found.response is None else curve(name, found.response, band=band)
+    if found.response is None:
+        return []
+    sound = found.evidence.sound
+    return curve(name if sound else f"{name} (not sound)", found.response, band=band and sound)
 
 
 def _off(found: Mode | None, true: Mode) -> float:
     if found is None:
-        return float("nan")
+        return float("inf")
     return 100.0 * (found.frequency_hz / true.frequency_hz - 1.0)

@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from strainwave import excitation, rigid, scara, signals
-from strainwave.comparisons.estimates import Estimate, Way, estimate
+from strainwave.comparisons.estimates import Estimate, estimate, evidence_of
+from strainwave.comparisons.settings import OWN, Settings
+from strainwave.comparisons.truth import equivalent
 from strainwave.decoupling import decouple
 from strainwave.links import link_side
 from strainwave.parameters import Values
+from strainwave.physical import identify_joint
 from strainwave.physical.two_inertia import TwoInertia
 from strainwave.records import (
     Control,
     Decoupled,
+    Evidence,
     Experiment,
     FloatArray,
+    JointModel,
     LinkSignals,
     Log,
     Prbs,
     RigidModel,
     Study,
 )
+from strainwave.records.options import Channels, EstimationMethod
 from strainwave.simulation import Drive, Quantity, SensorNoise, Trajectory, measure, simulate
+from strainwave.tuning import tune
 
 Progress = Callable[[str], None]
 
@@ -34,13 +41,13 @@ PAYLOAD = 5  # [kg]; what most comparisons carry
 AMPLITUDE = 10.0  # [V]; the most the rig's drives give
 CLOCK = 1e-3  # [s]
 ORDER = 10  # of the PRBS: 1023 clocks
-SAMPLE = 2.5e-4  # [s]
-PERIODS = 4
+STEP_SAMPLE = 2.5e-4  # [s] of the records of steps
 _MOTION_SECONDS = 10.0
 _MOTION_SPEED = 1.8  # [rad/s] of a link
 _MOTION_EXCURSION = 1.2  # [rad] of a link
 _MOTION_TOP_HZ = 1.0
 _STEP_SECONDS = 0.5
+TUNING_STEPS = (0.0, 40.0, 0.0)  # [rad/s] of the motor
 _SENSORS: tuple[Quantity, ...] = ("voltage", "encoder", "accelerometer")
 _TRUTH: tuple[Quantity, ...] = (
     "motor_angle",
@@ -54,12 +61,22 @@ _TRUTH: tuple[Quantity, ...] = (
 class Run:
     """One experiment: what was measured of the excited joint, and what is true of it."""
 
+    name: str
     study: Study
     values: Values
     trajectory: Trajectory  # noise-free
+    log: Log
     signals: LinkSignals
     decoupled: Decoupled
     truth: TwoInertia  # with the slope that the gear showed on the whole
+
+
+@dataclass(frozen=True, slots=True)
+class Tuned:
+    """All parameters of the arm with its full payload, fitted at once."""
+
+    values: Values
+    evidence: tuple[Evidence, ...]
 
 
 class Rig:
@@ -68,22 +85,29 @@ class Rig:
     Parameters
     ----------
     seed : int
-        Of the sensors' noise and of the motions.
+        Of the sensors' noise, of the motions, and of where the PRBS begins.
+    settings : Settings
     progress : callable
-        Told what is being done.
+        Called with what is being done.
     """
 
-    def __init__(self, seed: int, progress: Progress = lambda _: None) -> None:
+    def __init__(
+        self, seed: int, settings: Settings = OWN, progress: Progress = lambda _: None
+    ) -> None:
         self.seed = seed
+        self.settings = settings
         self.progress = progress
         self.payload = PAYLOAD
         self.study = scara.study(Path("rig"))
         self.rigid = cache(self._rigid)
         self.prbs = cache(self._prbs)
         self.estimate = cache(self._estimate)
+        self.physical = cache(self._physical)
+        self.tuned = cache(self._tuned)
+        self._begins = int(self._rng(3).integers(2**ORDER - 1))
 
     def steps(self, levels: tuple[float, ...], joint: int, number: int) -> Log:
-        """Steps of one servo's reference, the other servo at rest, as logged.
+        """Steps of one servo's reference, the other servo at zero, as logged.
 
         Parameters
         ----------
@@ -100,7 +124,8 @@ class Rig:
         """
         values = scara.parameters(PAYLOAD)
         trajectory = run_steps(self.study, values, levels, joint)
-        experiment = Experiment("steps", "steps.csv", "tuning", ("servo", "servo"), joint)
+        name = f"steps-j{joint}-{number}"
+        experiment = Experiment(name, f"{name}.csv", "tuning", ("servo", "servo"), joint)
         return _log(experiment, trajectory, SensorNoise(), self._rng(2, joint, number))
 
     def _rigid(self, disks: int) -> RigidModel:
@@ -141,54 +166,88 @@ class Rig:
         *,
         disks: int = PAYLOAD,
         amplitude: float = AMPLITUDE,
-        periods: int = PERIODS,
+        periods: int | None = None,
         other: Control = "open",
         start: int = 0,
     ) -> Run:
         """One joint under PRBS in open loop, the other free or servoed.
 
-        `start` is the clock of the sequence that the record begins with.
+        `start` is the clock of the sequence that the record begins with, after the seed's own.
         """
         control: tuple[Control, Control] = ("open", other) if joint == 1 else (other, "open")
-        sequence = excitation.prbs(Prbs(ORDER, CLOCK, periods, amplitude))
+        count = periods or self.settings.periods
+        sequence = excitation.prbs(Prbs(ORDER, CLOCK, count, amplitude))
         voltage = np.zeros((len(sequence), 2))
-        voltage[:, joint - 1] = np.roll(sequence, -start)
+        voltage[:, joint - 1] = np.roll(sequence, -start - self._begins)
         values = scara.parameters(disks)
+        T = self.settings.sample_time
         trajectory = simulate(
             self.study,
             values,
             _drive(voltage, np.zeros_like(voltage), control),
-            sample_time=SAMPLE,
-            samples=round(len(voltage) * CLOCK / SAMPLE),
+            sample_time=T,
+            samples=round(len(voltage) * CLOCK / T),
             record=_SENSORS + _TRUTH,
         )
-        experiment = Experiment("prbs", "prbs.csv", "frequency", control, joint)
+        loop = "servoed" if other == "servo" else "free"
+        name = f"joint {joint} at {amplitude:g} V, {disks} kg, joint {3 - joint} {loop}"
+        file = f"prbs-j{joint}"
+        experiment = Experiment(file, f"{file}.csv", "frequency", control, joint)
         rng = self._rng(
-            1, joint, disks, round(1e3 * amplitude), periods, int(other == "servo"), start
+            1, joint, disks, round(1e3 * amplitude), count, int(other == "servo"), start
         )
         log = _log(experiment, trajectory, SensorNoise(), rng)
-        links = link_side(log, self.study)
+        links = link_side(log, self.study, self.settings.links)
         return Run(
+            name=name,
             study=self.study,
             values=values,
             trajectory=trajectory,
+            log=log,
             signals=links,
             decoupled=decouple(links, self.rigid(disks), self.study)[joint - 1],
             truth=equivalent(self.study, values, trajectory, joint),
         )
 
     def _estimate(
-        self, run: Run, *, way: Way = "pem", inputs: int = 2, outputs: int = 2
+        self,
+        *runs: Run,
+        method: EstimationMethod | None = None,
+        inputs: Channels = "both",
+        outputs: Channels = "both",
     ) -> Estimate:
-        """`estimate` of one run."""
-        return estimate(run.decoupled, way=way, inputs=inputs, outputs=outputs)
+        """State-space model of one joint by the settings' way, but for what is given."""
+        linear = self.settings.linear
+        linear = replace(linear, method=method or linear.method, inputs=inputs, outputs=outputs)
+        left_out = [
+            text
+            for text, kept in (("motor input only", inputs), ("one output", outputs))
+            if kept == "motor"
+        ]
+        name = ", ".join([linear.method, runs[0].name, *left_out])
+        return estimate([run.decoupled for run in runs], linear, name)
+
+    def _physical(self, *runs: Run, disks: int = PAYLOAD) -> JointModel:
+        """Physical parameters of one joint by its equations of motion."""
+        return identify_joint(
+            [(run.signals, run.decoupled) for run in runs], self.rigid(disks), self.study
+        )
+
+    def _tuned(self) -> Tuned:
+        """The whole-arm fit to a PRBS and a step of each joint."""
+        self.progress("whole-arm fit")
+        runs = [self.prbs(joint) for joint in (1, 2)]
+        logs = [run.log for run in runs] + [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
+        joints = [self.physical(run) for run in runs]
+        model = tune(logs, self.rigid(PAYLOAD), joints, self.study)
+        return Tuned(dict(model.values), (evidence_of(model, "whole arm"),))
 
     def _rng(self, *names: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, *names])
 
 
 def run_steps(study: Study, values: Values, levels: tuple[float, ...], joint: int) -> Trajectory:
-    """An arm under its velocity servos, one of them told to step.
+    """An arm under its velocity servos, one of them with a reference of steps.
 
     Parameters
     ----------
@@ -207,9 +266,9 @@ def run_steps(study: Study, values: Values, levels: tuple[float, ...], joint: in
     both = np.zeros((len(reference), 2))
     both[:, joint - 1] = reference
     drive = _drive(np.zeros_like(both), both, ("servo", "servo"))
-    samples = round(len(both) * CLOCK / SAMPLE)
+    samples = round(len(both) * CLOCK / STEP_SAMPLE)
     return simulate(
-        study, values, drive, sample_time=SAMPLE, samples=samples, record=_SENSORS + _TRUTH
+        study, values, drive, sample_time=STEP_SAMPLE, samples=samples, record=_SENSORS + _TRUTH
     )
 
 
@@ -227,106 +286,6 @@ def ideal_log(trajectory: Trajectory, joint: int) -> Log:
     """
     experiment = Experiment("model", "model.csv", "tuning", ("servo", "servo"), joint)
     return _log(experiment, trajectory, None, np.random.default_rng(0))
-
-
-def spring_torque(values: Values, joint: int, twist: FloatArray) -> FloatArray:
-    """The three-slope law of one gear.
-
-    Parameters
-    ----------
-    values : dict
-    joint : int
-    twist : (n_samples,) [rad]
-
-    Returns
-    -------
-    (n_samples,) [N m]
-    """
-    k1, k2, k3 = slopes(values, joint)
-    t1, t2 = (values[f"gear_knee_t{i}", joint] for i in (1, 2))
-    first = t1 / k1
-    second = first + (t2 - t1) / k2
-    size = np.abs(twist)
-    torque = (
-        k1 * np.minimum(size, first)
-        + k2 * np.clip(size - first, 0.0, second - first)
-        + k3 * np.maximum(size - second, 0.0)
-    )
-    return np.asarray(np.sign(twist) * torque)
-
-
-def slopes(values: Values, joint: int) -> tuple[float, float, float]:
-    """K1, K2, K3 of one gear.
-
-    Parameters
-    ----------
-    values : dict
-    joint : int
-
-    Returns
-    -------
-    tuple of float [N m/rad]
-    """
-    return (
-        values["gear_stiffness_k1", joint],
-        values["gear_stiffness_k2", joint],
-        values["gear_stiffness_k3", joint],
-    )
-
-
-def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> TwoInertia:
-    """One joint of the arm on its own, with a linear spring.
-
-    Parameters
-    ----------
-    values : dict
-    joint : int
-    stiffness : float [N m/rad]
-    ratio : float
-
-    Returns
-    -------
-    TwoInertia
-    """
-    own = values["beta", None]
-    if joint == 1:
-        own += values["alpha", None] + 2.0 * values["gamma", None]
-    return TwoInertia(
-        motor_inertia=values["motor_inertia", joint],
-        motor_viscous_friction=values["motor_viscous_friction", joint],
-        link_inertia=own,
-        link_viscous_friction=values["link_viscous_friction", joint],
-        gear_stiffness=stiffness,
-        gear_damping=values["gear_damping", joint],
-        gear_ratio=ratio,
-    )
-
-
-def equivalent(study: Study, values: Values, trajectory: Trajectory, joint: int) -> TwoInertia:
-    """The joint with the slope that fits its spring's torque over the whole run best.
-
-    k = sum(T(delta) delta) / sum(delta^2), with the twist delta of the run.
-
-    Parameters
-    ----------
-    study : Study
-    values : dict
-        With three slopes, or with one, which is then the answer.
-    trajectory : Trajectory
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    TwoInertia
-    """
-    ratio = study.joints[joint - 1].gear_ratio
-    if ("gear_stiffness", joint) in values:
-        return joint_with(values, joint, values["gear_stiffness", joint], ratio)
-    column = joint - 1
-    twist = ratio * trajectory["motor_angle"][:, column] - trajectory["link_angle"][:, column]
-    torque = spring_torque(values, joint, twist)
-    return joint_with(values, joint, float(torque @ twist / (twist @ twist)), ratio)
 
 
 def _drive(voltage: FloatArray, reference: FloatArray, control: tuple[Control, ...]) -> Drive:

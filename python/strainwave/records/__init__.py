@@ -16,6 +16,16 @@ from strainwave.records.arm import (
     TorqueHistogram,
 )
 from strainwave.records.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from strainwave.records.comparison import (
+    OUTCOMES,
+    Comparison,
+    Criterion,
+    Evidence,
+    Outcome,
+    Protocol,
+    Tally,
+    outcomes_text,
+)
 from strainwave.records.final_table import Decision, half_width
 from strainwave.records.joints import (
     Check,
@@ -35,7 +45,7 @@ from strainwave.records.options import (
     RigidOptions,
     TuningOptions,
 )
-from strainwave.records.outcome import Comparison, Identification
+from strainwave.records.outcome import Identification
 from strainwave.records.ranges import is_physical, physical_range
 from strainwave.records.rigid import RigidModel
 from strainwave.records.signals import (
@@ -84,6 +94,7 @@ from strainwave.records.verdict import Status, Validated, Verdict
 
 __all__ = [
     "CHANNELS",
+    "OUTCOMES",
     "Activity",
     "Arm",
     "ArmKind",
@@ -97,11 +108,13 @@ __all__ = [
     "Consistency",
     "ContinuousStateSpace",
     "Control",
+    "Criterion",
     "Criticism",
     "Decision",
     "Decoupled",
     "Delay",
     "Effect",
+    "Evidence",
     "Experiment",
     "FloatArray",
     "FrequencyOptions",
@@ -127,11 +140,13 @@ __all__ = [
     "NonNegative",
     "Options",
     "OrderSelection",
+    "Outcome",
     "Parameter",
     "PhysicalOptions",
     "Positive",
     "Prbs",
     "Prediction",
+    "Protocol",
     "RecordModel",
     "ResidualTest",
     "Resonance",
@@ -148,6 +163,7 @@ __all__ = [
     "Suspicion",
     "Sweep",
     "SweepPoint",
+    "Tally",
     "TopicChannel",
     "TorqueHistogram",
     "TuningOptions",
@@ -157,5 +173,6 @@ __all__ = [
     "channel_names",
     "half_width",
     "is_physical",
+    "outcomes_text",
     "physical_range",
 ]

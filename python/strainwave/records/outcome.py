@@ -1,11 +1,10 @@
-"""What comes of it all: published claims put to the test, and all that one run learnt."""
+"""What comes of it all: everything that one run learnt."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from strainwave.records.answers import Caution, Parameter, Prediction, Suspicion
 from strainwave.records.arm import ArmModel
@@ -17,19 +16,6 @@ from strainwave.records.statespace import FrequencyResponse
 from strainwave.records.study import Study
 from strainwave.records.verdict import Status, Validated, Verdict
 from strainwave.shown import Shown
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """One claim of the method, put to the built-in arm whose truth is known."""
-
-    figure: int  # of the source that makes the claim
-    title: str
-    claim: str  # in one sentence
-    holds: bool  # on this arm
-    values: Mapping[str, float]  # NaN: there is none
-    message: str  # the number that shows it, or why it does not hold
-    plots: tuple[dict[str, Any], ...]  # plotly figures; the caption is `layout.meta`
 
 
 @dataclass(frozen=True, slots=True)
