@@ -381,6 +381,8 @@ def test_evidence_is_never_surer_than_the_local_covariance() -> None:
     """Variances are the larger of two; correlations stay those of the combined covariance."""
     combined = np.array([[4.0, 0.6], [0.6, 1.0]])
     local = np.diag([1.0, 9.0])
-    cautious = Confidence(combined, local, combined, combined, combined).cautious
+    none = np.zeros((0, 0))
+    unsure = Confidence(combined, local, combined, combined, combined, np.zeros(0), (none, none))
+    cautious = unsure.cautious
     np.testing.assert_allclose(np.diag(cautious), [4.0, 9.0])
     assert cautious[0, 1] / np.sqrt(4.0 * 9.0) == pytest.approx(0.6 / np.sqrt(4.0 * 1.0))

@@ -144,11 +144,14 @@ def _still_true(found: Identification, decisions: Sequence[Decision]) -> Iterato
     own = set(found.tuned.warnings) if found.tuned is not None else set()
     for warning in found.warnings:
         decision = final.get(warning.where)
-        if warning.code in _OF_ONE_STAGE and decision is not None and warning not in own:
-            overtaken = decision.parameter.stage == "tuned"
-            if overtaken or (
-                warning.code == "not-identifiable" and decision.parameter.value is not None
-            ):
+        if warning.code in _OF_ONE_STAGE and warning not in own:
+            if decision is None:  # one stiffness, where the whole-arm fit has a curve
+                overtaken = found.tuned is not None and warning.where.startswith("gear_stiffness ")
+            else:
+                known = decision.parameter.value is not None
+                overtaken = decision.parameter.stage == "tuned"
+                overtaken = overtaken or (warning.code == "not-identifiable" and known)
+            if overtaken:
                 continue
         yield warning
 

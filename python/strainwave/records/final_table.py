@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.records.answers import Parameter, Suspicion
-from strainwave.records.arm import ArmModel
+from strainwave.records.arm import ArmModel, StageDifference
 from strainwave.records.joints import JointModel
 from strainwave.records.ranges import PHYSICAL_RANGES, is_physical, physical_range
 from strainwave.records.rigid import RigidModel
@@ -21,8 +21,11 @@ from strainwave.records.study import Study
 
 Key = tuple[str, int | None]
 
-CONTRADICTION = 5.0
-"""Standard deviations from which a difference between stages rejects what it touches."""
+CONTRADICTION = 4.0
+"""Standard deviations from which a difference between stages rejects what it touches.
+
+Of a dozen values that differ by noise alone one is as far off in a run of a thousand.
+"""
 
 _ORDER = {name: place for place, name in enumerate(PHYSICAL_RANGES)}
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
@@ -194,18 +197,24 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
     for p in tuned.parameters:
         at_end = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
         table[_key(p)] = _Entry(p, at_end if _key(p) in bounded else "")
-    touched = _contradicted(tuned)
+    far = [d for d in tuned.differences if abs(d.deviations) > CONTRADICTION]
+    touched, rubbing = _torques_wrong(far, tuned), {d.joint for d in far}
     for key, entry in table.items():
-        if entry.parameter.joint in touched and not entry.rejected:
+        name, joint = key
+        friction = "friction" in name and joint in rubbing
+        if (joint in touched or friction) and not entry.rejected:
             table[key] = replace(entry, rejected=_CONTRADICTED)
 
 
-def _contradicted(tuned: ArmModel) -> set[int | None]:
-    """Joints whose values the stages contradict; with any, the arm's own share its torques."""
-    large = {d.joint for d in tuned.differences if abs(d.deviations) > CONTRADICTION}
-    if None in large:  # an inertia of the arm is in the torques of all its joints
-        large |= {p.joint for p in tuned.parameters}
-    return large | {None} if large else set()
+def _torques_wrong(far: Sequence[StageDifference], tuned: ArmModel) -> set[int | None]:
+    """Joints of whose inertias the stages contradict each other, and then the arm as well.
+
+    Where only frictions do, another law of friction is the likeliest, which leaves the rest alone.
+    """
+    wrong = {d.joint for d in far if "friction" not in d.name}
+    if None in wrong:  # an inertia of the arm is in the torques of all its joints
+        wrong |= {p.joint for p in tuned.parameters}
+    return wrong | {None} if wrong else set()
 
 
 def _make_consistent(table: _Table, study: Study, decided: Sequence[JointModel]) -> None:

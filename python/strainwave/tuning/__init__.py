@@ -27,6 +27,7 @@ from strainwave.records import (
     TuningOptions,
 )
 from strainwave.replay import missing_for_replay
+from strainwave.tuning.agreement import disagreement, stage_differences
 from strainwave.tuning.carried import carried_torques, gear_torques, histograms_of, largest_of
 from strainwave.tuning.effects import left_out, records_with, tried
 from strainwave.tuning.misfit import Misfit
@@ -183,6 +184,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         status = "at-bounds"
     if not fit.converged:
         status = "iteration-limit"
+    differences = stage_differences(fit, study)
     criticism = Criticism(residual_tests(fit.misfit, fit.z), tuple(richer_models(fit, study)))
     repeated = [
         log
@@ -205,6 +207,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         status=status,
         warnings=(
             *warnings_of(fit, at_bounds(fit), parameters),
+            *disagreement(differences),
             *left_out(fit.misfit.search, study),
             *residual_cautions(criticism.residuals),
             *effect_cautions(criticism.richer),
@@ -216,6 +219,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
             for key, ended in zip(fit.misfit.search.keys, at_bounds(fit), strict=True)
             if ended and key[0] != SETTLING
         ),
+        differences=differences,
     )
 
 

@@ -60,6 +60,9 @@ class Confidence:
     sandwich: FloatArray
     steady: FloatArray
     scatter: FloatArray  # NaN with fewer than three records
+    prior_residual: FloatArray  # (n_prior,) whitened: the fit less what the rigid model knows
+    prior_covariance: tuple[FloatArray, FloatArray]
+    """Of that residual, (n_prior, n_prior), by the gradients of stretches and by steady errors."""
 
     @property
     def cautious(self) -> FloatArray:
@@ -121,7 +124,19 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     variance = variance * (1.0 + n_records * _beyond_noise(misfit, products, inverse))
     ones = np.ones_like(variance)
     raised = np.sqrt(np.divide(variance, steadied, out=ones, where=steadied > 0.0))
-    return Confidence(steady * np.outer(raised, raised), local, sandwich, steady, scatter)
+    by_errors = sum((record.steady for record in records), np.zeros_like(known))
+    expected = tuple(
+        residual_covariance(prior.errors, rows @ unbread, rows, meat) for meat in (loud, by_errors)
+    )
+    return Confidence(
+        steady * np.outer(raised, raised),
+        local,
+        sandwich,
+        steady,
+        scatter,
+        left,
+        (expected[0], expected[1]),
+    )
 
 
 def _excess(own: FloatArray, scattered: FloatArray, pooled: float, n_records: int) -> FloatArray:
@@ -210,16 +225,42 @@ def _contradicted(
 ) -> float:
     """How many times larger the prior's residuals are than its errors explain, in squares.
 
-    The fit answers errors e of the prior, whose rows are G, and gradients g of the records by
-    B (G' e + g), B the inverse of all information: of e it leaves (I - G B G') e - G B g. A mean
-    over all rows, never less than one.
+    A mean over all rows, never less than one.
     """
     if not len(left):
         return 1.0
-    kept = np.eye(len(left)) - answer @ rows.T
-    expected = np.diag(kept @ errors @ kept.T + answer @ meat @ answer.T)
+    expected = np.diag(residual_covariance(errors, answer, rows, meat))
     expected = np.maximum(expected, _LEAST_KEPT * np.diag(errors))
     return max(1.0, float(np.mean(left**2 / expected)))
+
+
+def residual_covariance(
+    errors: FloatArray, answer: FloatArray, rows: FloatArray, meat: FloatArray
+) -> FloatArray:
+    """Covariance of the prior's residuals at the fit's minimum.
+
+    The fit answers errors e of the prior, whose rows are G, and gradients g of the records by
+    B (G' e + g), B the inverse of all information: of e it leaves (I - G B G') e - G B g. So the
+    fit's having followed the prior is counted. Were both efficient, it would be the prior's
+    covariance less that of the combination.
+
+    Parameters
+    ----------
+    errors : (n_prior, n_prior)
+        Covariance of e.
+    answer : (n_prior, n_unknowns)
+        G B.
+    rows : (n_prior, n_unknowns)
+        G.
+    meat : (n_unknowns, n_unknowns)
+        Covariance of g.
+
+    Returns
+    -------
+    (n_prior, n_prior)
+    """
+    kept = np.eye(len(rows)) - answer @ rows.T
+    return np.asarray(kept @ errors @ kept.T + answer @ meat @ answer.T)
 
 
 def _beyond_noise(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -70,6 +70,10 @@ class Prior:
     rows: FloatArray  # (n_rows, n_unknowns), whitened
     target: FloatArray  # (n_rows,), whitened
     errors: FloatArray  # (n_rows, n_rows) their covariance, less than one by what that least adds
+    names: tuple[Key, ...] = ()  # (n_rows,) the rigid model's parameters
+    factor: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """(n_rows, n_rows) what a whitened row is multiplied by to have the parameters' units."""
+    mean: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n_rows,) in those units
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,7 +307,7 @@ def search_of(
         if signed and scale == 0.0:
             scale = 1.0
         far = _FAR if "inertia" in name or name in (*_BASE, *LINEAR) else _VERY_FAR
-        unit = _unit(name) if number is None else unit_of(name, study.joints[number - 1])
+        unit = unit_of_arm(name) if number is None else unit_of(name, study.joints[number - 1])
         unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
     keys = [unknown.key for unknown in unknowns]
     return Search(tuple(unknowns), {}, _prior(model, keys, study, floor))
@@ -364,7 +368,8 @@ def with_settling(search: Search) -> Search:
     return Search((*search.unknowns, *more), search.fixed, replace(search.prior, rows=rows))
 
 
-def _unit(name: str) -> str:
+def unit_of_arm(name: str) -> str:
+    """The unit of a parameter of the arm as a whole."""
     return "N m" if name.startswith("gravity") else "kg m^2"
 
 
@@ -454,9 +459,11 @@ def _prior(model: RigidModel | None, keys: Sequence[Key], study: Study, floor: f
     rows = np.array([combination(keys, _parts(name, study)) for name in names])
     mean = model.solution[told]
     covariance = model.covariance[np.ix_(told, told)]
-    factor = np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2))
+    factor = np.asarray(np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2)))
     errors = np.linalg.solve(factor, np.linalg.solve(factor, covariance).T)
-    return Prior(np.linalg.solve(factor, rows), np.linalg.solve(factor, mean), errors)
+    white = np.asarray(np.linalg.solve(factor, rows))
+    target = np.asarray(np.linalg.solve(factor, mean))
+    return Prior(white, target, errors, tuple(names), factor, mean)
 
 
 def _parts(name: Key, study: Study) -> dict[Key, float]:
