@@ -6,10 +6,12 @@ and Runge-Kutta's method, with friction by the sign of the velocity: no sticking
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -17,7 +19,9 @@ import numpy as np
 
 from benchmarks.timing import Row, best_of
 from strainwave import excitation, scara
-from strainwave.records import FloatArray, Prbs
+from strainwave.export.mjcf import to_mjcf
+from strainwave.export.source import IdentifiedArm
+from strainwave.records import FloatArray, Parameter, Prbs
 from strainwave.simulation import build_arm, parameter_vector
 
 STEP = 1.25e-4
@@ -27,22 +31,33 @@ STEPS = round(SECONDS / STEP)
 
 def rows() -> list[Row]:
     single = _ours(arms=1)
-    batch = _ours(arms=256)
-    c_single, c_batch = _c_peer()
+    c_single, c_batch, c_all = _c_peer()
     few, many = _followed(15), _followed(25)
+    flags = "C, gcc, best of its flags"
     return [
-        Row("a step of one arm", single, "C, gcc -O3 -march=native -ffast-math", c_single),
+        Row("a step of one arm", single, flags, c_single),
         Row("a step of one arm", single, "SciPy solve_ivp RK45, rtol 1e-6", _scipy()),
         Row("a step of one arm", single, "MuJoCo, RK4", _mujoco()),
         Row("a step with 15 derivatives", few, "15 more simulations", 16.0 * single),
         Row("a step with 25 derivatives", many, "25 more simulations", 26.0 * single),
+        Row("a step of an arm in a batch, 1 core", _batch(1), f"{flags}, 16 side by side", c_batch),
         Row(
             f"a step of an arm in a batch, {_cores()} cores",
-            batch,
-            "C, 16 side by side, 1 core",
-            c_batch,
+            _batch(_cores()),
+            f"{flags}, 16 side by side on each core",
+            c_all,
         ),
     ]
+
+
+def _batch(threads: int) -> float:
+    """Ours in a process of its own, whose number of threads is set before it begins."""
+    code = "from benchmarks.bench_arm import _ours; print(_ours(arms=256))"
+    environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
+    printed = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment
+    ).stdout
+    return float(printed)
 
 
 def _cores() -> int:
@@ -100,43 +115,116 @@ def _followed(directions: int) -> float:
     return best_of(run) / STEPS
 
 
-def _c_peer() -> tuple[float | None, float | None]:
-    """Compile and run the C loop; its two lines end in "N ns a step" and "N each"."""
+_FLAGS = (
+    "-O3 -march=native -ffast-math -fopenmp-simd",
+    "-O3 -march=native -ffast-math -fopenmp-simd -fno-ipa-sra",
+    "-O2 -ftree-vectorize -march=native -ffast-math -fopenmp-simd -fno-ipa-sra",
+    "-O2 -ftree-vectorize -march=native -ffast-math -fopenmp-simd -fno-ipa-sra"
+    " -mprefer-vector-width=512",
+)
+"""Of which some vectorise the lanes' loop and others do not."""
+
+
+def _c_peer() -> tuple[float | None, float | None, float | None]:
+    """The C loop's time a step: one trajectory, each of many, and each with all cores at it."""
     compiler = shutil.which("gcc")
     if compiler is None:
-        return None, None
+        return None, None, None
     source = Path(__file__).with_name("arm_peer.c")
     with tempfile.TemporaryDirectory() as folder:
-        program = Path(folder) / "arm_peer"
-        flags = ["-O3", "-march=native", "-ffast-math", "-fopenmp-simd"]
-        subprocess.run([compiler, *flags, str(source), "-lm", "-o", str(program)], check=True)
-        printed = subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout
-    single = re.search(r"([\d.]+) ns a step\n", printed)
-    each = re.search(r"([\d.]+) each", printed)
-    return (1e-9 * float(single[1]) if single else None, 1e-9 * float(each[1]) if each else None)
+        (Path(folder) / "arm_values.h").write_text(_c_values())
+        found = []
+        for k, flags in enumerate(_FLAGS):
+            program = str(Path(folder) / f"arm_peer_{k}")
+            build = [compiler, *flags.split(), "-I", folder, str(source), "-lm", "-o", program]
+            subprocess.run(build, check=True)
+            found.append((*_c_times([program])[0], program))
+        single = min(one for one, _, _ in found)
+        _, batch, fastest = min(found, key=lambda times: times[1])
+        beside = [each for _, each in _c_times([fastest] * _cores())]
+    return single, batch, float(np.mean(beside)) / _cores()
+
+
+def _c_times(programs: list[str]) -> list[tuple[float, float]]:
+    """Runs programs at once; their two lines end in "N ns a step" and "N each"."""
+    running = [subprocess.Popen([name], stdout=subprocess.PIPE, text=True) for name in programs]
+    found = []
+    for each in running:
+        printed, _ = each.communicate()
+        times = re.search(r"([\d.]+) ns a step\n.* ([\d.]+) each", printed)
+        if times is None:
+            raise RuntimeError(f"the C loop printed {printed!r}")
+        found.append((1e-9 * float(times[1]), 1e-9 * float(times[2])))
+    return found
+
+
+def _c_values() -> str:
+    """The built-in arm's parameters as the C loop's constants; knees by their torsion."""
+    values, joints = scara.parameters(), scara.study(Path()).joints
+
+    def pair(name: str) -> list[float]:
+        return [values[name, joint] for joint in (1, 2)]
+
+    slopes = [pair(f"gear_stiffness_k{k}") for k in (1, 2, 3)]
+    (first, second) = (pair("gear_knee_t1"), pair("gear_knee_t2"))
+    lower = [t / k for t, k in zip(first, slopes[0], strict=True)]
+    upper = [
+        x + (t2 - t1) / k for x, t1, t2, k in zip(lower, first, second, slopes[1], strict=True)
+    ]
+    entries = {
+        "n": [joint.gear_ratio for joint in joints],
+        "mobility": [1.0 / m for m in pair("motor_inertia")],
+        "d_m": pair("motor_viscous_friction"),
+        "f": pair("motor_coulomb_friction"),
+        "d_l": pair("link_viscous_friction"),
+        "d_g": pair("gear_damping"),
+        "k": [list(column) for column in zip(*slopes, strict=True)],
+        "knee": [list(column) for column in zip(lower, upper, strict=True)],
+    }
+    arm = [f".{name} = {values[name, None]!r}" for name in ("alpha", "beta", "gamma")]
+    arm += [f".{name} = {_braced(value)}" for name, value in entries.items()]
+    torque = [10.0 * (joint.torque_per_volt or 1.0) for joint in joints]
+    return (
+        f"static const Arm ARM = {{{', '.join(arm)}}};\n"
+        f"static const double TORQUE[2] = {_braced(torque)};\n"
+    )
+
+
+def _braced(value: object) -> str:
+    return repr(value).replace("[", "{").replace("]", "}")
 
 
 def _scipy() -> float:
+    """The same arm; friction regularised, for no solver of SciPy's finds stick and slip."""
     from scipy.integrate import solve_ivp
 
-    values = scara.parameters(spring="linear")
+    values, joints = scara.parameters(), scara.study(Path()).joints
     p = {name: value for (name, joint), value in values.items() if joint is None}
     joint = [{name: v for (name, j), v in values.items() if j == i} for i in (1, 2)]
     voltage = _voltage()
-    n, e = 0.01, (0.08, 0.03)
+    n, e = [j.gear_ratio for j in joints], [j.torque_per_volt or 1.0 for j in joints]
+    loop = [2.0 * np.pi * (j.current_loop_hz or np.inf) for j in joints]
+
+    def transmitted(j: dict[str, float], torsion: float) -> float:
+        k1, k2, k3 = (j[f"gear_stiffness_k{k}"] for k in (1, 2, 3))
+        first = j["gear_knee_t1"] / k1
+        second = first + (j["gear_knee_t2"] - j["gear_knee_t1"]) / k2
+        x = abs(torsion)
+        size = k1 * x + (k2 - k1) * max(x - first, 0.0) + (k3 - k2) * max(x - second, 0.0)
+        return math.copysign(size, torsion)
 
     def field(t: float, x: FloatArray) -> list[float]:
         motor, link, torque = [], [], []
         u = voltage[int(t * 1000)]
         for i, j in enumerate(joint):
-            transmitted = j["gear_stiffness"] * (n * x[i] - x[4 + i])
-            transmitted += j["gear_damping"] * (n * x[2 + i] - x[6 + i])
+            gear = transmitted(j, n[i] * x[i] - x[4 + i])
+            gear += j["gear_damping"] * (n[i] * x[2 + i] - x[6 + i])
             friction = j["motor_viscous_friction"] * x[2 + i]
-            friction += j["motor_coulomb_friction"] * np.tanh(x[2 + i] / 0.1)
-            motor.append((x[8 + i] - friction - n * transmitted) / j["motor_inertia"])
-            link.append(transmitted - j["link_viscous_friction"] * x[6 + i])
-            torque.append((e[i] * u[i] - x[8 + i]) * 2.0 * np.pi * 1000.0)
-        s, c = np.sin(x[5]), np.cos(x[5])
+            friction += j["motor_coulomb_friction"] * math.tanh(x[2 + i] / 0.1)
+            motor.append((x[8 + i] - friction - n[i] * gear) / j["motor_inertia"])
+            link.append(gear - j["link_viscous_friction"] * x[6 + i])
+            torque.append((e[i] * u[i] - x[8 + i]) * loop[i])
+        s, c = math.sin(x[5]), math.cos(x[5])
         link[0] += p["gamma"] * s * x[7] * (2.0 * x[6] + x[7])
         link[1] -= p["gamma"] * s * x[6] ** 2
         m12, m22 = p["beta"] + p["gamma"] * c, p["beta"]
@@ -151,36 +239,20 @@ def _scipy() -> float:
     return time / (part / STEP)
 
 
-_MJCF = """
-<mujoco>
-  <option timestep="{step}" integrator="RK4" gravity="0 0 0"/>
-  <worldbody>
-    <body><joint name="m1" axis="0 0 1" armature="1.5e-4" damping="2e-4" frictionloss="0.06"/>
-      <inertial pos="0 0 0" mass="1e-3" diaginertia="1e-9 1e-9 1e-9"/></body>
-    <body><joint name="m2" axis="0 0 1" armature="0.5e-4" damping="0.8e-4" frictionloss="0.03"/>
-      <inertial pos="0 0 0" mass="1e-3" diaginertia="1e-9 1e-9 1e-9"/></body>
-    <body><joint name="l1" axis="0 0 1" damping="0.5"/>
-      <inertial pos="0.22 0 0" mass="8" diaginertia="0.12 0.12 0.12"/>
-      <body pos="0.35 0 0"><joint name="l2" axis="0 0 1" damping="0.15"/>
-        <inertial pos="0.25 0 0" mass="9" diaginertia="0.08 0.08 0.08"/></body></body>
-  </worldbody>
-  <tendon>
-    <fixed stiffness="25000" damping="20">
-      <joint joint="m1" coef="0.01"/><joint joint="l1" coef="-1"/></fixed>
-    <fixed stiffness="6100" damping="4">
-      <joint joint="m2" coef="0.01"/><joint joint="l2" coef="-1"/></fixed>
-  </tendon>
-  <actuator><motor joint="m1" gear="0.08"/><motor joint="m2" gear="0.03"/></actuator>
-</mujoco>
-"""
-
-
 def _mujoco() -> float | None:
+    """The same arm as `export` writes it: three slopes, current loop, friction by constraint."""
     try:
         import mujoco
     except ImportError:
         return None
-    model = mujoco.MjModel.from_xml_string(_MJCF.format(step=STEP))
+    parameters = tuple(
+        Parameter(name, joint, value, 0.0, "1", "truth")
+        for (name, joint), value in scara.parameters().items()
+    )
+    arm = IdentifiedArm(scara.study(Path()), parameters, "truth")
+    model = mujoco.MjModel.from_xml_string(to_mjcf(arm).data.decode())
+    model.opt.timestep = STEP
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     data = mujoco.MjData(model)
     voltage = _voltage()
 
