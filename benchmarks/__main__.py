@@ -1,9 +1,13 @@
-"""Runs every benchmark and prints one table."""
+"""Runs every benchmark, or those that are named, and prints one table.
+
+python -m benchmarks [arm] [read] [rigid] [statespace] [tuning]
+"""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+import sys
 
 from rich.console import Console
 from rich.table import Table
@@ -13,11 +17,13 @@ from benchmarks.timing import Row
 
 
 def main() -> None:
-    table = Table("what", "ours", "peer", "peer's", "ratio", box=None, pad_edge=False)
+    table = Table(
+        "what", "ours", "peer", "peer's", "ratio", "error", "peer's", box=None, pad_edge=False
+    )
     for column in table.columns[1:]:
         column.justify = "right"
     for module in sorted(m.name for m in pkgutil.iter_modules(benchmarks.__path__)):
-        if module.startswith("bench_"):
+        if module.startswith("bench_") and module[6:] in (sys.argv[1:] or [module[6:]]):
             rows: list[Row] = importlib.import_module(f"benchmarks.{module}").rows()
             for row in rows:
                 table.add_row(*row.cells())

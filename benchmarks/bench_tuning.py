@@ -1,11 +1,16 @@
 """The whole-arm fit, against SciPy's optimiser on the very same simulations and derivatives.
 
+Linear gears also against SciPy's optimiser on C that CasADi generates, and mujoco.sysid, where
+those are installed. The error is the largest of inertias and stiffness, relative to the truth.
+
 Starts are 5 % off in inertia and stiffness and 1.4 to 3 times in friction and damping; a curve
 starts as one slope with its knees 40 % off. Longer and more records show how the time grows.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.optimize import least_squares
 
+from benchmarks.peers.whole_arm import NAMES, Problem, casadi, generated, mujoco_sysid
 from benchmarks.timing import Row, best_of
 from strainwave import scara
 from strainwave.cores import one_blas_thread
@@ -51,9 +57,17 @@ def rows() -> list[Row]:
     with one_blas_thread():
         for spring, n in CASES:
             study, logs, values = _recorded(spring, periods=1)
-            peer = _scipy(study, logs[:n], values)
             what = f"whole-arm fit, {spring}, {n} records of 1 s"
-            found.append(Row(what, _timed(study, logs[:n], values), "SciPy least_squares", peer))
+            ours, error = (
+                _timed(study, logs[:n], values),
+                _error(_fit(study, logs[:n], values), values),
+            )
+            peer = partial(_scipy, study, logs[:n], values)
+            found.append(_beside(what, ours, error, "SciPy least_squares", peer, values))
+            if spring == "linear":
+                found += _other_tools(
+                    what, ours, error, Problem(study, logs[:n], _start(values), CUTOFF), values
+                )
         study, logs, values = _recorded("linear", periods=4)
         short = [_first_second(log) for log in logs]
         base = _timed(study, short[:2], values)
@@ -61,6 +75,43 @@ def rows() -> list[Row]:
             what = f"the same, linear, {len(some)} records of {name}"
             found.append(Row(what, _timed(study, some, values), "2 records of 1 s", base))
     return found
+
+
+def _other_tools(
+    what: str, ours: float, error: float, problem: Problem, values: Values
+) -> list[Row]:
+    """Tools that simulate the arm themselves; C is generated and compiled before the clock runs."""
+    names = "CasADi's C, SciPy least_squares", "mujoco.sysid, 2 steps a sample"
+    try:
+        run = generated(problem.study)
+    except (ImportError, FileNotFoundError):  # no CasADi, or no gcc
+        first = Row(what, ours, names[0], None, ours_error=error)
+    else:
+        first = _beside(what, ours, error, names[0], partial(casadi, problem, run), values)
+    return [first, _beside(what, ours, error, names[1], partial(mujoco_sysid, problem), values)]
+
+
+def _beside(
+    what: str, ours: float, error: float, peer: str, fit: Callable[[], Values], values: Values
+) -> Row:
+    begun = time.perf_counter()
+    try:
+        peers = _error(fit(), values)
+    except (
+        ImportError,
+        AttributeError,
+    ):  # mujoco without its extra has the module, but nothing in it
+        return Row(what, ours, peer, None, ours_error=error)
+    return Row(what, ours, peer, time.perf_counter() - begun, error, peers)
+
+
+def _error(found: Values, values: Values) -> float:
+    """Of inertias and stiffness, the largest."""
+    return max(
+        abs(found[key] / true - 1.0)
+        for key, true in values.items()
+        if key[0] in (*NAMES, "motor_inertia") or key[0].startswith("gear_stiffness")
+    )
 
 
 def _timed(study: Study, logs: list[Log], values: Values) -> float:
@@ -133,10 +184,11 @@ def _start(values: Values) -> Values:
     return start
 
 
-def _fit(study: Study, logs: list[Log], values: Values) -> None:
+def _fit(study: Study, logs: list[Log], values: Values) -> Values:
     options = TuningOptions(cutoff_hz=CUTOFF, settling=False)
     models = _models(study, values)
-    tune(logs, _nothing(values), models, study, options, start=_start(values))
+    found = tune(logs, _nothing(values), models, study, options, start=_start(values))
+    return dict(found.values)
 
 
 def _nothing(values: Values) -> RigidModel:
@@ -152,7 +204,7 @@ def _nothing(values: Values) -> RigidModel:
     return RigidModel(parameters, told, vague, 1.0, {}, 10.0, 1, 1, "determined")
 
 
-def _scipy(study: Study, logs: list[Log], values: Values) -> float:
+def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
     """Soft L1 by SciPy's trust region from the same start, by weights as the truth shows them."""
     records = [replayed(log, study, CUTOFF) for log in logs]
     search = search_of(
@@ -175,9 +227,7 @@ def _scipy(study: Study, logs: list[Log], values: Values) -> float:
 
     start = search.coordinates(_start(values))
     bounds = (-search.upper, search.upper)
-    return best_of(
-        lambda: least_squares(
-            residual, start, jacobian, bounds, loss="soft_l1", x_scale="jac", ftol=1e-6
-        ),
-        repeats=1,
+    solved = least_squares(
+        residual, start, jacobian, bounds, loss="soft_l1", x_scale="jac", ftol=1e-6
     )
+    return dict(zip(search.keys, search.parameters(solved.x).tolist(), strict=True))

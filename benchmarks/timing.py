@@ -24,18 +24,25 @@ def best_of(
 
 @dataclass(frozen=True)
 class Row:
-    """Our time beside a peer's, for the same work."""
+    """Our time beside a peer's, for the same work, and how far either is from the truth."""
 
     what: str
     ours: float  # [s]
     peer: str
-    peers: float | None  # [s]; None where the peer is not there
+    peers: float | None  # [s]; None where the peer is not installed
+    ours_error: float | None = None  # relative
+    peers_error: float | None = None
 
-    def cells(self) -> tuple[str, str, str, str, str]:
+    def cells(self) -> tuple[str, ...]:
+        ours, errors = seconds(self.ours), (percent(self.ours_error), percent(self.peers_error))
         if self.peers is None:
-            return self.what, seconds(self.ours), self.peer, "not there", ""
+            return self.what, ours, self.peer, "not installed", "", *errors
         ratio = f"{self.peers / self.ours:.3g} x"
-        return self.what, seconds(self.ours), self.peer, seconds(self.peers), ratio
+        return self.what, ours, self.peer, seconds(self.peers), ratio, *errors
+
+
+def percent(value: float | None) -> str:
+    return "" if value is None else f"{100.0 * value:.2g} %"
 
 
 def seconds(value: float) -> str:

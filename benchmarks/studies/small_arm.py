@@ -1,9 +1,9 @@
 """An arm that MuJoCo moves, for the tests: `python -m benchmarks.studies.small_arm`.
 
 A lighter arm than the built-in one, with gears of other sizes and ratios, moved as in `engine.py`:
-steps of 0.05 ms; current loop, servo, encoder and filters are not strainwave's. Time, voltages, angles
-and accelerations are logged as a data acquisition card gives them, in whole counts, whose size the
-study's channel map holds: a log of some ten bytes a row.
+steps of 0.05 ms; current loop, servo, encoder and filters are not strainwave's. Time, voltages,
+angles and accelerations are logged as a data acquisition card gives them, in whole counts, whose
+size the study's channel map holds: a log of some ten bytes a row.
 """
 
 from __future__ import annotations

@@ -1,0 +1,56 @@
+"""The rigid step on ten seconds of motion of the built-in arm, against Pinocchio's regressor.
+
+The error is the largest of the base parameters, the second motor's inertia and Coulomb friction,
+relative to the truth. The arm's gears are elastic, its motors stick, encoders count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.peers.rigid import pinocchio
+from benchmarks.timing import Row, best_of
+from strainwave import rigid, scara, signals
+from strainwave.logs import read_log
+from strainwave.parameters import Values
+from strainwave.records import Log, Study
+from strainwave.simulation import SensorNoise
+from strainwave.study import read_study
+from strainwave.virtual import derived, simulate_study
+
+COMPARED = ("rigid_inertia", "beta", "gamma", "motor_inertia", "motor_coulomb_friction")
+
+
+def rows() -> list[Row]:
+    study, log, truth = _recorded()
+    what, peer = "rigid step, 10 s of motion", "Pinocchio regressor, least squares"
+    ours, error = best_of(lambda: _ours(study, log), repeats=3), _error(_ours(study, log), truth)
+    try:
+        peers = _error(pinocchio(study, log), truth)
+    except ImportError:
+        return [Row(what, ours, peer, None, ours_error=error)]
+    time = best_of(lambda: pinocchio(study, log), repeats=3)
+    return [Row(what, ours, peer, time, ours_error=error, peers_error=peers)]
+
+
+def _recorded() -> tuple[Study, Log, Values]:
+    values = scara.parameters()
+    with TemporaryDirectory() as folder:
+        study = scara.study(Path(folder))
+        motion = tuple(e for e in study.experiments if e.name == "motion")
+        only = replace(study, experiments=motion)
+        simulate_study(only, values, Path(folder), noise=SensorNoise(), replay=False)
+        written = read_study(Path(folder) / "study.toml")
+        return written, read_log(written, written.experiments[0]), derived(values, written)
+
+
+def _ours(study: Study, log: Log) -> Values:
+    model = rigid.fit([signals.motor_side(log, study)], study)
+    return {(p.name, p.joint): p.value for p in model.parameters if p.value is not None}
+
+
+def _error(found: Values, truth: Values) -> float:
+    errors = [found[key] / truth[key] - 1.0 for key in found if key[0] in COMPARED]
+    return max(map(abs, errors))
