@@ -209,8 +209,8 @@ def test_aligned_channels_give_no_warning(joint: int) -> None:
 
 
 @pytest.mark.parametrize("joint", [1, 2])
-@pytest.mark.parametrize("samples", [-1, 1])
-def test_one_sample_is_found_and_not_absorbed(joint: int, samples: int) -> None:
+@pytest.mark.parametrize("samples", [-4, 4])
+def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
     study, run = run_of(joint=joint)
     log = log_of(run, joint, seed=3)
     plain = links.link_side(log, study)
@@ -219,13 +219,48 @@ def test_one_sample_is_found_and_not_absorbed(joint: int, samples: int) -> None:
     found, before = late.sensor_delay[joint - 1], plain.sensor_delay[joint - 1]
     assert found is not None
     assert before is not None
-    assert (found.value - before.value) / SAMPLE == pytest.approx(samples, abs=0.15)
+    before_it = before.value / SAMPLE
+    # one linear step of what is not linear
+    assert found.value / SAMPLE - before_it == pytest.approx(samples, rel=0.45)
     assert late.motor_velocity == pytest.approx(plain.motor_velocity)
     drive = links.link_side(shifted(log, "u", -samples), study)
     assert "misaligned" in {w.code for w in drive.warnings}
     told = drive.drive_delay[joint - 1]
     assert told is not None
-    assert told.value / SAMPLE == pytest.approx(samples, abs=0.2)
+    assert told.value / SAMPLE == pytest.approx(samples, rel=0.35)
+
+
+def test_late_link_sensors_are_moved_back_in_all_records() -> None:
+    """By one delay for each sensor, several linear steps of the estimate."""
+    pairs = [run_of(joint=joint) for joint in (1, 2)]
+    study, logs = pairs[0][0], [log_of(run, j, seed=3) for j, (_, run) in enumerate(pairs, 1)]
+    late = [shifted(shifted(log, "a1", 8), "a2", -4) for log in logs]
+    plain, none = links.both_sides(logs, study)
+    found, delays = links.both_sides(late, study)
+    assert [delay.value for delay in none] == [0.0, 0.0]
+    assert not list(links.corrected(none))
+    for delay, samples in zip(delays, (8, -4), strict=True):
+        assert delay.value == pytest.approx(samples * SAMPLE, abs=4.0 * delay.std)
+        assert delay.std < 0.1e-3
+    constants = links.constants_of(found, delays)
+    assert constants == {("accelerometer_delay", j): d.value for j, d in enumerate(delays, 1)}
+    said = list(links.corrected(delays))
+    assert [(c.code, c.where) for c in said] == [("sensor-delay", f"joint {j}") for j in (1, 2)]
+    for before, after in zip(plain, found, strict=True):
+        assert not after.warnings
+        for i in (0, 1):
+            expected = before.link_acceleration[INNER, i]
+            off = after.link_acceleration[INNER, i] - expected
+            assert np.std(off) < 0.05 * np.std(expected)
+
+
+def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
+    study, run = run_of()
+    log = log_of(run, 1, seed=3)
+    (seen,), delays = links.both_sides([shifted(log, "a", 24)], study)
+    assert [delay.value for delay in delays] == [0.0, 0.0]
+    assert "misaligned" in {w.code for w in seen.warnings}
+    assert not list(links.corrected(delays))
 
 
 @pytest.mark.parametrize("joint", [1, 2])
@@ -275,7 +310,7 @@ def test_lab_channels_are_aligned_until_one_is_moved(
     log = read_log(study, experiment)
     assert not links.link_side(log, study).warnings
     for name in ("a", "u"):
-        codes = {w.code for w in links.link_side(shifted(log, name), study).warnings}
+        codes = {w.code for w in links.link_side(shifted(log, name, 2), study).warnings}
         assert codes == {"misaligned"}
 
 

@@ -96,11 +96,11 @@ def test_only_what_is_loud_is_worth_a_word() -> None:
     tests = [left_over("a1", 2.0, 1e-9), left_over("a2", 5.0, 1e-9), left_over("a2", 4.0, 0.5)]
     (said,) = residual_cautions(tests)
     assert said.code == "residual-not-noise"
-    assert "a2 is 5 times" in said.message
+    assert "a2 are 5 times" in said.message
     assert "near 21 Hz" in said.message
     assert "joint 2's input by 4 ms" in said.message
     (unforeseen,) = residual_cautions([replace(tests[1], input_probability=0.5)])
-    assert "follows no input" in unforeseen.message
+    assert "without linear dependence on an input" in unforeseen.message
 
 
 @pytest.mark.parametrize("effect", list(EFFECT_PARAMETERS))

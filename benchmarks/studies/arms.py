@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,6 +19,18 @@ from strainwave.parameters import Values
 from strainwave.records import Experiment, Prbs, Spring, Study
 from strainwave.simulation import SensorNoise, simulate
 from strainwave.virtual import Simulator, simulate_study
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A drawn arm, its sensors' noise and how fast it is sampled."""
+
+    study: Study
+    values: Values
+    noise: SensorNoise = SensorNoise()
+    sample_time: float = 2.5e-4  # [s] of records that excite the gears
+    classes: dict[str, str] = field(default_factory=dict)  # what it is counted under
+
 
 Work = Callable[[Path, Values], dict[str, Any]]
 
@@ -49,6 +61,11 @@ def drawn(seed: int) -> tuple[Study, Values]:
     return replace(scara.study(Path(), spring), experiments=_experiments(spring)), values
 
 
+def rig(seed: int) -> Rig:
+    """The same with the built-in rig's sensors."""
+    return Rig(*drawn(seed))
+
+
 def _experiments(spring: Spring) -> tuple[Experiment, ...]:
     """The built-in rig's, shorter; a curve needs records of more than one amplitude."""
     kept = []
@@ -67,26 +84,29 @@ def _experiments(spring: Spring) -> tuple[Experiment, ...]:
 def with_logs(
     seed: int,
     work: Work,
-    arm: Callable[[int], tuple[Study, Values]] = drawn,
+    arm: Callable[[int], Rig] = rig,
     simulator: Simulator = simulate,
 ) -> dict[str, Any]:
     """What `work` finds of a drawn arm's study file and its truth; failures are found as well."""
-    study, values = arm(seed)
+    own = arm(seed)
+    study, values = own.study, own.values
     with TemporaryDirectory() as folder:
         simulate_study(
             study,
             values,
             Path(folder),
             seed=seed,
-            noise=SensorNoise(),
+            noise=own.noise,
             replay=False,
+            sample_time=own.sample_time,
             simulator=simulator,
         )
         try:
             found = work(Path(folder) / "study.toml", values)
         except Exception as failure:  # a study reports, it does not stop
             found = {"failure": f"{type(failure).__name__}: {failure}"}
-    return {"seed": seed, "spring": study.joints[0].spring, **found}
+    spring = study.joints[0].spring
+    return {"seed": seed, "spring": spring, "classes": own.classes, **found}
 
 
 def each(

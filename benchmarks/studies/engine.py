@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, lfilter, lfilter_zi
 
-from benchmarks.studies.arms import drawn, each, with_logs
+from benchmarks.studies.arms import Rig, drawn, each, with_logs
 from strainwave import scara
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
@@ -220,6 +220,11 @@ def lab_arm(seed: int) -> tuple[Study, Values]:
     return replace(study, experiments=tuple(experiments)), values
 
 
+def lab_rig(seed: int) -> Rig:
+    """The same with the built-in rig's sensors."""
+    return Rig(*lab_arm(seed))
+
+
 def tried(path: Path, values: Values) -> dict[str, Any]:
     """Errors [%] and deviations [%] of what the whole-arm fit told."""
     identification = identify(path)
@@ -263,7 +268,7 @@ def main() -> None:
     chosen = parser.parse_args()
     console = Console()
     table = Table("arm", "kind", *LIMITS, "inside", "status", box=None)
-    work = partial(with_logs, work=tried, arm=lab_arm, simulator=in_mujoco)
+    work = partial(with_logs, work=tried, arm=lab_rig, simulator=in_mujoco)
     for found in each(chosen.arms, work, chosen.out):
         place = found["seed"] % len(KINDS)
         if "failure" in found:

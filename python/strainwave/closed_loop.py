@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
+from strainwave.link_sensors import as_read
 from strainwave.parameters import EFFECT_PARAMETERS, Values
 from strainwave.prediction import fit_percent
 from strainwave.records import Caution, FloatArray, Log, Prediction, Study
@@ -108,7 +109,8 @@ class Observed:
     def simulated(self, study: Study, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
         """The same channels of an arm that goes through the same experiment.
 
-        An accelerometer's bias is unknown: its simulated mean is set to the measured one.
+        An accelerometer's bias is unknown: its simulated mean is set to the measured one. Its delay
+        and its scale are among the values where they are known.
 
         Parameters
         ----------
@@ -134,7 +136,9 @@ class Observed:
         )
         columns = [runs["encoder"][0]]
         for name in self.channels[study.n_joints :]:
-            columns.append(runs["accelerometer"][0, :, [int(name[1:]) - 1]].T)
+            joint, T = int(name[1:]), self.log.sample_time
+            read = as_read(runs["accelerometer"][0, :, joint - 1], T, joint, values)
+            columns.append(read[:, None])
         seen = _filtered(np.hstack(columns), study.n_joints, self.log, self.cutoff_hz)
         shift = self.measured.mean(axis=0) - seen.mean(axis=0)
         shift[: study.n_joints] = 0.0

@@ -23,6 +23,16 @@ EFFECT_PARAMETERS: Mapping[Effect, tuple[str, str]] = {
 """The two parameters of each effect, its size first."""
 
 
+SENSOR_PARAMETERS = (
+    "accelerometer_delay",
+    "accelerometer_scale",
+    "gyro_delay",
+    "gyro_scale",
+    "link_encoder_delay",
+)
+"""Constants of link sensors that the whole-arm fit estimates where the records show them."""
+
+
 def unit_of(name: str, joint: Joint) -> str:
     """The SI unit of a joint's parameter.
 

@@ -231,16 +231,18 @@ def _decoupled(
     if model is None and not _alone(the_study):
         return (), (), {}  # why there is none has been said
 
-    def both_sides_of(log: Log) -> tuple[Log, LinkSignals, tuple[Decoupled, ...]]:
-        both_sides = links.link_side(log, the_study, the_study.options.links)
-        return log, both_sides, decoupling.decouple(both_sides, model, the_study)
-
     with run.timed("decoupled", "decoupling the joints"):
+        sides, delays = links.both_sides(excited, the_study, the_study.options.links)
+        run.warnings.extend(links.corrected(delays))
+        run.sensors = links.constants_of(sides, delays)
         try:
-            seen = side_by_side([partial(both_sides_of, log) for log in excited])
+            decoupled = side_by_side(
+                [partial(decoupling.decouple, side, model, the_study) for side in sides]
+            )
         except NotIdentifiable as failure:
             run.failures.append(str(failure))
             return (), (), {}
+        seen = list(zip(excited, sides, decoupled, strict=True))
         for log, both_sides, parts in seen:
             run.warnings.extend(both_sides.warnings)
             run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
@@ -320,10 +322,16 @@ def _tuned(
     with run.timed("tuned", what):
         try:
             options = the_study.options.tuning
-            found = tuning.tune(all_logs, model, joints, the_study, options, progress=count)
+            start = run.sensors
+            found = tuning.tune(
+                all_logs, model, joints, the_study, options, start=start, progress=count
+            )
         except NotIdentifiable as failure:
             run.warnings.append(Caution("not-tuned", str(the_study.path), str(failure)))
             return None
+    # what an earlier stage said of the same sensor is said again, and better
+    late = {w.where for w in found.warnings if w.code == "sensor-delay"}
+    run.warnings = [w for w in run.warnings if w.code != "sensor-delay" or w.where not in late]
     run.warnings.extend(found.warnings)
     return found
 
@@ -427,6 +435,7 @@ class _Run:
     parts: list[str] = field(default_factory=list)  # that have begun, or been passed over
     warnings: list[Caution] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
+    sensors: dict[tuple[str, int | None], float] = field(default_factory=dict)  # delays found
     timing_s: dict[str, float] = field(default_factory=dict)
 
     @contextmanager

@@ -107,6 +107,7 @@ def simulate_study(
     noise: SensorNoise | None = None,
     replay: bool = True,
     simulator: Simulator = simulate,
+    sample_time: float = _FAST_SAMPLE,
     progress: Progress = lambda _: None,
 ) -> int:
     """Run every experiment of a study on a virtual arm; write its logs and study.toml to a folder.
@@ -126,6 +127,8 @@ def simulate_study(
         what was planned; not an excitation of its use.
     simulator : callable
         What the arm moves by.
+    sample_time : float [s]
+        At most, where the gears' vibration is to be seen.
     progress : callable
 
     Returns
@@ -145,7 +148,7 @@ def simulate_study(
         progress(f"simulating {experiment.name}, {number + 1} of {len(study.experiments)}")
         rng = np.random.default_rng([seed, number])
         plan = _known(study, experiment, values) if replay else None
-        plan = plan or _invent(study, experiment, values, rng)
+        plan = plan or _invent(study, experiment, values, rng, sample_time)
         written.append(_columns(study, plan, values, noise, rng, simulator))
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE):
@@ -269,17 +272,21 @@ def _known(study: Study, experiment: Experiment, values: Values) -> _Plan | None
 
 
 def _invent(
-    study: Study, experiment: Experiment, values: Values, rng: np.random.Generator
+    study: Study,
+    experiment: Experiment,
+    values: Values,
+    rng: np.random.Generator,
+    fast_sample: float,
 ) -> _Plan:
     """An excitation that fits the experiment's use."""
     period = study.servo.period if study.servo else 1e-3
     if experiment.use in ("frequency", "sweep"):
         prbs = experiment.prbs or Prbs(10, 1e-3, 4, study.servo.limit if study.servo else 10.0)
         tick, excited = prbs.clock, excitation.prbs(prbs)
-        sample_time = min(_FAST_SAMPLE, tick)
+        sample_time = min(fast_sample, tick)
     elif experiment.joint is not None:
         tick, excited = period, _steps(study, experiment)
-        sample_time = min(_FAST_SAMPLE, tick)
+        sample_time = min(fast_sample, tick)
     else:
         tick, excited = period, np.zeros(round(_MOTION_SECONDS / period))
         sample_time = tick

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from strainwave.channels import channel_of, directions, resolution, saturation, torque_channel
+from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput
 from strainwave.filters import differentiate, lagged, low_pass, noise_deviation, signal_band
+from strainwave.link_sensors import LONGEST_DELAY, moved
 from strainwave.links.alignment import drive_delay, sensor_delay
+from strainwave.links.delays import constants_of, corrected, late_sensors, misaligned
 from strainwave.links.fusion import bias_of, complement, fuse
 from strainwave.records import (
     BoolArray,
@@ -28,15 +32,64 @@ from strainwave.records import (
 )
 from strainwave.regressor import gear_ratios
 
-__all__ = ["LinkOptions", "link_side"]
+__all__ = ["LinkOptions", "both_sides", "constants_of", "corrected", "link_side"]
 
 _EDGE = 2.0  # periods of the slowest low-pass until its start is forgotten
-_MISALIGNED = 0.6  # samples of delay that are worth a warning
-_CERTAIN = 4.0  # deviations of a delay that are not by chance
-_SPREAD = 0.25  # samples of uncertainty above which a delay is not told
+_SPREAD = 5e-4  # [s] of uncertainty above which a delay says nothing
+_CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
+_PASSES = 4  # over late sensors: a delay is linear in the relations only where it is short
 
 
-def link_side(log: Log, study: Study, options: LinkOptions | None = None) -> LinkSignals:
+def both_sides(
+    logs: Sequence[Log], study: Study, options: LinkOptions | None = None
+) -> tuple[list[LinkSignals], tuple[Delay, ...]]:
+    """Both sides of every gear in several records, late link sensors moved back.
+
+    A delay is a sensor's, alike in all records. It is estimated from all of them, see
+    `strainwave.links.alignment`, and taken off where it is beyond four standard deviations and no
+    longer than a sensor's can be.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+    study : Study
+    options : LinkOptions, optional
+
+    Returns
+    -------
+    list of LinkSignals
+    tuple of Delay
+        One a joint, as taken off; of the value zero where nothing was.
+
+    Raises
+    ------
+    InvalidInput
+        As `link_side`.
+    """
+    total = (Delay(0.0, 0.0),) * study.n_joints
+    for _ in range(_PASSES):
+        delays = tuple(late.value for late in total)
+        found = side_by_side([partial(link_side, log, study, options, delays) for log in logs])
+        left = late_sensors(found, study.n_joints)
+        total = tuple(Delay(a.value + b.value, b.std) for a, b in zip(total, left, strict=True))
+        if not any(late.value for late in left) or _beyond(total):
+            break
+    if _beyond(total):
+        return [link_side(log, study, options) for log in logs], (Delay(0.0, 0.0),) * len(total)
+    return found, total
+
+
+def _beyond(delays: Sequence[Delay]) -> bool:
+    """Whether a delay is longer than a link sensor's is: then it is not corrected but reported."""
+    return any(abs(delay.value) > LONGEST_DELAY for delay in delays)
+
+
+def link_side(
+    log: Log,
+    study: Study,
+    options: LinkOptions | None = None,
+    delays: Sequence[float] | None = None,
+) -> LinkSignals:
     """Link angles, velocities and accelerations of one record, with the motors' beside them.
 
     A tangential accelerometer anywhere on the link gives (8), (9), with gravity's share g taken off
@@ -55,6 +108,8 @@ def link_side(log: Log, study: Study, options: LinkOptions | None = None) -> Lin
     log : Log
     study : Study
     options : LinkOptions, optional
+    delays : sequence of float [s], optional
+        One a joint, by which its link sensor is known to be late: its channel is moved back.
 
     Returns
     -------
@@ -66,7 +121,7 @@ def link_side(log: Log, study: Study, options: LinkOptions | None = None) -> Lin
         A channel or the accelerometer's place is missing, or the record is too short.
     """
     chosen = options or LinkOptions()
-    view = _View(log, study, chosen)
+    view = _View(_moved_back(log, study, delays or ()), study, chosen)
     torque = np.column_stack([view.torque(i) for i in range(study.n_joints)])
     motor_velocity = differentiate(view.motor_angle, log.sample_time)
     links = _links(view, motor_velocity)
@@ -95,7 +150,17 @@ def link_side(log: Log, study: Study, options: LinkOptions | None = None) -> Lin
         sensor_delay=(None,) * study.n_joints,
         drive_delay=(None,) * study.n_joints,
     )
-    return _aligned(found, study, view, warnings)
+    return _aligned(found, study, view, warnings, alone=delays is None)
+
+
+def _moved_back(log: Log, study: Study, delays: Sequence[float]) -> Log:
+    """The log with the channels that the links' motion comes from so much earlier."""
+    channels = dict(log.channels)
+    for i, delay in enumerate(delays, start=1):
+        name = _CHANNEL.get(_source(log, study, i))
+        if delay and name:
+            channels[f"{name}{i}"] = moved(channels[f"{name}{i}"], delay / log.sample_time)
+    return replace(log, channels=channels)
 
 
 class _View:
@@ -308,41 +373,23 @@ def _valid(view: _View) -> tuple[BoolArray, list[Caution]]:
     return valid, warnings
 
 
-def _aligned(found: LinkSignals, study: Study, view: _View, warnings: list[Caution]) -> LinkSignals:
-    """With the delays between the channels, which are told and never taken away."""
-    from dataclasses import replace
+def _aligned(
+    found: LinkSignals, study: Study, view: _View, warnings: list[Caution], *, alone: bool
+) -> LinkSignals:
+    """With the delays that are left between the channels; a link sensor's is judged by all records.
 
-    sensor = tuple(
-        _told(sensor_delay(found, study, i), found.sample_time) for i in range(study.n_joints)
-    )
-    drive = tuple(
-        _told(drive_delay(found, study, i, view.band), found.sample_time)
-        for i in range(study.n_joints)
-    )
-    for i in range(study.n_joints):
-        warnings.extend(_misaligned(sensor[i], f"the link sensor of joint {i + 1}", found))
-        warnings.extend(
-            _misaligned(drive[i], f"motor {i + 1}'s response to {_named(view, i)}", found)
-        )
+    A record alone has to do with its own.
+    """
+    numbers, name = range(study.n_joints), found.experiment.name
+    sensor = tuple(_worth(sensor_delay(found, study, i)) for i in numbers)
+    drive = tuple(_worth(drive_delay(found, study, i, view.band)) for i in numbers)
+    for i in numbers:
+        if alone:
+            warnings.extend(misaligned(sensor[i], f"the link sensor of joint {i + 1}", name))
+        what = f"motor {i + 1}'s response to the channel {view.channels[i]}"
+        warnings.extend(misaligned(drive[i], what, name))
     return replace(found, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
 
 
-def _named(view: _View, i: int) -> str:
-    return f"the channel {view.channels[i]}"
-
-
-def _told(delay: Delay | None, sample_time: float) -> Delay | None:
-    return delay if delay is not None and delay.std < _SPREAD * sample_time else None
-
-
-def _misaligned(delay: Delay | None, what: str, found: LinkSignals) -> Iterator[Caution]:
-    if delay is None:
-        return
-    samples = delay.value / found.sample_time
-    if abs(samples) < _MISALIGNED or abs(delay.value) < _CERTAIN * delay.std:
-        return
-    side = "late" if samples > 0.0 else "early"
-    text = f"{what} is {1e3 * abs(delay.value):.3g} ms ({abs(samples):.1f} samples) too {side}"
-    text += "; nothing was shifted. Check the logger's time stamps, and that the study gives"
-    text += " accelerometer_hz and current_loop_hz"
-    yield Caution("misaligned", found.experiment.name, text)
+def _worth(delay: Delay | None) -> Delay | None:
+    return delay if delay is not None and delay.std < _SPREAD else None

@@ -1,7 +1,7 @@
 """How late one channel is against another, to a fraction of a sample.
 
-A spring's phase must not pass for a delay. Both relations here therefore hold exactly for an arm
-with elastic joints, with a delay beside unknown coefficients.
+Neither a spring's phase nor a sensor's scale must pass for a delay. Both relations here therefore
+hold exactly for an arm with elastic joints, with a delay beside unknown coefficients.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ _DRIVE_REACH = 0.5  # band over the encoder's
 _FEW_LINES = 12
 _MOST_STANDING = 0.2  # of the record, above which stiction passes for a delay
 _KNEES = (0.25, 0.7, 2.0)  # widths, in deviations of the torque, of the bent springs
+# [rad] at the top of the band: what D_L and bent springs make of the first relation, and what dry
+# friction and a lag of the link's sensor make of the other. Clean arms showed up to twice as much.
+_SENSOR_PHASE, _DRIVE_PHASE = 0.015, 0.05
 _HANN_CORRELATION = 1.5  # a Hann window spreads one line over this many independent ones
 
 
@@ -29,10 +32,11 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
 
     The spring gives n ddtheta_M - ddtheta_L = (1/k) T'' - (d_G/k^2) T''' + ..., with the link
     torques T linear in the base parameters; a delay D of the link's sensor adds D times the slope
-    of its share of ddtheta_L. All coefficients are found at once by least squares over the spectral
-    lines in which the link moves. A three-slope spring adds bent functions of T. They do where this
-    joint was excited; a neighbour's torque bends otherwise, and would pass for half a sample. D_L
-    makes D too large by d_L / k.
+    of its share of ddtheta_L, and a scale 1 + e of it takes e times that share away. All
+    coefficients are found at once by least squares over the spectral lines in which the link moves.
+    A three-slope spring adds bent functions of T. They do where this joint was excited; a
+    neighbour's torque bends otherwise, and would pass for half a sample. D_L makes D too large by
+    d_L / k.
 
     Parameters
     ----------
@@ -61,15 +65,15 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     target = low_pass(motor, cutoff, T) - link[:, i]
     band = (_LOWEST, _REACH * _top(link[:, i], T))
     shares = _shares(signals, study, link, i)
-    columns = [_slope(shares, T, 1), _slope(torque, T, 2), _slope(torque, T, 3)]
+    columns = [_slope(shares, T, 1), shares, _slope(torque, T, 2), _slope(torque, T, 3)]
     found = _regress(target, np.column_stack(columns), T, band, 1.0)
     if found is not None and spring == "three-slope":
-        wound = torque @ found[0][shares.shape[1] :][: torque.shape[1]]
+        wound = torque @ found[0][2 * shares.shape[1] :][: torque.shape[1]]
         wound = wound - wound.mean()
         bent = np.column_stack([np.tanh(wound / (k * (wound.std() + 1e-300))) for k in _KNEES])
         columns += [_slope(bent, T, 2), _slope(bent, T, 3)]
         found = _regress(target, np.column_stack(columns), T, band, 1.0)
-    return None if found is None else Delay(float(found[0][0]), float(found[1][0]))
+    return None if found is None else _delay(found[0][0], found[1][0], _SENSOR_PHASE, band)
 
 
 def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> Delay | None:
@@ -103,11 +107,17 @@ def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> D
     friction = np.column_stack([signals.motor_velocity[:, i], signals.direction[:, i]])
     columns = np.column_stack([differentiate(u, T), u, friction, torque])
     motor = differentiate(signals.motor_velocity[:, i], T)
-    found = _regress(motor, columns, T, (_LOWEST, _DRIVE_REACH * band_hz), 0.0)
+    band = (_LOWEST, _DRIVE_REACH * band_hz)
+    found = _regress(motor, columns, T, band, 0.0)
     if found is None or found[0][1] == 0.0:
         return None
     value, std = found
-    return Delay(float(-value[0] / value[1]), abs(float(std[0] / value[1])))
+    return _delay(-value[0] / value[1], std[0] / value[1], _DRIVE_PHASE, band)
+
+
+def _delay(value: float, std: float, phase: float, band: tuple[float, float]) -> Delay:
+    """With a deviation for what the relation itself leaves out."""
+    return Delay(float(value), float(np.hypot(std, phase / (2.0 * np.pi * band[1]))))
 
 
 def _shares(signals: LinkSignals, study: Study, link: FloatArray, i: int) -> FloatArray:

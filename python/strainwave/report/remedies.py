@@ -59,6 +59,9 @@ REMEDIES = {
     "misaligned": (
         "Check the logger's time stamps and the bandwidths of sensor and drive in the study."
     ),
+    "sensor-delay": "Give the sensor's bandwidth in the study, or mend the latency of its bus.",
+    "sensor-scale": "Check the sensor's calibration, its direction and its distance in the study.",
+    "start-rejected": "Check the signs, units and assignment of the channels.",
     "no-link-sensor": "Log an accelerometer, a link encoder or the deflection of that link.",
     "silent-command": "Check that the drive held its last command, and that its node lived.",
     "recorder-stamps": "Publish those messages with a header stamp of their own.",

@@ -6,7 +6,7 @@ from typing import Any
 
 from strainwave.errors import InvalidInput
 from strainwave.files import nearest
-from strainwave.parameters import whole_arm_parameters
+from strainwave.parameters import SENSOR_PARAMETERS, whole_arm_parameters
 from strainwave.records import Study, channel_names
 from strainwave.study.reader import Reader
 
@@ -88,8 +88,14 @@ def check_options(study: Study, reader: Reader) -> None:
                 where=reader.place(f"options.{stage}", None, "band_hz"),
                 remedy="give the lower frequency first",
             )
-    known = whole_arm_parameters(study)
-    for key, names in (("ranges", tuple(options.tuning.ranges)), ("hold", options.tuning.hold)):
+    fitted = whole_arm_parameters(study)
+    numbers = range(1, study.n_joints + 1)
+    constants = [f"{name} {i}" for name in SENSOR_PARAMETERS for i in numbers]
+    held = (*fitted, *SENSOR_PARAMETERS, *constants)  # a delay may be zero: no factors bound it
+    for key, names, known in (
+        ("ranges", tuple(options.tuning.ranges), fitted),
+        ("hold", options.tuning.hold, held),
+    ):
         for name in names:
             if name not in known:
                 raise InvalidInput(

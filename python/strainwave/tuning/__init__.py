@@ -16,8 +16,10 @@ import numpy as np
 from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
 from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.errors import NotIdentifiable
+from strainwave.link_sensors import is_sensor_constant, nominal
 from strainwave.records import (
     ArmModel,
+    Caution,
     Criticism,
     FloatArray,
     JointModel,
@@ -36,8 +38,15 @@ from strainwave.tuning.residuals import residual_cautions, residual_tests
 from strainwave.tuning.restricted import as_published, published_records, restricted
 from strainwave.tuning.richer import effect_cautions, richer_models
 from strainwave.tuning.searching import Progress, finely, reported, roughly
+from strainwave.tuning.sensors import (
+    sensor_cautions,
+    with_evident_sensors,
+    with_sensors,
+    without_idle_sensors,
+)
+from strainwave.tuning.starts import rejected_starts, starts_of
 from strainwave.tuning.told import Fit, parameters_of, warnings_of
-from strainwave.tuning.unknowns import SETTLING, Key, Search, search_of, with_curves
+from strainwave.tuning.unknowns import CURVE, LINEAR, SETTLING, Key, Search, search_of, with_curves
 from strainwave.tuning.variants import (
     bent,
     with_named_effects,
@@ -51,6 +60,7 @@ __all__ = ["Fit", "TuningOptions", "fitted", "tune"]
 _BAND = 5.0  # times the highest resonance: beyond, little is left of what the gears do
 _LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
 _STEPS = 8.0  # in a period of the cut-off, of the first search; the fit itself takes more
+_LOOKS = 31  # along a stiffness of which nothing is known, over a factor of nine
 _EDGE = 0.01  # of half its range, so near to which a parameter counts as at its bound
 
 
@@ -85,7 +95,8 @@ def tune(
     study : Study
     options : TuningOptions, optional
     start : dict, optional
-        (name, joint) -> value, in place of those of the stages before.
+        (name, joint) -> value, in place of those of the stages before; delays and scales of link
+        sensors among them are fitted from the beginning.
     progress : callable, optional
         Called with the number of each evaluation, and the most there may be.
 
@@ -135,6 +146,7 @@ class _Begun:
     records: tuple[Replayed, ...]
     coarse: Misfit  # the same records in long steps
     start: FloatArray  # (n_unknowns,)
+    rejected: tuple[Caution, ...]  # starts that were impossible
 
 
 def _begun(
@@ -157,16 +169,43 @@ def _begun(
     plain = with_known_effects(study, ())
     records = tuple(replayed(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
     search = _search(records, model, joints, study, chosen)
-    start = np.zeros(len(search.unknowns))
-    if given is not None:
-        start = search.coordinates({**search.values(start), **given})
+    given = {} if given is None else dict(given)
+    own = {key for record in records for key in record.sensor_constants()}
+    search = with_sensors(search, [key for key in given if key in own])
+    nothing = {key: nominal(key) for key in search.keys if is_sensor_constant(key)}
+    start = search.coordinates(search.values(np.zeros(len(search.unknowns))) | nothing | given)
     keys = search.keys
     search = restricted(search, chosen, start)
     start = start[[key in search.keys for key in keys]]
     coarse = Misfit.of(search, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records])
     if coarse.linearise(start) is None:
-        raise NotIdentifiable("tuning cannot simulate what the steps before found")
-    return _Begun(used, records, coarse, start)
+        raise NotIdentifiable(
+            "the arm that the steps before found cannot be simulated. Check the signs, units and"
+            " assignment of the channels, gear_ratio and torque_per_volt"
+        )
+    starts = starts_of(model, joints, study)
+    for name, joint in starts.rejected:
+        if name in LINEAR:
+            start = _best_along(coarse, start, joint)
+    return _Begun(used, records, coarse, start, tuple(rejected_starts(starts, study)))
+
+
+def _best_along(coarse: Misfit, start: FloatArray, joint: int | None) -> FloatArray:
+    """Where the cost is least along the range of a stiffness of which nothing is known.
+
+    A resonance is a tenth wide, and from further off a search ends beside it.
+    """
+    names = {(name, joint) for name in (*LINEAR, *CURVE)}
+    own = [k for k, key in enumerate(coarse.search.keys) if key in names]
+    low, high = coarse.search.lower[own], coarse.search.upper[own]
+    best, least = start, np.inf
+    for share in np.linspace(0.0, 1.0, _LOOKS):
+        z = start.copy()
+        z[own] = low + share * (high - low)
+        found = coarse.linearise(z)
+        if found is not None and found.cost < least:
+            best, least = z, found.cost
+    return best
 
 
 def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
@@ -206,11 +245,13 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         iterations=fit.iterations,
         status=status,
         warnings=(
+            *begun.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
             *disagreement(differences),
             *left_out(fit.misfit.search, study),
+            *sensor_cautions(parameters),
             *residual_cautions(criticism.residuals),
-            *effect_cautions(criticism.richer),
+            *effect_cautions(criticism.richer, study),
         ),
         criticism=criticism,
         carried=histograms_of(carried),
@@ -255,6 +296,7 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     effects that the study names and the records show.
     """
     rough = bent(roughly(begun.coarse, begun.start, options), options)
+    rough = with_evident_sensors(rough, options, rough=True)
     if options.settling is not False and rough.iterations < options.max_iterations:
         rough = with_settling_times(rough, options)
     if tried(study):
@@ -265,6 +307,8 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     fine = finely(misfit.reweighted(rough.z), rough.z, rough.iterations, options)
     if tried(study):
         fine = without_idle_effects(fine, study, options)
+    fine = with_evident_sensors(fine, options, rough=False)
+    fine = without_idle_sensors(fine, options)
     return fine if options.settling else without_idle_settling(fine, options)
 
 

@@ -322,13 +322,60 @@ class Misfit:
 
     def _begun(self, record: Replayed, z: FloatArray, own: FloatArray) -> Evaluated:
         n_begin, n = len(record.local), len(self.search.unknowns)
-        seen, tangent = record.linearised(self.search.values(z), own[:n_begin], self.search.keys)
+        values = self.search.values(z)
+        seen, tangent = record.linearised(values, own[:n_begin], self.search.keys)
         shifts = _shifts(record)
         columns = np.empty((*seen.shape, len(own) + n))
         columns[..., :n_begin] = tangent[..., n:]
         columns[..., n_begin : len(own)] = shifts
         columns[..., len(own) :] = tangent[..., :n] @ self.search.slope(z)
-        return Evaluated(seen + shifts @ own[n_begin:] - record.measured, columns, own.copy())
+        difference = seen + shifts @ own[n_begin:] - record.observed(values)
+        return Evaluated(difference, columns, own.copy())
+
+    def simulated(self, z: FloatArray) -> list[FloatArray]:
+        """What every record's sensors would read at z without scales and constants of their own.
+
+        (n_rows, n_channels) each.
+        """
+        values = self.search.values(z)
+        found = []
+        for one, record in zip(self.evaluate(z), self.records, strict=True):
+            shift = _shifts(record) @ one.own[len(record.local) :]
+            read = one.difference - shift + record.observed(values)
+            found.append(read / record.sensor_scales(values))
+        return found
+
+    def bordered(
+        self, z: FloatArray, n_more: int, more: Callable[[int, Evaluated], FloatArray]
+    ) -> FloatArray:
+        """R of [more residual] in what the unknowns cannot imitate: (n_more + 1,) squared.
+
+        Parameters
+        ----------
+        z : (n_unknowns,)
+            Where a search ended.
+        n_more : int
+            Columns of parameters that are no unknowns.
+        more : callable
+            Of a record's number and its evaluation, those columns: (n_rows, n_channels, n_more).
+
+        Returns
+        -------
+        (n_more + 1, n_more + 1)
+        """
+        evaluated, n = self.evaluate(z), len(self.search.unknowns)
+
+        def factor(k: int, _: Replayed) -> FloatArray:
+            columns = np.concatenate([evaluated[k].columns, more(k, evaluated[k])], axis=2)
+            whole = replace(evaluated[k], columns=columns)
+            return whole.weighted(self.weights[k]).factor(LEAST_BEND)
+
+        prior = self.search.prior
+        known = prior.rows @ self.search.slope(z)
+        off = prior.rows @ self.search.parameters(z) - prior.target
+        border = np.zeros((len(known), n_more))
+        stacked = np.concatenate([*self._each(factor), np.column_stack([known, border, off])])
+        return np.asarray(np.linalg.qr(stacked, mode="r"))[n:, n:]
 
     def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""

@@ -15,6 +15,13 @@ import numpy as np
 from strainwave.closed_loop import has_accelerometer
 from strainwave.errors import InvalidInput
 from strainwave.filters import noise_deviation
+from strainwave.link_sensors import (
+    constants_of,
+    delay_of,
+    is_sensor_constant,
+    scale_of,
+    slope_of_rows,
+)
 from strainwave.records import FloatArray, Joint, Log, Study
 from strainwave.replay import driving_voltages, missing_for_replay, missing_motor_signal, replay
 from strainwave.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
@@ -143,17 +150,19 @@ class Replayed:
     ) -> tuple[FloatArray, FloatArray]:
         """The channels of an arm, without their unknown constants, and their derivatives.
 
-        Derivatives are those with respect to parameters and then to initial states.
+        Derivatives are those with respect to parameters, sensor constants among them, and then to
+        initial states.
 
         Returns
         -------
         (n_rows, n_channels), (n_rows, n_channels, n_directions + n_local)
         """
+        simulated = [key for key in directions if not is_sensor_constant(key)]
         runs = sensitivities(
             self.study,
             dict(values),
             self._begun(local),
-            [*directions, *self.local],
+            [*simulated, *self.local],
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=self.quantities(),
@@ -163,7 +172,91 @@ class Replayed:
         seen, tangent = (
             self._by_channel({name: run[k] for name, run in runs.items()}) for k in (0, 1)
         )
-        return seen + self.lacking, tangent
+        seen = seen + self.lacking
+        scales = self.sensor_scales(values)
+        if np.any(scales != 1.0):
+            tangent = tangent * scales[:, None]
+        if len(simulated) < len(directions):
+            tangent = self._with_sensors(seen, tangent, values, directions)
+        return seen * scales, tangent
+
+    def observed(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
+        """The measured channels, those of late sensors moved back by their delays.
+
+        (n_rows, n_channels). Before its first and after its last sample a record goes on as it was.
+        """
+        delays = [
+            values.get(key, 0.0) if (key := delay_of(c.quantity, c.joint)) else 0.0
+            for c in self.channels
+        ]
+        if not any(delays):
+            return self.measured
+        T, found = self.log.sample_time, self.measured.copy()
+        for k, (channel, delay) in enumerate(zip(self.channels, delays, strict=True)):
+            if not delay:
+                continue
+            whole = round(delay / T)
+            raw = self.log.channels[channel.name]
+            moved = raw[np.clip(np.arange(len(raw)) + whole, 0, len(raw) - 1)]
+            kernels = low_pass_kernels(self.cutoff_hz, T, delay / T - whole)
+            found[:, k] = kernels.rows(moved, rate=channel.rate)
+        return found
+
+    def sensor_tangent(
+        self,
+        seen: FloatArray,
+        values: Mapping[tuple[str, int | None], float],
+        keys: Sequence[tuple[str, int | None]],
+    ) -> FloatArray:
+        """Derivatives of simulated less measured channels by sensor constants.
+
+        s x(t) - y(t + D) has the derivatives x by s and -y', for which -s x' stands, by D.
+
+        Parameters
+        ----------
+        seen : (n_rows, n_channels)
+            x, without scales.
+        values : dict
+        keys : sequence of (name, joint)
+            Sensor constants.
+
+        Returns
+        -------
+        (n_rows, n_channels, n_keys)
+        """
+        found, scales = np.zeros((*seen.shape, len(keys))), self.sensor_scales(values)
+        row_time = self.kernels.step * self.log.sample_time
+        for k, channel in enumerate(self.channels):
+            for at, key in enumerate(keys):
+                if key == scale_of(channel.quantity, channel.joint):
+                    found[:, k, at] = seen[:, k]
+                elif key == delay_of(channel.quantity, channel.joint):
+                    found[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
+        return found
+
+    def sensor_constants(self) -> list[tuple[str, int | None]]:
+        """Delays and scales of the link sensors among the channels."""
+        return list(constants_of((c.quantity, c.joint) for c in self.channels))
+
+    def _with_sensors(
+        self,
+        seen: FloatArray,
+        tangent: FloatArray,
+        values: Mapping[tuple[str, int | None], float],
+        directions: Sequence[tuple[str, int | None]],
+    ) -> FloatArray:
+        """Simulated derivatives with those by sensor constants at their places among directions."""
+        own = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
+        whole = np.empty((*seen.shape, tangent.shape[2] + len(own)))
+        rest = np.delete(np.arange(whole.shape[2]), own)
+        whole[..., rest] = tangent
+        whole[..., own] = self.sensor_tangent(seen, values, [directions[k] for k in own])
+        return whole
+
+    def sensor_scales(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
+        """(n_channels,) one where a sensor has none."""
+        keys = (scale_of(channel.quantity, channel.joint) for channel in self.channels)
+        return np.array([1.0 if key is None else values.get(key, 1.0) for key in keys])
 
     def corrected(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
@@ -299,13 +392,15 @@ def coarser(record: Replayed, longest_step: float) -> Replayed:
     return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
 
 
-def low_pass_kernels(cutoff_hz: float, sample_time: float) -> Kernels:
+def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -> Kernels:
     """A windowed-sinc low-pass and its slope, for rows as far apart as the cut-off allows.
 
     Parameters
     ----------
     cutoff_hz : float [Hz]
     sample_time : float [s]
+    ahead : float [samples], between -1 and 1
+        By which the rows look ahead of their time.
 
     Returns
     -------
@@ -315,8 +410,10 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float) -> Kernels:
     step = max(1, int(1.0 / (_PER_PERIOD * cutoff_hz * sample_time)))
     n_parts = 2 * int(np.ceil(_REACH / (cutoff_hz * sample_time * step)))
     n = n_parts * step
-    at = np.arange(n) - 0.5 * (n - 1)
-    smooth = np.sinc(2.0 * cutoff_hz * sample_time * at) * np.kaiser(n, _SHAPE)
+    half = 0.5 * (n - 1)
+    at = np.arange(n) - half - ahead
+    window = np.i0(_SHAPE * np.sqrt(np.clip(1.0 - (at / half) ** 2, 0.0, None)))
+    smooth = np.sinc(2.0 * cutoff_hz * sample_time * at) * np.where(np.abs(at) > half, 0.0, window)
     smooth /= smooth.sum()
     # an angle's slope is the product with minus the kernel's own; a ramp must give one exactly
     slope = -np.gradient(smooth)

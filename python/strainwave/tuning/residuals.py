@@ -199,12 +199,20 @@ def residual_cautions(tests: Sequence[ResidualTest]) -> Iterator[Caution]:
         worst = max(own, key=lambda test: test.deviation / test.noise, default=None)
         if worst is None or worst.deviation < _LOUD * worst.noise:
             continue
-        text = f"what is left of {name} is {worst.deviation / worst.noise:.2g} times its sensor's"
+        text = f"the residuals of {name} are {worst.deviation / worst.noise:.2g} times its sensor's"
         text += f" noise, most near {worst.worst_hz:.3g} Hz"
         if worst.input_probability < _SURELY:
-            text += f", and follows joint {worst.input_joint}'s input by"
-            text += f" {1e3 * worst.input_delay:.3g} ms: the model lacks something of the motion;"
-            text += " see the effects that were tested"
+            text += f", and follow joint {worst.input_joint}'s input by"
+            text += (
+                f" {1e3 * worst.input_delay:.3g} ms: the model lacks something of the motion, or"
+            )
+            text += " the study has a wrong constant"
         else:
-            text += ", and follows no input: look for a disturbance, or a noise that comes and goes"
+            text += (
+                ", without linear dependence on an input: friction or a gear that the model does"
+            )
+            text += (
+                " not describe, a wrong constant in the study and an outside disturbance look so"
+            )
+        text += "; intervals were widened for it"
         yield Caution("residual-not-noise", worst.experiment, text)

@@ -95,7 +95,7 @@ def restricted(search: Search, options: TuningOptions, z: FloatArray) -> Search:
         search = replace(search, prior=empty)
     published = PUBLISHED_RANGE if options.as_published else None
     values = search.values(z)
-    held = {key: values[key] for key in search.keys if set(_names(key)) & set(options.hold)}
+    held = {key: values[key] for key in search.keys if is_held(key, options)}
     if len(held) == len(search.unknowns):
         raise InvalidInput(
             "every parameter is held",
@@ -107,6 +107,21 @@ def restricted(search: Search, options: TuningOptions, z: FloatArray) -> Search:
         for unknown, at in zip(search.unknowns, z.tolist(), strict=True)
     )
     return replace(search, unknowns=limited).holding(held)
+
+
+def is_held(key: Key, options: TuningOptions) -> bool:
+    """Whether a parameter is not to be fitted.
+
+    Parameters
+    ----------
+    key : (name, joint)
+    options : TuningOptions
+
+    Returns
+    -------
+    bool
+    """
+    return bool(set(_names(key)) & set(options.hold))
 
 
 def _names(key: Key) -> list[str]:

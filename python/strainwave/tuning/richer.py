@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.parameters import EFFECT_PARAMETERS, Values
 from strainwave.records import Caution, Effect, FloatArray, RicherModel, Study
@@ -22,14 +20,14 @@ from strainwave.tuning.effects import (
     Tried,
     records_with,
     sizes_of,
+    tried,
 )
-from strainwave.tuning.misfit import LEAST_BEND, Evaluated
-from strainwave.tuning.replayed import Replayed
+from strainwave.tuning.misfit import Evaluated
 from strainwave.tuning.told import Fit
 from strainwave.tuning.unknowns import Key
 
 _EVIDENT = 5.0  # deviations from nothing
-_MATTERS = 0.01  # and share of the cost
+_MATTERS = 0.1  # and share of the cost: below, an error of another kind explains as much
 _AT_NOTHING = {
     "stribeck_friction": 0.0,
     "stribeck_velocity": STRIBECK_VELOCITY,
@@ -82,28 +80,18 @@ def _missing(fit: Fit, study: Study) -> list[Tried]:
 
 def _bordered(fit: Fit, study: Study, keys: Sequence[Key]) -> FloatArray:
     """R of [effects residual] in what the fit's unknowns cannot imitate: (n_keys + 1,) squared."""
-    misfit, n = fit.misfit, len(fit.misfit.search.unknowns)
+    misfit = fit.misfit
     numbers = range(1, study.n_joints + 1)
     nothing = {(name, j): value for name, value in _AT_NOTHING.items() for j in numbers}
     values: Values = nothing | misfit.search.values(fit.z)
     joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in study.joints)
     rich = records_with(misfit.records, replace(study, joints=joints), values)
 
-    def factor(k: int, record: Replayed, evaluated: Evaluated) -> FloatArray:
-        begun = misfit.memory.own[k][: len(record.local)]
-        _, tangent = record.linearised(values, begun, keys)
-        columns = np.concatenate([evaluated.columns, tangent[..., : len(keys)]], axis=2)
-        whole = replace(evaluated, columns=columns)
-        return whole.weighted(misfit.weights[k]).factor(LEAST_BEND)
+    def tangent(k: int, _: Evaluated) -> FloatArray:
+        begun = misfit.memory.own[k][: len(rich[k].local)]
+        return rich[k].linearised(values, begun, keys)[1][..., : len(keys)]
 
-    evaluated = enumerate(zip(rich, misfit.evaluate(fit.z), strict=True))
-    parts = side_by_side([partial(factor, k, record, one) for k, (record, one) in evaluated])
-    prior = misfit.search.prior
-    known = prior.rows @ misfit.search.slope(fit.z)
-    off = prior.rows @ misfit.search.parameters(fit.z) - prior.target
-    border = np.zeros((len(known), len(keys)))
-    stacked = np.concatenate([*parts, np.column_stack([known, border, off])])
-    return np.asarray(np.linalg.qr(stacked, mode="r"))[n:, n:]
+    return misfit.bordered(fit.z, len(keys), tangent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,24 +150,31 @@ def _step(candidate: Tried, columns: FloatArray, taken: FloatArray, target: Floa
     return _Step(candidate, gain, size, std)
 
 
-def effect_cautions(richer: Sequence[RicherModel]) -> Iterator[Caution]:
-    """The effects that the records speak for, and the experiment that would settle it.
+def effect_cautions(richer: Sequence[RicherModel], study: Study) -> Iterator[Caution]:
+    """The effect that the residuals speak for most, and the experiment that would settle it.
+
+    One at a time: what the others would explain is known only with this one in the model. Effects
+    that the study names were fitted, and stay out if the records do not show them.
 
     Parameters
     ----------
     richer : sequence of RicherModel
+        The most telling first.
+    study : Study
 
     Yields
     ------
     Caution
     """
+    named = tried(study)
     for one in richer:
-        if not one.evident:
+        if not one.evident or (one.joint, one.effect) in named:
             continue
         sizes = ", ".join(
             f"{name} {size:.2g} +- {one.stds[name]:.1g}" for name, size in one.sizes.items()
         )
-        text = f"{one.effect} would explain {100.0 * one.share:.2g} % of what is left ({sizes});"
-        text += f' give the joint effects = ["{one.effect}"] to fit it; to be sure,'
-        text += f" {_EXPERIMENTS[one.effect]}"
+        text = f"{one.effect} would explain {100.0 * one.share:.2g} % of the residuals ({sizes}),"
+        text += f' more than any other effect; give the joint effects = ["{one.effect}"] to fit it;'
+        text += f" to be sure, {_EXPERIMENTS[one.effect]}"
         yield Caution(f"{one.effect}-likely", f"joint {one.joint}", text)
+        return

@@ -63,8 +63,22 @@ def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
     first = search_from(misfit, start, 0, options, tolerance=SOON, relative=_GUESSED)
     if not first.converged or first.iterations >= options.max_iterations:
         return replace(first, converged=False)
+    return again_roughly(replace(first, misfit=misfit.reweighted(first.z)), options)
+
+
+def again_roughly(fit: Fit, options: TuningOptions) -> Fit:
+    """On from a rough fit, by new weights for as long as they become much smaller.
+
+    Parameters
+    ----------
+    fit : Fit
+    options : TuningOptions
+
+    Returns
+    -------
+    Fit
+    """
     search = partial(search_from, options=options, tolerance=SOON, relative=ROUGHLY)
-    fit = replace(first, misfit=misfit.reweighted(first.z))
     for _ in range(_ROUGH_ROUNDS):
         fit = search(fit.misfit, fit.z, fit.iterations)
         renewed = fit.misfit.reweighted(fit.z)
@@ -96,6 +110,22 @@ def finely(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) ->
     if spent < options.max_iterations:
         fit = search(misfit, z, spent, relative=_GUESSED)
         fit = replace(fit, misfit=fit.misfit.corrected(fit.z).reweighted(fit.z))
+    return refined(fit, options)
+
+
+def refined(fit: Fit, options: TuningOptions) -> Fit:
+    """The last rounds of `finely`, from a point so near that weights and step errors hold.
+
+    Parameters
+    ----------
+    fit : Fit
+    options : TuningOptions
+
+    Returns
+    -------
+    Fit
+    """
+    search = partial(search_from, options=options, tolerance=_FINE)
     for _ in range(_ROUNDS):
         if fit.iterations >= options.max_iterations:
             return replace(fit, converged=False)
@@ -159,7 +189,7 @@ def search_from(
         max_evaluations=max(1, left if most is None else min(left, most)),
     )
     if found is None:
-        raise NotIdentifiable("tuning cannot simulate what the steps before found")
+        raise NotIdentifiable("the whole-arm fit cannot simulate the arm where it starts")
     return Fit(misfit, found.x, found.at.cost, spent + found.evaluations, found.converged)
 
 

@@ -7,15 +7,31 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from strainwave.errors import NotIdentifiable
 from strainwave.parameters import Values, unit_of
 from strainwave.records import BoolArray, FloatArray, JointModel, RigidModel, Study
+from strainwave.tuning.starts import COULOMB, OFFSET, VISCOUS, Key, starts_of
 
-Key = tuple[str, int | None]
+__all__ = [
+    "COULOMB",
+    "CURVE",
+    "KNEES",
+    "LINEAR",
+    "OFFSET",
+    "SETTLING",
+    "SETTLING_START",
+    "VISCOUS",
+    "Key",
+    "Prior",
+    "Search",
+    "Unknown",
+    "combination",
+    "link_inertia",
+    "search_of",
+    "total_viscous",
+    "with_curves",
+    "with_settling",
+]
 
-VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
-COULOMB = "motor_coulomb_friction"
-OFFSET = "friction_offset"
 SETTLING = "friction_settling_time"
 SETTLING_START = 1e-4
 """[s] where the search for it starts."""
@@ -24,7 +40,6 @@ CURVE = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
 KNEES = ("gear_knee_t1", "gear_knee_t2")
 
 _BASE = ("alpha", "beta", "gamma")
-_LEAST_SHARE = 0.05  # of the total viscous friction, where a start would be negative
 _LEAST_COULOMB = 0.01  # of the torque of the largest voltage, where none was found
 _SPREAD = (0.8, 1.0, 1.15)  # of the one stiffness found: the slopes of a curve to start from
 _KNEES = (0.2, 0.6)  # of the largest gear torque: its knees
@@ -293,7 +308,7 @@ def search_of(
     NotIdentifiable
         A start is missing or impossible.
     """
-    start = _starts(model, _by_joint(joints, study), study)
+    start = starts_of(model, joints, study).values
     unknowns = []
     pairs = zip(study.joints, largest_voltage, strict=True)
     for i, (joint, voltage) in enumerate(pairs, start=1):
@@ -371,79 +386,6 @@ def with_settling(search: Search) -> Search:
 def unit_of_arm(name: str) -> str:
     """The unit of a parameter of the arm as a whole."""
     return "N m" if name.startswith("gravity") else "kg m^2"
-
-
-def _by_joint(joints: Sequence[JointModel], study: Study) -> dict[int, JointModel]:
-    found = {joint.joint: joint for joint in joints}
-    for number, joint in enumerate(study.joints, start=1):
-        if joint.spring == "rigid" or number not in found:
-            raise NotIdentifiable(
-                f"tuning starts from a model of each elastic joint, and joint {number} has none:"
-                ' record it with use = "frequency"'
-            )
-    return found
-
-
-def _starts(model: RigidModel | None, joints: Mapping[int, JointModel], study: Study) -> Values:
-    start: Values = {}
-    if study.n_joints == 2:
-        beta, gamma = joints[2].values["link_inertia"], _rigid(model, "gamma")
-        start["alpha", None] = joints[1].values["link_inertia"] - beta - 2.0 * gamma
-        start["beta", None], start["gamma", None] = beta, gamma
-    if study.arm.gravity is not None:
-        for i in range(1, study.n_joints + 1):
-            start[f"gravity_torque_{i}", None] = _rigid(model, f"gravity_torque_{i}")
-    for number in sorted(joints):
-        values = _mended(joints[number].values, study.joints[number - 1].gear_ratio)
-        start["motor_inertia", number] = values["motor_inertia"]
-        if study.n_joints == 1:
-            start["link_inertia", number] = values["link_inertia"]
-        for name in VISCOUS:
-            start[name, number] = values[name]
-        start[OFFSET, number] = _known(model, OFFSET, number) or 0.0
-        found = _known(model, COULOMB, number)  # not every route to a joint's model tells it
-        start[COULOMB, number] = values.get(COULOMB, 0.0) if found is None else found
-        for name in ("gear_stiffness", "gear_damping"):
-            start[name, number] = values[name]
-    for (name, own), value in start.items():
-        signed = name in (OFFSET, COULOMB) or name.startswith("gravity")
-        if not np.isfinite(value) or (value <= 0.0 and not signed):
-            place = name if own is None else f"{name} of joint {own}"
-            raise NotIdentifiable(
-                f"tuning cannot start from {place} = {value:.3g}; record more for the steps before"
-            )
-    return start
-
-
-def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
-    """A negative viscous friction starts at a small share of the total, the other at the rest."""
-    mended = dict(values)
-    motor, link = (values[name] for name in VISCOUS)
-    least = _LEAST_SHARE * abs(motor + ratio**2 * link)
-    if motor < least:
-        mended[VISCOUS[0]] = least
-        mended[VISCOUS[1]] = max(link + (motor - least) / ratio**2, least / ratio**2)
-    elif ratio**2 * link < least:
-        mended[VISCOUS[1]] = least / ratio**2
-        mended[VISCOUS[0]] = max(motor + ratio**2 * link - least, least)
-    return mended
-
-
-def _rigid(model: RigidModel | None, name: str) -> float:
-    value = model.value(name) if model is not None else None
-    if value is None:
-        raise NotIdentifiable(
-            f"tuning needs {name} from the rigid model, which does not tell it:"
-            ' record both joints moving together with use = "motion"'
-        )
-    return value
-
-
-def _known(model: RigidModel | None, name: str, joint: int) -> float | None:
-    for parameter in model.parameters if model is not None else ():
-        if (parameter.name, parameter.joint) == (name, joint):
-            return parameter.value
-    return None
 
 
 def _prior(model: RigidModel | None, keys: Sequence[Key], study: Study, floor: float) -> Prior:

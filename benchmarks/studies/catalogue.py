@@ -1,0 +1,168 @@
+"""Arms drawn over a whole gear catalogue: sizes 8 to 40, ratios 30 to 160, any encoder and sampling.
+
+An arm is drawn by what a designer chooses: gears, anti-resonances, motors that match their loads and
+wind the gears up past their knees at full voltage. So a drawn arm is one that could be built.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.studies.arms import Rig
+from strainwave.parameters import Values
+from strainwave.records import Arm, Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
+from strainwave.simulation import SensorNoise
+
+GEARS = {
+    # size: T1, T2 [N m], then K1, K2, K3 [10^4 N m/rad] at ratios of 80 and above, and at 50
+    8: ((0.29, 0.75), (0.091, 0.104, 0.12), (0.044, 0.067, 0.084)),
+    11: ((0.80, 2.0), (0.27, 0.34, 0.44), (0.22, 0.30, 0.32)),
+    14: ((2.0, 6.9), (0.47, 0.61, 0.71), (0.34, 0.47, 0.57)),
+    17: ((3.9, 12.0), (1.0, 1.4, 1.6), (0.81, 1.1, 1.3)),
+    20: ((7.0, 25.0), (1.6, 2.5, 2.9), (1.3, 1.8, 2.3)),
+    25: ((14.0, 48.0), (3.1, 5.0, 5.7), (2.5, 3.4, 4.4)),
+    32: ((29.0, 108.0), (6.7, 11.0, 12.0), (5.4, 7.8, 9.8)),
+    40: ((54.0, 196.0), (13.0, 20.0, 23.0), (10.0, 14.0, 18.0)),
+}
+RATIOS = (30, 50, 80, 100, 120, 160)
+COUNTS = (1000, 2000, 4096, 8192, 65536, 1_000_000)
+SAMPLE_TIMES = (2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4)  # [s]
+SPRINGS: tuple[Spring, ...] = ("linear", "three-slope")
+SMALL, LARGE = 14, 25  # sizes up to and from which a gear is so called
+_RANGES = tuple(9.81 * g for g in (2.0, 5.0, 10.0, 20.0, 50.0, 200.0))  # of accelerometers
+_VOLTS = 10.0
+
+
+def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
+    """One arm of the catalogue, with its sensors and experiments.
+
+    Parameters
+    ----------
+    seed : int
+        Of the arm within its series.
+    series : int
+    small : bool
+        Sizes 8 to 14, anti-resonances above 25 Hz and 2,000 counts, sampled at 4 kHz.
+
+    Returns
+    -------
+    Rig
+    """
+    rng = np.random.default_rng([8, 40, series, seed])
+    spring = SPRINGS[seed % len(SPRINGS)]
+    sizes = list(GEARS)
+    largest = sizes.index(SMALL) + 1 if small else len(sizes)
+    base = int(rng.integers(1 if small else 0, largest))
+    outer = int(rng.integers(max(0, base - 2), base + 1))
+    ratios = rng.choice(RATIOS, 2)
+    counts = 2000 if small else int(rng.choice(COUNTS))
+    sample_time = 2.5e-4 if small else float(rng.choice(SAMPLE_TIMES))
+    bandwidth = _between(rng, 50.0, 1000.0)
+    lowest, highest = (25.0, 45.0) if small else (7.0, min(45.0, 0.04 / sample_time))
+    frequency = [_between(rng, lowest, highest) for _ in range(2)]
+    slopes = [_slopes(sizes[k], int(ratio)) for k, ratio in zip((base, outer), ratios, strict=True)]
+    inertia = [k[1] / (2.0 * np.pi * f) ** 2 for k, f in zip(slopes, frequency, strict=True)]
+    beta = min(inertia[1], inertia[0] / 3.0)  # what joint 2 carries, joint 1 carries as well
+    coupling = float(rng.uniform(0.3, 0.75))
+    root = -coupling * np.sqrt(beta) + np.sqrt(coupling**2 * beta + inertia[0] - beta)
+    values: Values = {("alpha", None): root**2, ("beta", None): beta}
+    values["gamma", None] = coupling * root * np.sqrt(beta)
+    load = (inertia[0], beta)
+    joints, length = [], (_between(rng, 0.1, 1.0), _between(rng, 0.1, 1.0))
+    gains: list[tuple[float, float]] = []
+    peak = 0.0
+    for i, (size, ratio) in enumerate(zip((sizes[base], sizes[outer]), ratios, strict=True)):
+        n, knees = 1.0 / float(ratio), GEARS[size][0]
+        torque = float(rng.uniform(2.0, 4.5)) * knees[1] * n  # of the motor at full voltage
+        motor = n**2 * load[i] * _between(rng, 0.2, 1.2)
+        coulomb = float(rng.uniform(0.04, 0.12)) * torque
+        viscous = coulomb * n * float(rng.uniform(0.15, 0.5))
+        stiffness = slopes[i][1]
+        damping = 2.0 * _between(rng, 0.015, 0.05) * np.sqrt(stiffness * load[i])
+        own = {
+            "motor_inertia": motor,
+            "motor_viscous_friction": viscous,
+            "motor_coulomb_friction": coulomb,
+            "friction_offset": float(rng.uniform(-0.05, 0.05)) * coulomb,
+            "link_viscous_friction": viscous / n**2 * float(rng.uniform(0.1, 0.4)),
+            "gear_damping": damping,
+        }
+        if spring == "linear":
+            own["gear_stiffness"] = stiffness
+        else:
+            own |= {f"gear_stiffness_k{k}": slope for k, slope in enumerate(slopes[i], start=1)}
+            own |= {f"gear_knee_t{k}": knee for k, knee in enumerate(knees, start=1)}
+        values |= {(name, i + 1): float(value) for name, value in own.items()}
+        per_volt = torque / _VOLTS
+        kp = 20.0 * (motor + n**2 * load[i]) / per_volt
+        gains.append((kp, 12.5 * kp))
+        distance = 0.9 * length[i]
+        peak = max(peak, 4.0 * knees[1] / load[i] * (distance + i * length[0]))
+        joints.append(
+            Joint(
+                spring=spring,
+                gear_ratio=n,
+                torque_per_volt=per_volt,
+                current_loop_hz=_between(rng, 500.0, 1000.0),
+                encoder_counts=counts,
+                accelerometer_distance=distance,
+                accelerometer_hz=bandwidth,
+            )
+        )
+    kp, ki = zip(*gains, strict=True)
+    study = Study(
+        path=Path("study.toml"),
+        sha256="",
+        arm=Arm("planar-two-link", link_length=length[0]),
+        joints=tuple(joints),
+        servo=Servo("pi-velocity", period=max(1e-3, sample_time), kp=kp, ki=ki, limit=_VOLTS),
+        experiments=_experiments(spring, max(1e-3, sample_time)),
+    )
+    reach = next((a for a in _RANGES if a > peak), _RANGES[-1])
+    classes = {
+        "size": _class(max(sizes[base], 0), (SMALL, LARGE), ("small", "medium", "large")),
+        "counts": _class(counts, (2000, 8192), ("up to 2,000", "to 8,192", "more")),
+        "sampling": _class(
+            1.0 / sample_time, (1000.0, 4000.0), ("up to 1 kHz", "to 4 kHz", "more")
+        ),
+        "bandwidth": _class(bandwidth, (100.0, 300.0), ("up to 100 Hz", "to 300 Hz", "more")),
+        "spring": spring,
+    }
+    noise = SensorNoise(accelerometer_range=reach)
+    return Rig(study, values, noise, sample_time, classes)
+
+
+def _slopes(size: int, ratio: int) -> tuple[float, float, float]:
+    """K1, K2, K3 [N m/rad] of a gear."""
+    _, high, low = GEARS[size]
+    first, second, third = low if ratio <= 50 else high
+    return 1e4 * first, 1e4 * second, 1e4 * third
+
+
+def _between(rng: np.random.Generator, low: float, high: float) -> float:
+    """Drawn evenly among logarithms."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _class(value: float, edges: tuple[float, float], names: tuple[str, str, str]) -> str:
+    return names[0] if value <= edges[0] else names[1] if value <= edges[1] else names[2]
+
+
+def _experiments(spring: Spring, clock: float) -> tuple[Experiment, ...]:
+    """Those of the built-in rig, and smaller amplitudes for a curve."""
+    both: tuple[Control, Control] = ("servo", "servo")
+    free: tuple[Control, Control] = ("open", "open")
+    found = [Experiment("motion", "motion.parquet", "motion", both)]
+
+    def shaken(name: str, use: Use, joint: int, volt: float) -> Experiment:
+        prbs = Prbs(10, clock, 2, volt)
+        return Experiment(name, f"{name}.parquet", use, free, joint=joint, prbs=prbs)
+
+    for j in (1, 2):
+        found.append(shaken(f"prbs-j{j}", "frequency", j, _VOLTS))
+        if spring == "three-slope":
+            found.append(shaken(f"sweep-j{j}", "sweep", j, 0.4 * _VOLTS))
+        found.append(Experiment(f"step-j{j}", f"step-j{j}.parquet", "tuning", both, joint=j))
+    return tuple(found)
