@@ -1,7 +1,7 @@
-"""Arms drawn over a whole gear catalogue: sizes 8 to 40, ratios 30 to 160, any encoder and sampling.
+"""Arms drawn over a gear catalogue: sizes 8 to 40, ratios 30 to 160, any encoder and sampling.
 
-An arm is drawn by what a designer chooses: gears, anti-resonances, motors that match their loads and
-wind the gears up past their knees at full voltage. So a drawn arm is one that could be built.
+An arm is drawn by what a designer chooses: gears, anti-resonances, motors that match their loads
+and wind the gears up past their knees at full voltage. So a drawn arm is one that could be built.
 """
 
 from __future__ import annotations
@@ -111,13 +111,18 @@ def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
                 accelerometer_hz=bandwidth,
             )
         )
-    kp, ki = zip(*gains, strict=True)
     study = Study(
         path=Path("study.toml"),
         sha256="",
         arm=Arm("planar-two-link", link_length=length[0]),
         joints=tuple(joints),
-        servo=Servo("pi-velocity", period=max(1e-3, sample_time), kp=kp, ki=ki, limit=_VOLTS),
+        servo=Servo(
+            "pi-velocity",
+            period=max(1e-3, sample_time),
+            kp=tuple(g[0] for g in gains),
+            ki=tuple(g[1] for g in gains),
+            limit=_VOLTS,
+        ),
         experiments=_experiments(spring, max(1e-3, sample_time)),
     )
     reach = next((a for a in _RANGES if a > peak), _RANGES[-1])
