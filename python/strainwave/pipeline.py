@@ -49,12 +49,14 @@ from strainwave.records import (
     Identification,
     JointModel,
     LinkSignals,
+    LinkSummary,
     Log,
     Options,
     Prediction,
     RecordModel,
     RigidModel,
     Signals,
+    StateSpace,
     Study,
 )
 from strainwave.replay import missing_for_replay
@@ -64,6 +66,10 @@ STAGES = ("rigid", "decoupled", "tuned")
 
 Progress = Callable[[str], None]
 """Called with what is being done, at the start of each part."""
+
+
+_Seen = tuple[Log, LinkSignals, tuple[Decoupled, ...]]
+"""A record, both sides of its gears, and each joint on its own."""
 
 
 def check_stages(names: Sequence[str]) -> tuple[str, ...]:
@@ -170,6 +176,7 @@ def _identify(the_study: Study, run: _Run) -> Identification:
         records=records,
         joints=joints,
         responses=responses,
+        links=run.links,
         sweeps=sweep.sweeps(records),
         tuned=tuned,
         suspected=input_check.suspected,
@@ -246,6 +253,7 @@ def _decoupled(
         for log, both_sides, parts in seen:
             run.warnings.extend(both_sides.warnings)
             run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
+            run.links += both_sides.summaries
         records, joints, responses = _physical(run, the_study, model, seen)
     for found in joints:
         run.warnings.extend(found.warnings)
@@ -256,7 +264,7 @@ def _physical(
     run: _Run,
     the_study: Study,
     model: RigidModel | None,
-    seen: Sequence[tuple[Log, LinkSignals, tuple[Decoupled, ...]]],
+    seen: Sequence[_Seen],
 ) -> tuple[list[RecordModel], list[JointModel], dict[int, FrequencyResponse]]:
     """Models of each record and, for each joint excited at full amplitude, of all at once.
 
@@ -290,20 +298,38 @@ def _physical(
     joints = [fit.model for fit in fits.values()]
     joints += [each for each, _ in found if isinstance(each, JointModel)]
     responses = {n: r for n, (_, r) in zip(numbers, found, strict=True) if r is not None}
+    records = _record_models(the_study, model, seen, fits)
+    return records, joints, responses
+
+
+def _record_models(
+    the_study: Study,
+    model: RigidModel | None,
+    seen: Sequence[_Seen],
+    fits: Mapping[int, physical.JointFit],
+) -> list[RecordModel]:
+    """What each record says of the joints excited in it, and their responses in it.
+
+    The state-space models of a sweep start from those at full amplitude.
+    """
+    options = the_study.options
+    how = physical.RecordOptions(options.physical, options.statespace)
+    models: dict[int, StateSpace] = {}  # of a joint at full amplitude
 
     def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
-        own = replace(how, state_space=log.experiment.use == "frequency")
-        fit = fits.get(part.joint)
-        return physical.identify_record(both_sides, part, model, the_study, own, fit)
+        own = replace(how, judged=log.experiment.use == "frequency")
+        fit, near = fits.get(part.joint), models.get(part.joint)
+        found = physical.identify_record(both_sides, part, model, the_study, own, fit, near)
+        return replace(found, response=_response([part], options.responses))
 
-    records = side_by_side(
-        [
-            partial(one_by_one, log, both_sides, part)
-            for log, both_sides, parts in seen
-            for part in _excited_joints(parts, log)
-        ]
-    )
-    return records, joints, responses
+    every = [(log, both, part) for log, both, ps in seen for part in _excited_joints(ps, log)]
+    by_use: dict[str, Iterator[RecordModel]] = {}
+    for use in ("frequency", "sweep"):
+        jobs = [partial(one_by_one, *each) for each in every if each[0].experiment.use == use]
+        made = side_by_side(jobs)
+        models |= {r.signals.joint: r.state_space for r in reversed(made) if r.state_space}
+        by_use[use] = iter(made)
+    return [next(by_use[log.experiment.use]) for log, _, _ in every]
 
 
 def _tuned(
@@ -436,6 +462,7 @@ class _Run:
     warnings: list[Caution] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     sensors: dict[tuple[str, int | None], float] = field(default_factory=dict)  # delays found
+    links: tuple[LinkSummary, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
 
     @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import asdict
 from typing import Any
 
@@ -13,6 +14,8 @@ from strainwave.records import (
     ArmModel,
     Caution,
     Criticism,
+    FloatArray,
+    FrequencyResponse,
     Identification,
     JointModel,
     Mode,
@@ -26,6 +29,13 @@ from strainwave.records import (
 )
 
 SCHEMA = "strainwave/result/1"
+
+_NUMBERS = re.compile(r'\[\n\s*([^][{}"]+?)\n\s*\]')  # strings hold no line ends in JSON
+_OUTSIDE = 3.0  # how far beyond the band of a joint's fit its responses are given
+_MOST_LINES = 500  # of one response
+_DIGITS = 6  # of their numbers
+_INPUTS = ("motor_torque", "interaction_torque")
+_OUTPUTS = ("motor_velocity", "link_velocity")
 
 
 def to_document(identification: Identification) -> dict[str, Any]:
@@ -47,6 +57,8 @@ def to_document(identification: Identification) -> dict[str, Any]:
         stages["decoupled"] = [_record(record) for record in identification.records]
         stages["joints"] = [_joint(joint) for joint in identification.joints]
         stages["sweeps"] = [asdict(sweep) for sweep in identification.sweeps]
+        stages["links"] = [asdict(link) for link in identification.links]
+        stages["responses"] = _responses(identification)
     if identification.tuned is not None:
         stages["tuned"] = _tuned(identification.tuned)
     verdict = identification.verdict
@@ -75,7 +87,64 @@ def to_document(identification: Identification) -> dict[str, Any]:
 def to_json(identification: Identification) -> bytes:
     """`to_document` as UTF-8 text that ends with a newline."""
     text = json.dumps(to_document(identification), indent=2, ensure_ascii=False, allow_nan=False)
-    return (text + "\n").encode()
+    return (_NUMBERS.sub(_on_one_line, text) + "\n").encode()
+
+
+def _on_one_line(numbers: re.Match[str]) -> str:
+    return f"[{' '.join(numbers[1].split())}]"
+
+
+def _responses(identification: Identification) -> list[dict[str, Any]]:
+    """Nonparametric responses: of all records of a joint at full amplitude, then of each record."""
+    found = [
+        _response(identification.responses[joint.joint], joint.joint, joint.experiments, joint)
+        for joint in identification.joints
+        if joint.joint in identification.responses
+    ]
+    for record in identification.records:
+        if record.response is not None:
+            names = (record.signals.experiment.name,)
+            found.append(
+                _response(record.response, record.signals.joint, names, record.joint_model)
+            )
+    return found
+
+
+def _response(
+    response: FrequencyResponse, number: int, names: tuple[str, ...], joint: JointModel | None
+) -> dict[str, Any]:
+    low, high = joint.band_hz if joint else (0.0, math.inf)
+    seen = response.between(low / _OUTSIDE, high * _OUTSIDE, _MOST_LINES)
+    _, n_out, n_in = seen.response.shape
+    channels = []
+    for o, output in enumerate(_OUTPUTS[:n_out]):
+        for i, name in enumerate(_INPUTS[:n_in]):
+            G = seen.response[:, o, i]
+            channel: dict[str, Any] = {"output": output, "input": name}
+            channel |= {"re": _short(G.real), "im": _short(G.imag)}
+            for part in ("noise_variance", "distortion_variance"):
+                variance = getattr(seen, part)
+                channel[part] = None if variance is None else _short(variance[:, o, i])
+            channels.append(channel)
+    coherence = {
+        output: _short(seen.coherence[:, o])
+        for o, output in enumerate(_OUTPUTS[:n_out])
+        if seen.coherence is not None
+    }
+    return {
+        "joint": number,
+        "experiments": names,
+        "method": seen.method,
+        "n_averages": seen.n_averages,
+        "frequency_hz": _short(seen.frequencies_hz),
+        "channels": channels,
+        "coherence": coherence,
+    }
+
+
+def _short(values: FloatArray) -> list[float]:
+    """Enough digits for what noise leaves of a response."""
+    return [float(f"{value:.{_DIGITS}g}") for value in values.tolist()]
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
@@ -118,7 +187,7 @@ def _record(record: RecordModel) -> dict[str, Any]:
     own = _nothing(record) if chosen is None else _joint(chosen)
     own["experiment"] = record.signals.experiment.name
     own["equation_fit_percent"] = own.pop("fit_percent")
-    own["fit_percent"] = None if record.state_space is None else record.state_space.fit_percent
+    own["fit_percent"] = record.state_space and _simulated_fit(record.state_space)
     own["state_space"] = None
     if record.state_space is not None:
         own["state_space"] = _state_space(record.state_space, record.modes)
@@ -191,13 +260,20 @@ def _state_space(model: StateSpace, modes: Modes | None) -> dict[str, Any]:
         "hold": model.hold,
         "input_names": model.input_names,
         "output_names": model.output_names,
-        "fit_percent": model.fit_percent,
+        "fit_percent": _simulated_fit(model),
         "prediction_fit_percent": model.prediction_fit_percent,
+        "warnings": [_warning(w) for w in model.warnings],
         **_frequencies(
             None if modes is None else modes.anti_resonance,
             None if modes is None else modes.resonance,
         ),
     }
+
+
+def _simulated_fit(model: StateSpace) -> tuple[float, ...] | None:
+    """A simulation that grows without end fits nothing."""
+    unstable = any(warning.code == "unstable-model" for warning in model.warnings)
+    return None if unstable else model.fit_percent
 
 
 def _tuned(model: ArmModel) -> dict[str, Any]:

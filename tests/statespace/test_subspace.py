@@ -28,9 +28,11 @@ def response_error(model: StateSpace, truth: StateSpace) -> float:
     return float((np.abs(ours - theirs).max(axis=0) / np.abs(theirs).max(axis=0)).max())
 
 
-@pytest.mark.parametrize("method", ["moesp", "predictor", "auto"])
+@pytest.mark.parametrize("method", ["moesp", "n4sid", "predictor", "auto"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_exact_data_give_the_exact_model(method: Literal["moesp", "predictor"], seed: int) -> None:
+def test_exact_data_give_the_exact_model(
+    method: Literal["moesp", "n4sid", "predictor"], seed: int
+) -> None:
     truth, rng = ARM.sampled(), np.random.default_rng(seed)
     data = simulate(truth, excitation(rng, 800), initial_state=np.array([1e-4, 5.0, 0.05]))
     model = subspace(data, 3, method=method)

@@ -67,6 +67,9 @@ class RecordOptions:
     physical: PhysicalOptions = field(default_factory=PhysicalOptions)
     linear: LinearOptions = field(default_factory=LinearOptions)
     state_space: bool = True  # whether a state-space model is estimated beside
+    # whether that model is put to its tests, and tells physical parameters; else it is estimated
+    # in the band that the equations of motion found, which takes an eighth of the time
+    judged: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +179,7 @@ def identify_record(
     study: Study,
     options: RecordOptions | None = None,
     together: JointFit | None = None,
+    near: StateSpace | None = None,
 ) -> RecordModel:
     """Everything one record tells of the joint that was excited in it.
 
@@ -190,6 +194,8 @@ def identify_record(
     together : JointFit, optional
         From `fit_joint` of several records, from which this one can start; at once, if it is one
         of them.
+    near : StateSpace, optional
+        Of another record of the joint, from which one that is not judged can start.
 
     Returns
     -------
@@ -218,17 +224,33 @@ def identify_record(
     by_equations = chosen.physical.route == "equations"
     physical = tried("grey-box-failed", grey_box) if by_equations else None
     linear = modes = transfer = check = None
+    judged = chosen.judged or not by_equations
     if chosen.state_space or not by_equations:
-        linear = tried("state-space-failed", lambda: state_space_of(decoupled, chosen.linear))
+        how = chosen.linear if judged else _in_known_band(decoupled, physical, chosen.linear)
+        begin = None if judged else near
+        linear = tried("state-space-failed", lambda: state_space_of(decoupled, how, begin))
     if linear is not None:
         found = linear
         modes = tried("modes-failed", lambda: modes_of(found))
+    if linear is not None and judged:
         check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
         transfer = tried(
             "transfer-function-failed",
             lambda: _by_transfer([decoupled], found, modes, model, study, chosen),
         )
-    return RecordModel(decoupled, physical, linear, modes, transfer, check, tuple(warnings))
+    return RecordModel(
+        decoupled, physical, linear, modes, transfer, check, warnings=tuple(warnings)
+    )
+
+
+def _in_known_band(
+    record: Decoupled, physical: JointModel | None, options: LinearOptions
+) -> LinearOptions:
+    """With the band around the resonances that are known already, where they are."""
+    if physical is None or physical.anti_resonance is None or physical.resonance is None:
+        return options
+    rings = physical.anti_resonance.frequency_hz, physical.resonance.frequency_hz
+    return replace(options, band_hz=band_for(rings, [record], options))
 
 
 def joint_by_transfer(

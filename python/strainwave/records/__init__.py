@@ -55,6 +55,7 @@ from strainwave.records.signals import (
     Lag,
     LinkSignals,
     LinkSource,
+    LinkSummary,
     Log,
     Signals,
 )
@@ -132,6 +133,7 @@ __all__ = [
     "LinkOptions",
     "LinkSignals",
     "LinkSource",
+    "LinkSummary",
     "Log",
     "Mode",
     "ModelCheck",

@@ -9,7 +9,13 @@ from typing import Literal
 from strainwave.records.answers import Caution, Parameter
 from strainwave.records.arrays import BoolArray, FloatArray
 from strainwave.records.signals import Fusion, Lag
-from strainwave.records.statespace import Mode, ModelCheck, Modes, StateSpace
+from strainwave.records.statespace import (
+    FrequencyResponse,
+    Mode,
+    ModelCheck,
+    Modes,
+    StateSpace,
+)
 from strainwave.records.study import Experiment
 from strainwave.shown import Shown
 
@@ -89,8 +95,11 @@ class RecordModel(Shown):
     physical: JointModel | None  # from the equations of motion; None: it failed, or not wanted
     state_space: StateSpace | None  # by prediction-error minimisation; None: it failed
     modes: Modes | None  # of the state-space model
-    transfer: JointModel | None  # from the state-space model, by (17), (18)
+    transfer: (
+        JointModel | None
+    )  # from the state-space model, by (17), (18); None: failed, not wanted
     check: ModelCheck | None = None  # the state-space model on a part that it was not fitted to
+    response: FrequencyResponse | None = None  # nonparametric; None: inputs not told apart
     warnings: tuple[Caution, ...] = ()
 
     @property

@@ -11,7 +11,7 @@ from strainwave.records.arm import ArmModel
 from strainwave.records.final_table import Decision, decide
 from strainwave.records.joints import JointModel, RecordModel, Sweep
 from strainwave.records.rigid import RigidModel
-from strainwave.records.signals import Activity
+from strainwave.records.signals import Activity, LinkSummary
 from strainwave.records.statespace import FrequencyResponse
 from strainwave.records.study import Study
 from strainwave.records.verdict import Status, Validated, Verdict
@@ -31,6 +31,7 @@ class Identification(Shown):
     checks: tuple[Prediction, ...]  # and on those kept for validation
     warnings: tuple[Caution, ...]
     timing_s: Mapping[str, float]
+    links: tuple[LinkSummary, ...] = ()  # of every joint in every record that excites a gear
     records: tuple[RecordModel, ...] = ()  # of the joints excited, record by record
     joints: tuple[JointModel, ...] = ()  # all records of a joint at once
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint

@@ -96,6 +96,20 @@ class Activity:
     acceleration: float  # [rad/s^2], or [m/s^2]
 
 
+@dataclass(frozen=True, slots=True)
+class LinkSummary:
+    """How one link's motion was put together in one record, and how late its channels came."""
+
+    experiment: str
+    joint: int  # from 1
+    source: LinkSource
+    fusion: Fusion | None  # None: the velocity is a sensor's own
+    fusion_error: float  # [rad/s] rms that (10) is wrong by, estimated
+    bias: float  # [rad/s^2] taken off the link acceleration
+    sensor_delay: Delay | None  # link sensor behind encoder; None: not to be told
+    drive_delay: Delay | None  # torque behind the log's; None: not to be told
+
+
 LinkSource = Literal["accelerometer", "encoder", "deflection", "gyro", "motor"]
 """Where a link's acceleration comes from; "motor": the gear was taken as rigid."""
 
@@ -133,3 +147,20 @@ class LinkSignals:
     sensor_delay: tuple[Delay | None, ...]  # link sensor behind encoder; None: not to be told
     drive_delay: tuple[Delay | None, ...]  # torque behind the log's; None: not to be told
     warnings: tuple[Caution, ...] = ()
+
+    @property
+    def summaries(self) -> tuple[LinkSummary, ...]:
+        """What there is to say of each link's motion, one a joint."""
+        return tuple(
+            LinkSummary(
+                experiment=self.experiment.name,
+                joint=i + 1,
+                source=source,
+                fusion=self.fusion[i],
+                fusion_error=float(self.fusion_error[i]),
+                bias=float(self.bias[i]),
+                sensor_delay=self.sensor_delay[i],
+                drive_delay=self.drive_delay[i],
+            )
+            for i, source in enumerate(self.sources)
+        )

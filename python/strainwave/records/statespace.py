@@ -144,6 +144,37 @@ class FrequencyResponse(Shown):
     n_averages: int = 0
     warnings: tuple[Caution, ...] = ()
 
+    def between(self, low_hz: float, high_hz: float, most: int) -> FrequencyResponse:
+        """Its lines in a band; of more than `most`, those evenly spread over log frequency.
+
+        Parameters
+        ----------
+        low_hz, high_hz : float [Hz]
+        most : int
+
+        Returns
+        -------
+        FrequencyResponse
+        """
+        f = self.frequencies_hz
+        kept = np.flatnonzero((f >= low_hz) & (f <= high_hz))
+        if len(kept) > most:
+            wanted = np.geomspace(f[kept[0]], f[kept[-1]], most)
+            kept = np.unique(np.searchsorted(f, wanted).clip(kept[0], kept[-1]))
+
+        def of(lines: FloatArray | None) -> FloatArray | None:
+            return None if lines is None else lines[kept]
+
+        return replace(
+            self,
+            frequencies_hz=f[kept],
+            response=self.response[kept],
+            covariance=of(self.covariance),
+            coherence=of(self.coherence),
+            noise_variance=of(self.noise_variance),
+            distortion_variance=of(self.distortion_variance),
+        )
+
     @property
     def magnitude_std(self) -> FloatArray | None:
         """Standard deviation of the modulus, to first order."""

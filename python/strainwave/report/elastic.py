@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.formatting import percent, plus_minus
-from strainwave.records import Identification, JointModel, Mode, RecordModel, Sweep
+from strainwave.records import Delay, Identification, JointModel, Mode, RecordModel, Sweep
 from strainwave.report.figures import MEASURED, Figure, dots, panels, rounded
 
 
@@ -48,6 +48,37 @@ def resonance_rows(identification: Identification) -> list[tuple[str, ...]]:
         if record.joint_model is not None:
             rows.append(_row(record.joint_model, _name(record)))
     return sorted(rows, key=lambda row: row[0])
+
+
+def link_rows(identification: Identification) -> list[tuple[str, ...]]:
+    """Rows of the table of the links' motion: sources, fusion and delays, record by record.
+
+    Parameters
+    ----------
+    identification : Identification
+
+    Returns
+    -------
+    list of tuple of str
+        Joint, record, source, bias, error of the fusion (10), delays of link sensor and of drive.
+    """
+    return [
+        (
+            str(link.joint),
+            link.experiment,
+            link.source,
+            f"{link.bias:.2g}" if link.source == "accelerometer" else "",
+            f"{link.fusion_error:.2g}" if link.fusion is not None else "none",
+            _delay(link.sensor_delay),
+            _delay(link.drive_delay),
+        )
+        for link in identification.links
+    ]
+
+
+def _delay(delay: Delay | None) -> str:
+    """In milliseconds; nothing where the record does not tell it."""
+    return "" if delay is None else " ± ".join(plus_minus(1e3 * delay.value, 1e3 * delay.std))
 
 
 def judgement_rows(identification: Identification) -> list[tuple[str, ...]]:

@@ -8,7 +8,7 @@ from html import escape
 from strainwave.formatting import percent
 from strainwave.records import ArmModel, Identification, Prediction
 from strainwave.records.options import chosen_options
-from strainwave.report import bode, correlations, elastic, gears, torques
+from strainwave.report import amplitudes, bode, correlations, elastic, gears, torques
 from strainwave.report.criticism import criticised
 from strainwave.report.figures import MOST_POINTS, Figure
 from strainwave.report.html import Cell, Section, document, figure, number, prose, row, table
@@ -94,7 +94,9 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
         sampled = [
             (r.signals.experiment.name, r.state_space)
             for r in found.records
-            if r.signals.joint == joint.joint and r.state_space is not None
+            if r.signals.joint == joint.joint
+            and r.state_space is not None
+            and r.signals.experiment.use == "frequency"
         ]
         drawn = bode.bode(
             joint, own.gear_ratio, measured, sampled, straight=own.motion == "prismatic"
@@ -105,6 +107,10 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = "".join(row(cells) for cells in elastic.resonance_rows(found))
     parts.append(table("Where the joints ring", (*heads, "stiffness [N m/rad]"), rows))
+    for place, records in amplitudes.swept(found).items():
+        drawn = amplitudes.responses(records)
+        label = f"Joint {place} over the amplitude: motor torque to motor velocity"
+        parts.append(figure(f"sweep joint {place}", label, drawn, plots, words=amplitudes.WORDS))
     for sweep in found.sweeps:
         label = f"Joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
         name = f"amplitude joint {sweep.joint}"
@@ -181,6 +187,10 @@ def _interaction(found: Identification, plots: dict[str, Figure]) -> str:
         parts.append(figure(f"{name} time", label, drawn, plots, words=words))
         drawn = torques.over_frequency(record)
         parts.append(figure(f"{name} spectrum", f"{where}: their spectra", drawn, plots))
+    heads = ("joint", "record", "from", "bias [rad/s²]", "error of (10) [rad/s]")
+    rows = "".join(row(cells) for cells in elastic.link_rows(found))
+    delays = ("link sensor late by [ms]", "motor's response late by [ms]")
+    parts.append(table("How the links' motion was found", (*heads, *delays), rows))
     return "".join(parts)
 
 

@@ -1,0 +1,330 @@
+"""Every option changes what its stage finds, and a run hands each to its stage."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from elastic_runs import log_of, prbs_run, rig
+from joint_records import case
+from strainwave import frequency, links, physical, pipeline, result, rigid, signals, tuning
+from strainwave.logs import read_logs
+from strainwave.parameters import Values
+from strainwave.records import (
+    Arm,
+    Experiment,
+    FrequencyOptions,
+    Joint,
+    LinearOptions,
+    LinkOptions,
+    Options,
+    PhysicalOptions,
+    Prbs,
+    RigidOptions,
+    Servo,
+    Study,
+    TuningOptions,
+)
+from strainwave.simulation import SensorNoise
+from strainwave.virtual import simulate_study
+from virtual_arms import motion_log, rigid_two_link, values_of
+
+JOINT = Joint(
+    spring="linear",
+    gear_ratio=0.01,
+    torque_per_volt=0.08,
+    encoder_counts=8192,
+    accelerometer_distance=0.3,
+    accelerometer_hz=300.0,
+)
+TRUE: Values = {
+    ("motor_inertia", 1): 1.5e-4,
+    ("motor_viscous_friction", 1): 2e-4,
+    ("motor_coulomb_friction", 1): 0.06,
+    ("friction_offset", 1): 0.0,
+    ("link_inertia", 1): 2.0,
+    ("link_viscous_friction", 1): 0.5,
+    ("gear_stiffness", 1): 25000.0,
+    ("gear_damping", 1): 20.0,
+}
+
+
+def excited(name: str, use: Any, amplitude: float) -> Experiment:
+    prbs = Prbs(9, 1e-3, 3, amplitude)
+    return Experiment(name, f"{name}.parquet", use, ("open",), joint=1, prbs=prbs)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The study file of a single elastic joint: motion, two frequency records, a sweep, a step."""
+    folder = tmp_path_factory.mktemp("small")
+    study = Study(
+        path=folder / "study.toml",
+        sha256="",
+        arm=Arm("single-joint"),
+        joints=(JOINT,),
+        servo=Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0),
+        experiments=(
+            Experiment("motion", "motion.parquet", "motion", ("servo",)),
+            excited("prbs", "frequency", 10.0),
+            excited("again", "frequency", 9.0),
+            excited("slow", "sweep", 6.0),
+            Experiment("step", "step.parquet", "tuning", ("servo",), joint=1),
+        ),
+    )
+    simulate_study(study, TRUE, folder, noise=SensorNoise(), replay=False)
+    return folder / "study.toml"
+
+
+@cache
+def motion() -> tuple[Study, Any]:
+    study = rigid_two_link()
+    return study, signals.motor_side(motion_log(study, values_of(study, 1), 1, 5.0), study)
+
+
+def rigid_with(options: RigidOptions) -> Any:
+    study, seen = motion()
+    return rigid.fit([seen], study, options).solution
+
+
+def links_with(options: LinkOptions) -> Any:
+    study = rig()
+    return links.link_side(_log(), study, options).link_velocity
+
+
+@cache
+def _log() -> Any:
+    return log_of(prbs_run(rig()), seed=1)
+
+
+def responses_with(options: FrequencyOptions) -> Any:
+    return frequency.respond([case(1, 1).decoupled], options).response
+
+
+def state_space_with(options: LinearOptions) -> Any:
+    model = physical.state_space_of(case(1, 1).decoupled, options)
+    return np.concatenate([model.A.ravel(), model.B.ravel(), model.C.ravel(), [model.sample_time]])
+
+
+def physical_with(options: PhysicalOptions) -> Any:
+    one = case(1, 1)
+    how = physical.RecordOptions(options, state_space=False)
+    found = physical.identify_record(one.signals, one.decoupled, one.model, one.study, how)
+    assert found.joint_model is not None
+    return np.array(list(found.joint_model.values.values()))
+
+
+OF_STAGES: dict[str, Callable[[Any], Any]] = {
+    "rigid": rigid_with,
+    "links": links_with,
+    "responses": responses_with,
+    "statespace": state_space_with,
+    "physical": physical_with,
+}
+CHANGES: dict[str, dict[str, Any]] = {
+    "rigid": {"bandwidth_hz": 3.0},
+    "links": {"time_constant": 0.05, "order": 1, "bandwidth_hz": 100.0},
+    "responses": {"inputs": 1, "segment": 0.3, "transient_periods": 0},
+    "statespace": {
+        "order": 5,
+        "outputs": "motor",
+        "inputs": "motor",
+        "method": "n4sid",
+        "horizon": 12,
+        "decimation": 8,
+        "band_hz": (4.0, 50.0),
+    },
+    "physical": {"route": "transfer-function", "band_hz": (5.0, 40.0), "use_rigid": False},
+    "tuning": {
+        "as_published": True,
+        "ranges": {"gear_stiffness": (0.999, 1.001)},
+        "hold": ("gear_damping",),
+        "cutoff_hz": 40.0,
+        "settling": True,
+        "closed_loop": True,
+        "least_deviation": 0.1,
+        "max_iterations": 2,
+    },
+}
+BASIS: dict[tuple[str, str], Any] = {
+    # where another option must be there for one to act
+    ("responses", "transient_periods"): FrequencyOptions(inputs=1),
+    ("statespace", "horizon"): LinearOptions(method="n4sid"),
+}
+
+
+def test_every_option_has_a_change_here() -> None:
+    for stage in fields(Options):
+        own = getattr(Options(), stage.name)
+        assert {f.name for f in fields(own)} == set(CHANGES[stage.name]), stage.name
+
+
+@pytest.mark.parametrize(
+    ("stage", "key"), [(stage, key) for stage in OF_STAGES for key in CHANGES[stage]]
+)
+def test_an_option_changes_what_its_stage_finds(stage: str, key: str) -> None:
+    before = BASIS.get((stage, key), getattr(Options(), stage))
+    ends = [
+        OF_STAGES[stage](how) for how in (before, replace(before, **{key: CHANGES[stage][key]}))
+    ]
+    assert ends[0].shape != ends[1].shape or not np.allclose(ends[0], ends[1], rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def begun(small: Path) -> Callable[[TuningOptions], tuning.Fit]:
+    """The whole-arm fit of the small study from what its stages before found."""
+    before = pipeline.identify(small, stages=("rigid", "decoupled"))
+    from_here = (read_logs(before.study), before.rigid, before.joints, before.study)
+    usual = tuning.fitted(*from_here)
+
+    def fit(options: TuningOptions) -> tuning.Fit:
+        return usual if options == TuningOptions() else tuning.fitted(*from_here, options)
+
+    return fit
+
+
+@pytest.mark.parametrize("key", CHANGES["tuning"])
+def test_an_option_changes_the_whole_arm_fit(
+    key: str, begun: Callable[[TuningOptions], tuning.Fit]
+) -> None:
+    ends = []
+    for how in (TuningOptions(), replace(TuningOptions(), **{key: CHANGES["tuning"][key]})):
+        fit = begun(how)
+        values = fit.misfit.search.values(fit.z)
+        ends.append((len(fit.z), fit.converged, [values[name] for name in sorted(TRUE, key=str)]))
+    assert ends[0][:2] != ends[1][:2] or not np.allclose(ends[0][2], ends[1][2], rtol=1e-9)
+
+
+def test_what_is_held_stays_and_ranges_bind(begun: Callable[[TuningOptions], tuning.Fit]) -> None:
+    free = begun(TuningOptions())
+    start = begun(TuningOptions(max_iterations=1)).misfit.search
+    first = start.values(np.zeros(len(start.unknowns)))
+    k, d = ("gear_stiffness", 1), ("gear_damping", 1)
+    narrow = begun(TuningOptions(ranges={"gear_stiffness 1": (0.9999, 1.0001)}, hold=(d[0],)))
+    values = narrow.misfit.search.values(narrow.z)
+    assert values[d] == first[d] != free.misfit.search.values(free.z)[d]
+    assert abs(values[k] / first[k] - 1.0) <= 1.0001e-4
+    assert d not in narrow.misfit.search.keys
+
+
+def test_tuning_as_published(small: Path) -> None:
+    """Steps alone, in closed loop; Coulomb friction held, all else within half and twice."""
+    found = pipeline.identify(small, options=["tuning.as_published=true"])
+    arm, joint = found.tuned, found.joints[0]
+    assert arm is not None
+    assert set(arm.fit_percent) == {"step"}
+    names = {p.name for p in arm.parameters}
+    assert not names & {"motor_coulomb_friction", "friction_offset", "friction_settling_time"}
+    coulomb = found.rigid.value("motor_coulomb_friction", 1) if found.rigid else None
+    assert arm.values["motor_coulomb_friction", 1] == coulomb
+    for name in ("motor_inertia", "link_inertia", "gear_stiffness", "gear_damping"):
+        assert 0.4999 <= arm.values[name, 1] / joint.values[name] <= 2.0001, name
+    assert arm.fit_percent["step"]["omega_m1"] > 95.0
+    assert arm.values["motor_inertia", 1] == pytest.approx(1.5e-4, rel=0.05)
+    # the value that was held stands in the result, from the stage that found it
+    held = next(p for p in found.parameters if p.name == "motor_coulomb_friction")
+    assert held.stage != "tuned"
+
+
+def test_tuning_as_published_needs_steps(small: Path, tmp_path: Path) -> None:
+    text = small.read_text().replace('use = "tuning"', 'use = "check"')
+    study = tmp_path / "study.toml"
+    study.write_text(text)
+    for log in small.parent.glob("*.parquet"):
+        (tmp_path / log.name).symlink_to(log)
+    found = pipeline.identify(study, options={"tuning": {"as_published": True}})
+    assert found.tuned is None
+    reasons = [w.message for w in found.warnings if w.code == "not-tuned"]
+    assert any('use = "tuning"' in reason for reason in reasons)
+
+
+def test_the_published_route_runs_to_the_end(small: Path) -> None:
+    """State-space models of all records, (15) to (18), and the whole arm from there."""
+    found = pipeline.identify(small, options=["physical.route=transfer-function"])
+    (joint,) = found.joints
+    assert joint.method == "transfer-function"
+    assert joint.experiments == ("prbs", "again")
+    assert all(record.physical is None and record.transfer for record in found.records)
+    for name in ("motor_inertia", "link_inertia", "gear_stiffness"):
+        assert joint.values[name] == pytest.approx(TRUE[name, 1], rel=0.05), name
+    assert found.tuned is not None
+    assert found.tuned.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.005)
+
+
+def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, Any] = {}
+
+    def spy(module: Any, name: str, kind: type) -> None:
+        own = getattr(module, name)
+
+        def called(*given: Any, **named: Any) -> Any:
+            for one in (*given, *named.values()):
+                if isinstance(one, kind):
+                    seen[f"{name}"] = one
+            return own(*given, **named)
+
+        monkeypatch.setattr(module, name, called)
+
+    spy(rigid, "fit", RigidOptions)
+    spy(links, "link_side", LinkOptions)
+    spy(frequency, "respond", FrequencyOptions)
+    spy(physical, "fit_joint", PhysicalOptions)
+    spy(physical, "identify_record", physical.RecordOptions)
+    spy(tuning, "tune", TuningOptions)
+    chosen = Options(
+        RigidOptions(4.0),
+        LinkOptions(0.1),
+        FrequencyOptions(segment=0.2),
+        LinearOptions(order=4),
+        PhysicalOptions(use_rigid=False),
+        TuningOptions(max_iterations=1),
+    )
+    found = pipeline.identify(small, options=chosen)
+    assert seen["fit"] == chosen.rigid
+    assert seen["link_side"] == chosen.links
+    assert seen["respond"] == chosen.responses
+    assert seen["fit_joint"] == chosen.physical
+    assert seen["identify_record"].linear == chosen.statespace
+    assert seen["identify_record"].physical == chosen.physical
+    assert seen["tune"] == chosen.tuning
+    document = json.loads(result.to_json(found))
+    assert document["options"]["rigid"] == {"bandwidth_hz": 4.0}
+    assert document["options"]["tuning"]["max_iterations"] == 1
+    assert document["stages"]["rigid"]["bandwidth_hz"] == 4.0
+
+
+def test_sweep_records_have_models_responses_and_delays(small: Path) -> None:
+    found = pipeline.identify(small, stages=("rigid", "decoupled"))
+    document = json.loads(result.to_json(found))
+    slow = next(e for e in document["stages"]["decoupled"] if e["experiment"] == "slow")
+    model = slow["state_space"]
+    assert model["status"] == "converged"
+    assert model["resonance_hz"] == pytest.approx(slow["resonance_hz"], rel=0.05)
+    own = [r for r in document["stages"]["responses"] if r["experiments"] == ["slow"]]
+    (response,) = own
+    f = np.array(response["frequency_hz"])
+    (channel,) = [c for c in response["channels"] if c["output"] == "motor_velocity"]
+    for part in ("re", "im", "noise_variance"):
+        assert len(channel[part]) == len(f)
+    assert min(channel["noise_variance"]) > 0.0
+    coherence = np.array(response["coherence"]["motor_velocity"])
+    rings = (f > 5.0) & (f < 40.0)
+    assert np.median(coherence[rings]) > 0.8
+    # the dip of motor torque to motor velocity is where the model has its zeros
+    size = np.abs(np.array(channel["re"]) + 1j * np.array(channel["im"]))
+    low = (f > 0.7 * slow["anti_resonance_hz"]) & (f < 1.3 * slow["anti_resonance_hz"])
+    assert f[low][np.argmin(size[low])] == pytest.approx(slow["anti_resonance_hz"], rel=0.15)
+    link = next(e for e in document["stages"]["links"] if e["experiment"] == "slow")
+    assert link["joint"] == 1
+    assert link["source"] == "accelerometer"
+    assert link["fusion"] == {"time_constant": 0.2, "order": 2}
+    assert 0.0 < link["fusion_error"] < 0.1
+    for delay in (link["sensor_delay"], link["drive_delay"]):
+        assert delay is None or abs(delay["value"]) < 1e-3
