@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.link_sensors import is_sensor_constant
 from strainwave.records import FloatArray, Log, Study, TuningOptions
 from strainwave.records.options import PUBLISHED_RANGE
 from strainwave.replay import missing_for_replay
@@ -93,7 +94,6 @@ def restricted(search: Search, options: TuningOptions, z: FloatArray) -> Search:
     if options.as_published:  # the records alone speak
         empty = Prior(np.zeros((0, len(z))), np.zeros(0), np.zeros((0, 0)))
         search = replace(search, prior=empty)
-    published = PUBLISHED_RANGE if options.as_published else None
     values = search.values(z)
     held = {key: values[key] for key in search.keys if is_held(key, options)}
     if len(held) == len(search.unknowns):
@@ -103,7 +103,7 @@ def restricted(search: Search, options: TuningOptions, z: FloatArray) -> Search:
             remedy="leave something to be fitted",
         )
     limited = tuple(
-        _limited(unknown, _range(options.ranges, unknown.key) or published, at)
+        _limited(unknown, _range(options, unknown.key), at)
         for unknown, at in zip(search.unknowns, z.tolist(), strict=True)
     )
     return replace(search, unknowns=limited).holding(held)
@@ -133,8 +133,11 @@ def _names(key: Key) -> list[str]:
     return names
 
 
-def _range(ranges: Mapping[str, tuple[float, float]], key: Key) -> tuple[float, float] | None:
-    return next((ranges[name] for name in _names(key) if name in ranges), None)
+def _range(options: TuningOptions, key: Key) -> tuple[float, float] | None:
+    """Factors of the start; what a sensor does to its signal is no parameter of the arm."""
+    given = next((options.ranges[name] for name in _names(key) if name in options.ranges), None)
+    usual = options.as_published and not is_sensor_constant(key)
+    return given or (PUBLISHED_RANGE if usual else None)
 
 
 def _limited(unknown: Unknown, factors: tuple[float, float] | None, at: float) -> Unknown:
