@@ -72,6 +72,7 @@ def test_identify_reads_what_the_demonstration_wrote(
     done = run("identify", str(folder / "study.toml"), "--out", str(out), "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert sorted(p.name for p in out.iterdir()) == sorted(FINISHED)
+    assert json.loads((out / "result.json").read_text())["status"] == "determined"
     again, first = (json.loads((f / "result.json").read_text()) for f in (out, folder))
     assert again["parameters"] == first["parameters"]
     assert again["study"] == first["study"]
@@ -128,6 +129,48 @@ def test_no_motion_exits_with_three_and_a_result(tmp_path: Path) -> None:
     assert "motion" in document["reason"]
 
 
+def test_what_identifies_nothing_is_not_determined(demo: tuple[Path, str], tmp_path: Path) -> None:
+    for path in demo[0].glob("*.parquet"):
+        (tmp_path / path.name).symlink_to(path.resolve())
+    text = (demo[0] / "study.toml").read_text().replace('use = "motion"', 'use = "check"')
+    (tmp_path / "study.toml").write_text(text)
+    out = tmp_path / "out"
+    done = run("identify", str(tmp_path / "study.toml"), "--out", str(out), "--stages", "rigid")
+    assert done.returncode == 3, done.stderr
+    assert "verdict: not-determined (exit code 3)" in done.stdout
+    document = json.loads((out / "result.json").read_text())
+    assert document["status"] == "not-determined"
+    assert {"beta", "rigid_inertia 1"} <= set(document["verdict"]["not_identified"])
+    assert document["verdict"]["identified"] == []
+
+
+def test_channels_that_contradict_the_study_exit_with_three(
+    demo: tuple[Path, str], tmp_path: Path
+) -> None:
+    """Accelerations in g: the cause and its remedy come first, and motor signals still answer."""
+    for path in demo[0].glob("*.parquet"):
+        (tmp_path / path.name).symlink_to(path.resolve())
+    text = (demo[0] / "study.toml").read_text()
+    scales = "".join(f'a{j} = {{ column = "a{j}", scale = {1 / 9.80665:.6f} }}\n' for j in (1, 2))
+    assert "[channels]" not in text
+    (tmp_path / "study.toml").write_text(f"{text}\n[channels]\n{scales}")
+    done = run("identify", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"))
+    assert done.returncode == 3, done.stderr
+    assert "verdict: inconsistent-input (exit code 3)" in done.stdout
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert document["status"] == "inconsistent-input"
+    suspected = document["verdict"]["suspected"]
+    assert {one["code"] for one in suspected} == {"wrong-unit"}
+    for one in suspected:
+        assert one["factor"] == pytest.approx(1 / 9.80665, rel=0.02)
+        assert one["remedy"] in " ".join(done.stdout.split())
+    values = {(p["name"], p["joint"]): p["value"] for p in document["parameters"]}
+    assert values["beta", None] is not None
+    assert all(value is None for (name, _), value in values.items() if "gear" in name)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "The input contradicts itself." in page
+
+
 def test_one_way_motion_exits_with_three_and_what_it_tells(tmp_path: Path) -> None:
     """A drive that never turns back: Coulomb friction and offset are one number."""
     t = 1e-3 * np.arange(12000)
@@ -144,6 +187,8 @@ def test_one_way_motion_exits_with_three_and_what_it_tells(tmp_path: Path) -> No
     assert done.returncode == 3, done.stderr
     document = json.loads((tmp_path / "out" / "result.json").read_text())
     values = {p["name"]: p["value"] for p in document["parameters"]}
+    assert document["status"] == "partly-determined"
+    assert document["verdict"]["identified"] == ["inertia 1", "motor_viscous_friction 1"]
     assert values["inertia"] == pytest.approx(0.02, rel=1e-3)
     assert values["motor_coulomb_friction"] is None
     assert values["friction_offset"] is None

@@ -319,12 +319,10 @@ def test_a_fit_that_did_not_converge_is_no_whole_answer() -> None:
 def test_stages_that_contradict_each_other_reject_what_they_touch() -> None:
     found = run()
     assert found.tuned is not None
-    for joint, touched in ((2, {None, 2}), (None, {None, 1, 2})):
-        far = StageDifference("motor_inertia", joint, 1.0, 1.1, 0.01, "kg m^2")
-        one = replace(found, tuned=replace(found.tuned, differences=(far,)))
-        values = {p.joint for p in one.parameters if p.value is not None}
-        assert values == {None, 1, 2} - touched
-        assert one.verdict.exit_code == 3
+    far = StageDifference("motor_inertia", 2, 1.0, 1.1, 0.01, "kg m^2")
+    one = replace(found, tuned=replace(found.tuned, differences=(far,)))
+    assert all(p.value is None for p in one.parameters)
+    assert (one.verdict.status, one.verdict.exit_code) == ("not-determined", 3)
     friction = StageDifference("total_viscous_friction", 2, 1.0, 1.1, 0.01, "N m s/rad")
     one = replace(found, tuned=replace(found.tuned, differences=(friction,)))
     assert {p.label for p in one.parameters if p.value is None} == {

@@ -13,6 +13,8 @@ import pytest
 import exports
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm, read_result
+from strainwave.export.flat import to_json
+from strainwave.export.mjcf import to_mjcf
 from strainwave.parameters import Values
 
 Change = Callable[[dict[str, Any]], Any]
@@ -120,9 +122,35 @@ def test_what_is_needed_is_named(tmp_path: Path) -> None:
 )
 def test_what_no_arm_has_is_refused(name: str, value: float, said: str, tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
-    values: Values = exports.values_of(study) | {(name, 1): value}
+    arm = exports.arm_of(study, exports.values_of(study))
+    changed = tuple(
+        replace(p, value=value) if (p.name, p.joint) == (name, 1) else p for p in arm.parameters
+    )
     with pytest.raises(InvalidInput, match=f"{name} of joint 1 is {value:g} and not {said}"):
-        exports.arm_of(study, values).need(name, 1)
+        replace(arm, parameters=changed).need(name, 1)
+
+
+def test_what_the_verdict_rejects_enters_no_export(tmp_path: Path) -> None:
+    """By its list, and by its sign where a result of another version has no list."""
+    study = exports.two_links(tmp_path)
+    values: Values = exports.values_of(study) | {("gear_damping", 1): -1.0}
+    path = exports.write(study, values)
+    document = json.loads(path.read_text())
+    document["verdict"] = {"rejected": ["link_inertia 2", "motor_inertia 2"]}
+    path.write_text(json.dumps(document))
+    arm = read_result(path)
+    assert arm.rejected == ("link_inertia 2", "motor_inertia 2", "gear_damping 1")
+    kept = {p.label: p.value for p in arm.parameters}
+    assert kept["gear_damping 1"] is kept["motor_inertia 2"] is None
+    with pytest.raises(InvalidInput, match="motor_inertia of joint 2 is rejected by the result"):
+        arm.need("motor_inertia", 2)
+    with pytest.raises(InvalidInput, match="gear_damping of joint 1 is rejected by the result"):
+        to_mjcf(arm)
+    assert json.loads(to_json(arm).data)["values"]["gear_damping_1"] is None
+    document["verdict"] = {"rejected": "gear_damping 1"}
+    path.write_text(json.dumps(document))
+    with pytest.raises(InvalidInput, match="is no list of names"):
+        read_result(path)
 
 
 def test_a_sum_stands_for_its_parts_and_says_so(tmp_path: Path) -> None:

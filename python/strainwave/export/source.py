@@ -1,4 +1,4 @@
-"""result.json and its study -> the arm to export, every fault told by file, place and remedy."""
+"""result.json and its study -> the arm to export, every fault named by file, place and remedy."""
 
 from __future__ import annotations
 
@@ -6,20 +6,18 @@ import json
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from strainwave.errors import InvalidInput
 from strainwave.files import decode, read_bytes
 from strainwave.parameters import Values, completed
-from strainwave.records import Caution, Joint, Parameter, Study
+from strainwave.records import Caution, Joint, Parameter, Study, is_physical, physical_range
 from strainwave.study import read_study
 
 _SCHEMA = "strainwave/result/1"
 _NOT_A_RESULT = "give the result.json that strainwave identify wrote"
-_POSITIVE = ("alpha", "beta", "motor_inertia", "gear_stiffness", "gear_knee")
-_SIGNED = ("gamma", "friction_offset", "gravity_torque_1", "gravity_torque_2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +36,7 @@ class IdentifiedArm:
     parameters: tuple[Parameter, ...]  # the best of each; None is what could not be told
     source: str  # where they come from, for messages
     cautions: tuple[Caution, ...] = ()  # what the reader of any export must know
+    rejected: tuple[str, ...] = ()  # "gear_damping 2": values that the verdict rejects, here null
 
     @property
     def values(self) -> Values:
@@ -72,13 +71,15 @@ class IdentifiedArm:
         """
         value = self.values.get((name, joint))
         if value is None:
-            named = any((p.name, p.joint) == (name, joint) for p in self.parameters)
-            raise self._refuse(name, joint, "null" if named else "not there")
-        positive = name.startswith(_POSITIVE)
-        if joint and name == "motor_inertia" and self.joint(joint).spring == "rigid":
-            positive = False  # it may be counted with the link's
-        if (value <= 0.0 and positive) or (value < 0.0 and name not in _SIGNED):
-            least = "positive" if positive else "zero or positive"
+            own = [p for p in self.parameters if (p.name, p.joint) == (name, joint)]
+            if own and own[0].label in self.rejected:
+                raise self._refuse(name, joint, "rejected by the result's verdict")
+            raise self._refuse(name, joint, "null" if own else "not there")
+        merged = joint is not None and self.joint(joint).spring == "rigid"
+        if value == 0.0 and merged and name in ("motor_inertia", "link_inertia"):
+            return value  # it may be counted with the other side's
+        if not is_physical(name, value):
+            least = physical_range(name).replace("non-negative", "zero or positive")
             raise self._refuse(name, joint, f"{value:g} and not {least}")
         return value
 
@@ -173,7 +174,27 @@ def read_result(path: Path | str, study_path: Path | str | None = None) -> Ident
             "its ratios, lengths and torques per volt are taken as they are now"
         )
         cautions = (Caution("study-changed", str(study_file), message),)
-    return IdentifiedArm(study, parameters, str(path), cautions)
+    kept, rejected = _without_rejected(parameters, document, path)
+    return IdentifiedArm(study, kept, str(path), cautions, rejected)
+
+
+def _without_rejected(
+    parameters: Sequence[Parameter], document: dict[str, Any], path: Path
+) -> tuple[tuple[Parameter, ...], tuple[str, ...]]:
+    """Null in place of what the verdict rejects, and of what no arm can have."""
+    verdict = document.get("verdict", {})
+    listed = verdict.get("rejected", []) if isinstance(verdict, dict) else None
+    if not isinstance(listed, list) or not all(isinstance(label, str) for label in listed):
+        raise InvalidInput(
+            "is no list of names", where=f"{path}: verdict.rejected", remedy=_NOT_A_RESULT
+        )
+    impossible = [p.label for p in parameters if p.value and not is_physical(p.name, p.value)]
+    rejected = tuple(dict.fromkeys([*listed, *impossible]))
+    kept = tuple(
+        replace(p, value=None, std=None, ci95=None) if p.label in rejected else p
+        for p in parameters
+    )
+    return kept, rejected
 
 
 def _document(path: Path) -> dict[str, Any]:

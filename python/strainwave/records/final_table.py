@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.records.answers import Parameter, Suspicion
-from strainwave.records.arm import ArmModel, StageDifference
+from strainwave.records.arm import ArmModel
 from strainwave.records.joints import JointModel
 from strainwave.records.ranges import PHYSICAL_RANGES, is_physical, physical_range
 from strainwave.records.rigid import RigidModel
@@ -188,7 +188,12 @@ def _discard(table: _Table, joint: JointModel, faulty: int) -> bool:
 
 
 def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
-    """What the whole-arm fit says of all it estimates, values and refusals."""
+    """What the whole-arm fit says of all it estimates, values and refusals.
+
+    Where the stages contradict each other in inertias or gravity torques, some joint's torque is
+    not what it is taken for, and all joints share the arm's inertias: nothing counts. Where only
+    frictions differ, another law of friction is the likeliest, which leaves the rest alone.
+    """
     if faulty <= _TUNED:
         for p in tuned.parameters:
             table.setdefault(_key(p), _Entry(p, _FAULT))
@@ -198,23 +203,12 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
         at_end = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
         table[_key(p)] = _Entry(p, at_end if _key(p) in bounded else "")
     far = [d for d in tuned.differences if abs(d.deviations) > CONTRADICTION]
-    touched, rubbing = _torques_wrong(far, tuned), {d.joint for d in far}
+    rubbing = {d.joint for d in far}
+    torques = any("friction" not in d.name for d in far)
     for key, entry in table.items():
-        name, joint = key
-        friction = "friction" in name and joint in rubbing
-        if (joint in touched or friction) and not entry.rejected:
+        friction = "friction" in entry.parameter.name and entry.parameter.joint in rubbing
+        if (torques or friction) and not entry.rejected:
             table[key] = replace(entry, rejected=_CONTRADICTED)
-
-
-def _torques_wrong(far: Sequence[StageDifference], tuned: ArmModel) -> set[int | None]:
-    """Joints of whose inertias the stages contradict each other, and then the arm as well.
-
-    Where only frictions do, another law of friction is the likeliest, which leaves the rest alone.
-    """
-    wrong = {d.joint for d in far if "friction" not in d.name}
-    if None in wrong:  # an inertia of the arm is in the torques of all its joints
-        wrong |= {p.joint for p in tuned.parameters}
-    return wrong | {None} if wrong else set()
 
 
 def _make_consistent(table: _Table, study: Study, decided: Sequence[JointModel]) -> None:

@@ -159,7 +159,9 @@ def _reasons(
     found: Identification, called: _Called, identified: Sequence[str], rejected: Sequence[str]
 ) -> Iterator[str]:
     """Why a run is not determined, the most important first."""
-    yield from (suspicion.message for suspicion in found.suspected)
+    if found.suspected:  # whatever else is missing follows from these
+        yield from (suspicion.message for suspicion in found.suspected)
+        return
     yield from found.failures
     yield from _stages_missing(found, called)
     wrong = [label for label in called.primary if label in rejected]
