@@ -13,7 +13,7 @@ def plus_minus(value: float | None, std: float | None) -> tuple[str, str]:
     Parameters
     ----------
     value, std : float or None
-        None, or not finite: could not be told.
+        None, or not finite: not known.
 
     Returns
     -------

@@ -172,6 +172,6 @@ def known(model: RigidModel, name: str, joint: int | None) -> float:
     if value is None:
         place = f" of joint {joint}" if joint else ""
         raise NotIdentifiable(
-            f"decoupling needs {name}{place}, which the motion records do not tell"
+            f"decoupling needs {name}{place}, which the motion records do not identify"
         )
     return value

@@ -67,7 +67,7 @@ def test_a_compiler_reads_the_header(arm: IdentifiedArm, tmp_path: Path) -> None
 
 def test_a_header_says_what_is_missing(arm: IdentifiedArm) -> None:
     text = to_c_header(arm).data.decode()
-    assert "/* friction_offset_1 [* / boo] could not be told */" in text
+    assert "/* friction_offset_1 [* / boo] was not identified */" in text
     assert "friction_offset_1 =" not in text
     assert "motor_inertia_1 = 0.00015; /* [kg m^2], std 1.5e-06 */" in text
     assert "gravity = 9.81; /* [m/s^2], known */" in text

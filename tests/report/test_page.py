@@ -148,7 +148,7 @@ def test_one_name_for_each_figure() -> None:
 
 def test_it_says_what_was_found_and_what_was_not() -> None:
     page = render(identification())
-    for text in ("0.02010", "0.01970 … 0.02050", "not told", "saturated", "91.2 %", "97.5 %"):
+    for text in ("0.02010", "0.01970 … 0.02050", "not identified", "saturated", "91.2 %", "97.5 %"):
         assert text in page, text
     assert "nan" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL).lower()
 

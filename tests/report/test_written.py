@@ -55,7 +55,7 @@ def test_the_command_writes_figures_and_says_where(tmp_path: Path) -> None:
     out = tmp_path / "out"
     given: list[bool] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline, "write", lambda *_, figures: given.append(figures))
+        patch.setattr(pipeline, "write", lambda *_, figures, **__: given.append(figures))
         for flags in ([], ["--figures"]):
             done = CliRunner().invoke(cli.app, ["identify", study, "--out", str(out), *flags])
             assert ("figures" in done.output) == bool(flags)

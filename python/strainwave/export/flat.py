@@ -14,7 +14,7 @@ class Entry:
 
     name: str  # as in docs/notation.md, the joint's number behind it
     value: float | None
-    std: float | None  # None: known, or could not be told
+    std: float | None  # None: known, or not identified
     unit: str
     known: bool = False  # from the study, not estimated
 
@@ -48,7 +48,7 @@ def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
 
 
 def to_json(arm: IdentifiedArm) -> Export:
-    """Three flat tables by name: `values`, `stds` and `units`; null is what could not be told.
+    """Three flat tables by name: `values`, `stds` and `units`; null is what was not identified.
 
     Parameters
     ----------
@@ -97,6 +97,6 @@ def _line(entry: Entry) -> str:
     # a unit from a file must not end the comment
     unit = entry.unit.replace("*/", "* /")
     if entry.value is None:
-        return f"/* {entry.name} [{unit}] could not be told */"
+        return f"/* {entry.name} [{unit}] was not identified */"
     sure = "known" if entry.known else "std " + (f"{entry.std:.2g}" if entry.std else "not known")
     return f"static const double {entry.name} = {entry.value!r}; /* [{unit}], {sure} */"

@@ -33,14 +33,14 @@ class IdentifiedArm:
     """What is exported: a study and the parameters found for it."""
 
     study: Study
-    parameters: tuple[Parameter, ...]  # the best of each; None is what could not be told
+    parameters: tuple[Parameter, ...]  # the best of each; None is what was not identified
     source: str  # where they come from, for messages
     cautions: tuple[Caution, ...] = ()  # what the reader of any export must know
     rejected: tuple[str, ...] = ()  # "gear_damping 2": values that the verdict rejects, here null
 
     @property
     def values(self) -> Values:
-        """(name, joint) -> value, with what follows from what was told.
+        """(name, joint) -> value, with what follows from what was identified.
 
         Of viscous friction, whose sum is known better than its parts, the motor has all where the
         link's is not known.

@@ -83,7 +83,7 @@ def cautions_of(
             text = f"{size} is impossible: {source} show something that"
             yield Caution("implausible", place, text + " this joint's model has not")
         elif not told:
-            text = f"{source} tell it only to {size}"
+            text = f"{source} identify it only to {size}"
             if name.endswith("viscous_friction"):
                 text += "; of the viscous frictions only the total is well known"
             yield Caution("not-identifiable", place, text)

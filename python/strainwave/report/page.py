@@ -56,13 +56,13 @@ def _content(identification: Identification) -> tuple[list[Section], dict[str, F
     found = identification
     sections = [
         Section("verdict", "Verdict", verdict(found)),
-        Section("parameters", "Parameters", parameter_table(found.parameters)),
+        Section("parameters", "Parameters", parameter_table(found.decisions)),
         Section("responses", "Frequency responses", _responses(found, plots)),
         Section("predictions", "Predicted and measured", _predictions(found, plots)),
         Section("interaction", "Interaction torques", _interaction(found, plots)),
         Section("gears", "Stiffness of the gears", _gears(found, plots)),
-        Section("residuals", "What the models leave unexplained", _residuals(found, plots)),
-        Section("correlations", "Parameters told together", _correlations(found, plots)),
+        Section("residuals", "Residuals", _residuals(found, plots)),
+        Section("correlations", "Correlated parameters", _correlations(found, plots)),
         Section("warnings", "Warnings", warnings_table(found.warnings)),
         Section("making", "How it was made", _making(found)),
     ]
@@ -106,7 +106,7 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
         parts.append(figure(name, label, drawn, plots, words=bode.words(joint, measured)))
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = "".join(row(cells) for cells in elastic.resonance_rows(found))
-    parts.append(table("Where the joints ring", (*heads, "stiffness [N m/rad]"), rows))
+    parts.append(table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows))
     for place, records in amplitudes.swept(found).items():
         drawn = amplitudes.responses(records)
         label = f"Joint {place} over the amplitude: motor torque to motor velocity"
@@ -119,10 +119,10 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
 
 
 def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
-    """Records over time: those never seen first, then those that were fitted."""
+    """Records over time: validation data first, then those that were fitted."""
     tuned = found.tuned
     groups = (
-        ("check", "never seen", found.checks),
+        ("check", "validation", found.checks),
         ("tuning", "fitted", tuned.simulated if tuned else ()),
         ("fitted", "fitted", found.fitted),
     )

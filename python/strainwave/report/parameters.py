@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from strainwave.formatting import plus_minus
-from strainwave.records import Parameter
+from strainwave.records import Decision
 from strainwave.report.html import number, row, table
 
 _HEADS = (
@@ -14,18 +14,18 @@ _HEADS = (
     "#value",
     "#± one sigma",
     "#95 % interval",
-    "#half of it, %",
-    "told by",
+    "#95 % half-width, %",
+    "source stage",
 )
 
 
-def parameter_table(parameters: Sequence[Parameter]) -> str:
+def parameter_table(decisions: Sequence[Decision]) -> str:
     """All parameters with their intervals.
 
     Parameters
     ----------
-    parameters : sequence of Parameter
-        The best of each, once.
+    decisions : sequence of Decision
+        The final table.
 
     Returns
     -------
@@ -34,21 +34,24 @@ def parameter_table(parameters: Sequence[Parameter]) -> str:
     """
     rows = []
     last: int | None = -1
-    for p in parameters:
+    for decision in decisions:
+        p = decision.parameter
         if p.joint != last:
             title = f"joint {p.joint}" if p.joint else "arm"
             rows.append(
                 f'<tr class="group"><th scope="rowgroup" colspan="{len(_HEADS)}">{title}</th></tr>'
             )
             last = p.joint
-        rows.append(_row(p))
+        rows.append(_row(decision))
     return table("Parameters", _HEADS, "".join(rows), heading=False)
 
 
-def _row(p: Parameter) -> str:
+def _row(decision: Decision) -> str:
+    p = decision.parameter
     value, spread = plus_minus(p.value, p.std)
     if p.value is None:
-        value, spread, interval, half = "not told", "", "the data do not tell it", ""
+        value = "rejected" if decision.rejected else "not identified"
+        spread, interval, half = "", decision.rejected or "not identifiable from these data", ""
     elif p.ci95 is None:
         interval, half = "not known", ""
     else:

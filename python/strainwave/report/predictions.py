@@ -1,4 +1,4 @@
-"""Records over time: what was measured, what the model foretold, and what is between."""
+"""Records over time: what was measured, what the model predicts, and what is between."""
 
 from __future__ import annotations
 

@@ -124,7 +124,9 @@ def _(prediction: Prediction) -> str:
 
 @html_of.register
 def _(found: Identification) -> str:
-    head = f"{found.study.path.name}: " + ("determined" if found.determined else str(found.reason))
+    head = f"{found.study.path.name}: {found.verdict.status}"
+    if found.reason is not None:
+        head += f" ({found.reason})"
     return _html(head, _PARAMETER_HEADS, _rows(found.parameters), found.warnings)
 
 

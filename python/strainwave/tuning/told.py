@@ -169,7 +169,9 @@ def warnings_of(
             text += " the link"
             yield Caution("not-reached", str(unknown), text)
             continue
-        told = f"the records tell it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
+        told = (
+            f"the records identify it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
+        )
         if unknown.name in VISCOUS:
             told += "; of the viscous frictions only the total is well known"
         yield Caution("not-identifiable", str(unknown), told)
@@ -180,8 +182,8 @@ def warnings_of(
             yield Caution("friction-settles", str(unknown), text)
     names = [str(unknown) for unknown in search.unknowns]
     for group, spread in only_together(names, values, fit.confidence.combined):
-        text = f"told only together, by {100.0 * spread:.2g} % apart; trust their combination, not"
-        text += " each value"
+        text = "only the combination is identified: the values trade off by"
+        text += f" {100.0 * spread:.2g} %; trust it, not each value"
         yield Caution("only-together", " and ".join(group), text)
     if not fit.converged:
         text = f"still moving after {fit.iterations} iterations; allow more, or record longer"
