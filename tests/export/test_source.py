@@ -89,6 +89,26 @@ def test_a_study_that_moved_with_its_result_is_found(tmp_path: Path) -> None:
     assert read_result(moved / path.name, moved / "other.toml").cautions == ()
 
 
+def test_the_study_is_looked_for_from_the_result_not_from_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where another study of that name lies in the working directory, too."""
+    project, elsewhere = tmp_path / "project", tmp_path / "elsewhere"
+    for folder in (project, project / "results", elsewhere):
+        folder.mkdir(parents=True, exist_ok=True)
+    study = exports.two_links(project)
+    path = exports.write(study, exports.values_of(study))
+    document = json.loads(path.read_text())
+    document["study"]["path"] = "study.toml"
+    result = project / "results" / "result.json"
+    result.write_text(json.dumps(document))
+    (elsewhere / "study.toml").write_text(study.path.read_text().replace("0.35", "0.36"))
+    monkeypatch.chdir(elsewhere)
+    arm = read_result(result)
+    assert arm.study.path == study.path
+    assert arm.cautions == ()
+
+
 def test_a_changed_study_is_told(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     path = exports.write(study, exports.values_of(study))

@@ -7,9 +7,11 @@ every plan on the guessed arm, `written` makes files of it and `told` the table 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from strainwave.design.band import Band, band_of
 from strainwave.design.motions import motion_records
@@ -21,7 +23,8 @@ from strainwave.design.plan import (
     Planned,
     limits_of,
 )
-from strainwave.design.voltages import Kind, voltage_record
+from strainwave.design.steps import step_records
+from strainwave.design.voltages import Kind, sweep_records, voltage_record
 from strainwave.design.written import write
 from strainwave.errors import InvalidInput
 from strainwave.parameters import Values, completed, read_parameters
@@ -91,7 +94,7 @@ def excite_study_file(
             where=f"--out {folder}",
             remedy="choose another directory than the study's",
         )
-    study = read_study(study_path, logs_exist=False)
+    study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
     limits = limits_of(study, limit_angle, limit_velocity, limit_voltage, limit_torque)
     chosen: Kind = "prbs" if kind == "prbs" else "multisine"
@@ -109,7 +112,10 @@ def design(
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
-    """Plan the records that tell an arm: its rigid motion, and each elastic joint's ringing.
+    """Plan the records that identify an arm, and those that validate it.
+
+    A motion and one to check with; of each elastic joint a PRBS or multisine, the PRBS at smaller
+    amplitudes, steps, and other steps to check the elastic model with.
 
     Parameters
     ----------
@@ -153,7 +159,19 @@ def design(
             progress(f"sizing the excitation of joint {joint}")
             try:
                 record = voltage_record(study, values, limits, band, joint, kind=kind, seed=seed)
-                records += (record,)
+            except LimitBroken as error:
+                refused.append(error)
+            else:
+                weaker, left_out = sweep_records(study, values, limits, band, record, seed=seed)
+                records += (record, *weaker)
+                warnings += tuple(
+                    Caution("limit-broken", f"sweep of joint {joint}", f"not planned: {why}")
+                    for why in left_out
+                )
+        if band and study.servo is not None:
+            progress(f"sizing the steps of joint {joint}")
+            try:
+                records += step_records(study, values, limits, band, joint)
             except LimitBroken as error:
                 refused.append(error)
     if not records:
@@ -170,8 +188,27 @@ def design(
             text = f"the servo's clock lets {of_it[0].band_hz[1]:.3g} Hz through at most, and "
             text += f"{band.high_hz:.3g} Hz are wanted; drive the voltages by a faster clock"
             warnings += (Caution("slow-clock", of_it[0].experiment.name, text),)
+    warnings += _torques_without_limit(study, limits, records)
     experiments = tuple(record.experiment for record in records)
     return Design(replace(study, experiments=experiments), limits, records, warnings)
+
+
+def _torques_without_limit(
+    study: Study, limits: Limits, records: Sequence[Planned]
+) -> tuple[Caution, ...]:
+    """What the gears bear where nobody said what they may."""
+    found = []
+    for i in range(study.n_joints):
+        if np.isfinite(limits.gear_torque[i]) or study.joints[i].spring == "rigid":
+            continue
+        worst = max(records, key=lambda record: float(record.foreseen.gear_torque[i]))
+        text = (
+            f"the gear of joint {i + 1} bears up to {worst.foreseen.gear_torque[i]:.3g} N m in "
+            f"{worst.experiment.name}, and no limit was given: compare this with the peak torque "
+            "in its data sheet, or give --limit-torque"
+        )
+        found.append(Caution("no-torque-limit", f"joint {i + 1}", text))
+    return tuple(found)
 
 
 def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Caution, ...]:
@@ -185,8 +222,9 @@ def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Caut
             f"{why}, and the study describes no servo", where=str(study.path), remedy=ADD_SERVO
         )
     text = (
-        "the study describes no servo, so only voltages in open loop are planned, and no motion, "
-        f"which the rigid step needs: {ADD_SERVO}; or record a slow motion of all joints as you "
+        "the study describes no servo, so only voltages in open loop are planned, no motion, which "
+        "the rigid step needs, and no steps, which check the elastic model: "
+        f"{ADD_SERVO}; or record a slow motion of all joints as you "
         'can and add it with use = "motion"'
     )
     return (Caution("no-servo", study.path.name, text),)
@@ -203,13 +241,15 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ..
     for i in range(study.n_joints):
         joint = i + 1
         moved = record.experiment.joint in (None, joint)
-        if moved and seen.rest_share[i] > _RESTING:
+        stepped = record.experiment.joint is not None and record.motor_angle is not None
+        if moved and not stepped and seen.rest_share[i] > _RESTING:
             text = f"the motor of joint {joint} stands for {100.0 * seen.rest_share[i]:.0f} % of "
             text += "the record, where friction hides the rest; allow more voltage or velocity"
             found.append(Caution("standing", name, text))
         knees = [known[knee, joint] for knee in _KNEES if (knee, joint) in known]
         beyond = [knee for knee in knees if knee > seen.gear_torque[i]]
-        excited = record.experiment.joint == joint and study.joints[i].spring == "three-slope"
+        strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
+        excited = strongest and study.joints[i].spring == "three-slope"
         if excited and beyond:
             text = f"the gear of joint {joint} sees {seen.gear_torque[i]:.3g} N m, and its knees "
             text += f"are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: its stiffness "

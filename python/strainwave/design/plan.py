@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from strainwave.errors import InvalidInput
 from strainwave.records import Caution, Control, Experiment, FloatArray, Study
 from strainwave.simulation import Drive
@@ -14,6 +16,8 @@ ADD_SERVO = (
     'add [servo] to the study, as the drives have it: kind = "pi-velocity", period [s], '
     "kp [V s/rad] and ki [V/rad] one a joint, limit [V]"
 )
+_WHOLE_TURN = 2.0 * np.pi  # [rad] of a link: more to either side are degrees, most likely
+_FASTEST = 2000.0  # [rad/s], 19,000 rpm: beyond the servo motors of robots
 _USUAL_CLOCK = 1e-3  # [s] of a drive whose servo is not described
 
 
@@ -131,14 +135,38 @@ def limits_of(
     top = (largest,) * study.n_joints
     given = top if voltage is None else _numbers(voltage, study.n_joints, "--limit-voltage")
     any_torque = (float("inf"),) * study.n_joints
+    angles = _numbers(angle, study.n_joints, "--limit-angle")
+    velocities = _numbers(velocity, study.n_joints, "--limit-velocity")
+    for i, joint in enumerate(study.joints):
+        if joint.motion == "revolute":
+            _check_plausible(angles[i], velocities[i], i + 1)
     return Limits(
-        angle=_numbers(angle, study.n_joints, "--limit-angle"),
-        velocity=_numbers(velocity, study.n_joints, "--limit-velocity"),
+        angle=angles,
+        velocity=velocities,
         voltage=tuple(min(pair) for pair in zip(given, top, strict=True)),
         gear_torque=any_torque
         if gear_torque is None
         else _numbers(gear_torque, study.n_joints, "--limit-torque"),
     )
+
+
+def _check_plausible(angle: float, velocity: float, joint: int) -> None:
+    """Refuse limits that look like degrees or revolutions per minute."""
+    if angle > _WHOLE_TURN:
+        raise InvalidInput(
+            f"joint {joint} would be let turn {angle:g} rad, {angle / _WHOLE_TURN:.3g} whole turns "
+            "to either side",
+            where="--limit-angle",
+            remedy=f"give rad: {angle:g} degrees are {np.radians(angle):.4g} rad; a joint that "
+            "turns without end gets 6.28 at most",
+        )
+    if velocity > _FASTEST:
+        raise InvalidInput(
+            f"the motor of joint {joint} would be let turn at {velocity:g} rad/s, "
+            f"{60.0 * velocity / _WHOLE_TURN:.0f} revolutions a minute",
+            where="--limit-velocity",
+            remedy=f"give rad/s at the motor: {velocity:g} rpm are {velocity * np.pi / 30.0:.4g}",
+        )
 
 
 def clock_of(study: Study) -> float:

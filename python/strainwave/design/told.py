@@ -43,8 +43,8 @@ def print_design(design: Design, folder: Path, *, console: Console | None = None
 def _table(design: Design) -> Table:
     """A row a record and joint, with the limits at the end."""
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
-    table.add_column("foreseen, SI units", no_wrap=True)
-    for head in ("joint", "angle", "motor speed", "voltage", "gear torque", "at rest"):
+    table.add_column("predicted, SI units", no_wrap=True)
+    for head in ("joint", "angle", "motor speed", "voltage", "gear torque", "standstill"):
         table.add_column(head, justify="right")
     rows = [cells for record in design.records for cells in _rows(record)]
     limits = design.limits

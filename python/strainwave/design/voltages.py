@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -35,6 +35,7 @@ _BISECTIONS = 7
 _AROUND = (0.5, 1.6)  # of anti-resonance and resonance, where the noise must be low
 _SMOOTH = 5  # lines over which a signal's size is taken
 _STANDING = 0.98  # of a record
+_SWEEP = (0.2, 0.4, 0.6, 0.8)  # of the full amplitude
 _SATURATED = 0.995  # of the limit: a servo that reaches it no longer acts
 
 
@@ -163,6 +164,65 @@ def voltage_record(
         foreseen=seen,
         reasons=(_why_so(signal, band, amplitude, control), reason),
     )
+
+
+def sweep_records(
+    study: Study,
+    values: Values,
+    limits: Limits,
+    band: Band,
+    full: Planned,
+    *,
+    seed: int,
+) -> tuple[tuple[Planned, ...], tuple[str, ...]]:
+    """Weaker copies of a joint's PRBS, by which stiffness over the amplitude shows.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        (name, joint) -> value of the guessed arm.
+    limits : Limits
+    band : Band
+        Of this joint.
+    full : Planned
+        The record at full amplitude, of a PRBS.
+    seed : int
+
+    Returns
+    -------
+    tuple of Planned
+    tuple of str
+        Why others are left out, a sentence each.
+    """
+    of = full.experiment
+    if of.prbs is None or of.joint is None:
+        return (), ()
+    signal = _signal(study, values, band, of.joint, "prbs", seed)
+    planned, left_out = [], []
+    for share in _SWEEP:
+        amplitude = float(f"{share * of.prbs.amplitude:.2g}")
+        drive = signal.drive(amplitude, of.prbs.periods, of.control)
+        seen = foreseen(run(study, values, drive, clock_of(study)))
+        if seen.use_of(limits) > 1.0 + 1e-12:  # a free arm drifts, less strongly driven or not
+            left_out.append(f"at {amplitude:g} V {seen.broken(limits)}")
+            continue
+        if not _moves(seen, of.joint):
+            left_out.append(f"at {amplitude:g} V friction holds the motor of joint {of.joint}")
+            continue
+        name = f"sweep-j{of.joint}-{amplitude:g}V"
+        prbs = replace(of.prbs, amplitude=amplitude)
+        planned.append(
+            Planned(
+                experiment=replace(of, name=name, file=f"{name}.csv", use="sweep", prbs=prbs),
+                drive=drive,
+                motor_angle=None,
+                band_hz=full.band_hz,
+                foreseen=seen,
+                reasons=(f"{of.name} at {amplitude:g} V: how stiffness changes over the torque",),
+            )
+        )
+    return tuple(planned), tuple(left_out)
 
 
 def _too_strong(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -148,8 +149,8 @@ def read_result(path: Path | str, study_path: Path | str | None = None) -> Ident
     ----------
     path : Path
     study_path : Path, optional
-        Where the study file is now; None: where the result says, or beside the result under the
-        same name. Logs need not be there.
+        Where the study file is now; None: beside the result or where the result says, relative to
+        its folder or one above. Logs need not be there.
 
     Returns
     -------
@@ -164,7 +165,7 @@ def read_result(path: Path | str, study_path: Path | str | None = None) -> Ident
     document = _document(path)
     parameters = _parameters(document["parameters"], path)
     named, sha256 = _named_study(document, path)
-    study_file = _find_study(path, named, study_path)
+    study_file = _find_study(path, named, sha256, study_path)
     study = read_study(study_file, logs_exist=False)
     _check_joints(parameters, study, path)
     cautions: tuple[Caution, ...] = ()
@@ -273,21 +274,36 @@ def _named_study(document: dict[str, Any], path: Path) -> tuple[str, str]:
     return named, sha256
 
 
-def _find_study(path: Path, named: str, given: Path | str | None) -> Path:
+def _find_study(path: Path, named: str, sha256: str, given: Path | str | None) -> Path:
+    """The study file as it was identified, from the result's folder upwards.
+
+    The path in a result is as it was given to `identify`, relative to the folder in which that ran:
+    one above the result, as a rule, whatever the folder in which this runs.
+    """
     if given is not None:
         return Path(given)
-    for candidate in (Path(named), path.parent / Path(named).name):
-        try:
-            there = candidate.is_file()
-        except OSError:  # a name no file can have
-            there = False
-        if there:
-            return candidate
+    folders = [path.resolve().parent, *path.resolve().parent.parents]
+    candidates = [
+        folders[0] / Path(named).name,
+        *(folder / named for folder in folders),
+        Path(named),
+    ]
+    there = [candidate for candidate in candidates if _is_file(candidate)]
+    same = [c for c in there if hashlib.sha256(read_bytes(c, "the study")).hexdigest() == sha256]
+    if there:
+        return (same or there)[0]
     raise InvalidInput(
         f"the study file {named!r} is not there any more",
         where=f"{path}: study",
         remedy="name it with --study STUDY.toml",
     )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name no file can have
+        return False
 
 
 def _check_joints(parameters: Sequence[Parameter], study: Study, path: Path) -> None:

@@ -25,7 +25,9 @@ __all__ = ["read_study", "with_options", "write_study"]
 _TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)')
 
 
-def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
+def read_study(
+    path: Path | str, *, logs_exist: bool = True, experiments_exist: bool = True
+) -> Study:
     """Read and check a study file.
 
     Parameters
@@ -33,6 +35,8 @@ def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
     path : Path
     logs_exist : bool
         Whether every experiment's file must be there already.
+    experiments_exist : bool
+        Whether there must be an experiment at all.
 
     Returns
     -------
@@ -54,7 +58,8 @@ def read_study(path: Path | str, *, logs_exist: bool = True) -> Study:
             f"is not valid TOML ({error})", where=str(path), remedy="mend that line"
         ) from error
     reader = Reader(path, text)
-    study = reader.study(document, hashlib.sha256(data).hexdigest())
+    sha256 = hashlib.sha256(data).hexdigest()
+    study = reader.study(document, sha256, experiments_exist=experiments_exist)
     check_fit(study, reader)
     check_sizes(study, reader)
     if logs_exist:

@@ -28,12 +28,20 @@ def check_fit(study: Study, reader: Reader) -> None:
         They do not.
     """
     count = JOINTS[study.arm.kind]
+    if study.n_joints > max(JOINTS.values()):
+        raise InvalidInput(
+            f"there are {study.n_joints} [[joint]] tables, and an arm of one joint, or of two links "
+            "in one plane, is what can be identified so far",
+            where=reader.place("joint"),
+            remedy="describe one joint, or two that move in one plane, and record them while the "
+            "others stand still",
+        )
     if study.n_joints != count:
         raise InvalidInput(
             f"a {study.arm.kind} arm has {count} joint(s), but there are {study.n_joints} "
             "[[joint]] tables",
             where=reader.place("joint"),
-            remedy="write one [[joint]] for each joint, from the base",
+            remedy=f"write {count} [[joint]] table(s), from the base, or another kind of [arm]",
         )
     if study.arm.kind == "planar-two-link":
         if study.arm.link_length is None:

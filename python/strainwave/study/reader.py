@@ -45,7 +45,9 @@ class Reader:
     path: Path
     text: str
 
-    def study(self, document: Mapping[str, Any], sha256: str) -> Study:
+    def study(
+        self, document: Mapping[str, Any], sha256: str, *, experiments_exist: bool = True
+    ) -> Study:
         """The whole file.
 
         Parameters
@@ -54,6 +56,8 @@ class Reader:
             As parsed.
         sha256 : str
             Of the file, for the record.
+        experiments_exist : bool
+            Whether there must be an experiment.
 
         Returns
         -------
@@ -68,7 +72,7 @@ class Reader:
         arm = self._one(document, "arm")
         joints = self._list(document, "joint")
         experiments = self._list(document, "experiment")
-        if arm is None or not joints or not experiments:
+        if arm is None or not joints or (experiments_exist and not experiments):
             empty = "arm" if arm is None else "joint" if not joints else "experiment"
             name = "[arm]" if empty == "arm" else f"[[{empty}]]"
             raise InvalidInput(
