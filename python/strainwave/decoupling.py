@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from strainwave.records import (
     ComplexArray,
     Decoupled,
     FloatArray,
+    JointModel,
     LinkSignals,
     RigidModel,
     Study,
@@ -131,6 +132,30 @@ def _interaction(
 def _viscous(model: RigidModel, study: Study, joint: int) -> float | None:
     alone = study.arm.kind == "single-joint" and study.joints[0].spring == "rigid"
     return model.value("motor_viscous_friction" if alone else "total_viscous_friction", joint)
+
+
+def without_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:
+    """A joint decoupled without a rigid model, its dry friction taken out of u once it is known.
+
+    u - f sgn(dtheta_M) - f_0, as `decouple` does with a rigid model: what linear models describe.
+
+    Parameters
+    ----------
+    signals : LinkSignals
+    part : Decoupled
+        Whose friction is still in u.
+    joint : JointModel
+        With `motor_coulomb_friction` and `friction_offset`, where it has them.
+
+    Returns
+    -------
+    Decoupled
+    """
+    i = part.joint - 1
+    dry = joint.values.get("motor_coulomb_friction", 0.0) * signals.direction[:, i]
+    inputs = part.inputs.copy()
+    inputs[:, 0] -= dry + joint.values.get("friction_offset", 0.0)
+    return replace(part, inputs=inputs)
 
 
 def _dry_friction(signals: LinkSignals, model: RigidModel, i: int) -> FloatArray:

@@ -185,6 +185,12 @@ def _vertical(axes: Axes, axis: Mapping[str, Any]) -> None:
 def _horizontal(axes: list[Axes], axis: Mapping[str, Any]) -> None:
     if axis.get("type") == "log":
         axes[-1].set_xscale("log")
+        if "tickvals" in axis:  # those within the range, which asking for all would widen
+            low, high = axes[-1].get_xlim()
+            shown = zip(axis["tickvals"], axis["ticktext"], strict=True)
+            ticks = [(value, text) for value, text in shown if low <= value <= high]
+            axes[-1].set_xticks([v for v, _ in ticks], [t for _, t in ticks])
+            axes[-1].minorticks_off()
     if "range" in axis:
         axes[-1].set_xlim(*axis["range"])
     for upper in axes[:-1]:

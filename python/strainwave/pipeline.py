@@ -298,6 +298,11 @@ def _physical(
     joints = [fit.model for fit in fits.values()]
     joints += [each for each, _ in found if isinstance(each, JointModel)]
     responses = {n: r for n, (_, r) in zip(numbers, found, strict=True) if r is not None}
+    for joint in joints if model is None else ():
+        # without a rigid model dry friction is still in u, and the models have none in it
+        own = [decoupling.without_friction(s, d, joint) for s, d in together[joint.joint]]
+        response = _response(own, options.responses)
+        responses |= {} if response is None else {joint.joint: response}
     records = _record_models(the_study, model, seen, fits)
     return records, joints, responses
 

@@ -126,3 +126,36 @@ def test_a_sliding_joint_has_its_own_units() -> None:
     drawn = bode.bode(joint_model(), RATIO, None, straight=True)
     title = drawn["layout"]["yaxis"]["title"]["text"]
     assert title == "dB re m/s/N"
+
+
+def test_the_whole_arm_fit_is_drawn_over_pale_measured_points() -> None:
+    tuned = {name: 1.1 * value for name, value in joint_model().values.items()}
+    drawn = bode.bode(joint_model(), RATIO, measured(), tuned=tuned)
+    f, size = line_of(drawn, "whole-arm fit")
+    expected = bode._response(1.1 * JOINT.vector, JOINT.gear_ratio, f)
+    assert size == pytest.approx(20.0 * np.log10(np.abs(expected)), abs=0.005)
+    names = [t["name"] for t in drawn["data"]]
+    assert names.index("measured") < names.index("physical model")  # the line lies on top
+    assert traces(drawn, "measured")[0]["marker"]["opacity"] < 0.5
+
+
+def test_model_and_points_that_differ_are_a_warning() -> None:
+    """Twice as large is 6 dB; a tenth of that is none, nor is what the points' own noise explains."""
+    at = measured()
+    assert bode.disagreement(joint_model(), RATIO, None) is None
+    assert bode.disagreement(joint_model(), RATIO, at) is None
+    assert bode.disagreement(joint_model(), RATIO, replace(at, response=1.07 * at.response)) is None
+    twice = replace(at, response=2.0 * at.response)
+    said = bode.disagreement(joint_model(), RATIO, twice)
+    assert said is not None
+    assert "on 100 % of the lines, by 6 dB near" in said
+    noise = np.abs(twice.response) ** 2 * 0.29**2  # of points that still count as trusted
+    assert bode.disagreement(joint_model(), RATIO, replace(twice, noise_variance=noise)) is None
+
+
+def test_frequencies_have_whole_labels_with_prefixes() -> None:
+    axis = bode.bode(joint_model(), RATIO, None)["layout"]["xaxis"]
+    shown = dict(zip(axis["tickvals"], axis["ticktext"], strict=True))
+    assert [shown[v] for v in (0.05, 0.1, 2.0, 50.0, 1e3, 2e4, 5e6)] == [
+        "50m", "100m", "2", "50", "1k", "20k", "5M",
+    ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from strainwave.report.figures import (
     MEASURED,
     MODEL,
     RESIDUAL,
+    TUNED,
     Figure,
     band,
     decibel,
@@ -43,6 +44,9 @@ _BLURRED = 0.3  # and so it is above this relative deviation
 _NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
 _REACH = 1.96  # of a 95 % band, in deviations
 _DASHES = ("6px,3px", "2px,2px", "8px,3px,2px,3px")  # of sampled models
+_DOT, _PALE = 5, 0.4  # size and opacity of measured points
+_APART = 2.0  # [dB], a quarter: what nobody overlooks in the figure
+_MANY = 0.2  # of the lines; fewer may be leakage or a harmonic
 _BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
 
 
@@ -52,6 +56,7 @@ def bode(
     measured: FrequencyResponse | None,
     sampled: Sequence[tuple[str, StateSpace]] = (),
     *,
+    tuned: Mapping[str, float] | None = None,
     straight: bool = False,
 ) -> Figure:
     """Motor torque to motor velocity: magnitude, phase, and coherence where it is known.
@@ -66,6 +71,8 @@ def bode(
     sampled : sequence of (str, StateSpace)
         State-space models by the names of their records, drawn within the band of the fit: beyond
         it they were not asked.
+    tuned : mapping, optional
+        Name -> value of the same joint by the whole-arm fit, with one stiffness.
     straight : bool
         Whether the joint is prismatic.
 
@@ -93,6 +100,9 @@ def bode(
         data += _curve(f, G, f"state space, {name}", LINEAR, dash)
     f = np.geomspace(low, high, _POINTS)
     data += _physical(joint, gear_ratio, f)
+    if tuned is not None:
+        vector = np.array([tuned[name] for name in list(joint.values)[:6]])
+        data += _curve(f, _response(vector, gear_ratio, f), "whole-arm fit", TUNED, "8px,4px")
     layout = panels("frequency [Hz]", titles, log=True, heights=heights)
     layout["yaxis2"]["dtick"] = 90
     if "yaxis3" in layout:
@@ -148,6 +158,64 @@ def words(joint: JointModel, measured: FrequencyResponse | None) -> str:
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 
+def disagreement(
+    joint: JointModel, gear_ratio: float, measured: FrequencyResponse | None
+) -> str | None:
+    """Where the physical model and the measured response differ by more than both 95 % bands.
+
+    Parameters
+    ----------
+    joint : JointModel
+    gear_ratio : float
+    measured : FrequencyResponse or None
+
+    Returns
+    -------
+    str or None
+        How much, and near which frequency; None: over most of the drawn range they agree.
+    """
+    if measured is None:
+        return None
+    low, high = joint.band_hz[0] / _OUTSIDE, joint.band_hz[1] * _OUTSIDE
+    f = measured.frequencies_hz
+    at = (f >= low) & (f <= high) & trusted(measured)
+    if not at.any():
+        return None
+    vector, G = _vector(joint), measured.response[at, 0, 0]
+    H = _response(vector, gear_ratio, f[at])
+    spread = (
+        np.zeros(len(G))
+        if measured.noise_variance is None
+        else np.sqrt(measured.noise_variance[at, 0, 0])
+    )
+    own = _relative_spread(joint, gear_ratio, f[at])
+    beyond = np.abs(G - H) > _REACH * (spread + own * np.abs(H))
+    apart = np.abs(decibel(np.abs(G)) - decibel(np.abs(H)))
+    differs = beyond & (apart > _APART)
+    if np.mean(differs) <= _MANY:
+        return None
+    worst = int(np.argmax(np.where(differs, apart, 0.0)))
+    return (
+        f"Warning: model and measured response differ by more than both 95 % bands on "
+        f"{100.0 * np.mean(differs):.0f} % of the lines, by {apart[worst]:.0f} dB near "
+        f"{f[at][worst]:.3g} Hz"
+    )
+
+
+def _relative_spread(joint: JointModel, gear_ratio: float, f: FloatArray) -> FloatArray:
+    """Standard deviation of the physical model's response over its modulus, by the delta method."""
+
+    def parts(at: FloatArray) -> FloatArray:
+        G = _response(at, gear_ratio, f)
+        return np.concatenate([G.real, G.imag])
+
+    real, imaginary = np.split(jacobian(parts, _vector(joint)), 2)
+    J = real + 1j * imaginary
+    variance = np.einsum("fi,ij,fj->f", J, joint.covariance[:6, :6], J.conj()).real
+    modulus = np.abs(_response(_vector(joint), gear_ratio, f))
+    return np.asarray(np.sqrt(np.clip(variance, 0.0, None)) / modulus)
+
+
 def _lines_between(measured: FrequencyResponse, low: float, high: float) -> np.ndarray:
     f = measured.frequencies_hz
     inside = np.flatnonzero((f >= low) & (f <= high))
@@ -168,8 +236,10 @@ def _measured(measured: FrequencyResponse, seen: np.ndarray) -> list[Figure]:
         if chosen.any():
             at = rounded(f[chosen])
             size, phase = decibel(np.abs(G[chosen])), np.rad2deg(np.angle(G[chosen]))
-            data.append(dots(at, size, name, colour) | place(0, name, first=True))
-            data.append(dots(at, phase, name, colour) | place(1, name, first=False))
+            # paler and larger than the lines over them, which are then seen where both agree
+            pale = {"marker": {"color": colour, "size": _DOT, "opacity": _PALE}}
+            data.append(dots(at, size, name, colour) | pale | place(0, name, first=True))
+            data.append(dots(at, phase, name, colour) | pale | place(1, name, first=False))
     return data
 
 
@@ -183,7 +253,7 @@ def _coherence(f: FloatArray, coherence: FloatArray) -> list[Figure]:
 
 def _physical(joint: JointModel, gear_ratio: float, f: FloatArray) -> list[Figure]:
     """The curve of the physical model and its 95 % band, by the delta method."""
-    vector = np.array(list(joint.values.values())[:6])
+    vector = _vector(joint)
 
     def parts(at: FloatArray) -> FloatArray:
         G = _response(at, gear_ratio, f)
@@ -206,6 +276,10 @@ def _physical(joint: JointModel, gear_ratio: float, f: FloatArray) -> list[Figur
         data.append(band(at, decibel(low), decibel(high), MODEL) | place(0, name, first=False))
         data.append(band(at, phase - reach, phase + reach, MODEL) | place(1, name, first=False))
     return data
+
+
+def _vector(joint: JointModel) -> FloatArray:
+    return np.array(list(joint.values.values())[:6])
 
 
 def _response(vector: FloatArray, gear_ratio: float, f: FloatArray) -> ComplexArray:

@@ -17,12 +17,25 @@ from strainwave.records import FloatArray, IntArray
 MEASURED = "#0072B2"
 MODEL = "#D55E00"
 LINEAR = "#009E73"
+TUNED = "#CC79A7"
 RESIDUAL = "#888888"
 MOST_POINTS = 1200  # of a line; one with more is thinned: a screen is no wider
 
 Figure = dict[str, Any]
 
 _BETWEEN = 0.08  # of the height of one panel, left free above the next
+
+
+def _engineering(value: float) -> str:
+    """A number with the prefix of its thousand: 500m, 2, 10k."""
+    exponent = int(np.floor(np.log10(value) / 3.0 + 1e-9))
+    prefix = {-3: "n", -2: "µ", -1: "m", 0: "", 1: "k", 2: "M"}[exponent]
+    return f"{value / 1e3**exponent:g}{prefix}"
+
+
+_TICKS = [float(f"{one}e{decade}") for decade in range(-6, 7) for one in (1, 2, 5)]
+TICKS = {value: _engineering(value) for value in _TICKS}
+"""Of logarithmic axes, each with its whole label."""
 
 
 def panels(
@@ -50,7 +63,11 @@ def panels(
     share *= (1.0 - free * (len(titles) - 1)) / share.sum()
     layout: Figure = {"xaxis": {"title": {"text": axis}, "anchor": axis_name(len(titles) - 1)}}
     if log:
-        layout["xaxis"]["type"] = "log"
+        layout["xaxis"] |= {
+            "type": "log",
+            "tickvals": list(TICKS),
+            "ticktext": list(TICKS.values()),
+        }
     top = 1.0
     for k, (title, height) in enumerate(zip(titles, share.tolist(), strict=True)):
         bottom = max(0.0, top - height)

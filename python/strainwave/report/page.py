@@ -6,7 +6,8 @@ import math
 from html import escape
 
 from strainwave.formatting import percent
-from strainwave.records import ArmModel, Identification, Prediction
+from strainwave.parameters import link_inertia
+from strainwave.records import ArmModel, Identification, JointModel, Prediction
 from strainwave.records.options import chosen_options
 from strainwave.report import amplitudes, bode, correlations, elastic, gears, torques
 from strainwave.report.criticism import criticised
@@ -19,6 +20,8 @@ from strainwave.report.verdict import verdict
 
 _ALL_POINTS = 150_000  # in all lines over time: more would make a page of many megabytes
 _FEWEST_POINTS = 300  # of one of them
+
+_INERTIAS = ("alpha", "beta", "gamma")
 
 
 def render(identification: Identification) -> str:
@@ -99,11 +102,18 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
             and r.signals.experiment.use == "frequency"
         ]
         drawn = bode.bode(
-            joint, own.gear_ratio, measured, sampled, straight=own.motion == "prismatic"
+            joint,
+            own.gear_ratio,
+            measured,
+            sampled,
+            tuned=_by_whole_arm(found, joint),
+            straight=own.motion == "prismatic",
         )
         label = f"Joint {joint.joint} alone: motor torque to motor velocity"
         name = f"bode joint {joint.joint}"
-        parts.append(figure(name, label, drawn, plots, words=bode.words(joint, measured)))
+        differ = bode.disagreement(joint, own.gear_ratio, measured)
+        words = bode.words(joint, measured) + (f" {differ}." if differ else "")
+        parts.append(figure(name, label, drawn, plots, words=words))
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = "".join(row(cells) for cells in elastic.resonance_rows(found))
     parts.append(table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows))
@@ -116,6 +126,18 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
         name = f"amplitude joint {sweep.joint}"
         parts.append(figure(name, label, elastic.stiffness(sweep), plots))
     return "".join(parts)
+
+
+def _by_whole_arm(found: Identification, joint: JointModel) -> dict[str, float] | None:
+    """One joint's parameters by the whole-arm fit; None without one, or where it has not all."""
+    if found.tuned is None:
+        return None
+    values = dict(found.tuned.values)
+    own = {name: value for (name, of), value in values.items() if of == joint.joint}
+    own.setdefault("gear_stiffness", joint.values["gear_stiffness"])  # of a curve: its equivalent
+    if found.study.n_joints == 1 or all((name, None) in values for name in _INERTIAS):
+        own["link_inertia"] = link_inertia(values, found.study, joint.joint)
+    return own if set(list(joint.values)[:6]) <= set(own) else None
 
 
 def _predictions(found: Identification, plots: dict[str, Figure]) -> str:

@@ -30,7 +30,7 @@ def check_fit(study: Study, reader: Reader) -> None:
     count = JOINTS[study.arm.kind]
     if study.n_joints > max(JOINTS.values()):
         raise InvalidInput(
-            f"there are {study.n_joints} [[joint]] tables, and an arm of one joint, or of two links "
+            f"there are {study.n_joints} [[joint]] tables; an arm of one joint, or of two links "
             "in one plane, is what can be identified so far",
             where=reader.place("joint"),
             remedy="describe one joint, or two that move in one plane, and record them while the "
