@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 DEMO   := build/demo
 RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.toml Cargo.lock
 
-.PHONY: setup demo test check bench docs wheel lock clean
+.PHONY: setup demo comparisons test check bench docs wheel lock clean
 
 setup: $(VENV)/.built
 
@@ -25,6 +25,11 @@ $(VENV)/.built: $(VENV)/.installed pyproject.toml $(RUST)
 
 demo: setup
 	$(BIN)/strainwave demo --out $(DEMO) $(DEMO_ARGS)
+
+# Renews docs/comparisons.md from ten seeds; see there for how long it takes.
+comparisons: setup
+	$(BIN)/strainwave demo --as-published --seeds 10 --quiet --out build/comparisons
+	cp build/comparisons/comparisons.md build/comparisons/comparisons.json docs/
 
 # The drawn cases are the same in every run; without the seed, and with PROPTEST_CASES=20000, cargo
 # test looks for new ones.

@@ -26,7 +26,7 @@ from tuning_runs import joint_models, rigid_model, truth
 INLINE = """
 [options]
 links = { time_constant = 0.1, order = 1 }
-statespace = { method = "n4sid", order = 4, horizon = 25, decimation = 2 }
+statespace = { method = "n4sid", order = 4, horizon = 25, decimation = 2, filter = "decimation" }
 tuning = { as_published = true, ranges = { gear_stiffness = [0.5, 2] }, hold = ["beta"] }
 """
 TABLES = """
@@ -43,7 +43,9 @@ def with_text(folder: Path, text: str) -> Study:
 def test_tables_of_stages_are_read(tmp_path: Path) -> None:
     options = with_text(tmp_path, INLINE).options
     assert options.links == LinkOptions(0.1, 1)
-    assert options.statespace == LinearOptions(4, method="n4sid", horizon=25, decimation=2)
+    assert options.statespace == LinearOptions(
+        4, method="n4sid", horizon=25, decimation=2, filter="decimation"
+    )
     assert options.tuning == TuningOptions(
         as_published=True, ranges={"gear_stiffness": (0.5, 2.0)}, hold=("beta",)
     )

@@ -239,7 +239,7 @@ def excite(
 
 @app.command(
     short_help="Identify the built-in arm, compare with the truth.",
-    epilog="Example: strainwave demo --out demo",
+    epilog="Example: strainwave demo --as-published --seeds 10 --out demo",
 )
 def demo(
     out: Out,
@@ -251,6 +251,12 @@ def demo(
         int,
         typer.Option("--seeds", min=1, help="Of how many seeds to compare the published figures."),
     ] = 1,
+    as_published: Annotated[
+        bool,
+        typer.Option(
+            "--as-published", help="Compare the published figures by the paper's settings as well."
+        ),
+    ] = False,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -267,7 +273,14 @@ def demo(
         print_summary(identification, out, truth=truth, figures=figures)
     if not quick:
         with _progress(quiet) as tell:
-            found = virtual.compare(identification, out, seed=seed, seeds=seeds, progress=tell)
+            found = virtual.compare(
+                identification,
+                out,
+                seed=seed,
+                seeds=seeds,
+                as_published=as_published,
+                progress=tell,
+            )
         if not quiet:
             print_comparisons(found, out)
     raise typer.Exit(identification.verdict.exit_code)

@@ -198,6 +198,7 @@ def compare(
     seed: int,
     progress: Progress,
     seeds: int = 1,
+    as_published: bool = False,
 ) -> tuple[Tally, ...]:
     """The source's claims put to the built-in arm: comparisons.html, .json and .md.
 
@@ -211,13 +212,18 @@ def compare(
     progress : callable
     seeds : int
         How many.
+    as_published : bool
+        Whether by the source's settings as well.
 
     Returns
     -------
     tuple of Tally
     """
     numbers = range(seed, seed + seeds)
-    found = comparisons.compare_seeds(numbers, tuned=identification.tuned, progress=progress)
+    settings = (comparisons.OWN, comparisons.PUBLISHED) if as_published else (comparisons.OWN,)
+    found = comparisons.compare_seeds(
+        numbers, tuned=identification.tuned, settings=settings, progress=progress
+    )
     progress("writing the comparisons")
     page = render_comparisons(found, arm=scara.DESCRIPTION)
     document = comparisons.document_of(found, numbers)

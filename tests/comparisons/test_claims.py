@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from strainwave import scara
 from strainwave.comparisons import (
+    PUBLISHED,
     ComparisonOptions,
     amplitude,
     compare,
@@ -21,10 +22,19 @@ from strainwave.comparisons import (
 )
 from strainwave.comparisons.estimates import LINES_HZ, distance_db, response_of
 from strainwave.comparisons.rig import Rig, Tuned
+from strainwave.comparisons.settings import CLASSICAL
 from strainwave.comparisons.truth import joint_with, slopes, spring_torque
 from strainwave.errors import NotIdentifiable
+from strainwave.physical import linear
 from strainwave.physical.two_inertia import TwoInertia
-from strainwave.records import Comparison, Evidence, Tally
+from strainwave.records import (
+    Comparison,
+    Decoupled,
+    Evidence,
+    InputOutput,
+    LinearOptions,
+    Tally,
+)
 
 Found = dict[int, Comparison]
 
@@ -202,6 +212,41 @@ def test_verdicts_do_not_depend_on_blas_threads() -> None:
             tally = Tally(compare(seed=1, options=options))
             found.append(to_json(document_of([tally], [1])))
     assert found[0] == found[1]
+
+
+def test_the_published_settings_are_the_sources() -> None:
+    rig = Rig(1, PUBLISHED)
+    run = rig.prbs(1)
+    assert run.log.sample_time == 2.5e-5
+    assert len(run.log) == 40920  # one period of 1.023 s
+    model = rig.estimate(run).model
+    assert model is not None
+    assert (model.order, model.method) == (4, "pem")
+    assert model.sample_time == pytest.approx(2e-3)
+    assert rig.estimate(run, method=CLASSICAL).evidence.status == "estimated"
+
+
+def test_the_published_claims_can_be_shown_and_fail() -> None:
+    options = ComparisonOptions(figures=(2, 10), amplitudes=(10.0,))
+    stiffest, decoupled = compare(seed=1, settings=PUBLISHED, options=options)
+    assert decoupled.outcome == "shown"
+    assert decoupled.protocol == stiffest.protocol == "as-published"
+    assert stiffest.outcome == "does-not-hold"
+    assert {e.method for e in stiffest.evidence} == {"pem"}
+
+
+def test_held_inputs_would_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    # what the page says of the published settings: held for 2 ms, order 4 leaves the unit circle
+    def held(
+        record: Decoupled, band: tuple[float, float], options: LinearOptions
+    ) -> list[InputOutput]:
+        return [replace(piece, hold=("zero", "zero")) for piece in made(record, band, options)]
+
+    made = linear._decimated
+    run = Rig(0, PUBLISHED).prbs(1)
+    monkeypatch.setattr(linear, "_decimated", held)
+    model = linear.state_space_of(run.decoupled, PUBLISHED.linear)
+    assert np.abs(np.linalg.eigvals(model.A)).max() > 1.05
 
 
 def test_seeds_differ_in_noise_and_in_the_sequence() -> None:

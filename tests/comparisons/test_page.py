@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from results import identification
 from strainwave import cli, virtual
 from strainwave import comparisons as package
+from strainwave.comparisons import Settings
 from strainwave.drawing import draw
 from strainwave.records import Caution, Comparison, Criterion, Evidence, Tally
 from strainwave.report import curves, render_comparisons
@@ -98,8 +99,8 @@ def test_the_file_holds_every_number(tallies: Tallies) -> None:
     for entry, tally in zip(rest, tallies[2:], strict=True):
         assert entry["outcomes"] == [tally.first.outcome]
         assert entry["values"].keys() == tally.first.values.keys()
-        statuses = [model["status"] for model in entry["models"][0]]
-        assert statuses == [e.status for e in tally.first.evidence]
+        statuses = {model["name"]: model["status"] for model in entry["models"]}
+        assert statuses == {e.name: [e.status] for e in tally.first.evidence}
 
 
 def test_the_markdown_counts_and_gives_reasons(tallies: Tallies) -> None:
@@ -130,21 +131,27 @@ def test_one_line_a_figure(tallies: Tallies) -> None:
 def test_quick_leaves_the_comparisons_out(
     tallies: Tallies, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[tuple[object, object]] = []
+    given: list[tuple[object, ...]] = []
 
-    def compare(seeds: Sequence[int], *, tuned: object, **_: object) -> Tallies:
-        given.append((list(seeds), tuned))
+    def compare(
+        seeds: Sequence[int], *, tuned: object, settings: Sequence[Settings], **_: object
+    ) -> Tallies:
+        given.append((list(seeds), tuned, [how.protocol for how in settings]))
         return tuple(Tally(tally.runs * len(seeds)) for tally in tallies)
 
     monkeypatch.setattr(package, "compare_seeds", compare)
     monkeypatch.setattr(virtual, "demonstrate", lambda *_, **__: (identification(), {}))
     written = {f"comparisons.{ending}" for ending in ("html", "json", "md")}
-    for arguments, expected in ((["--quick"], set()), (["--seeds", "3", "--seed", "5"], written)):
+    for arguments, expected in (
+        (["--quick"], set()),
+        (["--seeds", "3", "--seed", "5"], written),
+        (["--as-published"], written),
+    ):
         done = CliRunner().invoke(cli.app, ["demo", "--out", str(tmp_path), *arguments])
         assert done.exit_code == identification().verdict.exit_code, done.output
         assert {path.name for path in tmp_path.iterdir()} == expected
         assert ("Fig. 15" in done.output) == bool(expected)
-    assert given == [([5, 6, 7], None)]
+    assert given == [([5, 6, 7], None, ["own"]), ([0], None, ["own", "as-published"])]
 
 
 def test_bode_has_bands_and_a_phase_from_the_middle() -> None:

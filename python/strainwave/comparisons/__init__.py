@@ -12,13 +12,14 @@ from strainwave.comparisons.document import document_of, to_json
 from strainwave.comparisons.estimates import evidence_of
 from strainwave.comparisons.page import to_markdown
 from strainwave.comparisons.rig import Rig, Tuned
-from strainwave.comparisons.settings import OWN, Settings
+from strainwave.comparisons.settings import OWN, PUBLISHED, Settings
 from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.errors import StrainwaveError
 from strainwave.records import ArmModel, Comparison, Protocol, Tally
 
 __all__ = [
     "OWN",
+    "PUBLISHED",
     "ComparisonOptions",
     "Settings",
     "compare",
@@ -36,7 +37,7 @@ class ComparisonOptions:
     figures: tuple[int, ...] = (2, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
     amplitudes: tuple[float, ...] = (2.0, 4.0, 6.0, 8.0, 10.0)  # [V]
     payloads: tuple[int, ...] = (5, 3, 1, 0)  # [kg]
-    records: int = 4  # of one period, at each amplitude
+    records: int | None = None  # of one period, at each amplitude; None: as the settings say
 
 
 def compare(
@@ -125,6 +126,7 @@ def _jobs(
 ) -> dict[int, Callable[[], Comparison]]:
     """What makes each figure; nothing is simulated or estimated twice."""
     swept: amplitude.Swept = {}
+    records = options.records or rig.settings.records
 
     def after() -> Tuned:
         if tuned is None:
@@ -134,7 +136,7 @@ def _jobs(
     def over_amplitudes(step: Callable[[amplitude.Swept], Comparison]) -> Comparison:
         if not swept:
             for joint in (1, 2):
-                swept[joint] = amplitude.levels(rig, joint, options.amplitudes, options.records)
+                swept[joint] = amplitude.levels(rig, joint, options.amplitudes, records)
         return step(swept)
 
     return {

@@ -1,7 +1,8 @@
 """What the gear's three slopes show over the amplitude of the PRBS: Figs. 2, 14 and 15.
 
-Each joint at each amplitude is estimated twice: by a state-space model, as in the source, and by
-the equations of motion, as `identify` does. Claims rest on the one that the settings ask for.
+As published, each joint at each amplitude is estimated by a state-space model. By our own settings
+claims rest on the equations of motion, as sweeps of `identify` do; the state-space model is shown
+beside.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from strainwave.physical.two_inertia import (
     jacobian,
     joint_of,
 )
-from strainwave.records import Comparison, Criterion, Evidence, FloatArray, JointModel
+from strainwave.records import Comparison, Criterion, Evidence, FloatArray, JointModel, Mode
 from strainwave.report.curves import Points, bode, scatter
 from strainwave.report.figures import Figure
 
@@ -46,12 +47,12 @@ class Level:
 
     amplitude: float
     state_space: Estimate  # all records at once
-    joint: TwoInertia  # by the equations of motion
-    evidence: tuple[Evidence, ...]  # of both; decisive is what the claims rest on
+    joint: TwoInertia | None  # by the equations of motion; None: as published
+    evidence: tuple[Evidence, ...]  # decisive is what the claims rest on
     square: float  # [rad^2/s^2] of the anti-resonance, of what is decisive
     deviation: float  # of it; NaN: not known
     hz: tuple[float, float]  # anti-resonance and resonance of what is decisive
-    others: float  # the square by the other estimate
+    beside: float  # the square by the state-space model where it is not; NaN: none
     true: float  # with the slope that the gear showed
     bounds: tuple[float, float]  # with K1 and with K3
     sliding: float  # share of the time in which the motor surely slides
@@ -151,7 +152,8 @@ def squares(swept: Swept) -> Comparison:
         for level in found:
             volt = f"joint {joint} at {level.amplitude:g} V, square"
             values[f"{volt} [rad²/s²]"] = level.square
-            values[f"{volt} by the other estimate [rad²/s²]"] = level.others
+            if level.joint is not None:
+                values[f"{volt} by the state-space model [rad²/s²]"] = level.beside
             values[f"{volt}, truth [rad²/s²]"] = level.true
         low, high = found[0].bounds
         said.append(
@@ -231,16 +233,16 @@ def _evidence(swept: Swept) -> list[Evidence]:
 
 def _level(rig: Rig, amplitude: float, runs: Sequence[Run]) -> Level:
     together = rig.estimate(*runs)
-    model = rig.physical(*runs, disks=PAYLOAD)
+    linear = _hz(together.anti_resonance), _hz(together.resonance)
     own = rig.settings.protocol == "own"
-    joint = joint_of(np.array([model.values[name] for name in NAMES]), runs[0].truth.gear_ratio)
-    zero, pole = together.anti_resonance, together.resonance
-    linear = tuple(float("nan") if mode is None else mode.frequency_hz for mode in (zero, pole))
-    physical = tuple(
-        float("nan") if mode is None else mode.frequency_hz
-        for mode in (model.anti_resonance, model.resonance)
-    )
-    hz, other = (physical, linear) if own else (linear, physical)
+    evidence = [replace(together.evidence, decisive=not own)]
+    joint, hz, other, deviation = None, linear, float("nan"), float("nan")
+    if own:
+        model = rig.physical(*runs, disks=PAYLOAD)
+        joint = joint_of(np.array([model.values[name] for name in NAMES]), runs[0].truth.gear_ratio)
+        hz, other = (_hz(model.anti_resonance), _hz(model.resonance)), linear[0]
+        deviation = _deviation(model, joint)
+        evidence.append(evidence_of(model, f"equations of motion, {runs[0].name}"))
     number = runs[0].decoupled.joint
     k1, _, k3 = slopes(runs[0].values, number)
     truth = runs[0].truth
@@ -249,14 +251,11 @@ def _level(rig: Rig, amplitude: float, runs: Sequence[Run]) -> Level:
         amplitude=amplitude,
         state_space=together,
         joint=joint,
-        evidence=(
-            replace(together.evidence, decisive=not own),
-            replace(evidence_of(model, f"equations of motion, {runs[0].name}"), decisive=own),
-        ),
+        evidence=tuple(evidence),
         square=_squared(hz[0]),
-        deviation=_deviation(model, joint) if own else float("nan"),
-        hz=(hz[0], hz[1]),
-        others=_squared(other[0]),
+        deviation=deviation,
+        hz=hz,
+        beside=_squared(other),
         true=float(np.mean([_square(run.truth) for run in runs])),
         bounds=(low, high),
         sliding=float(np.mean([run.signals.sliding[:, number - 1] != 0.0 for run in runs])),
@@ -290,7 +289,7 @@ def _responses_of(joint: int, found: Sequence[Level]) -> Figure:
     curves = []
     for level in found:
         name = f"{level.amplitude:g} V"
-        if level.evidence[0].decisive:
+        if level.joint is None:
             curves += estimated_curve(name, level.state_space)
         else:
             curves += curve(name, response_of(level.joint))
@@ -300,25 +299,23 @@ def _responses_of(joint: int, found: Sequence[Level]) -> Figure:
 def _scatter(joint: int, found: Sequence[Level]) -> Figure:
     volt = np.array([level.amplitude for level in found])
     ends = volt[[0, -1]]
-    names = ["equations of motion", "state space"]
-    if found[0].evidence[0].decisive:
-        names.reverse()
-    deviation = np.array([level.deviation for level in found])
     low, high = found[0].bounds
-    return scatter(
-        [
-            Points("truth: mean slope", volt, np.array([level.true for level in found]), true=True),
-            Points(
-                names[0],
-                volt,
-                np.array([level.square for level in found]),
-                deviation if np.isfinite(deviation).all() else None,
-            ),
-            Points(names[1], volt, np.array([level.others for level in found])),
-            Points("with K1", ends, np.full(2, low)),
-            Points("with K3", ends, np.full(2, high)),
-        ],
-        "amplitude [V]",
-        "squared anti-resonance [rad²/s²]",
-        f"Joint {joint}, {PAYLOAD} kg; bars: 95 %",
-    )
+    square = np.array([level.square for level in found])
+    points = [
+        Points("truth: mean slope", volt, np.array([level.true for level in found]), true=True)
+    ]
+    if found[0].joint is None:
+        points.append(Points("state space", volt, square))
+    else:
+        deviation = np.array([level.deviation for level in found])
+        beside = np.array([level.beside for level in found])
+        points.append(Points("equations of motion", volt, square, deviation))
+        points.append(Points("state space", volt, beside))
+    points.append(Points("with K1", ends, np.full(2, low)))
+    points.append(Points("with K3", ends, np.full(2, high)))
+    caption = f"Joint {joint}, {PAYLOAD} kg; bars: 95 %"
+    return scatter(points, "amplitude [V]", "squared anti-resonance [rad²/s²]", caption)
+
+
+def _hz(mode: Mode | None) -> float:
+    return float("nan") if mode is None else mode.frequency_hz

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -74,21 +75,28 @@ def _claim(tally: Tally) -> dict[str, Any]:
             name: [_number(run.values.get(name, math.nan)) for run in tally.runs]
             for name in first.values
         },
-        "models": [[_model(run, k) for k in range(len(run.evidence))] for run in tally.runs],
+        "models": [_model(tally, name) for name in _names(tally)],
     }
 
 
-def _model(run: Comparison, k: int) -> dict[str, Any]:
-    found = run.evidence[k]
+def _names(tally: Tally) -> list[str]:
+    return list(dict.fromkeys(e.name for run in tally.runs for e in run.evidence))
+
+
+def _model(tally: Tally, name: str) -> dict[str, Any]:
+    """One model over the seeds; a run that has none of that name is None."""
+    found = [next((e for e in run.evidence if e.name == name), None) for run in tally.runs]
+    known = [e for e in found if e is not None]
+    codes = Counter(code for e in known for code in {w.code for w in e.warnings})
     return {
-        "name": found.name,
-        "method": found.method,
-        "order": found.order,
-        "status": found.status,
-        "growth": _number(found.growth),
-        "sound": found.sound,
-        "decisive": found.decisive,
-        "warnings": [{"code": w.code, "message": w.message} for w in found.warnings],
+        "name": name,
+        "method": known[0].method,
+        "order": [e and e.order for e in found],
+        "status": [e and e.status for e in found],
+        "growth": [e and _number(e.growth) for e in found],
+        "sound": [e and e.sound for e in found],
+        "decisive": [e and e.decisive for e in found],
+        "warnings": dict(sorted(codes.items())),  # in how many runs
     }
 
 

@@ -132,8 +132,22 @@ def response_evidence(model: JointModel, joint: TwoInertia, name: str) -> Eviden
     -------
     Evidence
     """
+    return replace(evidence_of(model, name), growth=growth_of(joint))
+
+
+def growth_of(joint: TwoInertia) -> float:
+    """Largest modulus of a joint's poles, sampled every millisecond.
+
+    Parameters
+    ----------
+    joint : TwoInertia
+
+    Returns
+    -------
+    float
+    """
     slowest = float(np.linalg.eigvals(state_space(joint)[0]).real.max())
-    return replace(evidence_of(model, name), growth=float(np.exp(slowest * _STEP)))
+    return float(np.exp(slowest * _STEP))
 
 
 def close(name: str, percent: float, otherwise: str = "") -> Criterion:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.resources import files
 from typing import Any
 
 from strainwave.records import OUTCOMES, outcomes_text
@@ -18,7 +20,7 @@ _REASONS = 3  # of one claim that the page gives at most; comparisons.json has t
 
 
 def to_markdown(document: Mapping[str, Any]) -> str:
-    """The results of a run of `strainwave demo` as Markdown.
+    """The results of a run of `strainwave demo` as a page in Markdown.
 
     Parameters
     ----------
@@ -28,13 +30,14 @@ def to_markdown(document: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        One table of verdicts, then the criteria of every claim; ends with a newline.
+        What was done, a table of verdicts, then the criteria of every claim; ends with a newline.
     """
     claims: Sequence[Claim] = document["claims"]
     protocols = [name for name in _PROTOCOLS if any(c["protocol"] == name for c in claims)]
     figures = list(dict.fromkeys(c["figure"] for c in claims))
     by = {(c["figure"], c["protocol"]): c for c in claims}
     lines = [
+        files("strainwave.comparisons").joinpath("introduction.md").read_text("utf-8"),
         "## Verdicts",
         "",
         f"Version {document['version']}, seeds {_seeds(document['seeds'])}.",
@@ -51,7 +54,7 @@ def to_markdown(document: Mapping[str, Any]) -> str:
         lines += ["", f"## Fig. {figure}: {own[0]['title']}", "", own[0]["claim"], ""]
         for claim in own:
             lines += _section(claim)
-    return "\n".join(lines) + "\n"
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)).strip() + "\n"
 
 
 def _section(claim: Claim) -> Iterator[str]:
@@ -89,18 +92,23 @@ def _reasons(claim: Claim) -> Iterator[str]:
 
 
 def _models(claim: Claim) -> Iterator[str]:
-    """How many of the models behind the claim are sound."""
-    every = [model for run in claim["models"] for model in run]
+    """How many of the models behind the claim are sound, over all seeds."""
+    every = [
+        dict(zip(("status", "growth", "sound", "decisive"), values, strict=True))
+        for m in claim["models"]
+        for values in zip(m["status"], m["growth"], m["sound"], m["decisive"], strict=True)
+        if values[0] is not None
+    ]
     if not every:
         return
-    status = Counter(
+    states = Counter(
         "unstable" if (m["growth"] or 0.0) > 1.0 else m["status"] for m in every if m["decisive"]
     )
-    listed = ", ".join(f"{number} {name}" for name, number in status.most_common())
+    listed = ", ".join(f"{number} {name}" for name, number in states.most_common())
     yield f"- models that the claim rests on: {listed}"
     beside = [m for m in every if not m["decisive"]]
-    unsound = sum(not m["sound"] for m in beside)
     if beside:
+        unsound = sum(not m["sound"] for m in beside)
         yield f"- models shown beside: {len(beside)}, of which {unsound} are not sound"
 
 

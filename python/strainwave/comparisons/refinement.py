@@ -18,7 +18,6 @@ from strainwave.comparisons.rig import Rig, Tuned
 from strainwave.comparisons.truth import equivalent
 from strainwave.errors import NotIdentifiable
 from strainwave.parameters import Values
-from strainwave.physical import from_state_space, rigid_knowledge
 from strainwave.physical.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.records import Comparison, Criterion, Evidence, JointModel
 from strainwave.report.curves import bode
@@ -58,14 +57,10 @@ def stages(rig: Rig, joint: int) -> Stages:
         The state-space model has no pair of zeros and of poles.
     """
     run = rig.prbs(joint)
-    found = rig.estimate(run)
-    if found.model is None:
-        raise NotIdentifiable(found.evidence.warnings[-1].message)
-    known = rigid_knowledge(rig.rigid(rig.payload), run.study, joint)
-    model = from_state_space(found.model, run.decoupled, run.study, known)
+    model = rig.transfer(joint)
     modified = _joint(model, run.decoupled.gear_ratio)
     said = response_evidence(model, modified, f"joint {joint} by (18)")
-    return Stages(found, modified, said)
+    return Stages(rig.estimate(run), modified, said)
 
 
 def modified_values(rig: Rig) -> Tuned:
@@ -152,7 +147,9 @@ def responses(rig: Rig, joint: int, tuned: Tuned) -> Comparison:
                 "at most",
                 0.0,
                 _BETTER,
-                ", ".join(f"{name} {value:+.1f}" for name, value in gear.items()),
+                ", ".join(
+                    [rig.settings.why_not_better, *(f"{k} {v:+.1f}" for k, v in gear.items())]
+                ),
             ),
         ),
         evidence=(

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from strainwave import excitation, rigid, scara, signals
-from strainwave.comparisons.estimates import Estimate, estimate, evidence_of
+from strainwave.comparisons.estimates import Estimate, estimate, evidence_of, growth_of
 from strainwave.comparisons.settings import OWN, Settings
-from strainwave.comparisons.truth import equivalent
+from strainwave.comparisons.truth import equivalent, joint_with
 from strainwave.decoupling import decouple
+from strainwave.errors import NotIdentifiable
 from strainwave.links import link_side
 from strainwave.parameters import Values
-from strainwave.physical import identify_joint
+from strainwave.physical import from_state_space, identify_joint, rigid_knowledge
 from strainwave.physical.two_inertia import TwoInertia
 from strainwave.records import (
     Control,
@@ -103,6 +104,7 @@ class Rig:
         self.prbs = cache(self._prbs)
         self.estimate = cache(self._estimate)
         self.physical = cache(self._physical)
+        self.transfer = cache(self._transfer)
         self.tuned = cache(self._tuned)
         self._begins = int(self._rng(3).integers(2**ORDER - 1))
 
@@ -126,7 +128,11 @@ class Rig:
         trajectory = run_steps(self.study, values, levels, joint)
         name = f"steps-j{joint}-{number}"
         experiment = Experiment(name, f"{name}.csv", "tuning", ("servo", "servo"), joint)
-        return _log(experiment, trajectory, SensorNoise(), self._rng(2, joint, number))
+        log = _log(experiment, trajectory, SensorNoise(), self._rng(2, joint, number))
+        reference = _reference(levels, joint)
+        ticks = np.floor(log.time / CLOCK + 1e-9).astype(int)
+        references = {f"ref{i}": reference[ticks, i - 1] for i in (1, 2)}
+        return replace(log, channels={**log.channels, **references})
 
     def _rigid(self, disks: int) -> RigidModel:
         """The first step's model, from a servoed motion of both joints."""
@@ -233,14 +239,37 @@ class Rig:
             [(run.signals, run.decoupled) for run in runs], self.rigid(disks), self.study
         )
 
+    def _transfer(self, joint: int) -> JointModel:
+        """Physical parameters from the state-space model, with the rigid model's lag, (18)."""
+        run = self.prbs(joint)
+        found = self.estimate(run)
+        if found.model is None:
+            raise NotIdentifiable(found.evidence.warnings[-1].message)
+        known = rigid_knowledge(self.rigid(PAYLOAD), self.study, joint)
+        return from_state_space(found.model, run.decoupled, self.study, known)
+
     def _tuned(self) -> Tuned:
-        """The whole-arm fit to a PRBS and a step of each joint."""
-        self.progress("whole-arm fit")
-        runs = [self.prbs(joint) for joint in (1, 2)]
-        logs = [run.log for run in runs] + [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
-        joints = [self.physical(run) for run in runs]
-        model = tune(logs, self.rigid(PAYLOAD), joints, self.study)
-        return Tuned(dict(model.values), (evidence_of(model, "whole arm"),))
+        """All parameters at once, from a PRBS and a step of each joint, or as published."""
+        self.progress("fine tuning")
+        logs = [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
+        study, name = self.study, "whole arm"
+        if self.settings.tuning.as_published:
+            joints = [self.transfer(joint) for joint in (1, 2)]
+            linear = tuple(replace(joint, spring="linear") for joint in study.joints)
+            study, name = replace(study, joints=linear), "fine tuning as published"
+        else:
+            runs = [self.prbs(joint) for joint in (1, 2)]
+            joints = [self.physical(run) for run in runs]
+            logs += [run.log for run in runs]
+        model = tune(logs, self.rigid(PAYLOAD), joints, study, self.settings.tuning)
+        values, evidence = dict(model.values), evidence_of(model, name)
+        if self.settings.tuning.as_published:  # its ranges are part of the method
+            growth = max(
+                growth_of(joint_with(values, number, values["gear_stiffness", number], ratio))
+                for number, ratio in enumerate((j.gear_ratio for j in study.joints), start=1)
+            )
+            evidence = replace(evidence, growth=growth)
+        return Tuned(values, (evidence,))
 
     def _rng(self, *names: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, *names])
@@ -262,14 +291,20 @@ def run_steps(study: Study, values: Values, levels: tuple[float, ...], joint: in
     -------
     Trajectory
     """
-    reference = excitation.steps(np.array(levels), hold=_STEP_SECONDS, clock=CLOCK)
-    both = np.zeros((len(reference), 2))
-    both[:, joint - 1] = reference
+    both = _reference(levels, joint)
     drive = _drive(np.zeros_like(both), both, ("servo", "servo"))
     samples = round(len(both) * CLOCK / STEP_SAMPLE)
     return simulate(
         study, values, drive, sample_time=STEP_SAMPLE, samples=samples, record=_SENSORS + _TRUTH
     )
+
+
+def _reference(levels: tuple[float, ...], joint: int) -> FloatArray:
+    """(n_ticks, 2) [rad/s]; the other servo's is zero."""
+    own = excitation.steps(np.array(levels), hold=_STEP_SECONDS, clock=CLOCK)
+    both = np.zeros((len(own), 2))
+    both[:, joint - 1] = own
+    return both
 
 
 def ideal_log(trajectory: Trajectory, joint: int) -> Log:

@@ -48,7 +48,7 @@ def tuning(rig: Rig, before: Tuned, after: Tuned) -> Comparison:
                 "at least",
                 0.0,
                 "the source claims an improvement and no size of it",
-                "the first model left little to gain",
+                rig.settings.why_not_better,
             ),
         ),
         evidence=(*before.evidence, *after.evidence),

@@ -306,6 +306,8 @@ def _in_other_bands(
     """Models that show how much the band matters; none where they fail or make no sense."""
     if modes is None or modes.anti_resonance is None or modes.resonance is None:
         return []
+    if options.filter != "band":
+        return []
     rings = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
     found = []
     for other in other_bands(band_for(rings, records, options), records):

@@ -22,7 +22,7 @@ import numpy as np
 
 from strainwave.channels import check_alike
 from strainwave.errors import NotIdentifiable
-from strainwave.filters import by_spectrum
+from strainwave.filters import by_spectrum, low_pass
 from strainwave.records import (
     Caution,
     ComplexArray,
@@ -50,6 +50,8 @@ _SAME_BAND = 0.1
 _FAR_OFF = 0.25
 _HIGH_PASS, _LOW_PASS = 2, 6  # powers of the frequency ratios in the gain
 _RAISED = 0.75  # of the new rate, up to which inputs are raised: sinc^2 is then a tenth
+_BELOW_NYQUIST = 0.8  # of the new Nyquist frequency, as in MATLAB's `decimate`
+_SHORTEST = 10.0  # periods of that low-pass in one of the slowest motion, at least
 _OTHER_BAND = 1.2  # factor by which band edges are moved to see what the model leaves out
 
 
@@ -86,6 +88,8 @@ def state_space_of(
     chosen = options or LinearOptions()
     joint = (records,) if isinstance(records, Decoupled) else tuple(records)
     check_alike(joint)
+    if chosen.filter == "decimation":
+        return _model(joint, (0.0, _decimated_hz(joint[0], chosen)), chosen, near)
     if chosen.band_hz is not None:
         return _model(joint, chosen.band_hz, chosen, near)
     band = _at_rate(_search(joint), joint, chosen)
@@ -332,12 +336,13 @@ def _data(
     records: Sequence[Decoupled], band_hz: tuple[float, float], options: LinearOptions
 ) -> tuple[InputOutput, ...]:
     """Filtered, decimated stretches."""
-    found = [piece for record in records for piece in _pieces(record, band_hz, options)]
+    pieces = _pieces if options.filter == "band" else _decimated
+    found = [piece for record in records for piece in pieces(record, band_hz, options)]
     if not found:
         raise NotIdentifiable(
             f"no stretch of {records[0].experiment.name} is free of edges and saturation for "
-            f"{_SLOWEST:g} periods of {band_hz[0]:.3g} Hz: record for longer, or lower the "
-            "amplitude"
+            f"{_SLOWEST:g} periods of {band_hz[0] or band_hz[1] / _SHORTEST:.3g} Hz: record for "
+            "longer, or lower the amplitude"
         )
     return tuple(found)
 
@@ -368,6 +373,35 @@ def _pieces(
         yield InputOutput(
             inputs=np.ascontiguousarray(inputs[edge : stop - start - edge : step]),
             outputs=np.ascontiguousarray(outputs[edge : stop - start - edge : step, :n_out]),
+            sample_time=step * T,
+            hold=cast("tuple[Hold, ...]", ("first",) * n_in),
+            input_names=("motor_torque", "interaction_torque")[:n_in],
+            output_names=("motor_velocity", "link_velocity")[:n_out],
+        )
+
+
+def _decimated_hz(record: Decoupled, options: LinearOptions) -> float:
+    """Cut-off of the low-pass in front of a decimation."""
+    return _BELOW_NYQUIST * 0.5 / ((options.decimation or 1) * record.sample_time)
+
+
+def _decimated(
+    record: Decoupled, _: tuple[float, float], options: LinearOptions
+) -> Iterator[InputOutput]:
+    """Stretches as the source prepares them, less their means: a low-pass, and fewer samples."""
+    T, step, cutoff = record.sample_time, options.decimation or 1, _decimated_hz(record, options)
+    n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
+    n_out = 1 if options.outputs == "motor" else 2
+    for start, stop in _stretches(record):
+        edge = int(1.0 / (cutoff * T))
+        if (stop - start) * T * cutoff < _SHORTEST * _SLOWEST:
+            continue
+        columns = np.hstack([record.inputs[start:stop, :n_in], record.outputs[start:stop, :n_out]])
+        kept = low_pass(columns, cutoff, T)[edge : stop - start - edge : step]
+        kept = np.ascontiguousarray(kept - kept.mean(axis=0))
+        yield InputOutput(
+            inputs=kept[:, :n_in],
+            outputs=kept[:, n_in:],
             sample_time=step * T,
             hold=cast("tuple[Hold, ...]", ("first",) * n_in),
             input_names=("motor_torque", "interaction_torque")[:n_in],

@@ -55,9 +55,10 @@ class Evidence:
     def sound(self) -> bool:
         """Whether it converged and is stable.
 
-        An implausible physical model will do where only its response counts: `growth` is given.
+        One that is implausible, or at the end of ranges that belong to the method, will do where
+        only its response counts: `growth` is given.
         """
-        if self.status == "implausible":
+        if self.status in ("implausible", "at-bounds"):
             return self.growth <= 1.0
         return self.status in _SOUND and not self.growth > 1.0
 

@@ -58,6 +58,9 @@ class LinearOptions:
     horizon: Annotated[int, Ge(2)] | None = None  # past samples of a subspace estimate; None: AIC
     decimation: Annotated[int, Ge(1)] | None = None  # every how many-th sample is kept; None: from
     # the band. The band's upper edge follows it
+    # "band": what a prediction-error estimate asks for; "decimation": as in the source, a low-pass
+    # below the new Nyquist frequency, link velocities as fused
+    filter: Literal["band", "decimation"] = "band"
     band_hz: Band | None = None  # of the filter; None: from the resonances found
 
 
