@@ -31,7 +31,7 @@ COUNTS = (1000, 2000, 4096, 8192, 65536, 1_000_000)
 SAMPLE_TIMES = (2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4)  # [s]
 SPRINGS: tuple[Spring, ...] = ("linear", "three-slope")
 SMALL, LARGE = 14, 25  # sizes up to and from which a gear is so called
-_RANGES = tuple(9.81 * g for g in (2.0, 5.0, 10.0, 20.0, 50.0, 200.0))  # of accelerometers
+_RANGES = tuple(9.81 * g for g in (2.0, 5.0, 10.0, 20.0, 50.0, 200.0, 1000.0))  # of accelerometers
 _VOLTS = 10.0
 
 
@@ -99,7 +99,7 @@ def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
         kp = 20.0 * (motor + n**2 * load[i]) / per_volt
         gains.append((kp, 12.5 * kp))
         distance = 0.9 * length[i]
-        peak = max(peak, 4.0 * knees[1] / load[i] * (distance + i * length[0]))
+        peak = max(peak, 15.0 * knees[1] / load[i] * (distance + i * length[0]))
         joints.append(
             Joint(
                 spring=spring,

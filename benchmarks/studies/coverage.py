@@ -1,12 +1,15 @@
 """How often 95 % intervals hold the truth: `python -m benchmarks.studies.coverage --arms 500`.
 
-Every arm goes through the whole of `identify`, from logs to the whole-arm fit.
+Every arm goes through the whole of `identify`, from logs to the whole-arm fit. With `--catalogue`
+arms are drawn over a gear catalogue, and counted by class, for the whole-arm fit and for the
+decoupled stage; `--engine` lets MuJoCo move them.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,11 +18,16 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies.arms import each, with_logs
+from benchmarks.studies.arms import Rig, each, rig, with_logs
+from benchmarks.studies.catalogue import drawn as of_catalogue
 from strainwave.parameters import Values
 from strainwave.pipeline import identify
+from strainwave.records import Parameter
+from strainwave.simulation import simulate
 from strainwave.study import read_study
-from strainwave.virtual import derived
+from strainwave.virtual import Simulator, derived
+
+_NOMINAL = {"scale": 1.0}  # of link sensors; a delay is zero, and so is what was not drawn
 
 
 def tried(path: Path, values: Values) -> dict[str, Any]:
@@ -27,41 +35,86 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     identification = identify(path)
     tuned = identification.tuned
     if tuned is None:
-        return {"failure": identification.reason}
+        suspected = [one.code for one in identification.suspected]
+        return {"failure": f"no whole-arm fit; suspected: {suspected}"}
     known = derived(values, read_study(path))
+    left_out = [
+        [name, joint]
+        for (name, joint), true in values.items()
+        if name == "friction_settling_time" and true and tuned.values.get((name, joint)) == 0.0
+    ]
+    decoupled = [p for joint in identification.joints for p in joint.parameters]
+    return {
+        "status": tuned.status,
+        "parameters": _rows(tuned.parameters, known),
+        "decoupled": _rows([p for p in decoupled if (p.name, p.joint) in known], known),
+        "left_out": left_out,
+    }
+
+
+def _rows(parameters: Sequence[Parameter], known: Values) -> list[list[Any]]:
+    """Name, joint, error and deviation, and whether the interval holds the truth.
+
+    One stiffness for a curve has no truth.
+    """
     rows: list[list[Any]] = []
-    for p in tuned.parameters:
-        true = known.get((p.name, p.joint), 0.0)
+    for p in parameters:
+        true = known.get((p.name, p.joint), _NOMINAL.get(p.name.rsplit("_", 1)[-1], 0.0))
         if p.value is None or p.std is None or p.ci95 is None:
             rows.append([p.name, p.joint, None, None, None])
             continue
         size = abs(true) or 1.0
         inside = p.ci95[0] <= true <= p.ci95[1]
         rows.append([p.name, p.joint, (p.value - true) / p.std, p.std / size, inside])
-    left_out = [
-        [name, joint]
-        for (name, joint), true in values.items()
-        if name == "friction_settling_time" and true and tuned.values.get((name, joint)) == 0.0
-    ]
-    return {"status": tuned.status, "parameters": rows, "left_out": left_out}
+    return rows
+
+
+def by_class(found: Sequence[dict[str, Any]], key: str) -> Table:
+    """Shares of intervals that hold the truth, by what the arms are counted under."""
+    held: dict[tuple[str, str], list[bool]] = defaultdict(list)
+    arms: dict[tuple[str, str], int] = defaultdict(int)
+    for one in found:
+        for place in [("all", ""), *one["classes"].items()]:
+            held[place] += [row[4] for row in one[key] if row[4] is not None]
+            arms[place] += 1
+    table = Table("class", "", "arms", "intervals", "inside %", box=None, title=key)
+    for (kind, name), inside in sorted(held.items()):
+        share = f"{100.0 * np.mean(inside):.1f}" if inside else ""
+        table.add_row(kind, name, str(arms[kind, name]), str(len(inside)), share)
+    return table
+
+
+def drawn_rig(seed: int, series: int, *, catalogue: bool) -> Rig:
+    """The arm of a seed: of the catalogue, or one like the built-in rig's."""
+    return of_catalogue(seed, series) if catalogue else rig(seed)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--arms", type=int, default=500)
+    parser.add_argument("--catalogue", action="store_true", help="arms over a gear catalogue")
+    parser.add_argument("--seed", type=int, default=0, help="of the catalogue's series of arms")
+    parser.add_argument("--engine", action="store_true", help="let MuJoCo move the arms")
     parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
     chosen = parser.parse_args()
     by_name: dict[str, list[list[Any]]] = defaultdict(list)
     failures: list[dict[str, Any]] = []
     statuses: dict[str, int] = defaultdict(int)
-    for found in each(chosen.arms, partial(with_logs, work=tried), chosen.out):
+    simulator: Simulator = simulate
+    if chosen.engine:
+        from benchmarks.studies.engine import in_mujoco as simulator
+    arm = partial(drawn_rig, series=chosen.seed, catalogue=chosen.catalogue)
+    work = partial(with_logs, work=tried, arm=arm, simulator=simulator)
+    answered = []
+    for found in each(chosen.arms, work, chosen.out):
         if "failure" in found:
             failures.append(found)
             continue
+        answered.append(found)
         statuses[found["status"]] += 1
         for name, joint, *row in found["parameters"]:
             by_name[name if joint is None else f"{name} {joint}"].append(row)
-    table = Table("parameter", "told", "inside %", "rms error/std", "median std %", box=None)
+    table = Table("parameter", "identified", "inside %", "rms error/std", "median std %", box=None)
     for name, rows in by_name.items():
         told = [row for row in rows if row[2] is not None]
         if told:
@@ -70,6 +123,8 @@ def main() -> None:
             table.add_row(name, str(len(told)), share, spread, f"{100.0 * np.median(std):.3g}")
     console = Console()
     console.print(table)
+    for key in ("parameters", "decoupled"):
+        console.print(by_class(answered, key))
     console.print(f"{dict(statuses)}, {len(failures)} failures")
     for failure in failures:
         console.print(f"arm {failure['seed']}: {failure['failure']}")

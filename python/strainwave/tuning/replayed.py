@@ -31,6 +31,7 @@ INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocit
 
 _STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
 _SHORTER = 4.0  # times shorter steps, whose error no longer counts
+_SHORT_STEPS = 120.0  # nor that of so many in a period of the cut-off, 600 in one of a resonance
 _PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat each other
 _REACH = 1.5  # periods of the cut-off that the low-pass reaches to either side
 _BAND = 8  # rows of the low-pass that share a matrix product
@@ -265,7 +266,8 @@ class Replayed:
 
         For arms nearby it is nearly the same: a search may go on in long steps.
         """
-        short = replace(self, longest_step=self.longest_step / _SHORTER)
+        step = min(self.longest_step / _SHORTER, 1.0 / (_SHORT_STEPS * self.cutoff_hz))
+        short = replace(self, longest_step=step)
         runs = (one.run(values, local, self.quantities()) for one in (short, self))
         exact, own = (self.seen(run) for run in runs)
         return replace(self, lacking=exact - own)
