@@ -1,8 +1,9 @@
-"""Errors of prediction-error fits against the Cramer-Rao bound: `python -m benchmarks.studies.prediction_error`.
+"""Errors of prediction-error fits against the bound of Cramer and Rao.
 
-Several linear systems, short records. Of every system: the errors' root mean square over the least that
-any unbiased estimate can have, chi-square per degree of freedom of the errors by the stated
-covariance, and how often 95 % intervals hold the truth. `--first-seed` draws other records.
+`python -m benchmarks.studies.prediction_error` fits short records of several linear systems. Of
+every system it prints the errors' root mean square over the least that an unbiased estimate can
+have, chi-square per degree of freedom of the errors by the stated covariance, and how often 95 %
+intervals hold the truth. `--first-seed` draws other records.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from strainwave.records import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
+from strainwave.records import ContinuousStateSpace, FloatArray, Hold, InputOutput, StateSpace
 from strainwave.statespace import modes, pem, propagate, to_continuous
 from strainwave.statespace._entries import Matrices, rescale
 from strainwave.statespace._evaluate import Evaluator
 from strainwave.statespace._stack import stack
 
-HOLD = ("zero", "first")
+HOLD: tuple[Hold, Hold] = ("zero", "first")
 COLOURED = np.array([[0.0, 1e-3], [0.3, 0.5], [0.001, 0.3]])
 
 
@@ -109,7 +110,7 @@ class System:
         return InputOutput(u, y, self.sample_time, HOLD)
 
     def physical(self, model: ContinuousStateSpace) -> FloatArray:
-        """m_M, m_L, k, d_G: C B holds e / m_M and 1 / m_L; the zeros are those of the link alone."""
+        """m_M, m_L, k, d_G: C B holds e / m_M and 1 / m_L, the zeros are the link's alone."""
         high = model.C @ model.B
         m_M, m_L = self.torque_per_volt / high[0, 0], 1.0 / high[1, 1]
         zero = modes(replace(model, covariance=None), 0, 0).anti_resonance

@@ -10,11 +10,13 @@ import pytest
 
 from joint_records import case
 from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.physical import linear
 from strainwave.physical.linear import (
     band_of,
     judge,
     modes_of,
     other_bands,
+    physical_order,
     state_space_of,
     velocities,
     without_alternating,
@@ -42,7 +44,7 @@ def frequencies(model: StateSpace) -> tuple[float, float]:
 @pytest.mark.parametrize("which", CASES)
 def test_it_rings_where_the_joint_does(which: tuple[int, int]) -> None:
     model, truth = model_of(*which), case(*which).truth
-    assert model.order == 3
+    assert model.order in (3, 4)  # the band's edge takes a state of its own
     assert model.status == "converged"
     # a third of what was asked for: stiction, quantisation and one second of record
     wanted = (anti_resonance(truth).frequency_hz, resonance(truth).frequency_hz)
@@ -54,7 +56,7 @@ def test_it_rings_where_the_joint_does(which: tuple[int, int]) -> None:
 def test_records_are_fitted_at_once() -> None:
     one = case(1, 1).decoupled
     both = state_space_of([one, one])
-    assert both.initial_states.shape == (2, 3)
+    assert both.initial_states.shape == (2, both.order)
     assert frequencies(both) == pytest.approx(frequencies(model_of(1, 1)), rel=2e-3)
 
 
@@ -78,6 +80,21 @@ def test_options_change_the_model() -> None:
     assert state_space_of(one, LinearOptions(inputs="motor")).B.shape[1] == 1
     slow = state_space_of(one, LinearOptions(band_hz=(4.0, 40.0)))
     assert slow.sample_time == pytest.approx(1.0 / 160.0, rel=0.05)
+
+
+def test_too_many_states_give_way_to_the_physical_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linear, "_best_order", lambda *_: 6)
+    monkeypatch.setattr(linear, "_will_do", lambda model: model.order == 3)
+    model = state_space_of(case(1, 1).decoupled)
+    assert model.order == 3
+    assert [warning.code for warning in model.warnings] == ["order-reduced"]
+
+
+def test_the_closed_form_is_of_the_physical_order() -> None:
+    assert physical_order(LinearOptions()).order == 3
+    assert physical_order(LinearOptions(order=4)).order == 4
+    one = case(1, 1)
+    assert state_space_of(one.decoupled, physical_order(LinearOptions())).order == 3
 
 
 def test_leaving_the_interaction_out_is_wrong() -> None:
@@ -172,6 +189,6 @@ def test_held_out_data_are_foretold_and_feedback_is_seen(which: tuple[int, int])
 
 def test_a_model_that_does_not_ring_is_not_judged() -> None:
     model = model_of(1, 1)
-    dull = replace(model, A=np.diag([0.5, 0.6, 0.7]))
+    dull = replace(model, A=np.diag(np.linspace(0.5, 0.7, model.order)))
     with pytest.raises(NotIdentifiable, match="does not ring"):
         judge(case(1, 1).decoupled, dull)

@@ -309,6 +309,17 @@ def test_too_high_an_order_is_not_passed_off_as_known() -> None:
     assert "pem-not-determined" in [warning.code for warning in model.warnings]
 
 
+def test_what_predicts_but_does_not_simulate_says_so() -> None:
+    """A drift that no input makes: the last sample predicts the next, the inputs explain nothing."""
+    rng = np.random.default_rng(0)
+    drift = np.cumsum(rng.standard_normal((600, 1)), axis=0)
+    model = pem(InputOutput(rng.standard_normal((600, 1)), drift, 1e-3), 1)
+    assert model.prediction_fit_percent[0] > 80.0
+    assert model.fit_percent[0] < 0.0
+    assert "negative-fit" in [warning.code for warning in model.warnings]
+    assert "negative-fit" not in [warning.code for warning in pem(noisy(0, 400), 3).warnings]
+
+
 def test_more_states_fit_better() -> None:
     data = noisy(0, 800)
     fits = [pem(data, order).log_likelihood for order in (1, 2, 3)]
@@ -331,6 +342,8 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, object], mess
 
 def test_starts_that_do_not_fit_are_refused() -> None:
     data = noisy(0, 100)
+    with pytest.raises(InvalidInput, match="an order or a start"):
+        pem(data)
     with pytest.raises(InvalidInput, match="order of at least 1"):
         pem(data, 0)
     with pytest.raises(InvalidInput, match="a start of order 2, got 3"):

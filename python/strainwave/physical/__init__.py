@@ -17,10 +17,12 @@ from strainwave.cores import one_blas_thread
 from strainwave.errors import StrainwaveError
 from strainwave.physical.grey_box import FIRST_BAND_HZ, GreyBoxFit, RigidKnowledge, Solved, solve
 from strainwave.physical.linear import (
+    PHYSICAL_ORDER,
     band_for,
     judge,
     modes_of,
     other_bands,
+    physical_order,
     state_space_of,
 )
 from strainwave.physical.rigid_knowledge import rigid_knowledge
@@ -231,12 +233,13 @@ def identify_record(
         linear = tried("state-space-failed", lambda: state_space_of(decoupled, how, begin))
     if linear is not None:
         found = linear
+        warnings += [replace(each, where=where) for each in found.warnings]
         modes = tried("modes-failed", lambda: modes_of(found))
     if linear is not None and judged:
         check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
         transfer = tried(
             "transfer-function-failed",
-            lambda: _by_transfer([decoupled], found, modes, model, study, chosen),
+            lambda: _by_transfer([decoupled], found, model, study, chosen),
         )
     return RecordModel(
         decoupled, physical, linear, modes, transfer, check, warnings=tuple(warnings)
@@ -282,22 +285,43 @@ def joint_by_transfer(
     """
     chosen = options or RecordOptions()
     with one_blas_thread():
-        found = state_space_of(records, chosen.linear)
-        return _by_transfer(records, found, modes_of(found), model, study, chosen)
+        found = state_space_of(records, physical_order(chosen.linear))
+        return _by_transfer(records, found, model, study, chosen)
 
 
 def _by_transfer(
     records: Sequence[Decoupled],
     found: StateSpace,
-    modes: Modes | None,
     model: RigidModel | None,
     study: Study,
     options: RecordOptions,
 ) -> JointModel:
-    """What a state-space model says of the joint, with what the rigid model knows if wanted."""
+    """What a state-space model says of the joint, with what the rigid model knows if wanted.
+
+    (17) is of order three. Where the data asked for another, a model of three states takes its
+    place; where that does not converge or does not ring, the least damped pairs of the other do.
+    """
+    found = _of_physical_order(records, found, options.linear)
+    modes = modes_of(found)
     known = rigid_knowledge(model if options.physical.use_rigid else None, study, records[0].joint)
     others = _in_other_bands(records, found, modes, options.linear)
     return from_state_space(found, records, study, known, others)
+
+
+def _of_physical_order(
+    records: Sequence[Decoupled], found: StateSpace, options: LinearOptions
+) -> StateSpace:
+    if options.order or found.order == PHYSICAL_ORDER:
+        return found
+    try:
+        reduced = state_space_of(records, physical_order(options))
+    except (StrainwaveError, np.linalg.LinAlgError):
+        return found
+    rings = modes_of(replace(reduced, covariance=None))
+    sound = (
+        reduced.status in ("converged", "estimated") and rings.resonance and rings.anti_resonance
+    )
+    return reduced if sound else found
 
 
 def _in_other_bands(

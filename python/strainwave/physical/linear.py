@@ -36,7 +36,7 @@ from strainwave.records import (
     Modes,
     StateSpace,
 )
-from strainwave.statespace import check_model, modes, pem, subspace
+from strainwave.statespace import check_model, modes, pem, select_order, subspace
 
 BELOW = 3.0  # anti-resonance over the band's lower edge
 ABOVE = 3.0  # the band's upper edge over the resonance: with less, d_G hardly shows
@@ -52,6 +52,8 @@ _HIGH_PASS, _LOW_PASS = 2, 6  # powers of the frequency ratios in the gain
 _RAISED = 0.75  # of the new rate, up to which inputs are raised: sinc^2 is then a tenth
 _BELOW_NYQUIST = 0.8  # of the new Nyquist frequency, as in MATLAB's `decimate`
 _SHORTEST = 10.0  # periods of that low-pass in one of the slowest motion, at least
+PHYSICAL_ORDER = 3  # torsion and two velocities: a common turn of both sides is not seen in them
+_TELLING = 2000  # samples that choose an order: a hundred for each parameter of three states
 _OTHER_BAND = 1.2  # factor by which band edges are moved to see what the model leaves out
 
 
@@ -93,15 +95,30 @@ def state_space_of(
     if chosen.band_hz is not None:
         return _model(joint, chosen.band_hz, chosen, near)
     band = _at_rate(_search(joint), joint, chosen)
-    model = _model(joint, band, chosen)
-    found = modes_of(replace(model, covariance=None))
+    # the band around what the physical order shows; how many states the data ask for comes after
+    found = modes_of(replace(_model(joint, band, physical_order(chosen)), covariance=None))
     # a part of the signals may show other modes than the joint's, and the band would run off
     whole = chosen.inputs == chosen.outputs == "both"
-    if not (whole and found.anti_resonance and found.resonance):
-        return model
-    rings = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
-    better = band_for(rings, joint, chosen)
-    return model if same_band(band, better, _FAR_OFF) else _model(joint, better, chosen)
+    if whole and found.anti_resonance and found.resonance:
+        rings = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
+        better = band_for(rings, joint, chosen)
+        band = band if same_band(band, better, _FAR_OFF) else better
+    return _model(joint, band, chosen)
+
+
+def physical_order(options: LinearOptions) -> LinearOptions:
+    """The same options with the order of (11), (12): what the closed forms (17), (18) presume.
+
+    Parameters
+    ----------
+    options : LinearOptions
+
+    Returns
+    -------
+    LinearOptions
+        With the order that was chosen by hand, where one was.
+    """
+    return options if options.order else replace(options, order=PHYSICAL_ORDER)
 
 
 def other_bands(
@@ -430,14 +447,34 @@ def _model(
     options: LinearOptions,
     near: StateSpace | None = None,
 ) -> StateSpace:
-    """The model in one band; of two orders, that which rings and has the lower BIC."""
+    """The model in one band, of the order given, of that of `near`, or of the best of several."""
     data = _data(records, band_hz, options)
-    model = _near(data, near, options) or _fit(data, options.order or 3, options)
-    if options.order is None and not _will_do(model):
-        other = _fit(data, 4, options)
-        if _rings(other) and (not _rings(model) or other.bic < model.bic):
-            model = other
-    return replace(model, warnings=model.warnings + tuple(_warnings(model, records)))
+    order = options.order or (near.order if near else None) or _best_order(data, options)
+    model = _near(data, near, options) or _fit(data, order, options)
+    notes: tuple[Caution, ...] = ()
+    if not options.order and order != PHYSICAL_ORDER and not _will_do(model):
+        physical = _fit(data, PHYSICAL_ORDER, options)
+        if _will_do(physical):
+            model, notes = physical, (_reduced(records, order),)
+    return replace(model, warnings=(*model.warnings, *notes, *_warnings(model, records)))
+
+
+def _reduced(records: Sequence[Decoupled], order: int) -> Caution:
+    where = ", ".join(record.experiment.name for record in records)
+    text = f"the data ask for {order} states, but no such model converges and rings: this one has"
+    return Caution("order-reduced", where, f"{text} {PHYSICAL_ORDER}")
+
+
+def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
+    """By `select_order`, on no more samples than an order needs to show."""
+    left, taken = _TELLING, []
+    for piece in data:
+        if left > 0:
+            taken.append(piece.window(0, min(left, len(piece.inputs))))
+            left -= len(piece.inputs)
+    # by subspace estimates: prediction-error fits of too many states take a hundred times as long
+    quick = replace(options, method="subspace") if options.method == "pem" else options
+    return select_order(taken, fit=lambda some, order: _fit(some, order, quick)).chosen
 
 
 def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> StateSpace:

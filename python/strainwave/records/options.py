@@ -49,7 +49,7 @@ class FrequencyOptions:
 class LinearOptions:
     """Of the state-space models, (11), (12): `statespace`."""
 
-    # None: the physical 3, or the paper's 4 where 3 does not do
+    # None: of 2 to 6, by held-out data and Schwarz's criterion
     order: Annotated[int, Ge(2), Le(10)] | None = None
     outputs: Channels = "both"
     inputs: Channels = "both"  # "motor": the interaction torque is left out

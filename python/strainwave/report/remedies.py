@@ -92,6 +92,8 @@ REMEDIES = {
     "not-judged": "Record longer, so that a part can be kept for judging.",
     "pem-iteration-limit": "Lower the order, or record longer.",
     "pem-stalled": "Take off means and drifts, or lower the order.",
+    "order-reduced": "Nothing for the resonances; record longer for a model of more states.",
+    "negative-fit": "Do not simulate with that model: take off drifts, or change the order.",
     "pem-not-determined": "Lower the order, or excite every input.",
     "subspace-not-determined": "Take off means and drifts, or change the order.",
     "pole-near-nyquist": "Lower the order, or sample faster.",

@@ -94,7 +94,12 @@ def rescale(matrices: Matrices, data: Stack) -> Matrices:
 
 
 def balanced(matrices: Matrices) -> Matrices:
-    """Coordinates in which the predictor's states are as easy to reach as to see.
+    """The model in the coordinates of `balancing`."""
+    return matrices.transformed(balancing(matrices))
+
+
+def balancing(matrices: Matrices) -> FloatArray:
+    """T such that in coordinates T x the predictor's states are as easy to reach as to see.
 
     The Gramians of (A - K C, [B, K], C) become equal and diagonal. Entries then have comparable
     weight, and the normal equations of a fit are as well conditioned as the data allow. Where a
@@ -107,12 +112,12 @@ def balanced(matrices: Matrices) -> Matrices:
         L = np.linalg.cholesky(reach)
         squares, U = np.linalg.eigh(L.T @ sight @ L)
     except np.linalg.LinAlgError:
-        return matrices
+        return np.eye(matrices.order)
     if not squares[0] > 1e-24 * squares[-1]:  # a Hankel singular value lost to rounding
-        return matrices
+        return np.eye(matrices.order)
     # T = S^(1/2) U' L^-1 with S the Hankel singular values.
     T = np.sqrt(np.sqrt(squares))[:, None] * np.linalg.solve(L.T, U).T
-    return matrices.transformed(T)
+    return np.asarray(T)
 
 
 def _gramian(A: FloatArray, B: FloatArray) -> FloatArray:

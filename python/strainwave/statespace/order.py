@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -25,8 +26,15 @@ SHARE = 0.05
 POINTS = 0.1
 
 
+ORDERS = (2, 3, 4, 5, 6)
+"""Those tried unless others are asked for: a joint has three states, and filters add a few."""
+
+
 def select_order(
-    data: Data, orders: Sequence[int] = (2, 3, 4, 5, 6), options: PemOptions | None = None
+    data: Data,
+    orders: Sequence[int] = ORDERS,
+    options: PemOptions | None = None,
+    fit: Callable[[Sequence[InputOutput], int], StateSpace] | None = None,
 ) -> OrderSelection:
     """Fit several orders and take one.
 
@@ -40,6 +48,8 @@ def select_order(
     data : InputOutput or sequence of InputOutput
     orders : sequence of int
     options : PemOptions, optional
+    fit : callable, optional
+        Records and order to a model. None: `pem` with the options.
 
     Returns
     -------
@@ -56,15 +66,16 @@ def select_order(
     if not wanted or wanted[0] < 1:
         raise InvalidInput(f"expected orders of at least 1, got {tuple(orders)}")
     stack(data)
+    fit = fit or partial(pem, options=options)
     kept, held_out = _parts(data, wanted[-1])
     models, fits = [], []
     for order in wanted:
         if held_out:
-            first = pem(kept, order, options=options)
+            first = fit(kept, order)
             fits.append(_held_out_fit(first, held_out))
         else:
             fits.append((float("nan"),) * records_of(data)[0].outputs.shape[1])
-        models.append(pem(data, order, options=options))
+        models.append(fit(records_of(data), order))
     chosen, rule = _choose(tuple(models), tuple(fits), data)
     return OrderSelection(tuple(models), tuple(fits), chosen, rule)
 
@@ -96,7 +107,7 @@ def _choose(
 ) -> tuple[int, str]:
     """The order and the reason."""
     left = np.array([100.0 - np.mean(fit) for fit in fits])
-    sound = np.array([model.status == "converged" for model in models])
+    sound = np.array([model.status in ("converged", "estimated") for model in models])
     if not sound.any():
         sound[:] = True
     if np.isfinite(left[sound]).any():

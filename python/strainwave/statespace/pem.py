@@ -18,6 +18,7 @@ from strainwave.errors import InvalidInput
 from strainwave.records import Caution, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, balanced, n_entries, rescale
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
+from strainwave.statespace._restricted import restricted
 from strainwave.statespace._riccati import reflected, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
@@ -52,7 +53,7 @@ def pem(
     data : InputOutput or sequence of InputOutput
         Several records, or windows of one, are fitted at once, each from its own initial state.
     order : int, optional
-        None: that of `start`, or without one the best of 2 to 6 by `select_order`.
+        None: that of `start`. Where it is not known, `select_order` compares several.
     start : StateSpace, optional
         None: the better of two subspace estimates. One of another rate is brought to the data's.
     options : PemOptions, optional
@@ -61,19 +62,18 @@ def pem(
     -------
     StateSpace
         `status` tells how the search ended: "converged"; "iteration-limit" and "stalled" carry a
-        warning with advice; "not-determined" means that the data leave a direction open.
+        warning with advice; "not-determined" means that the data leave a direction open. A model
+        whose simulation misses an output by more than that output moves carries a warning, however
+        well it predicts one step ahead.
 
     Raises
     ------
     InvalidInput
-        Shapes, entries that are not finite, an order below one, a start that does not fit the data.
+        Shapes, entries that are not finite, an order below one, neither order nor start, a start
+        that does not fit the data.
     """
     options = options or PemOptions()
     _check(order, start, options)
-    if order is None and start is None:
-        from strainwave.statespace.order import select_order
-
-        return select_order(data, options=options).model
     stacked = stack(data)
     through = check_feedthrough(options.feedthrough, stacked)
     candidates = _starts(stacked, order, start, through, options)
@@ -84,7 +84,22 @@ def pem(
         if fits[-1].status == "converged":
             break
     best = min(fits, key=lambda fit: fit.cost)
+    if options.disturbance == "innovations" and best.status == "converged":
+        best = _restricted(evaluator, best, through, options)
     return _model(evaluator, best, through, options)
+
+
+def _restricted(
+    evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
+) -> _Fit:
+    """The fit with the gain of restricted likelihood, and the covariance there."""
+    moved = restricted(evaluator, best.matrices, best.covariance)
+    if moved is best.matrices:
+        return best
+    there = _fit(evaluator, moved, feedthrough, replace(options, max_iterations=0))
+    if there.covariance is None:
+        return best
+    return replace(best, matrices=there.matrices, covariance=there.covariance, cost=there.cost)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +206,7 @@ def _model(
     status = fit.status if fit.covariance is not None else "not-determined"
     warnings = _advice(fit, options)
     model = assemble(data, fit.matrices, method, status, feedthrough, warnings)
+    model = replace(model, warnings=model.warnings + _unlike_simulation(model))
     covariance, kind = None, None
     if fit.covariance is not None:
         covariance, kind = _covariance(evaluator, fit, options, model.n_parameters)
@@ -235,6 +251,23 @@ def _advice(fit: _Fit, options: PemOptions) -> tuple[Caution, ...]:
             )
         )
     return tuple(found)
+
+
+def _unlike_simulation(model: StateSpace) -> tuple[Caution, ...]:
+    """A warning where the inputs alone explain less of an output than its mean would.
+
+    One-step predictions may still be good: the last sample says most of the next one.
+    """
+    names = model.output_names or tuple(f"output {k + 1}" for k in range(len(model.C)))
+    pairs = zip(names, model.fit_percent, strict=True)
+    missed = [(name, fit) for name, fit in pairs if fit < 0.0]
+    if not missed:
+        return ()
+    fits = ", ".join(f"{name} {fit:.0f} %" for name, fit in missed)
+    text = f"simulated from the inputs alone it is worse than a constant ({fits}), though it "
+    text += "predicts one step ahead: its response to the inputs is not to be trusted. Take off "
+    text += "drifts, change the order, or estimate an output-error model"
+    return (Caution("negative-fit", "state-space model", text),)
 
 
 def _covariance(
@@ -305,6 +338,11 @@ def _memory(residuals: FloatArray, data: Stack) -> int:
 
 
 def _check(order: int | None, start: StateSpace | None, options: PemOptions) -> None:
+    if order is None and start is None:
+        raise InvalidInput(
+            "expected an order or a start, got neither",
+            remedy="select_order(data).model is the best of several orders",
+        )
     if order is not None and order < 1:
         raise InvalidInput(f"expected an order of at least 1, got {order}")
     if order is not None and start is not None and start.order != order:
