@@ -13,7 +13,7 @@ import pytest
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
 from strainwave.records import Caution, Identification, Parameter
-from strainwave.report import figures, figures_of, render
+from strainwave.report import figures, figures_of, parameters, render
 from strainwave.summary import print_summary
 
 MOST_BYTES = 8_000_000
@@ -227,3 +227,13 @@ def test_the_summary_names_all() -> None:
     ):
         assert said in printed, said
     assert max(len(line) for line in printed.splitlines()) <= 80
+
+
+def test_every_parameter_has_its_symbol_and_meaning() -> None:
+    """Of all that a result can have: names without a meaning would leave the table."""
+    found = identification()
+    page = render(found)
+    assert "What the parameters are" in page
+    for name in {p.name for p in found.parameters}:
+        assert name in parameters._MEANINGS, name
+        assert parameters._MEANINGS[name][1] in page, name

@@ -13,7 +13,7 @@ from strainwave.report import amplitudes, bode, correlations, elastic, gears, to
 from strainwave.report.criticism import criticised
 from strainwave.report.figures import MOST_POINTS, Figure
 from strainwave.report.html import Cell, Section, document, figure, number, prose, row, table
-from strainwave.report.parameters import parameter_table
+from strainwave.report.parameters import meanings_table, parameter_table
 from strainwave.report.predictions import of_prediction
 from strainwave.report.remedies import warnings_table
 from strainwave.report.verdict import verdict
@@ -59,7 +59,11 @@ def _content(identification: Identification) -> tuple[list[Section], dict[str, F
     found = identification
     sections = [
         Section("verdict", "Verdict", verdict(found)),
-        Section("parameters", "Parameters", parameter_table(found.decisions)),
+        Section(
+            "parameters",
+            "Parameters",
+            parameter_table(found.decisions) + meanings_table(found.decisions),
+        ),
         Section("responses", "Frequency responses", _responses(found, plots)),
         Section("predictions", "Predicted and measured", _predictions(found, plots)),
         Section("interaction", "Interaction torques", _interaction(found, plots)),
