@@ -117,12 +117,13 @@ def test_cuts_the_window_out(tmp_path: Path) -> None:
 # --- time -------------------------------------------------------------------------------------
 
 
-def timed(folder: Path, time: FloatArray) -> Log:
+def timed(folder: Path, time: FloatArray, of: FloatArray | None = None) -> Log:
+    """A log with these stamps, of samples taken then, or at other times."""
     values = studies.columns(len(time)) | {"t": time}
-    for name in ("u1", "theta_m1", "theta_m2"):
-        values[name] = {"u1": np.sign(np.sin(300.0 * time)), "theta_m1": np.sin(20.0 * time)}.get(
-            name, time**2
-        )
+    taken = time if of is None else of
+    values["u1"] = np.sign(np.sin(300.0 * taken))
+    values["theta_m1"] = np.sin(20.0 * taken)
+    values["theta_m2"] = taken**2
     return renamed(folder, "log.parquet", parquet(values))
 
 
@@ -140,6 +141,19 @@ def test_jittered_stamps_are_resampled_and_told(tmp_path: Path) -> None:
     # monotone cubic interpolation of a 3 Hz sine from 1 kHz: better than its largest step squared
     np.testing.assert_allclose(log.channels["theta_m1"], np.sin(20.0 * log.time), atol=1e-3)
     assert set(np.unique(log.channels["u1"])) <= {-1.0, 1.0}  # held, as the drive held it
+
+
+@pytest.mark.parametrize("jitter", [0.01, 0.03, 0.1, 0.3])
+def test_stamps_that_jitter_go_back_to_a_clock_of_round_numbers(
+    jitter: float, tmp_path: Path
+) -> None:
+    """The samples are even, their stamps are not: the samples stay as they are."""
+    off = np.random.default_rng(1).uniform(-jitter, jitter, 600)
+    taken: FloatArray = 0.00025 * np.arange(600, dtype=np.float64)
+    log = timed(tmp_path, taken + 0.00025 * off, of=taken)
+    assert [w.code for w in log.warnings] == (["resampled"] if jitter > 0.02 else [])
+    assert log.sample_time == pytest.approx(0.00025, rel=1e-9)
+    np.testing.assert_allclose(log.channels["theta_m1"], np.sin(20.0 * taken), atol=1e-9)
 
 
 def test_a_missing_sample_is_resampled_and_a_gap_refused(tmp_path: Path) -> None:

@@ -34,6 +34,10 @@ Quantity = Literal[
 LONGEST_STEP = 1.25e-4
 """[s] Some 300 steps a period of the fastest gear resonance, 26 Hz, where the order is four."""
 
+_SAME_CLOCK = 2e-4
+"""Two crystals of one nominal frequency differ by up to so much."""
+_FEW_PARTS = 16
+
 _OPTIONAL = {
     "friction_offset": 0.0,
     "friction_settling_time": 0.0,
@@ -395,7 +399,9 @@ def common_step(clocks: Sequence[float], longest: float = LONGEST_STEP) -> float
     for parts in range(fewest, fewest + 100):
         step = shortest / parts
         ratios = np.array(clocks) / step
-        if np.all(np.abs(ratios - np.round(ratios)) < 1e-6 * ratios):
+        # of many fine steps some would fit anything
+        tolerance = _SAME_CLOCK if parts < fewest + _FEW_PARTS else 1e-6
+        if np.all(np.abs(ratios - np.round(ratios)) < tolerance * ratios):
             return step
     raise InvalidInput(
         f"the clocks {', '.join(f'{clock:g} s' for clock in clocks)} have no common step",

@@ -20,6 +20,7 @@ from strainwave.records import Consistency, Log, Study, Suspicion
 __all__ = ["check"]
 
 _MOST_CAUSES = 6  # at once; an input with more faults is no measurement
+_MUST_STAY = ("followed", "scale", "inertia")  # kinds of observations that a mend may not lose
 _GAIN = 0.75  # weight of contradictions that a cause must explain
 
 
@@ -38,7 +39,7 @@ def check(logs: Sequence[Log], study: Study) -> Consistency:
     """
     with one_blas_thread():
         found = list(clipped(logs, study))
-        seen = evidence(logs, study)
+        seen = evidence(logs, study).without([each.where for each in found])
         found.extend(_explained(seen))
     return Consistency(tuple(found))
 
@@ -46,33 +47,36 @@ def check(logs: Sequence[Log], study: Study) -> Consistency:
 def _explained(seen: Evidence) -> list[Suspicion]:
     """Causes one after the other, each the one that explains most of what contradicts still."""
     found: list[Suspicion] = []
-    left = _contradictions(seen)
-    while left and len(found) < _MOST_CAUSES:
-        best, gain = _best(seen, left)
-        if best is None or gain < _GAIN:
+    now = observe(seen)
+    while any(o.contradicts for o in now) and len(found) < _MOST_CAUSES:
+        best = _best(seen, now)
+        if best is None:
             break
         found.append(best.suspicion)
         seen = best.mend()
-        left = _contradictions(seen)
-    found.extend(unexplained(seen, left))
+        now = observe(seen)
+    found.extend(unexplained([o for o in now if o.contradicts]))
     return found
 
 
-def _contradictions(seen: Evidence) -> list[Observation]:
-    return [o for o in observe(seen) if o.contradicts]
+def _best(seen: Evidence, now: Sequence[Observation]) -> Cause | None:
+    """The cause that leaves least contradicting; None where none explains anything.
 
-
-def _weight(found: Sequence[Observation]) -> float:
-    return sum(o.weight for o in found)
-
-
-def _best(seen: Evidence, left: Sequence[Observation]) -> tuple[Cause | None, float]:
+    A cause without which there is nothing to compare any more explains nothing: what was observed
+    before and is not any more counts as contradicting.
+    """
     best: Cause | None = None
-    least = before = _weight(left)
-    for cause in causes(seen, left):
-        after = _weight(_contradictions(cause.mend()))
+    least = _weight(now, now) - _GAIN
+    for cause in causes(seen, [o for o in now if o.contradicts]):
+        after = _weight(observe(cause.mend()), now)
         if after < least - 1e-9:
             best, least = cause, after
         if least == 0.0:
             break
-    return best, before - least
+    return best
+
+
+def _weight(now: Sequence[Observation], before: Sequence[Observation]) -> float:
+    lost = {(o.kind, o.where) for o in before if o.kind in _MUST_STAY}
+    lost -= {(o.kind, o.where) for o in now}
+    return sum(o.weight for o in now if o.contradicts) + len(lost)

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.consistency.evidence import Evidence
 from strainwave.consistency.observations import Observation
+from strainwave.consistency.sensors import LINK_CHANNELS, turning
 from strainwave.consistency.wording import column_line, number, scaled_line, swap_line
 from strainwave.records import Suspicion
 
@@ -55,14 +56,17 @@ def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Ca
     """
     yield from _time(seen, contradictions)
     yield from _swaps(seen)
+    yield from _late(seen, contradictions)
     touched = {o.joint for o in contradictions if o.joint is not None}
     if touched and max(touched) > 1:
         touched.add(1)  # what link 2 reads depends on joint 1
     for joint in sorted(touched):
         yield from _channels(seen, contradictions, joint)
-        yield from _angle(seen, contradictions, joint)
-        yield from _gear(seen, contradictions, joint)
+        turns = [*_link_scales(contradictions, joint), *turning(seen, joint)]
+        yield from _angle(seen, contradictions, joint, turns)
+        yield from _gear(seen, joint, turns)
         yield from _geometry(seen, contradictions, joint)
+        yield from _gain(seen, contradictions, joint)
         yield from _turned(seen, joint)
 
 
@@ -110,6 +114,57 @@ def _time(seen: Evidence, found: Sequence[Observation]) -> Iterator[Cause]:
                 factor=1.0 / factor,
             )
         yield Cause(suspicion, lambda f=factor: seen.retimed(f))  # type: ignore[misc]
+
+
+def _late(seen: Evidence, found: Sequence[Observation]) -> Iterator[Cause]:
+    """Link sensors that lag, or whose lag grows: all together, those of a kind, or one."""
+    there = {name for record in seen.records for name in record.channels}
+    link = sorted(name for name in there if name[:-1] in (*LINK_CHANNELS, "deflection"))
+    for kind in ("drift", "delay"):
+        values = {o.where: o.value for o in found if o.kind == kind}
+        if not values:
+            continue
+        groups = [link, *([n for n in link if n[:-1] == k] for k in LINK_CHANNELS)]
+        groups += [[name] for name in values]
+        for group in groups:
+            own = [values[name] for name in group if name in values]
+            if own:
+                value = float(np.median(own))
+                yield _timed(seen, group, kind, value)
+
+
+def _timed(seen: Evidence, group: Sequence[str], kind: str, value: float) -> Cause:
+    names = ", ".join(group)
+    if kind == "delay":
+        late = Suspicion(
+            code="misaligned",
+            where=names,
+            message=(
+                f"{names}: {number(1e3 * abs(value), 3)} ms {'late' if value > 0.0 else 'early'} "
+                "against the motor angle, more than the whole-arm fit corrects"
+            ),
+            remedy=(
+                "Give the sensor's bandwidth (accelerometer_hz, gyro_hz) if it has a filter; "
+                "otherwise shift the channel, or have one clock stamp all channels"
+            ),
+            delay_s=value,
+        )
+        return Cause(late, lambda: seen.shifted(group, value, 0.0))
+    drifting = Suspicion(
+        code="clock-drift",
+        where=names,
+        message=(
+            f"{names}: the delay against the motor angle changes by {number(1e3 * value, 3)} ms a "
+            f"second: they are sampled by another clock, {number(100.0 * abs(value), 3)} % "
+            f"{'slow' if value > 0.0 else 'fast'}"
+        ),
+        remedy=(
+            "Have one clock stamp all channels, or resample these at "
+            f"{number(1.0 + value, 7)} times their spacing before the log is written"
+        ),
+        factor=1.0 - value,
+    )
+    return Cause(drifting, lambda: seen.shifted(group, 0.0, value))
 
 
 def _swaps(seen: Evidence) -> Iterator[Cause]:
@@ -179,7 +234,7 @@ def _channels(seen: Evidence, found: Sequence[Observation], joint: int) -> Itera
             continue
         if kind in ("a", "gyro", "theta_l"):
             ratios = _values(found, "scale", name) + _values(found, "gravity", name)
-            ratios = ratios if kind != "a" else [r for r in ratios if _is_unit(r, kind)]
+            ratios = [r for r in ratios if kind != "a" or _is_unit(r, kind)]
         elif kind == "ref":
             ratios = [1.0 / r for r in _values(found, "reference", f"theta_m{joint}")]
         elif kind == "omega_m":
@@ -202,7 +257,9 @@ def _doubted(found: Sequence[Observation], name: str, joint: int) -> bool:
     return any(o.where == name or (o.joint == joint and o.kind in kinds) for o in found)
 
 
-def _angle(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator[Cause]:
+def _angle(
+    seen: Evidence, found: Sequence[Observation], joint: int, turns: Sequence[float]
+) -> Iterator[Cause]:
     """The motor angle in another unit, or with the wrong sign."""
     name = f"theta_m{joint}"
     names = dict(_UNITS["theta_m"])
@@ -211,9 +268,9 @@ def _angle(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator
         names["encoder counts"] = 2.0 * np.pi / per_turn
         names["quadrature counts"] = np.pi / 2.0 / per_turn
     ratios = _values(found, "count", name) + _values(found, "reference", name)
-    ratios += [1.0 / r for r in _link_scales(found, joint)]
     if not any(o.joint == joint for o in found):
         return
+    ratios += [1.0 / r for r in turns]
     over = "its encoder's counts and the other signals" if per_turn else "the other signals"
     for factor, unit in _tried(ratios, names):
         yield _scaled(seen, name, factor, unit, over)
@@ -244,16 +301,14 @@ def _link_scales(found: Sequence[Observation], joint: int) -> list[float]:
     return scales + _values(found, "own", f"a{joint}")
 
 
-def _gear(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator[Cause]:
+def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]:
     """A gear ratio that is not the gear's."""
     n = seen.study.joints[joint - 1].gear_ratio
-    tried = [scale * n for scale in _link_scales(found, joint) if scale > 0.0]
-    if _link_scales(found, joint) or any(o.joint in (1, 2) for o in found):
-        tried += [0.5 * n, 2.0 * n, 1.0 / n]
+    tried = [scale * n for scale in turns if scale > 0.0] + [0.5 * n, 2.0 * n, 1.0 / n]
     for found_ratio in tried:
-        turns = round(1.0 / found_ratio)
-        whole = turns > 1 and abs(turns * found_ratio - 1.0) < _WHOLE_TURNS
-        ratio = 1.0 / turns if whole else found_ratio
+        reduction = round(1.0 / found_ratio)
+        whole = reduction > 1 and abs(reduction * found_ratio - 1.0) < _WHOLE_TURNS
+        ratio = 1.0 / reduction if whole else found_ratio
         if abs(ratio / n - 1.0) < 0.02:
             continue
         suspicion = Suspicion(
@@ -316,6 +371,13 @@ def _geometry(seen: Evidence, found: Sequence[Observation], joint: int) -> Itera
                 factor=1.0 / ratio,
             )
             yield Cause(suspicion, lambda r=right: seen.with_length(r))  # type: ignore[misc]
+
+
+def _gain(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator[Cause]:
+    """An accelerometer whose whole reading, gravity and all, has another scale."""
+    name = f"a{joint}"
+    for ratio in _values(found, "scale", name):
+        yield _scaled(seen, name, 1.0 / ratio, None, f"theta_m{joint}")
 
 
 def _hint(right: float, given: float, length: float | None) -> str:

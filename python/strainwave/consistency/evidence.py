@@ -92,6 +92,27 @@ class Evidence:
         counts = {3 - k: v for k, v in self.counts.items()} if kind == "theta_m" else self.counts
         return replace(self, records=tuple(records), counts=counts)
 
+    def shifted(self, names: Sequence[str], delay: float, drift: float) -> Evidence:
+        """With some channels earlier by a delay that grows from each record's middle on."""
+        records = []
+        for record in self.records:
+            time = record.sample_time * np.arange(len(record.inside))
+            at = time + delay + drift * (time - time[record.inside].mean())
+            channels = dict(record.channels)
+            for name in names:
+                if name in channels:
+                    channels[name] = np.interp(at, time, channels[name])
+            records.append(replace(record, channels=channels))
+        return replace(self, records=tuple(records))
+
+    def without(self, names: Sequence[str]) -> Evidence:
+        """Without some channels."""
+        records = [
+            replace(r, channels={k: v for k, v in r.channels.items() if k not in names})
+            for r in self.records
+        ]
+        return replace(self, records=tuple(records))
+
     def retimed(self, factor: float) -> Evidence:
         """With all time stamps multiplied by a factor."""
         records = [

@@ -18,6 +18,9 @@ from strainwave.records import FloatArray, Study
 from strainwave.regressor import gear_ratios
 
 _SATURATED = 0.01  # share of a record at the servo's limit, from which its law no longer holds
+_SLIDING = 0.8  # of a row's neighbourhood, that a motor slides one way
+_FEWEST_ROWS = 60  # of those; with fewer, all are taken
+_WIDEST = 1.5  # logarithm of the torque constants' ratio that is looked for
 _COUPLED = ("beta", "gamma", "gravity_torque_2")
 
 
@@ -40,7 +43,9 @@ class Torque:
     inertia: float  # [kg m^2] motor side, what accelerates with the motor alone
     inertia_std: float
     explained: float
-    coupling: dict[str, tuple[float, float]]  # beta, gamma, G2 by this joint's equation
+    shared: tuple[str, ...]  # of beta, gamma and G2 those that its equation has
+    coupling: FloatArray  # (n_shared,) their values by this joint's equation
+    coupling_covariance: FloatArray  # (n_shared, n_shared)
 
 
 def references(seen: Evidence) -> list[Ratio]:
@@ -138,13 +143,11 @@ def torques(seen: Evidence) -> list[Torque]:
         if fit is None:
             continue
         deviation = np.sqrt(np.diag(fit.covariance))
-        coupling = {
-            name: (float(fit.value[k]), float(deviation[k]))
-            for k, name in enumerate(names)
-            if name in _COUPLED
-        }
+        at = [names.index(name) for name in _COUPLED if name in names]
+        shared = tuple(names[k] for k in at)
         inertia = float(fit.value[0]), float(deviation[0])
-        found.append(Torque(i + 1, *inertia, fit.explained, coupling))
+        coupling = fit.value[at], fit.covariance[np.ix_(at, at)]
+        found.append(Torque(i + 1, *inertia, fit.explained, shared, *coupling))
     return found
 
 
@@ -179,8 +182,11 @@ def _torque(records: list[SlowRecord], study: Study, i: int) -> tuple[Fit | None
     for record in records:
         columns = _columns(record, study, i)
         names = list(columns)
-        torque = motor_torque(record, study, i)[record.inside]
-        block = np.column_stack(list(columns.values()))[record.inside]
+        # about a reversal friction is anywhere between its two values
+        rows = record.inside & (np.abs(record.direction[:, i]) > _SLIDING)
+        rows = rows if rows.sum() > _FEWEST_ROWS else record.inside
+        torque = motor_torque(record, study, i)[rows]
+        block = np.column_stack(list(columns.values()))[rows]
         targets.append(torque - torque.mean())
         blocks.append(block - block.mean(axis=0))
     if not targets:
@@ -242,7 +248,7 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
 
     beta and gamma couple either joint to the other by the same torque, G2 acts on both; with torque
     constants e_i wrong by factors f_i they come out as f_i times themselves, and f_1 / f_2 follows:
-    the minimum of sum_k (x1_k - r x2_k)^2 / (s1_k^2 + r^2 s2_k^2).
+    the minimum over r of (x1 - r x2)' (C1 + r^2 C2)^-1 (x1 - r x2).
 
     Parameters
     ----------
@@ -254,24 +260,24 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
     value, standard deviation, or None
         None where the arm has one joint, or its motion does not tell.
     """
-    if len(found) < 2:
+    if len(found) < 2 or found[0].shared != found[1].shared or not found[0].shared:
         return None
-    shared = [name for name in found[0].coupling if name in found[1].coupling]
-    if not shared:
-        return None
-    x1, s1 = np.array([found[0].coupling[name] for name in shared]).T
-    x2, s2 = np.array([found[1].coupling[name] for name in shared]).T
+    first, second = found
 
-    def cost(r: FloatArray) -> FloatArray:
-        off = x1 - np.multiply.outer(r, x2)
-        return np.asarray(np.sum(off**2 / (s1**2 + np.multiply.outer(r**2, s2**2)), axis=-1))
+    def cost(r: float) -> float:
+        off = first.coupling - r * second.coupling
+        spread = first.coupling_covariance + r**2 * second.coupling_covariance
+        return float(off @ np.linalg.solve(spread, off))
 
-    grid = np.exp(np.linspace(-3.0, 3.0, 2401))
-    costs = cost(grid)
+    grid = np.exp(np.linspace(-_WIDEST, _WIDEST, 601))
+    costs = np.array([cost(r) for r in grid.tolist()])
     best = int(np.argmin(costs))
-    near = grid[costs < costs[best] + 1.0]
     if best in (0, len(grid) - 1) or costs[best] + 4.0 > min(costs[0], costs[-1]):
         return None
-    spread = 0.5 * float(near[-1] - near[0]) + float(grid[best]) * 1e-3
-    excess = max(1.0, float(costs[best]) / max(1, len(shared) - 1))
-    return float(grid[best]), spread * float(np.sqrt(excess))
+    # a parabola through the lowest three: its bottom, and how far from it the cost is one more
+    step = float(np.log(grid[1] / grid[0]))
+    left, middle, right = (float(c) for c in costs[best - 1 : best + 2])
+    bend = max((left - 2.0 * middle + right) / step**2, 1e-12)
+    ratio = float(grid[best]) * float(np.exp(0.5 * (left - right) / (step * bend)))
+    excess = max(1.0, middle / max(1, len(first.shared) - 1))
+    return ratio, ratio * float(np.sqrt(2.0 / bend * excess))

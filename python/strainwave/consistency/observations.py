@@ -40,6 +40,7 @@ Kind = Literal[
 ]
 
 _CERTAIN = 5.0  # standard deviations
+_CERTAIN_TORQUE = 3.5  # the same for the one ratio that rests on friction as well
 _TOLERANCE: dict[Kind, float] = {
     "count": 0.03,  # a data sheet's counts against the same, rounded
     "prbs-clock": 2e-3,  # crystals keep 1e-4
@@ -73,6 +74,7 @@ _FLOOR: dict[Kind, float] = {
 """What springs, friction and a servo's lag leave in a record's answer whatever the noise."""
 
 _FOLLOWED = 0.8  # share of a signal's variance from which it follows its prediction
+_FOLLOWED_WEIGHT = 2.0  # of a signal that does not: nothing else can be asked of it
 _HEARD = 5.0  # signal over noise from which something was to be followed
 
 
@@ -96,14 +98,15 @@ class Observation:
             return abs(self.value) > max(tolerance, _CERTAIN * self.std)
         if self.value < 0.0:
             return abs(self.value) > _CERTAIN * self.std
-        if self.value == 0.0 or abs(self.value - 1.0) <= _CERTAIN * self.std:
+        certain = _CERTAIN_TORQUE if self.kind == "torque-ratio" else _CERTAIN
+        if self.value == 0.0 or abs(self.value - 1.0) <= certain * self.std:
             return False
         return bool(abs(np.log(self.value)) > np.log1p(tolerance))
 
     @property
     def weight(self) -> float:
         """How much it counts where it contradicts."""
-        return 0.5 if self.kind == "followed" else 1.0
+        return _FOLLOWED_WEIGHT if self.kind == "followed" else 1.0
 
 
 def observe(seen: Evidence) -> tuple[Observation, ...]:

@@ -20,6 +20,8 @@ from strainwave.regressor import gear_ratios
 LINK_CHANNELS = ("a", "gyro", "theta_l")
 """Kinds whose reading follows from the motors' angles."""
 
+_REACH = float(np.log(300.0))  # of the factors that a joint's turning is looked for in
+_TRIES = 41
 _NO_TIME = 1e-3  # rows that a low-pass takes, which pass for none
 _BELOW_RESONANCE = 2.0  # resonance over bandwidth, of what is known beforehand of the gears
 
@@ -67,6 +69,49 @@ def readings(seen: Evidence) -> list[Reading]:
                 if wanted and name in record.channels:
                     found.extend(_read(record, seen.study, motion, kind, i))
     return found
+
+
+def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
+    """How much a joint's link turns over what the study implies, by the reading that says most.
+
+    What link 2's sensors read is not proportional to its own motion: the factor is looked for that
+    explains most of it, and joint 1 is taken as it is.
+
+    Parameters
+    ----------
+    seen : Evidence
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    tuple of float
+        None, or the one.
+    """
+    if joint == 1:
+        return ()
+    ratio = seen.study.joints[joint - 1].gear_ratio
+    slow = [r for r in seen.records if is_slow(r.experiment)] or list(seen.records)
+    names = [f"{k}{joint}" for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
+
+    def unexplained(factor: float) -> float:
+        study = seen.with_joint(joint, gear_ratio=factor * ratio).study
+        found = _read(slow[0], study, _Motion.of(slow[0], study), names[0][:-1], joint - 1)
+        return min((1.0 - reading.explained for reading in found), default=1.0)
+
+    if not names:
+        return ()
+    grid = np.linspace(-_REACH, _REACH, _TRIES)
+    best, least, centre, width = 1.0, np.inf, 0.0, 1.0
+    for _ in range(3):
+        factors = [float(f) for f in np.exp(centre + width * grid)]
+        left = [unexplained(f) for f in factors]
+        k = int(np.argmin(left))
+        centre += width * float(grid[k])
+        width *= 4.0 / (_TRIES - 1)
+        if left[k] < least:
+            best, least = factors[k], left[k]
+    return (best,) if least < 0.5 else ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,75 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from strainwave.consistency.evidence import Evidence
 from strainwave.consistency.observations import Kind, Observation
 from strainwave.consistency.wording import number
 from strainwave.records import Suspicion
 
-_RANGE = (1e-9, 1e6)  # [kg m^2] of a motor with its link, on the motor's side
 
-
-def unexplained(seen: Evidence, left: Sequence[Observation]) -> Iterator[Suspicion]:
+def unexplained(left: Sequence[Observation]) -> Iterator[Suspicion]:
     """Suspicions for what contradicts on its own.
 
     Parameters
     ----------
-    seen : Evidence
     left : sequence of Observation
 
     Returns
     -------
     iterator of Suspicion
     """
-    yield from _timed(seen, left, "delay")
-    yield from _timed(seen, left, "drift")
     said: set[str] = set()
     for each in left:
-        if each.kind in ("followed", "delay", "drift") or each.where in said:
+        if each.kind == "followed" or each.where in said:
             continue
         said.add(each.where)
         yield _said(each)
-
-
-def _timed(seen: Evidence, left: Sequence[Observation], kind: Kind) -> Iterator[Suspicion]:
-    """Link sensors that lag, or whose lag grows, all of them in one finding."""
-    late = [o for o in left if o.kind == kind]
-    if not late:
-        return
-    names = ", ".join(o.where for o in late)
-    value = float(np.median([o.value for o in late]))
-    if kind == "delay":
-        side = "late" if value > 0.0 else "early"
-        yield Suspicion(
-            code="misaligned",
-            where=names,
-            message=(
-                f"{names}: {number(1e3 * abs(value), 3)} ms {side} against the motor angle, more "
-                "than the whole-arm fit corrects"
-            ),
-            remedy=(
-                "Give the sensor's bandwidth (accelerometer_hz, gyro_hz) if it has a filter; "
-                "otherwise shift the channel, or have one clock stamp all channels"
-            ),
-            delay_s=value,
-        )
-        return
-    side = "slow" if value > 0.0 else "fast"
-    yield Suspicion(
-        code="clock-drift",
-        where=names,
-        message=(
-            f"{names}: the delay against the motor angle changes by {number(1e3 * value, 3)} ms a "
-            f"second: another clock stamps them, {number(100.0 * abs(value), 3)} % {side}"
-        ),
-        remedy=(
-            "Have one clock stamp all channels, or resample those at "
-            f"{number(1.0 - value, 7)} times their rate before the log is written"
-        ),
-        factor=1.0 - value,
-    )
 
 
 def _said(each: Observation) -> Suspicion:
@@ -88,6 +41,8 @@ def _said(each: Observation) -> Suspicion:
         "own": "wrong-geometry",
         "elbow": "wrong-geometry",
         "gravity": "wrong-unit",
+        "delay": "misaligned",
+        "drift": "clock-drift",
         "inertia": "wrong-sign",
         "torque-ratio": "wrong-torque-constant",
     }
@@ -103,12 +58,15 @@ def _said(each: Observation) -> Suspicion:
         "own": "{w} shows {v} of its own joint's motion",
         "elbow": "{w} shows {v} of the motion of its link's axis",
         "gravity": "{w} shows {v} of gravity",
+        "delay": "{w} lags by {v} s behind the motor angle",
+        "drift": "the delay of {w} grows by {v} s a second",
         "inertia": "the motion of joint {j} is against its torque: {w} or theta_m{j} has the "
         "wrong sign",
         "torque-ratio": "the torques of joint 1 are {v} of what the symmetry of the inertia "
         "matrix allows beside those of joint 2: one torque constant is wrong",
     }
-    code = "wrong-sign" if each.value < 0.0 else codes[each.kind]
+    timed = each.kind in ("delay", "drift")
+    code = "wrong-sign" if each.value < 0.0 and not timed else codes[each.kind]
     text = about[each.kind].format(w=each.where, v=number(each.value), j=each.joint)
     remedy = "Check its unit, sign and wiring, and the keys of the study that it is compared with"
     if each.kind == "torque-ratio":

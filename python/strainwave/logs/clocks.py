@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.errors import InvalidInput
+from strainwave.filters import noise_deviation
 from strainwave.logs.tables import first_impossible
 from strainwave.records import Caution, Experiment, FloatArray
 
@@ -20,6 +21,12 @@ FEWEST_ROWS = 16
 """Fewer samples cannot even be filtered."""
 LARGEST_GAP = 10.0
 """[periods] What was between two samples further apart cannot be told by interpolation."""
+MOST_JITTER = 0.4
+"""[periods] Stamps this close to a clock's ticks belong to one tick each."""
+NEARLY = 1e-3
+"""Share of a period within which a round number is tried."""
+_SAME_PERIOD = 4.0  # deviations of a period that stamps give
+_SMOOTHER = float(np.log(2.0))  # noise over noise; interpolation alone takes up to 0.3 of it
 ROUNDING = 0.02
 """[periods] Stamps this close to a uniform grid are one, written with few digits."""
 
@@ -71,7 +78,7 @@ def one_clock(
         if not set(track.columns) <= set(held):
             _check_gaps(track, path)
     windowed = _overlap(windowed, held, path)
-    grid, told = _grid(windowed[0].time)
+    grid, ticks, told = _grid(windowed[0].time)
     if told:
         cautions.append(Caution("resampled", path.name, told))
     columns: dict[str, FloatArray] = {}
@@ -80,7 +87,8 @@ def one_clock(
         rows = _rows_on(grid, track.time)
         if rows is None:
             foreign.append(track)
-            columns |= {name: _at(grid, track, name, name in held) for name in track.columns}
+            own = ticks if track is windowed[0] else None
+            columns |= _resampled(grid, track, held, own)
         else:
             columns |= _cut(track, rows).columns
     others = [track for track in foreign if track is not windowed[0]]
@@ -203,26 +211,115 @@ def _rows_on(grid: FloatArray, time: FloatArray) -> slice | None:
     return rows
 
 
-def _grid(time: FloatArray) -> tuple[FloatArray, str]:
-    """A uniform grid, and what to say where the stamps are not one already."""
+def _grid(time: FloatArray) -> tuple[FloatArray, FloatArray | None, str]:
+    """A uniform grid, each stamp's tick where it has one, and what to say of uneven stamps."""
     grid = np.linspace(time[0], time[-1], len(time))
     if _rows_on(grid, time) is not None:
-        return grid, ""
-    period = float(np.median(np.diff(time)))
-    grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-9) + 1)
+        start, period = _regressed(time, np.arange(len(time), dtype=np.float64))
+        fine = start + period * np.arange(len(time), dtype=np.float64)
+        return (fine if _rows_on(fine, time) is not None else grid), None, ""
+    ticks: FloatArray | None = None
+    jitter = _jitter(time)
+    if jitter is None:
+        period = float(np.median(np.diff(time)))
+        grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-9) + 1)
+        how = f"resampled to {len(grid)} samples every {period:.6g} s"
+    else:
+        start, period, number, off = jitter
+        grid = start + period * np.arange(number[-1] + 1.0)
+        ticks = start + period * number
+        how = (
+            f"they lie up to {100.0 * off:.2g} % of a period beside a clock of {period:.6g} s: "
+            f"resampled to its {len(grid)} ticks"
+        )
     steps = np.diff(time) / period
     message = (
         f"time stamps are not uniform (steps of {steps.min():.2f} to {steps.max():.2f} "
-        f"periods): resampled to {len(grid)} samples every {period:.6g} s; what happens faster "
-        "than the widest step is lost. Log with a fixed clock if you can"
+        f"periods): {how}; what happens faster than the widest step is lost. Log with a fixed "
+        "clock if you can"
     )
-    return grid, message
+    return grid, ticks, message
+
+
+def _jitter(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
+    """The clock about which stamps jitter, where they do by less than half a period.
+
+    Stamps are regressed on the whole numbers of periods between them.
+
+    Returns
+    -------
+    start, period, (n_samples,) numbers of the ticks, largest distance in periods; or None
+    """
+    steps = np.diff(time)
+    counted = float(np.sum(np.round(steps / np.median(steps))))  # rows may be missing
+    for ticks in (len(steps), counted):
+        period = float(time[-1] - time[0]) / ticks
+        for _ in range(3):
+            number = np.round((time - time[0]) / period)
+            if not np.any(number):
+                break
+            start, period = _regressed(time, number)
+        off = float(np.max(np.abs(time - start - period * number))) / period
+        if off < MOST_JITTER and np.all(np.diff(number) >= 1.0):
+            return start, period, number, off
+    return None
+
+
+def _regressed(time: FloatArray, number: FloatArray) -> tuple[float, float]:
+    """Start and period of the clock that stamps follow, by least squares.
+
+    A period that is a round number within its own uncertainty is taken as that: drives, loggers and
+    servos have clocks of round numbers, and a simulation needs a step that all are multiples of.
+    """
+    centred = number - number.mean()
+    weight = float(centred @ centred)
+    period = float(centred @ (time - time.mean())) / weight
+    off = time - time.mean() - period * centred
+    uncertain = float(np.sqrt(off @ off / (len(time) * weight)))
+    near = _round_period(period)
+    if abs(near - period) < _SAME_PERIOD * uncertain:
+        period = near
+    return float(np.mean(time - period * number)), period
+
+
+def _round_period(period: float) -> float:
+    """The roundest number near a period."""
+    for digits in range(3):
+        near = float(f"{period:.{digits}e}")
+        if abs(near / period - 1.0) < NEARLY:
+            return near
+    return period
+
+
+def _resampled(
+    grid: FloatArray, track: Track, held: Collection[str], ticks: FloatArray | None
+) -> dict[str, FloatArray]:
+    """A track's columns on a grid.
+
+    Where stamps jitter about a clock, either the samples do too, and are interpolated, or only the
+    stamps do, written by a busy computer, and the samples are the ticks': interpolation would then
+    add what it is to take away. The column that one of the two makes smoother by most decides.
+    """
+    measured = [name for name in track.columns if name not in held]
+    found = {name: _at(grid, track, name, name in held) for name in track.columns}
+    if ticks is None:
+        return found
+    punctual = replace(track, time=ticks)
+    on_ticks = {name: _at(grid, punctual, name, name in held) for name in track.columns}
+    smoother = 0.0
+    for name in measured:
+        noise = noise_deviation(found[name]), noise_deviation(on_ticks[name])
+        if min(noise) > 0.0:
+            gain = float(np.log(noise[0] / noise[1]))
+            smoother = gain if abs(gain) > abs(smoother) else smoother
+    commands = {name: on_ticks[name] for name in track.columns if name in held}
+    return found | commands if smoother < -_SMOOTHER else on_ticks
 
 
 def _at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
     values = track.columns[name]
     if held:
-        slack = 1e-9 * (grid[1] - grid[0])
+        slack = 1e-6 * (grid[1] - grid[0])
         rows = np.searchsorted(track.time, grid + slack, side="right") - 1
         return np.asarray(values[np.maximum(rows, 0)])
     from scipy.interpolate import PchipInterpolator
