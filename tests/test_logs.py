@@ -124,6 +124,7 @@ def timed(folder: Path, time: FloatArray, of: FloatArray | None = None) -> Log:
     values["u1"] = np.sign(np.sin(300.0 * taken))
     values["theta_m1"] = np.sin(20.0 * taken)
     values["theta_m2"] = taken**2
+    values["a1"] = np.cos(30.0 * taken)
     return renamed(folder, "log.parquet", parquet(values))
 
 

@@ -62,8 +62,8 @@ def _explained(seen: Evidence) -> list[Suspicion]:
 def _best(seen: Evidence, now: Sequence[Observation]) -> Cause | None:
     """The cause that leaves least contradicting; None where none explains anything.
 
-    A cause without which there is nothing to compare any more explains nothing: what was observed
-    before and is not any more counts as contradicting.
+    A cause without which there is nothing to compare any more explains nothing: what contradicted
+    before, or should always be seen, and is not seen any more counts as contradicting.
     """
     best: Cause | None = None
     least = _weight(now, now) - _GAIN
@@ -77,6 +77,6 @@ def _best(seen: Evidence, now: Sequence[Observation]) -> Cause | None:
 
 
 def _weight(now: Sequence[Observation], before: Sequence[Observation]) -> float:
-    lost = {(o.kind, o.where) for o in before if o.kind in _MUST_STAY}
+    lost = {(o.kind, o.where) for o in before if o.contradicts or o.kind in _MUST_STAY}
     lost -= {(o.kind, o.where) for o in now}
     return sum(o.weight for o in now if o.contradicts) + len(lost)

@@ -58,7 +58,9 @@ def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Ca
     yield from _swaps(seen)
     yield from _late(seen, contradictions)
     touched = {o.joint for o in contradictions if o.joint is not None}
-    if touched and max(touched) > 1:
+    if any(o.kind == "torque-ratio" for o in contradictions):
+        touched |= {1, 2}
+    elif touched and max(touched) > 1:
         touched.add(1)  # what link 2 reads depends on joint 1
     for joint in sorted(touched):
         yield from _channels(seen, contradictions, joint)

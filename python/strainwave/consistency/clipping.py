@@ -9,8 +9,9 @@ import numpy as np
 from strainwave.records import FloatArray, Log, Study, Suspicion
 
 _KINDS = ("a", "gyro", "theta_l", "deflection", "torque", "omega_m")
+_NOISY = ("a", "gyro")  # never three times the same, but at the end of the range
 _RUN = 3  # equal samples at the extreme that make a flat top
-_SHARE = 2e-3  # of a record at the end of the range, from which a fit notices
+_SHARE = 1e-2  # of a record at the end of the range; robust weights cope with less
 _FEWEST_VALUES = 50  # different ones, below which a coarse channel has flat tops of its own
 
 
@@ -30,7 +31,7 @@ def clipped(logs: Sequence[Log], study: Study) -> Iterator[Suspicion]:
         for i in range(1, study.n_joints + 1):
             name = f"{kind}{i}"
             shares = {
-                log.name: (_share(log.channels[name]), log.channels[name])
+                log.name: (_share(log.channels[name], rests=kind not in _NOISY), log.channels[name])
                 for log in logs
                 if name in log.channels
             }
@@ -55,15 +56,19 @@ def clipped(logs: Sequence[Log], study: Study) -> Iterator[Suspicion]:
             )
 
 
-def _share(values: FloatArray) -> float:
-    """Share of the samples in runs of equal values at either extreme, away from the middle."""
+def _share(values: FloatArray, *, rests: bool) -> float:
+    """Share of the samples in runs of equal values at either extreme.
+
+    Zero is no end of a range, nor is, of an angle that may rest where it went, what it usually is.
+    """
     low, high = float(values.min()), float(values.max())
     middle, size = float(np.median(values)), high - low
     if size == 0.0 or len(np.unique(values[:: max(1, len(values) // 4096)])) < _FEWEST_VALUES:
         return 0.0
     share = 0.0
     for extreme in (low, high):
-        if abs(extreme - middle) < 0.25 * size:
+        at_rest = rests and abs(extreme - middle) < 0.25 * size
+        if at_rest or abs(extreme) < 1e-9 * size:
             continue
         at = np.abs(values - extreme) <= 1e-9 * size
         edges = np.flatnonzero(np.diff(np.r_[0, at.astype(np.int8), 0]))

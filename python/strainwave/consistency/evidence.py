@@ -93,11 +93,11 @@ class Evidence:
         return replace(self, records=tuple(records), counts=counts)
 
     def shifted(self, names: Sequence[str], delay: float, drift: float) -> Evidence:
-        """With some channels earlier by a delay that grows from each record's middle on."""
+        """With some channels earlier by a delay that grows from each record's start on."""
         records = []
         for record in self.records:
             time = record.sample_time * np.arange(len(record.inside))
-            at = time + delay + drift * (time - time[record.inside].mean())
+            at = time + delay + drift * time
             channels = dict(record.channels)
             for name in names:
                 if name in channels:

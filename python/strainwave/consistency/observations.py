@@ -18,7 +18,7 @@ from strainwave.consistency.motors import (
     velocities,
 )
 from strainwave.consistency.regression import pooled
-from strainwave.consistency.sensors import Reading, readings
+from strainwave.consistency.sensors import LINK_CHANNELS, Reading, readings
 
 Kind = Literal[
     "count",
@@ -73,8 +73,10 @@ _FLOOR: dict[Kind, float] = {
 }
 """What springs, friction and a servo's lag leave in a record's answer whatever the noise."""
 
-_FOLLOWED = 0.8  # share of a signal's variance from which it follows its prediction
+_FOLLOWED = 0.95  # share of a signal's variance from which it follows its prediction
+_IN_PART = 0.5  # share from which its delay and its parts mean something
 _FOLLOWED_WEIGHT = 2.0  # of a signal that does not: nothing else can be asked of it
+_FOLLOWED_BY_MOTORS = 0.8  # the same of a servo and of torques, which friction takes a share of
 _HEARD = 5.0  # signal over noise from which something was to be followed
 
 
@@ -92,7 +94,8 @@ class Observation:
     def contradicts(self) -> bool:
         """Whether it is certainly further off than what is tolerated."""
         if self.kind == "followed":
-            return self.value < _FOLLOWED
+            link = self.where[:-1] in LINK_CHANNELS
+            return self.value < (_FOLLOWED if link else _FOLLOWED_BY_MOTORS)
         tolerance = _TOLERANCE[self.kind]
         if self.kind in ("delay", "drift"):
             return abs(self.value) > max(tolerance, _CERTAIN * self.std)
@@ -167,7 +170,7 @@ def _ratios(kind: Kind, found: Iterable[Ratio]) -> Iterator[Observation]:
         value, std = pooled([e.value for e in kept], spread)
         joint = int(channel[-1])
         yield Observation("followed", channel, best, 0.0, joint)
-        if best > 0.5:
+        if best > _IN_PART:
             yield Observation(kind, channel, value, std, joint)
 
 
@@ -191,7 +194,7 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
     best = max(each.explained for each in kept)
     yield Observation("followed", channel, best, 0.0, joint)
     yield mean("scale", [e.scale for e in kept], [e.scale_std for e in kept])
-    if best < _FOLLOWED:
+    if best < _IN_PART:
         return
     yield mean("delay", [e.delay for e in kept], [e.delay_std for e in kept])
     yield mean("drift", [e.drift for e in kept], [e.drift_std for e in kept])

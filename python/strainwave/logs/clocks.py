@@ -300,7 +300,9 @@ def _resampled(
     stamps do, written by a busy computer, and the samples are the ticks': interpolation would then
     add what it is to take away. The column that one of the two makes smoother by most decides.
     """
-    measured = [name for name in track.columns if name not in held]
+    rates = {name: np.diff(v) / np.diff(track.time) for name, v in track.columns.items()}
+    # the stamps are a column as well, and smooth by themselves
+    measured = [n for n, r in rates.items() if n not in held and np.ptp(r) > 1e-6 * abs(r.mean())]
     found = {name: _at(grid, track, name, name in held) for name in track.columns}
     if ticks is None:
         return found
@@ -324,8 +326,9 @@ def _at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
         return np.asarray(values[np.maximum(rows, 0)])
     from scipy.interpolate import PchipInterpolator
 
-    # the ends of another clock's track may miss the grid's by the tolerance of a rounded stamp
-    inside = np.clip(grid, track.time[0], track.time[-1])
+    # the track's ends may miss the grid's by what its stamps jitter or are rounded
+    slack = MOST_JITTER * (grid[1] - grid[0])
+    inside = np.clip(grid, track.time[0] - slack, track.time[-1] + slack)
     return np.asarray(PchipInterpolator(track.time, values)(inside))
 
 
