@@ -350,7 +350,7 @@ def test_a_record_that_breaks_a_limit_is_left_out_and_told() -> None:
     broken = [(w.code, w.where) for w in found.warnings if w.code == "limit-broken"]
     assert ("limit-broken", "motion") in broken
     assert ("limit-broken", "step-j1") in broken
-    said = found.warnings[0].message
+    said = next(w.message for w in found.warnings if w.where == "motion")
     assert re.search(r"gear torque of joint 1 would be \S+ N m of 0.5 \(--limit-torque\)", said)
     assert "give a wider limit" in said
     assert worst_use(study, values, found.limits, found.records[0]) < 1.005
