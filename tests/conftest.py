@@ -1,4 +1,8 @@
-"""What all tests share: a fixed Hypothesis profile, and the measured data where it is there."""
+"""What all tests share: profiles of Hypothesis, and the measured data where it is there.
+
+By itself pytest draws the same cases in every run. `make test` takes the profile "fresh", which
+draws others from the seed it prints; a failure also prints the case as a decorator.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ import pytest
 from hypothesis import settings
 
 settings.register_profile("project", derandomize=True, deadline=None)
+settings.register_profile("fresh", derandomize=False, deadline=None, print_blob=True)
 settings.load_profile("project")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

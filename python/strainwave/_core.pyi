@@ -13,7 +13,7 @@ __all__ = [
     "InnovationsFit",
     "eliminate",
     "hankel_gram",
-    "remainders",
+    "leave_out",
 ]
 
 GEAR_CORNER: float
@@ -118,20 +118,30 @@ class Arm:
         """Motor torques of a links' motion behind rigid gears, (5): (n_samples, n_joints)."""
 
 def eliminate(
-    z: NDArray[np.float64], right: NDArray[np.float64], leverage: bool
+    first: NDArray[np.int64],
+    entries: NDArray[np.float64],
+    unknowns: int,
+    right: NDArray[np.float64],
+    leverage: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """G^-1 Z' Y, Y - Z G^-1 Z' Y and the diagonal of Z G^-1 Z', with G = Z'Z + I.
 
-    Without `leverage` the last is empty. Quick where each row of Z has few entries, side by side.
-    The GIL is released. Raises ValueError for sizes that do not fit and entries that are not
-    finite.
+    A row of Z has its entries side by side, beginning at unknown `first`. Without `leverage` the
+    last is empty. Linear in the rows where the windows follow one another. The GIL is released.
+    Raises ValueError for sizes that do not fit and entries that are not finite.
     """
 
-def remainders(z: NDArray[np.float64], stops: Sequence[int]) -> list[NDArray[np.float64]]:
-    """I - Z_b G^-1 Z_b' of successive blocks of rows, G = Z'Z + I; `stops` lie behind their last.
+def leave_out(
+    first: NDArray[np.int64],
+    entries: NDArray[np.float64],
+    unknowns: int,
+    right: NDArray[np.float64],
+    stops: Sequence[int],
+) -> list[NDArray[np.float64]]:
+    """Y'Y - Y'Z G^-1 Z'Y without each block of successive rows; `stops` lie behind their last.
 
-    The GIL is released. Raises ValueError for stops that do not rise within the rows and entries
-    that are not finite.
+    Y, Z and G = Z'Z + I lack the block's rows. The GIL is released. Raises ValueError for stops
+    that do not rise within the rows, sizes that do not fit and entries that are not finite.
     """
 
 def hankel_gram(

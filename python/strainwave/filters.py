@@ -17,15 +17,23 @@ from strainwave.records import ComplexArray, FloatArray, Lag
 
 _FLOOR_MARGIN = 4.0  # a Welch estimate of 8 averages stays below 4 times its mean
 _LEAST_SAMPLES = 32
+_SETTLED = 14.0  # periods of its cut-off after which a low-pass has forgotten all but rounding
+_PIECE = 1 << 17  # samples that are transformed at once; caches hold more of them no better
 
 
 def low_pass(
-    signal: FloatArray, cutoff_hz: float, sample_time: float, *, decimated: int = 1
+    signal: FloatArray,
+    cutoff_hz: float,
+    sample_time: float,
+    *,
+    decimated: int = 1,
+    kept: slice = slice(None),
 ) -> FloatArray:
     """Forward-backward Butterworth low-pass of order 4: no phase, squared magnitude of one pass.
 
     |H|^2 = 1 / (1 + (tan(pi f T) / tan(pi cutoff_hz T))^8), so that H = 1/2 at the cut-off,
     applied to the spectrum of the signal continued at both ends by its own point reflection.
+    Long signals pass piece by piece, each with so much of its neighbours that rounding alone tells.
 
     Parameters
     ----------
@@ -35,15 +43,34 @@ def low_pass(
     sample_time : float [s]
     decimated : int
         The signal is every so manieth sample of those; it gets the very gain that they would.
+    kept : slice
+        The samples wanted, from the first wanted one on in equal steps.
 
     Returns
     -------
-    (n_samples, ...)
+    (n_kept, ...)
         The first and last 1/cutoff_hz seconds hold the filter's transients.
     """
     relative = cutoff_hz * sample_time
     if relative >= 0.45:
-        return signal
+        return signal[kept]
+    n = len(signal)
+    margin = int(_SETTLED / (relative * decimated))
+    piece = max(_PIECE, 8 * margin)
+    if n <= 2 * piece:
+        return _passed(signal, relative, decimated)[kept]
+    wanted = np.arange(n)[kept]
+    found = np.empty((len(wanted), *signal.shape[1:]))
+    for start in range(0, n, piece):
+        low, high = np.searchsorted(wanted, (start, start + piece))
+        begin = max(0, start - margin)
+        near = signal[begin : start + piece + margin]
+        found[low:high] = _passed(near, relative, decimated)[wanted[low:high] - begin]
+    return found
+
+
+def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
+    """The low-pass of a whole signal; `relative` is its cut-off in sampling rates."""
     n = len(signal)
     pad = min(n - 1, int(4.0 / (relative * decimated)))
     longer = _continued(signal, pad)

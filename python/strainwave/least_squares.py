@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from strainwave import _core
+from strainwave.banded import Banded
 from strainwave.records import BoolArray, FloatArray, IntArray
 
 HUBER = 4.0
@@ -20,7 +21,6 @@ KNOWN = -1
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
 _TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
-_TRACE = 1e-12  # of a unit error: what rounding leaves of one that the unknowns follow
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
 
 
@@ -29,15 +29,20 @@ class Local:
     """Nuisance unknowns that only some rows have: those of one record, say."""
 
     rows: IntArray  # (n,) in which they occur; no other `Local` has any of them
-    columns: FloatArray  # (n, n_unknowns)
+    columns: Banded  # (n, n_unknowns)
 
 
 @dataclass(frozen=True, slots=True)
 class Equations:
-    """shared @ x + local @ z = target + error, with z of zero mean and known deviation."""
+    """shared @ x + common @ c + local @ z = target + error.
+
+    The nuisance unknowns c and z have zero mean and known deviations.
+    """
 
     shared: FloatArray  # (n_rows, n_parameters)
     noise: FloatArray  # (n_parameters,) rms of the noise in each shared column
+    common: FloatArray  # (n_rows, n_common) of nuisance unknowns that all rows may have
+    common_deviation: FloatArray  # (n_common,)
     local: tuple[Local, ...]  # z, part by part
     local_deviation: FloatArray  # (n_local,)
     target: FloatArray  # (n_rows,)
@@ -51,6 +56,7 @@ class Factor:
 
     root: FloatArray  # (n_rows,) square roots of the weights
     value: FloatArray  # (n_parameters,) of least norm in the scaled unknowns where not unique
+    common: FloatArray  # (n_common,)
     local: FloatArray  # (n_local,)
     scale: FloatArray  # (n_parameters,) norms of the weighted columns
     singular: FloatArray  # (n_parameters,)
@@ -75,8 +81,9 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     """Weighted least squares, the nuisance unknowns projected out, by QR and SVD.
 
     With the prior's rows below, [Z; I] z + [X; 0] x = [y; 0]. Projecting [X; 0] and [y; 0] off the
-    columns of [Z; I] leaves equations in x alone, solved by QR; nothing in x is squared. The SVD
-    of R tells which directions the data see: those whose singular value exceeds what the
+    columns of [Z; I] leaves equations in x alone, solved by QR; nothing in x is squared. The
+    common nuisance unknowns come before x in that QR, each with its prior's row. The SVD of x's
+    part of R tells which directions the data see: those whose singular value exceeds what the
     regressor's own noise would make of it.
 
     Parameters
@@ -89,21 +96,23 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     -------
     Factor
     """
-    p = equations.shared.shape[1]
-    scale, below, lent, Q, R = _reduced(equations, root, equations.target[:, None])
-    U, s, Vt = np.linalg.svd(R[:p, :p])
+    reduced = _reduced(equations, root, equations.target[:, None])
+    scale, own, right = reduced.scale, reduced.own, reduced.right[:, 0]
+    U, s, Vt = np.linalg.svd(own)
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
-    x = Vt[seen].T @ ((U[:, seen].T @ R[:p, -1]) / s[seen])
+    x = Vt[seen].T @ ((U[:, seen].T @ right) / s[seen])
+    common, local = reduced.nuisance(x)
     return Factor(
         root=root,
         value=x / scale,
-        local=(below[:, -1] - below[:, :p] @ x) * equations.local_deviation,
+        common=common * equations.common_deviation,
+        local=local * equations.local_deviation,
         scale=scale,
         singular=s,
         directions=Vt,
         seen=seen,
-        leverage=np.sum(Q[: len(root), :p] ** 2, axis=1) + lent,
+        leverage=reduced.leverage,
     )
 
 
@@ -120,59 +129,102 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
     -------
     (n_parameters, n_changes)
     """
-    p = equations.shared.shape[1]
-    _, _, _, _, R = _reduced(equations, factor.root, changes, leverage=False)
+    reduced = _reduced(equations, factor.root, changes, leverage=False)
     basis = factor.directions[factor.seen].T
     # R'R = V s^2 V', so that R^-1 = V s^-2 V' R'
-    inverse = basis / factor.singular[factor.seen] ** 2 @ basis.T @ R[:p, :p].T
-    return np.asarray(inverse @ R[:p, p:] / factor.scale[:, None])
+    inverse = basis / factor.singular[factor.seen] ** 2 @ basis.T @ reduced.own.T
+    return np.asarray(inverse @ reduced.right / factor.scale[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class _Reduced:
+    """Equations without their local unknowns, and the triangle that QR makes of them.
+
+    Its columns are those of the common nuisance unknowns, the parameters and the targets.
+    """
+
+    scale: FloatArray  # (n_parameters,) norms of the weighted columns
+    n_common: int
+    triangle: FloatArray
+    below: FloatArray  # (n_local, n_columns) what each local unknown takes of a column
+    leverage: FloatArray  # (n_rows,)
+
+    @property
+    def own(self) -> FloatArray:
+        """The parameters' part of the triangle."""
+        n, stop = self.n_common, self.n_common + len(self.scale)
+        return self.triangle[n:stop, n:stop]
+
+    @property
+    def right(self) -> FloatArray:
+        """The targets beside it."""
+        n, stop = self.n_common, self.n_common + len(self.scale)
+        return self.triangle[n:stop, stop:]
+
+    def nuisance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Common and local unknowns that belong to scaled parameters and the one target."""
+        n = self.n_common
+        above = self.triangle[:n, -1] - self.triangle[:n, n:-1] @ x
+        common = np.linalg.solve(self.triangle[:n, :n], above)
+        return common, self.below[:, -1] - self.below[:, :-1] @ np.concatenate([common, x])
 
 
 def _reduced(
     equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Column norms; what the nuisance unknowns take, and their leverage; QR of what is left."""
+) -> _Reduced:
+    """The local unknowns eliminated part by part, then a QR of what is left."""
     X = equations.shared * root[:, None]
     scale = np.linalg.norm(X, axis=0)
     scale[scale == 0.0] = 1.0
-    Xy = np.column_stack([X / scale, targets * root[:, None]])
+    common = equations.common * root[:, None] * equations.common_deviation
+    columns = np.column_stack([common, X / scale, targets * root[:, None]])
+    n_common, n_shown = common.shape[1], common.shape[1] + len(scale)
     lent = np.zeros(len(root))
-    taken: list[FloatArray] = [np.zeros((0, Xy.shape[1]))]
-    for part, deviation in _parts(equations):
-        Z = part.columns * (root[part.rows, None] * deviation)
-        found, Xy[part.rows], lever = _eliminated(Z, Xy[part.rows], leverage=leverage)
+    taken: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
+    for part, Z in _weighted_parts(equations, root):
+        found, columns[part.rows], lever = _eliminated(Z, columns[part.rows], leverage=leverage)
         taken.append(found)
         if leverage:
             lent[part.rows] = lever
     below = np.concatenate(taken)
-    Q, R = np.linalg.qr(np.vstack([Xy, -below]))
-    return scale, below, lent, Q, R
+    priors = np.eye(n_common, columns.shape[1])
+    Q, R = np.linalg.qr(np.vstack([columns, -below, priors]))
+    return _Reduced(
+        scale=scale,
+        n_common=n_common,
+        triangle=R,
+        below=below,
+        leverage=np.sum(Q[: len(root), :n_shown] ** 2, axis=1) + lent,
+    )
 
 
 def _eliminated(
-    Z: FloatArray, right: FloatArray, *, leverage: bool = True
+    Z: Banded, right: FloatArray, *, leverage: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(Z'Z + I)^-1 Z' right, right less Z times that, and the diagonal of Z (Z'Z + I)^-1 Z'."""
-    if not Z.size:
-        return np.zeros((Z.shape[1], right.shape[1])), right, np.zeros(len(Z))
-    return _core.eliminate(np.ascontiguousarray(Z), np.ascontiguousarray(right), leverage)
+    if not Z.entries.size:
+        return np.zeros((Z.n_columns, right.shape[1])), right, np.zeros(len(right))
+    right = np.ascontiguousarray(right)
+    return _core.eliminate(Z.first, Z.entries, Z.n_columns, right, leverage)
 
 
-def _parts(equations: Equations) -> Iterator[tuple[Local, FloatArray]]:
-    """Each part with its unknowns' deviations."""
+def _weighted_parts(equations: Equations, root: FloatArray) -> Iterator[tuple[Local, Banded]]:
+    """Each part, and its columns per unknown of unit deviation."""
     first = 0
     for part in equations.local:
-        n = part.columns.shape[1]
-        yield part, equations.local_deviation[first : first + n]
+        n = part.columns.n_columns
+        deviation = equations.local_deviation[first : first + n]
+        yield part, part.columns.scaled(root[part.rows], deviation)
         first += n
 
 
 def residual_of(equations: Equations, factor: Factor) -> FloatArray:
     """What the equations leave unexplained: (n_rows,)."""
     residual = equations.target - equations.shared @ factor.value
+    residual -= equations.common @ factor.common
     first = 0
     for part in equations.local:
-        n = part.columns.shape[1]
+        n = part.columns.n_columns
         residual[part.rows] -= part.columns @ factor.local[first : first + n]
         first += n
     return np.asarray(residual)
@@ -217,168 +269,106 @@ def first_weights(target: FloatArray, group: IntArray) -> FloatArray:
     return root
 
 
-def jackknife(
-    equations: Equations, factor: Factor, n_local: int = 0
-) -> tuple[FloatArray, FloatArray]:
+def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatArray]:
     """Covariance of the shared unknowns by leaving out one block at a time.
 
     V = (m - 1)/m sum_b (x_b - x)(x_b - x)', x_b the estimate without block b, m blocks. It holds
     for errors of any colour within the blocks, and counts model error as far as that differs from
-    block to block.
+    block to block. What the estimate leans towards the nuisance unknowns' priors comes on top.
 
     Parameters
     ----------
     equations : Equations
     factor : Factor
-    n_local : int
-        How many of the first nuisance unknowns are of interest too.
 
     Returns
     -------
     (n_parameters, n_parameters)
         Covariance within the directions that the data see.
-    (n_local,)
-        Variances of the first nuisance unknowns.
+    (n_common,)
+        Variances of the common nuisance unknowns.
     """
     basis = factor.directions[factor.seen].T / factor.scale[:, None]
     back = basis / factor.singular[factor.seen]
-    known = equations.group == KNOWN
-    normal = _Normal.of(equations, factor.root, back, n_local)
+    normal = _Normal.of(equations, factor.root, back)
     whole = normal.solution()
-    labels = np.unique(equations.block[~known]).tolist()
-    shifts = [normal.without(label).solution() - whole for label in labels]
-    lean = normal.lean(known)
+    shifts = [normal.without(label) - whole for label in normal.lost]
     m = len(shifts)
-    inner = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + lean @ lean.T
+    inner = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + normal.lean()
     k = back.shape[1]
     covariance: FloatArray = back @ inner[:k, :k] @ back.T
-    return covariance, np.diag(inner)[k:] * equations.local_deviation[:n_local] ** 2
-
-
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """Some rows of a part, which may be left out at once."""
-
-    rows: IntArray  # (m,) of the equations
-    Z: FloatArray  # (m, n_unknowns)
-    remains: FloatArray  # (m, m) of unit errors in these rows, once the part's unknowns follow
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Rows with nuisance unknowns of their own, all of unit size."""
-
-    found: FloatArray  # (n_unknowns, k + 1) by each w, and by the target
-    first: FloatArray  # (n_first, n_unknowns) of the inverse of Z'Z + I: unknowns of interest
-    blocks: dict[int, _Block]  # by label
-
-    @staticmethod
-    def of(
-        Z: FloatArray, rows: IntArray, labels: IntArray, found: FloatArray, n_first: int
-    ) -> _Part:
-        order = np.argsort(labels, kind="stable")
-        Z, rows = np.ascontiguousarray(Z[order]), rows[order]
-        present, counts = np.unique(labels, return_counts=True)
-        stops = np.cumsum(counts).tolist()
-        places = [slice(start, stop) for start, stop in zip([0, *stops], stops, strict=False)]
-        remains = _core.remainders(Z, stops)
-        blocks = {
-            label: _Block(rows[place], Z[place], left)
-            for label, place, left in zip(present.tolist(), places, remains, strict=True)
-        }
-        first = np.zeros((0, Z.shape[1]))
-        if n_first:
-            first = np.asarray(np.linalg.inv(Z.T @ Z + np.eye(Z.shape[1]))[:n_first])
-        return _Part(found, first, blocks)
+    return covariance, np.asarray(np.diag(inner)[k:] * equations.common_deviation**2)
 
 
 @dataclass(frozen=True, slots=True)
 class _Normal:
-    """Normal equations of w, the nuisance unknowns eliminated part by part."""
+    """Normal equations of w and the common nuisance unknowns, the local ones eliminated."""
 
-    left: FloatArray  # (n_rows, k + 1) columns of w and the target, without what the unknowns take
     gram: FloatArray  # (k, k + 1) with the right side behind
-    first: FloatArray  # (n_local, k + 1) the nuisance unknowns of interest: by each w, and at none
-    parts: tuple[_Part, ...]
-    loose: dict[int, IntArray]  # of each label, the rows that are in no part
+    lost: dict[int, FloatArray]  # of each label, what the gram lacks without its rows
+    priors: FloatArray  # (k, k) sum of squares of what the priors' unit errors come with
 
     @staticmethod
-    def of(equations: Equations, root: FloatArray, back: FloatArray, n_local: int) -> _Normal:
+    def of(equations: Equations, root: FloatArray, back: FloatArray) -> _Normal:
         """With the shared unknowns `back @ w`."""
-        both = np.column_stack([equations.shared @ back, equations.target]) * root[:, None]
-        left, parts = both.copy(), []
+        common = equations.common * equations.common_deviation
+        columns = [equations.shared @ back, common, equations.target]
+        both = np.column_stack(columns) * root[:, None]
+        n = both.shape[1]
+        gram, priors = np.zeros((n, n)), np.zeros((n, n))
         lone = equations.group != KNOWN
-        at = 0
-        for part, deviation in _parts(equations):
-            rows, n = part.rows, part.columns.shape[1]
-            if not n:
+        lost: dict[int, FloatArray] = {}
+        for part, Z in _weighted_parts(equations, root):
+            if not Z.entries.size:
                 continue
-            Z = part.columns * (root[rows, None] * deviation)
-            found, left[rows], _ = _eliminated(Z, both[rows], leverage=False)
-            n_first = min(n, max(0, n_local - at))
-            parts.append(_Part.of(Z, rows, equations.block[rows], found, n_first))
-            lone[rows] = False
-            at += n
-        labels = np.unique(equations.block[lone]).tolist()
-        found = np.concatenate([np.zeros((0, both.shape[1])), *(p.found for p in parts)])
-        return _Normal(
-            left=left,
-            gram=both[:, :-1].T @ left,
-            first=found[:n_local],
-            parts=tuple(parts),
-            loose={label: np.flatnonzero(lone & (equations.block == label)) for label in labels},
-        )
-
-    def without(self, label: int) -> _Normal:
-        """The same with the rows of one block left out.
-
-        P = (I + Z Z')^-1 weighs a part's rows once its unknowns follow. Without some of them it is
-        that of the others less P_kb P_bb^-1 P_bk, so that [A y]' P [A y] lacks the share of
-        P_bb^-1 in the block's rows of P [A y].
-        """
-        gram, first = self.gram.copy(), self.first.copy()
-        at = 0
-        for part in self.parts:
-            n = len(part.first)
-            if label in part.blocks:
-                block = part.blocks[label]
-                own = self.left[block.rows]
-                # the ridge is far below what any row leaves that tells of w
-                share = np.linalg.solve(block.remains + _TRACE * np.eye(len(own)), own)
-                gram -= own[:, :-1].T @ share
-                first[at : at + n] -= part.first @ (block.Z.T @ share)
-            at += n
-        if label in self.loose:
-            own = self.left[self.loose[label]]
-            gram -= own[:, :-1].T @ own
-        # what only these rows tell is lost without them: the ridge keeps that at its whole-data
-        # size instead of dividing by nothing
-        gram[np.diag_indices(len(gram))] += 1e-9
-        return replace(self, gram=gram, first=first)
+            found, _, _ = _eliminated(Z, both[part.rows], leverage=False)
+            whole, without = _without_blocks(Z, both[part.rows], equations.block[part.rows])
+            gram += whole
+            priors += found.T @ found
+            for label, left in without.items():
+                lost[label] = lost.get(label, 0.0) + whole - left
+            lone[part.rows] = False
+        for label in np.unique(equations.block[lone]).tolist():
+            own = both[lone & (equations.block == label)]
+            lost[label] = lost.get(label, 0.0) + own.T @ own
+            gram += own.T @ own
+        at = n - 1 - common.shape[1]
+        known = np.vstack([both[equations.group == KNOWN], np.eye(n)[at:-1]])
+        gram += known.T @ known
+        priors += known.T @ known
+        return _Normal(gram[:-1], lost, priors[:-1, :-1])
 
     def solution(self) -> FloatArray:
-        """w, then the nuisance unknowns of interest."""
-        w = np.linalg.solve(self.gram[:, :-1], self.gram[:, -1])
-        return np.concatenate([w, self.first[:, -1] - self.first[:, :-1] @ w])
+        """w, then the common nuisance unknowns."""
+        return np.asarray(np.linalg.solve(self.gram[:, :-1], self.gram[:, -1]))
 
-    def lean(self, known: BoolArray) -> FloatArray:
-        """How far the estimate follows the priors' unit errors: it leans towards them.
+    def without(self, label: int) -> FloatArray:
+        """The solution with the rows of one block left out.
 
-        Columns of the inverse: of the nuisance unknowns' priors, then of what is known beforehand.
+        What only these rows tell is lost without them: a ridge keeps that at its whole-data size
+        instead of dividing by nothing.
         """
-        k = len(self.gram)
+        gram = self.gram - self.lost[label][:-1]
+        gram[np.diag_indices(len(gram))] += 1e-9
+        return np.asarray(np.linalg.solve(gram[:, :-1], gram[:, -1]))
+
+    def lean(self) -> FloatArray:
+        """Covariance from what is known beforehand, whose unit errors the estimate follows."""
         S = np.linalg.inv(self.gram[:, :-1])
-        below = np.concatenate([np.zeros((0, k)), *(part.found[:, :-1] for part in self.parts)])
-        beforehand = S @ self.left[known, :-1].T
-        shared = np.hstack([-S @ below.T, beforehand])
-        first = self.first[:, :-1]
-        own = first @ S @ below.T
-        row = column = 0
-        for part in self.parts:
-            n_first, n = part.first.shape
-            own[row : row + n_first, column : column + n] += part.first
-            row, column = row + n_first, column + n
-        return np.vstack([shared, np.hstack([own, -first @ beforehand])])
+        return np.asarray(S @ self.priors @ S)
+
+
+def _without_blocks(
+    Z: Banded, right: FloatArray, block: IntArray
+) -> tuple[FloatArray, dict[int, FloatArray]]:
+    """Right' (I + Z Z')^-1 right of all rows, and without those of each label."""
+    order = np.argsort(block, kind="stable")
+    present, counts = np.unique(block, return_counts=True)
+    stops = [0, *np.cumsum(counts).tolist()]
+    Z = Z.rows(order)
+    right = np.ascontiguousarray(right[order])
+    whole, *without = _core.leave_out(Z.first, Z.entries, Z.n_columns, right, stops)
+    return whole, dict(zip(present.tolist(), without, strict=True))
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:

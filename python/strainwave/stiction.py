@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from strainwave.banded import Banded
 from strainwave.records import BoolArray, FloatArray, IntArray
 
 Value = TypeVar("Value", np.bool_, np.float64)
@@ -146,12 +147,13 @@ def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatA
 
 def responses(
     shapes: Sequence[tuple[int, FloatArray]], rows: IntArray, kernel: FloatArray
-) -> FloatArray:
+) -> Banded:
     """Each shape through a filter, at some samples.
 
     Parameters
     ----------
     shapes : sequence of (first sample, shape)
+        As `free_friction` gives them: none begins or ends before the one before it.
     rows : (n_rows,)
         Samples wanted, in rising order.
     kernel : (2 reach + 1,)
@@ -159,21 +161,31 @@ def responses(
 
     Returns
     -------
-    (n_rows, n_shapes)
+    Banded
+        (n_rows, n_shapes): a row has the shapes within reach of it.
     """
     reach = len(kernel) // 2
-    result = np.zeros((len(shapes), len(rows)))
+    begin = np.array([first for first, _ in shapes], dtype=np.int64)
+    length = np.array([len(shape) for _, shape in shapes], dtype=np.int64)
     flat = np.array([shape.min() == 1.0 for _, shape in shapes], dtype=bool)
-    for column, (first, shape) in ((result[i], shapes[i]) for i in np.flatnonzero(~flat).tolist()):
-        response = np.convolve(shape, kernel)
-        start = first - reach
-        low, high = np.searchsorted(rows, (start, start + len(response)))
-        column[low:high] = response[rows[low:high] - start]
-    if flat.any():
-        # most shapes are constant: their answers are differences of the answer to a step
-        step = np.concatenate([[0.0], np.cumsum(kernel)])
-        begin = np.array([first for first, _ in shapes])[flat, None]
-        length = np.array([len(shape) for _, shape in shapes])[flat, None]
-        since = rows + (reach + 1) - begin
-        result[flat] = step.take(since, mode="clip") - step.take(since - length, mode="clip")
-    return np.ascontiguousarray(result.T)
+    # the samples that a shape reaches, and the shapes that reach a row
+    low = np.searchsorted(rows, begin - reach)
+    high = np.searchsorted(rows, begin + length + reach)
+    earliest = np.searchsorted(high, np.arange(len(rows)), side="right")
+    behind = np.searchsorted(low, np.arange(len(rows)), side="right")
+    width = int(np.max(behind - earliest, initial=0))
+    entries = np.zeros((len(rows), width))
+    for c in np.flatnonzero(~flat).tolist():
+        response = np.convolve(shapes[c][1], kernel)
+        near = np.arange(low[c], high[c])
+        entries[near, c - earliest[near]] = response[rows[near] - (begin[c] - reach)]
+    # most shapes are constant: their answers are differences of the answer to a step
+    step = np.concatenate([[0.0], np.cumsum(kernel)])
+    for k in range(width if flat.any() else 0):
+        near = np.flatnonzero(earliest + k < behind)
+        shape = earliest[near] + k
+        near, shape = near[flat[shape]], shape[flat[shape]]
+        since = rows[near] + (reach + 1) - begin[shape]
+        before = since - length[shape]
+        entries[near, k] = step.take(since, mode="clip") - step.take(before, mode="clip")
+    return Banded(earliest, entries, len(shapes))

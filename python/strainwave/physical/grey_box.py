@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave import least_squares as ls
+from strainwave.banded import Banded
 from strainwave.cores import stop_if_asked
 from strainwave.errors import NotIdentifiable
 from strainwave.filters import band_pass, differentiate, lagged
@@ -238,7 +239,7 @@ class _Piece:
     motor: FloatArray  # (n_rows, 3) dw_M, w_M, s
     link: FloatArray  # (n_rows, 2) dw_L, w_L
     twist: FloatArray  # (n_rows, 2) delta, ddelta
-    free: FloatArray  # (n_rows, n_free) shapes of free friction
+    free: Banded  # (n_rows, n_free) shapes of free friction
 
     def passed(self, signal: FloatArray) -> FloatArray:
         """A signal of the record, (n_samples,), as its columns are."""
@@ -412,7 +413,7 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
     total = sum(len(p.torque) for p in pieces)
     first_block = at = 0
     for number, p in enumerate(pieces):
-        n_rows, n_free = len(p.torque), p.free.shape[1]
+        n_rows, n_free = len(p.torque), p.free.n_columns
         motor = np.zeros((n_rows, len(COLUMNS)))
         motor[:, [_MOTOR, _MOTOR_VISCOUS, _COULOMB]] = p.motor
         motor[:, [_LINK, _LINK_VISCOUS]] = p.ratio * p.link
@@ -432,9 +433,12 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
         block += [label, label]
         deviation += [max(_STANDING * abs(float(x[_COULOMB])), 1e-300)] * n_free
     beforehand, values = _knowledge(known, pieces[0].ratio)
+    rows = np.concatenate([*shared, beforehand])
     return ls.Equations(
-        shared=np.concatenate([*shared, beforehand]),
+        shared=rows,
         noise=np.zeros(len(COLUMNS)),
+        common=np.zeros((len(rows), 0)),
+        common_deviation=np.zeros(0),
         local=tuple(local),
         local_deviation=np.array(deviation),
         target=np.concatenate([*target, values]),

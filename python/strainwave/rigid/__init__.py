@@ -37,6 +37,7 @@ from strainwave.rigid.equations import (
     Stretch,
     anti_resonances,
     assemble,
+    carried,
     decimation,
     estimate_of,
     halfway,
@@ -137,14 +138,14 @@ def _search(signals: Sequence[Signals], study: Study) -> list[_Trial]:
     """Trials at rising bandwidths, while they gain and the arm still looks nearly rigid."""
     trials: list[_Trial] = []
     least, since = np.full(len(columns_of(study)), np.inf), 0
-    around: Estimate | None = None
     stiff = n_compliances(study) == 0
     for bandwidth in _bandwidths(signals, _STEP ** (2 if stiff else 1)):
         if trials and bandwidth > _surely_elastic(study, trials[-1]):
             break
-        trial = _trial(study, _prepared(study, signals, bandwidth), around)
+        stretches = _prepared(study, signals, bandwidth)
+        around = carried(trials[-1].estimate, trials[-1].stretches, stretches) if trials else None
+        trial = _trial(study, stretches, around)
         trials.append(trial)
-        around = trial.estimate
         gained = bool(np.any(trial.spread < least - _GAIN))
         since = 0 if gained else since + 1
         least = np.minimum(least, trial.spread)
@@ -221,7 +222,7 @@ def _trial(
             break
         root = ls.root_weights(equations, factor)
         equations = assemble(study, stretches, around)
-    covariance, compliance_variance = ls.jackknife(equations, factor, n_compliances(study))
+    covariance, compliance_variance = ls.jackknife(equations, factor)
     told = ls.determined(equations, factor, covariance) & _tells_friction(study, stretches)
     deviation = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None

@@ -9,10 +9,11 @@ gear's torque times its compliance, (1) and (2).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from strainwave.banded import Banded
 from strainwave.filters import differentiate, low_pass
 from strainwave.least_squares import Equations, Factor, Local
 from strainwave.records import BoolArray, FloatArray, IntArray, Signals, Study
@@ -40,7 +41,6 @@ _MOTION_CUTOFFS, _SAMPLES_PER_ROW = 8.0, 8
 # record's ends would depend on where it was cut: free friction has no continuation beyond them.
 _REACH = 2.5
 _KNOTS_PER_PERIOD = 16.0  # of free friction, in periods of the cut-off: convergence is at 8
-_MOST_KNOTS = 100  # per record and joint: a joint that rarely slides has little to say
 _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
 _BLOCKS = 20
 _STIFF = 0.25  # deviation of the prior of (bandwidth / anti-resonance)^2
@@ -52,7 +52,7 @@ class Estimate:
 
     solution: FloatArray  # (n_parameters,)
     compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, not negative
-    standing: tuple[FloatArray, ...]  # per record (n_samples, n_joints) free friction [N m]
+    standing: tuple[FloatArray, ...]  # per record (n_motion, n_joints) free friction [N m]
     motor_share: float = MOTOR_SHARE
 
 
@@ -64,12 +64,16 @@ class Stretch:
     bandwidth_hz: float
     motion_step: int  # samples from one of `motion` to the next
     motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
+    drive: tuple[FloatArray, ...]  # torque and direction, as the motion
     rows: IntArray  # (n_rows,) samples kept
     keep: BoolArray  # (n_rows, n_joints)
     torque: FloatArray  # (n_rows, n_joints)
     friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
-    shapes: tuple[list[tuple[int, FloatArray]], ...]  # per joint, of free friction
-    free: tuple[FloatArray, ...]  # per joint (n_rows, n_free), those shapes filtered
+    standing: tuple[
+        tuple[IntArray, Banded], ...
+    ]  # per joint, shapes of free friction as the motion:
+    # where in the motion there are any, (n_near,), and them, (n_near, n_free)
+    free: tuple[Banded, ...]  # per joint (n_rows, n_free), those shapes filtered
     noise: FloatArray  # (n_parameters,) deviation of each column's, from the angles'
 
     @property
@@ -77,11 +81,10 @@ class Stretch:
         """Of the record [s]."""
         return len(self.signals.time) * self.signals.sample_time
 
-    @property
-    def motion_samples(self) -> slice:
+    def motion_samples(self) -> IntArray:
         """Samples at which the motion is kept; the equations' rows are among them."""
         first = _reach(self.signals.sample_time, self.bandwidth_hz) % self.motion_step
-        return slice(first, None, self.motion_step)
+        return np.arange(first, len(self.signals.time), self.motion_step)
 
     def filtered(self, signal: FloatArray) -> FloatArray:
         """The equations' filter on a signal at the motion's samples: (n_rows, ...)."""
@@ -123,21 +126,30 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float) -> Stretch:
     n_samples, n_joints = signals.motor_torque.shape
     period = 1.0 / (bandwidth_hz * T)  # in samples
     reach = _reach(T, bandwidth_hz)
+    step = _motion_step(T, bandwidth_hz)
     rows = np.arange(reach, n_samples - reach, decimation(T, bandwidth_hz))
-    impulse = np.zeros(2 * reach + 1)
-    impulse[reach] = 1.0
-    kernel = low_pass(impulse, bandwidth_hz, T)
-    keep, shapes, free = [], [], []
+    moments = np.arange(reach % step, n_samples, step)  # of the motion
+    kernel = _impulse_response(bandwidth_hz, T)
+    wider = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
+    keep, standing, free = [], [], []
     for i in range(n_joints):
         keep.append(_clear_of(~signals.valid[:, i], int(period / 2))[rows])
-        uncertain = int(np.count_nonzero(signals.direction[:, i] == 0.0))
-        spacing = max(2, round(period / _KNOTS_PER_PERIOD), uncertain // _MOST_KNOTS)
-        shapes.append(free_friction(signals.direction[:, i], spacing))
-        free.append(responses(shapes[i], rows, kernel))
-    step = _motion_step(T, bandwidth_hz)
-    angle, velocity, acceleration, torque, direction = _slowed(signals, bandwidth_hz)[
-        reach % step :: step
-    ].transpose(1, 0, 2)
+        still = signals.direction[:, i] == 0.0
+        spacing = max(2, round(period / _KNOTS_PER_PERIOD))
+        shapes = free_friction(signals.direction[:, i], spacing)
+        near = np.flatnonzero(~_clear_of(still, len(wider))[moments])
+        standing.append((near, responses(shapes, moments[near], wider)))
+        free.append(responses(shapes, rows, kernel))
+    angle, velocity, acceleration, torque, direction = (
+        low_pass(x, _MOTION_CUTOFFS * bandwidth_hz, T, kept=slice(reach % step, None, step))
+        for x in (
+            signals.motor_angle,
+            signals.motor_velocity,
+            signals.motor_acceleration,
+            signals.motor_torque,
+            signals.direction,
+        )
+    )
     sides = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
     # both sides of the equations are cut at the same samples, for what the filter makes of the cuts
     passed = low_pass(sides, bandwidth_hz, T, decimated=step)[rows // step]
@@ -146,28 +158,53 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float) -> Stretch:
         bandwidth_hz=bandwidth_hz,
         motion_step=step,
         motion=(angle, velocity, acceleration),
+        drive=(torque, direction),
         rows=rows,
         keep=np.column_stack(keep),
         torque=passed[:, :, 0],
         friction=passed[:, :, 1:],
-        shapes=tuple(shapes),
+        standing=tuple(standing),
         free=tuple(free),
         noise=_column_noise(study, signals, bandwidth_hz),
     )
 
 
-def _slowed(signals: Signals, bandwidth_hz: float) -> FloatArray:
-    """Angle, velocity, acceleration, torque and direction: (n_samples, 5, n_joints)."""
-    found = [signals.motor_angle, signals.motor_velocity, signals.motor_acceleration]
-    columns = np.stack([*found, signals.motor_torque, signals.direction], axis=1)
-    return low_pass(columns, _MOTION_CUTOFFS * bandwidth_hz, signals.sample_time)
+def _impulse_response(cutoff_hz: float, sample_time: float) -> FloatArray:
+    """The low-pass's answer to an impulse at its middle, until it has died away."""
+    reach = _reach(sample_time, cutoff_hz)
+    impulse = np.zeros(2 * reach + 1)
+    impulse[reach] = 1.0
+    return low_pass(impulse, cutoff_hz, sample_time)
+
+
+def carried(estimate: Estimate, before: Sequence[Stretch], after: Sequence[Stretch]) -> Estimate:
+    """An estimate at one bandwidth as the point to start from at another.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    before, after : sequence of Stretch
+        The same records at the two bandwidths.
+
+    Returns
+    -------
+    Estimate
+        Its free friction interpolated to the motion's samples at the other bandwidth.
+    """
+    standing = []
+    for friction, old, new in zip(estimate.standing, before, after, strict=True):
+        here, there = old.motion_samples(), new.motion_samples()
+        columns = [np.interp(there, here, column) for column in friction.T]
+        standing.append(np.column_stack(columns))
+    return replace(estimate, standing=tuple(standing))
 
 
 def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None) -> Equations:
     """The equations of all records and joints in one.
 
-    Nuisance unknowns are the compliances of elastic joints, first, and the free friction. Blocks
-    are equal lengths of time, about `_BLOCKS` in all; both joints share them.
+    Nuisance unknowns are the compliances of elastic joints, common to all rows, and the free
+    friction of each record and joint. Blocks are equal lengths of time, about `_BLOCKS` in all;
+    both joints share them.
 
     Parameters
     ----------
@@ -182,12 +219,11 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
     """
     elastic = np.array([joint.spring != "rigid" for joint in study.joints])
     n_elastic = n_compliances(study) if around is not None else 0
-    n_local = n_elastic + sum(free.shape[1] for s in stretches for free in s.free)
     total = sum(s.duration for s in stretches)
     n_shared, n_of_body = len(columns_of(study)), n_body(study)
-    shared, local, target, group, block = [], [], [], [], []
-    deviation = list(_compliance_deviation(study, stretches, around)) if n_elastic else []
-    first_block, at = 0, n_elastic
+    shared, common, local, target, group, block = [], [], [], [], [], []
+    deviation: list[float] = []
+    first_block = at = 0
     for record, stretch in enumerate(stretches):
         body, lags, torque = _body_equations(study, stretch, around, record, elastic)
         n_blocks = max(2, round(_BLOCKS * stretch.duration / total))
@@ -198,23 +234,25 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
             X = np.zeros((len(stretch.rows), n_shared))
             X[:, :n_of_body] = body[:, i]
             X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
-            Z = np.zeros((len(stretch.rows), n_local))
-            Z[:, :n_elastic] = lags[:, i, :n_elastic]
-            Z[:, at : at + free.shape[1]] = free
-            at += free.shape[1]
             size = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
-            deviation += [max(_STANDING * abs(float(size)), 1e-300)] * free.shape[1]
-            keep = stretch.keep[:, i]
+            deviation += [max(_STANDING * abs(float(size)), 1e-300)] * free.n_columns
+            keep = np.flatnonzero(stretch.keep[:, i])
             shared.append(X[keep])
-            local.append(Z[keep])
+            common.append(lags[keep, i, :n_elastic])
+            local.append(Local(at + np.arange(len(keep)), free.rows(keep)))
+            at += len(keep)
             target.append(torque[keep, i])
-            group.append(np.full(np.count_nonzero(keep), i))
+            group.append(np.full(len(keep), i))
             block.append(label[keep])
     noise = np.mean([s.noise**2 for s in stretches], axis=0)
     return Equations(
         shared=np.concatenate(shared),
         noise=np.sqrt(noise),
-        local=(Local(np.arange(sum(map(len, local))), np.concatenate(local)),),
+        common=np.concatenate(common),
+        common_deviation=(
+            _compliance_deviation(study, stretches, around) if n_elastic else np.zeros(0)
+        ),
+        local=tuple(local),
         local_deviation=np.array(deviation),
         target=np.concatenate(target),
         group=np.concatenate(group),
@@ -223,7 +261,7 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
 
 
 def n_compliances(study: Study) -> int:
-    """How many compliances lead the nuisance unknowns: one a joint if any gear is elastic."""
+    """How many compliances all rows may have: one a joint if any gear is elastic."""
     return study.n_joints if any(joint.spring != "rigid" for joint in study.joints) else 0
 
 
@@ -251,19 +289,16 @@ def estimate_of(
     -------
     Estimate
     """
-    n_free = sum(free.shape[1] for s in stretches for free in s.free)
-    at = len(factor.local) - n_free  # compliances lead, where there are any
     compliance = np.zeros(study.n_joints)
-    if at:
+    if len(factor.common):
         elastic = np.array([joint.spring != "rigid" for joint in study.joints])
-        compliance = np.clip(factor.local[:at], 0.0, 3.0 * equations.local_deviation[:at]) * elastic
-    standing = []
+        compliance = np.clip(factor.common, 0.0, 3.0 * equations.common_deviation) * elastic
+    standing, at = [], 0
     for stretch in stretches:
-        friction = np.zeros_like(stretch.signals.motor_torque)
-        for i, shapes in enumerate(stretch.shapes):
-            for first, shape in shapes:
-                friction[first : first + len(shape), i] += factor.local[at] * shape
-                at += 1
+        friction = np.zeros_like(stretch.motion[0])
+        for i, (near, shapes) in enumerate(stretch.standing):
+            friction[near, i] = shapes @ factor.local[at : at + shapes.n_columns]
+            at += shapes.n_columns
         standing.append(friction)
     return Estimate(factor.value, compliance, tuple(standing), motor_share)
 
@@ -316,9 +351,9 @@ def _body_equations(
         phi = stretch.filtered(body_regressor(study, q, dq, ddq))
         return phi, np.zeros((len(phi), study.n_joints, 0)), stretch.torque
     gear = _gear_torque(study, stretch, around, around.standing[record])
-    dgear = differentiate(gear, stretch.signals.sample_time)
-    ddgear = differentiate(dgear, stretch.signals.sample_time)
-    gear, dgear, ddgear = (x[stretch.motion_samples] for x in (gear, dgear, ddgear))
+    interval = stretch.motion_step * stretch.signals.sample_time
+    dgear = differentiate(gear, interval)
+    ddgear = differentiate(dgear, interval)
     c = around.compliance
     phi = body_regressor(study, q - c * gear, dq - c * dgear, ddq - c * ddgear)
     # motors turn with the motors' acceleration, not the links'
@@ -339,17 +374,18 @@ def _gear_torque(
 
     Low-passed at twice the equations' bandwidth, for it is to be differentiated twice.
     """
-    signals = stretch.signals
     n = gear_ratios(study)
+    (_, velocity, acceleration), (torque, direction) = stretch.motion, stretch.drive
     solution = around.solution
     viscous, coulomb, offset = solution[n_body(study) :].reshape(-1, FRICTION_COLUMNS).T
-    friction = viscous * signals.motor_velocity + coulomb * signals.direction + offset + standing
+    friction = viscous * velocity + coulomb * direction + offset + standing
     if study.n_joints == 2:
         inertia = np.array([around.motor_share * solution[0] * n[0] ** 2, solution[1]])
     else:
         inertia = np.array([around.motor_share * solution[0]])
-    net = signals.motor_torque - friction - inertia * signals.motor_acceleration
-    return low_pass(net / n, 2.0 * stretch.bandwidth_hz, signals.sample_time)
+    net = (torque - friction - inertia * acceleration) / n
+    T, step = stretch.signals.sample_time, stretch.motion_step
+    return low_pass(net, 2.0 * stretch.bandwidth_hz, T, decimated=step)
 
 
 def _mass_times(

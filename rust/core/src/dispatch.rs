@@ -11,10 +11,8 @@ use crate::arm::Arm;
 use crate::experiment::{Diverged, Member, Record, Source, Task, values};
 use crate::follow::Followed;
 #[cfg(target_arch = "x86_64")]
-use crate::lanes::{F64x4, F64x8};
+use crate::lanes::{F64x4, F64x8, Fused};
 use crate::onset::without_effects;
-#[cfg(target_arch = "x86_64")]
-use crate::real::Fused;
 use crate::real::{Lanes, Real};
 use crate::sensitivity::{Sensitivities, by_duals};
 use crate::simulate::SideBySide;

@@ -1,12 +1,13 @@
 //! Vectors of `f64` in the registers of x86-64 processors.
 //!
 //! Their operations are single instructions inside [`Real::scope`], into which they are forced
-//! inline. [`crate::dispatch`] is the one place that picks these types, after asking the processor
-//! for their features; that is what makes every `unsafe` below sound.
+//! inline. What makes every `unsafe` below sound is that this module is private to the crate and
+//! that [`crate::dispatch`] is the one place that names its types, after asking the processor for
+//! their features: no caller from outside reaches them, safe or not, on a processor without.
 
 use std::arch::x86_64::*;
 
-use crate::real::{Fused, Lanes, MOST_LANES, Real, Work, operators};
+use crate::real::{Lanes, MOST_LANES, Real, Work, one_lane, operators};
 
 /// Runs work compiled for AVX2 and fused multiply-add.
 ///
@@ -24,6 +25,75 @@ pub unsafe fn with_avx2<W: Work>(work: W) -> W::Output {
 #[target_feature(enable = "avx2,fma,avx512f,avx512vl,avx512dq,avx512bw")]
 pub unsafe fn with_avx512<W: Work>(work: W) -> W::Output {
     work.run()
+}
+
+/// One number on a machine with a fused multiply-add.
+#[derive(Clone, Copy, Debug)]
+pub struct Fused(f64);
+
+one_lane!(Fused);
+
+operators!(
+    Fused,
+    |a, b| Fused(a.0 + b.0),
+    Fused(a.0 - b.0),
+    Fused(a.0 * b.0),
+    Fused(a.0 / b.0),
+    Fused(-a.0)
+);
+
+impl Real for Fused {
+    const LANES: usize = 1;
+    type One = Self;
+    #[inline(always)]
+    fn scope<W: Work>(work: W) -> W::Output {
+        // SAFETY: the processor has the features, as the top of this file says.
+        unsafe { with_avx2(work) }
+    }
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        Fused(value)
+    }
+    #[inline(always)]
+    fn mul_add(self, factor: Self, term: Self) -> Self {
+        Fused(f64::mul_add(self.0, factor.0, term.0))
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Fused(self.0.abs())
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Fused(Real::min(self.0, other.0))
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Fused(Real::max(self.0, other.0))
+    }
+    #[inline(always)]
+    fn copysign(self, sign: Self) -> Self {
+        Fused(f64::copysign(self.0, sign.0))
+    }
+    #[inline(always)]
+    fn any_negative(self) -> bool {
+        self.0 < 0.0
+    }
+    #[inline(always)]
+    fn lane(self, _: usize) -> f64 {
+        self.0
+    }
+    #[inline(always)]
+    fn set_lane(&mut self, _: usize, value: f64) {
+        self.0 = value;
+    }
+    #[inline(always)]
+    fn one(self, _: usize) -> Self {
+        self
+    }
+    #[inline(always)]
+    fn set_one(&mut self, _: usize, one: Self) {
+        *self = one;
+    }
 }
 
 macro_rules! vector {

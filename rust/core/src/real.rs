@@ -1,9 +1,19 @@
 //! The scalar that the arm's equations are written over.
 //!
-//! One source serves a single trajectory (`f64`, or [`Fused`] where the machine has a fused
-//! multiply-add), a batch side by side in vector lanes (`lanes`) and derivatives with respect to
-//! parameters ([`crate::dual`]). Everything is branch-free: a lane cannot take another path than its
-//! neighbour.
+//! One source serves a single trajectory (`f64`, or one with the machine's fused multiply-add), a
+//! batch side by side in vector lanes and derivatives with respect to parameters ([`crate::dual`]).
+//! Everything is branch-free: a lane cannot take another path than its neighbour.
+//!
+//! Scalars that need more than the baseline of the target stay in the private module `lanes`. A
+//! caller cannot name one, and meets one only as the `R` of code that [`crate::dispatch`] runs
+//! after asking the processor:
+//!
+//! ```compile_fail,E0432
+//! use strainwave_core::real::Fused;
+//! ```
+//! ```compile_fail,E0603
+//! use strainwave_core::lanes::F64x4;
+//! ```
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -181,7 +191,7 @@ pub trait Lanes: Real {
 /// [`Lanes`] of a scalar.
 macro_rules! one_lane {
     ($type:ty) => {
-        impl Lanes for $type {
+        impl $crate::real::Lanes for $type {
             type Pick = Option<usize>;
             #[inline(always)]
             fn pick(from: [Option<usize>; MOST_LANES]) -> Option<usize> {
@@ -195,9 +205,9 @@ macro_rules! one_lane {
     };
 }
 
+pub(crate) use one_lane;
+
 one_lane!(f64);
-#[cfg(target_arch = "x86_64")]
-one_lane!(Fused);
 
 impl Real for f64 {
     const LANES: usize = 1;
@@ -299,73 +309,3 @@ macro_rules! operators {
     };
 }
 pub(crate) use operators;
-
-/// One number on a machine with a fused multiply-add.
-#[cfg(target_arch = "x86_64")]
-#[derive(Clone, Copy, Debug)]
-pub struct Fused(pub f64);
-
-#[cfg(target_arch = "x86_64")]
-operators!(
-    Fused,
-    |a, b| Fused(a.0 + b.0),
-    Fused(a.0 - b.0),
-    Fused(a.0 * b.0),
-    Fused(a.0 / b.0),
-    Fused(-a.0)
-);
-
-#[cfg(target_arch = "x86_64")]
-impl Real for Fused {
-    const LANES: usize = 1;
-    type One = Self;
-    #[inline(always)]
-    fn scope<W: Work>(work: W) -> W::Output {
-        // SAFETY: `dispatch` picks this scalar only where the processor has the features.
-        unsafe { crate::lanes::with_avx2(work) }
-    }
-    #[inline(always)]
-    fn splat(value: f64) -> Self {
-        Fused(value)
-    }
-    #[inline(always)]
-    fn mul_add(self, factor: Self, term: Self) -> Self {
-        Fused(f64::mul_add(self.0, factor.0, term.0))
-    }
-    #[inline(always)]
-    fn abs(self) -> Self {
-        Fused(self.0.abs())
-    }
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        Fused(Real::min(self.0, other.0))
-    }
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        Fused(Real::max(self.0, other.0))
-    }
-    #[inline(always)]
-    fn copysign(self, sign: Self) -> Self {
-        Fused(f64::copysign(self.0, sign.0))
-    }
-    #[inline(always)]
-    fn any_negative(self) -> bool {
-        self.0 < 0.0
-    }
-    #[inline(always)]
-    fn lane(self, _: usize) -> f64 {
-        self.0
-    }
-    #[inline(always)]
-    fn set_lane(&mut self, _: usize, value: f64) {
-        self.0 = value;
-    }
-    #[inline(always)]
-    fn one(self, _: usize) -> Self {
-        self
-    }
-    #[inline(always)]
-    fn set_one(&mut self, _: usize, one: Self) {
-        *self = one;
-    }
-}

@@ -6,6 +6,7 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use strainwave_statespace::elimination::Windows;
 use strainwave_statespace::fit::{BadStart, Fit, Options, Status, fit};
 use strainwave_statespace::model::{Model, Record, Shape, split};
 use strainwave_statespace::{elimination, hankel, predictor, sensitivity};
@@ -14,7 +15,7 @@ use strainwave_statespace::{elimination, hankel, predictor, sensitivity};
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(hankel_gram, module)?)?;
     module.add_function(wrap_pyfunction!(eliminate, module)?)?;
-    module.add_function(wrap_pyfunction!(remainders, module)?)?;
+    module.add_function(wrap_pyfunction!(leave_out, module)?)?;
     module.add_class::<Innovations>()?;
     module.add_class::<InnovationsFit>()
 }
@@ -35,12 +36,14 @@ fn hankel_gram<'py>(
     Ok((gram.into_pyarray(py).reshape([size, size])?, rows))
 }
 
-/// Right-hand sides without the unknowns of unit size that `z` brings in.
+/// Right-hand sides without the unknowns of unit size that windows of rows bring in.
 #[pyfunction]
 #[allow(clippy::type_complexity)]
 fn eliminate<'py>(
     py: Python<'py>,
-    z: PyReadonlyArray2<'py, f64>,
+    first: PyReadonlyArray1<'py, i64>,
+    entries: PyReadonlyArray2<'py, f64>,
+    unknowns: usize,
     right: PyReadonlyArray2<'py, f64>,
     leverage: bool,
 ) -> PyResult<(
@@ -48,16 +51,11 @@ fn eliminate<'py>(
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray1<f64>>,
 )> {
-    let (rows, unknowns, sides) = (z.shape()[0], z.shape()[1], right.shape()[1]);
-    if right.shape()[0] != rows || unknowns == 0 || sides == 0 {
-        return Err(PyValueError::new_err(format!(
-            "expected {rows} rows of right-hand sides and an unknown, got {:?} and {unknowns}",
-            right.shape()
-        )));
-    }
-    let z = z.as_slice().map_err(|_| not_contiguous("z"))?;
+    let first = starts(&first)?;
+    let z = windows(&first, &entries, unknowns)?;
+    let (rows, sides) = checked_right(&first, &right)?;
     let right = right.as_slice().map_err(|_| not_contiguous("right"))?;
-    let ended = py.detach(|| elimination::eliminate(z, right, unknowns, sides, leverage));
+    let ended = py.detach(|| elimination::eliminate(z, right, sides, leverage));
     let found = ended.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
     Ok((
         found.found.into_pyarray(py).reshape([unknowns, sides])?,
@@ -66,28 +64,73 @@ fn eliminate<'py>(
     ))
 }
 
-/// What is left of unit errors in successive blocks of rows, by the unknowns of `z`.
+/// What the right-hand sides' products keep, the unknowns eliminated, without each block of rows.
 #[pyfunction]
-fn remainders<'py>(
+fn leave_out<'py>(
     py: Python<'py>,
-    z: PyReadonlyArray2<'py, f64>,
+    first: PyReadonlyArray1<'py, i64>,
+    entries: PyReadonlyArray2<'py, f64>,
+    unknowns: usize,
+    right: PyReadonlyArray2<'py, f64>,
     stops: Vec<usize>,
 ) -> PyResult<Vec<Bound<'py, PyArray2<f64>>>> {
-    let (rows, unknowns) = (z.shape()[0], z.shape()[1]);
-    if unknowns == 0 || !stops.is_sorted() || stops.last().is_some_and(|last| *last > rows) {
+    let first = starts(&first)?;
+    let z = windows(&first, &entries, unknowns)?;
+    let (rows, sides) = checked_right(&first, &right)?;
+    if !stops.is_sorted() || stops.last().is_some_and(|last| *last > rows) {
         return Err(PyValueError::new_err(format!(
-            "expected an unknown and rising stops within {rows} rows, got {unknowns} and {stops:?}"
+            "expected rising stops within {rows} rows, got {stops:?}"
         )));
     }
-    let z = z.as_slice().map_err(|_| not_contiguous("z"))?;
-    let ended = py.detach(|| elimination::remainders(z, unknowns, &stops));
+    let right = right.as_slice().map_err(|_| not_contiguous("right"))?;
+    let ended = py.detach(|| elimination::leave_out(z, right, sides, &stops));
     let found = ended.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
-    let starts = std::iter::once(0).chain(stops.iter().copied());
-    found
-        .into_iter()
-        .zip(starts.zip(&stops))
-        .map(|(block, (start, stop))| block.into_pyarray(py).reshape([stop - start; 2]))
+    let square = |block: Vec<f64>| block.into_pyarray(py).reshape([sides; 2]);
+    found.into_iter().map(square).collect()
+}
+
+fn starts(first: &PyReadonlyArray1<'_, i64>) -> PyResult<Vec<usize>> {
+    let negative = |_| PyValueError::new_err("expected windows that begin at an unknown");
+    let first = first.as_slice().map_err(|_| not_contiguous("first"))?;
+    first
+        .iter()
+        .map(|&at| usize::try_from(at).map_err(negative))
         .collect()
+}
+
+fn windows<'a>(
+    first: &'a [usize],
+    entries: &'a PyReadonlyArray2<'_, f64>,
+    unknowns: usize,
+) -> PyResult<Windows<'a>> {
+    let width = entries.shape()[1];
+    let entries = entries.as_slice().map_err(|_| not_contiguous("entries"))?;
+    let windows = Windows {
+        first,
+        entries,
+        width,
+        unknowns,
+    };
+    if unknowns == 0 || !windows.fit() {
+        return Err(PyValueError::new_err(format!(
+            "expected {} windows within {unknowns} unknowns",
+            first.len()
+        )));
+    }
+    Ok(windows)
+}
+
+/// Rows and sides.
+fn checked_right(first: &[usize], right: &PyReadonlyArray2<'_, f64>) -> PyResult<(usize, usize)> {
+    let (rows, sides) = (right.shape()[0], right.shape()[1]);
+    if rows != first.len() || sides == 0 {
+        return Err(PyValueError::new_err(format!(
+            "expected {} rows of right-hand sides, got {:?}",
+            first.len(),
+            right.shape()
+        )));
+    }
+    Ok((rows, sides))
 }
 
 /// Stacked records and the sizes of a model for them; `values` are A, B, C, D, K row-major and one

@@ -11,6 +11,40 @@ use crate::products::multiply_add;
 /// Rows whose products are added at once.
 const TOGETHER: usize = 4;
 
+/// Rows of equations that have few neighbouring unknowns each.
+#[derive(Clone, Copy, Debug)]
+pub struct Windows<'a> {
+    /// Of each row, the unknown that its window begins at.
+    pub first: &'a [usize],
+    /// (rows, width); behind the last unknown only zeros.
+    pub entries: &'a [f64],
+    /// Unknowns that a window spans.
+    pub width: usize,
+    /// Unknowns in all.
+    pub unknowns: usize,
+}
+
+impl<'a> Windows<'a> {
+    /// Each row from its first entry that is not zero to its last, and where that begins.
+    fn rows(self) -> Vec<Row<'a>> {
+        let windows = self.entries.chunks_exact(self.width);
+        self.first.iter().zip(windows).map(used).collect()
+    }
+
+    /// Whether all sizes fit and no unknown lies behind the last.
+    pub fn fit(self) -> bool {
+        self.width > 0
+            && self.entries.len() == self.first.len() * self.width
+            && self
+                .rows()
+                .iter()
+                .all(|(start, row)| row.is_empty() || start + row.len() <= self.unknowns)
+    }
+}
+
+/// The unknown that a row begins at, and its entries.
+type Row<'a> = (usize, &'a [f64]);
+
 /// What is left of some right-hand sides without the unknowns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Eliminated {
@@ -22,54 +56,36 @@ pub struct Eliminated {
     pub leverage: Vec<f64>,
 }
 
-/// Eliminates the unknowns of `z`, (rows, unknowns), from `y`, (rows, sides).
+/// Eliminates the unknowns of `z` from `y`, (rows, sides).
 ///
 /// `None` where an entry is not finite.
-pub fn eliminate(
-    z: &[f64],
-    y: &[f64],
-    unknowns: usize,
-    sides: usize,
-    leverage: bool,
-) -> Option<Eliminated> {
+pub fn eliminate(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Eliminated> {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
         // SAFETY: the processor has just said that it has both.
-        return unsafe { eliminate_avx2(z, y, unknowns, sides, leverage) };
+        return unsafe { eliminate_avx2(z, y, sides, leverage) };
     }
-    eliminated::<false>(z, y, unknowns, sides, leverage)
+    eliminated::<false>(z, y, sides, leverage)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn eliminate_avx2(
-    z: &[f64],
-    y: &[f64],
-    unknowns: usize,
-    sides: usize,
-    leverage: bool,
-) -> Option<Eliminated> {
-    eliminated::<true>(z, y, unknowns, sides, leverage)
+fn eliminate_avx2(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Eliminated> {
+    eliminated::<true>(z, y, sides, leverage)
 }
 
 #[inline(always)]
 fn eliminated<const FUSED: bool>(
-    z: &[f64],
+    z: Windows<'_>,
     y: &[f64],
-    unknowns: usize,
     sides: usize,
     leverage: bool,
 ) -> Option<Eliminated> {
-    let n = unknowns;
-    let rows: Vec<(usize, &[f64])> = z.chunks_exact(n).map(used).collect();
+    let n = z.unknowns;
+    let rows = z.rows();
     let first = envelope(&rows, n);
-    let factor = factorised::<FUSED>(&rows, z, &first)?;
-    let mut found = vec![0.0; n * sides];
-    for ((start, row), y) in rows.iter().zip(y.chunks_exact(sides)) {
-        for (i, &value) in row.iter().enumerate() {
-            add_scaled::<FUSED>(&mut found[(start + i) * sides..][..sides], value, y);
-        }
-    }
+    let factor = factorised::<FUSED>(&rows, &first)?;
+    let mut found = moments::<FUSED>(&rows, y, n, sides);
     substitute::<FUSED>(&factor, &first, &mut found, sides);
     let mut left = y.to_vec();
     for ((start, row), left) in rows.iter().zip(left.chunks_exact_mut(sides)) {
@@ -133,133 +149,318 @@ impl Band {
     }
 
     #[inline(always)]
+    fn add(&mut self, row: usize, column: usize, value: f64) {
+        let place = self.place(row, column);
+        self.entries[place] += value;
+    }
+
+    #[inline(always)]
     fn set(&mut self, row: usize, column: usize, value: f64) {
         let place = self.place(row, column);
         self.entries[place] = value;
     }
 }
 
+/// Z'Y, (unknowns, sides).
+#[inline(always)]
+fn moments<const FUSED: bool>(rows: &[Row<'_>], y: &[f64], n: usize, sides: usize) -> Vec<f64> {
+    let mut sums = vec![0.0; n * sides];
+    for ((start, row), y) in rows.iter().zip(y.chunks_exact(sides)) {
+        for (i, &value) in row.iter().enumerate() {
+            add_scaled::<FUSED>(&mut sums[(start + i) * sides..][..sides], value, y);
+        }
+    }
+    sums
+}
+
 /// Lower Cholesky factor of G.
 #[inline(always)]
-fn factorised<const FUSED: bool>(
-    rows: &[(usize, &[f64])],
-    z: &[f64],
-    first: &[usize],
-) -> Option<Band> {
-    let n = first.len();
-    let left = (0..n).map(|i| i - first[i]).max().unwrap_or(0);
-    let mut factor = Band::new(n, left, 0);
-    for (number, rows) in rows.chunks(TOGETHER).enumerate() {
-        let first = number * TOGETHER * n;
-        add_products::<FUSED>(&mut factor, rows, &z[first..][..rows.len() * n], n);
+fn factorised<const FUSED: bool>(rows: &[Row<'_>], first: &[usize]) -> Option<Band> {
+    let mut factor = Band::new(first.len(), reach(first), 0);
+    let mut products = Products::default();
+    for rows in rows.chunks(TOGETHER) {
+        products.add::<FUSED>(&mut factor, rows);
     }
     decompose::<FUSED>(&mut factor, first)?;
     Some(factor)
 }
 
-/// What is left of unit errors in successive blocks of rows: I - Z_b G^-1 Z_b' of each block.
+/// How far left of the diagonal the envelope reaches.
+fn reach(first: &[usize]) -> usize {
+    let distances = first.iter().enumerate().map(|(i, first)| i - first);
+    distances.max().unwrap_or(0)
+}
+
+/// What is left of Y'Y, (sides, sides), without the unknowns, where one block of rows is missing,
+/// for each block of successive rows; `stops` are the rows behind the blocks' last ones.
 ///
-/// `stops` are the rows behind the blocks' last ones. `None` where an entry is not finite.
-pub fn remainders(z: &[f64], unknowns: usize, stops: &[usize]) -> Option<Vec<Vec<f64>>> {
+/// A block has some unknowns, from the first of its rows to the last. Those before are eliminated
+/// from the beginning, as from all rows, and those behind from the end; only those between are
+/// anew. So all blocks together cost little more than two eliminations of all rows.
+///
+/// `None` where an entry is not finite.
+pub fn leave_out(
+    z: Windows<'_>,
+    y: &[f64],
+    sides: usize,
+    stops: &[usize],
+) -> Option<Vec<Vec<f64>>> {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
         // SAFETY: the processor has just said that it has both.
-        return unsafe { remainders_avx2(z, unknowns, stops) };
+        return unsafe { leave_out_avx2(z, y, sides, stops) };
     }
-    remaining::<false>(z, unknowns, stops)
+    left_out::<false>(z, y, sides, stops)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn remainders_avx2(z: &[f64], unknowns: usize, stops: &[usize]) -> Option<Vec<Vec<f64>>> {
-    remaining::<true>(z, unknowns, stops)
+fn leave_out_avx2(
+    z: Windows<'_>,
+    y: &[f64],
+    sides: usize,
+    stops: &[usize],
+) -> Option<Vec<Vec<f64>>> {
+    left_out::<true>(z, y, sides, stops)
 }
 
 #[inline(always)]
-fn remaining<const FUSED: bool>(
-    z: &[f64],
-    unknowns: usize,
+fn left_out<const FUSED: bool>(
+    z: Windows<'_>,
+    y: &[f64],
+    sides: usize,
     stops: &[usize],
 ) -> Option<Vec<Vec<f64>>> {
-    let rows: Vec<(usize, &[f64])> = z.chunks_exact(unknowns).map(used).collect();
-    let first = envelope(&rows, unknowns);
-    let factor = factorised::<FUSED>(&rows, z, &first)?;
+    let rows = z.rows();
+    let backwards: Vec<f64> = z.entries.iter().rev().copied().collect();
+    let turned: Vec<Row<'_>> = rows
+        .iter()
+        .rev()
+        .zip(backwards.chunks_exact(z.width))
+        .map(|((start, row), window)| {
+            // empty rows have no place of their own
+            let begin = if row.is_empty() {
+                0
+            } else {
+                z.unknowns - start - row.len()
+            };
+            let zeros = window.iter().position(|&v| v != 0.0).unwrap_or(0);
+            (begin, &window[zeros..][..row.len()])
+        })
+        .collect();
+    let y_turned: Vec<f64> = y.chunks_exact(sides).rev().flatten().copied().collect();
+    let before = Side::of::<FUSED>(&rows, y, z.unknowns, sides)?;
+    let behind = Side::of::<FUSED>(&turned, &y_turned, z.unknowns, sides)?;
     let mut found = Vec::with_capacity(stops.len());
     let mut start = 0;
     for &stop in stops {
-        found.push(remainder::<FUSED>(&rows[start..stop], &factor, &first));
+        let without = Without {
+            rows: &rows,
+            y,
+            sides,
+            block: (start, stop),
+        };
+        found.push(without.remains::<FUSED>(&before, &behind)?);
         start = stop;
     }
     Some(found)
 }
 
-/// I - V'V of some rows, V = L^-1 Z_b'.
+/// The elimination of all rows from one end: the factor, and L^-1 Z'Y.
+struct Side {
+    first: Vec<usize>,
+    factor: Band,
+    solved: Vec<f64>,
+}
+
+impl Side {
+    #[inline(always)]
+    fn of<const FUSED: bool>(rows: &[Row<'_>], y: &[f64], n: usize, sides: usize) -> Option<Self> {
+        let first = envelope(rows, n);
+        let factor = factorised::<FUSED>(rows, &first)?;
+        let mut solved = moments::<FUSED>(rows, y, n, sides);
+        forwards::<FUSED>(&factor, &first, &mut solved, sides);
+        Some(Self {
+            first,
+            factor,
+            solved,
+        })
+    }
+}
+
+/// All rows but those of one block.
+struct Without<'a> {
+    rows: &'a [Row<'a>],
+    y: &'a [f64],
+    sides: usize,
+    /// Its first row and the one behind its last.
+    block: (usize, usize),
+}
+
+impl Without<'_> {
+    #[inline(always)]
+    fn remains<const FUSED: bool>(&self, before: &Side, behind: &Side) -> Option<Vec<f64>> {
+        let (n, sides) = (before.first.len(), self.sides);
+        let (from, to) = self.between(&before.first);
+        let count = to - from;
+        // the unknowns between, by the rows left
+        let mut rows: Vec<Row<'_>> = Vec::new();
+        let mut right = vec![0.0; count * sides];
+        let mut left = vec![0.0; sides * sides];
+        let (start, stop) = self.block;
+        for (k, y) in self.y.chunks_exact(sides).enumerate() {
+            if (start..stop).contains(&k) {
+                continue;
+            }
+            add_square::<FUSED>(&mut left, y, 1.0);
+            let (begin, row) = self.rows[k];
+            let (low, high) = (begin.max(from), (begin + row.len()).min(to));
+            if low < high {
+                let inside = &row[low - begin..high - begin];
+                rows.push((low - from, inside));
+                for (i, &value) in inside.iter().enumerate() {
+                    add_scaled::<FUSED>(&mut right[(low - from + i) * sides..][..sides], value, y);
+                }
+            }
+        }
+        for (side, count) in [(before, from), (behind, n - to)] {
+            for solved in side.solved[..count * sides].chunks_exact(sides) {
+                add_square::<FUSED>(&mut left, solved, -1.0);
+            }
+        }
+        let first: Vec<usize> = (from..to)
+            .map(|i| before.first[i].max(from) - from)
+            .collect();
+        let mut middle = Band::new(count, reach(&first), 0);
+        let mut products = Products::default();
+        for rows in rows.chunks(TOGETHER) {
+            products.add::<FUSED>(&mut middle, rows);
+        }
+        let (low, high) = (from, n - to); // unknowns before, and behind
+        for i in from..to {
+            let begin = before.first[i];
+            for j in from..=i {
+                let begin = begin.max(before.first[j]);
+                if begin < low {
+                    let taken = dot::<FUSED>(
+                        before.factor.row(i, begin, low),
+                        before.factor.row(j, begin, low),
+                    );
+                    middle.add(i - from, j - from, -taken);
+                }
+            }
+            let own = &mut right[(i - from) * sides..][..sides];
+            for k in begin..low {
+                let solved = &before.solved[k * sides..][..sides];
+                add_scaled::<FUSED>(own, -before.factor.at(i, k), solved);
+            }
+            // the numbers of those behind count from the end
+            let turned = n - 1 - i;
+            let begin = behind.first[turned];
+            for j in i..to {
+                let begin = begin.max(behind.first[n - 1 - j]);
+                if begin < high {
+                    let taken = dot::<FUSED>(
+                        behind.factor.row(turned, begin, high),
+                        behind.factor.row(n - 1 - j, begin, high),
+                    );
+                    middle.add(j - from, i - from, -taken);
+                }
+            }
+            for k in begin..high {
+                let solved = &behind.solved[k * sides..][..sides];
+                add_scaled::<FUSED>(own, -behind.factor.at(turned, k), solved);
+            }
+        }
+        decompose::<FUSED>(&mut middle, &first)?;
+        forwards::<FUSED>(&middle, &first, &mut right, sides);
+        for solved in right.chunks_exact(sides) {
+            add_square::<FUSED>(&mut left, solved, -1.0);
+        }
+        Some(left)
+    }
+
+    /// The unknowns that the block has; all where others reach past them on both sides.
+    fn between(&self, first: &[usize]) -> (usize, usize) {
+        let n = first.len();
+        let (start, stop) = self.block;
+        let rows = self.rows[start..stop]
+            .iter()
+            .filter(|(_, row)| !row.is_empty());
+        let (from, to) = rows.fold((n, 0), |(from, to), (begin, row)| {
+            (from.min(*begin), to.max(begin + row.len()))
+        });
+        if from > to {
+            (n, n) // none: all lie before
+        } else if to < n && first[to] < from {
+            (0, n)
+        } else {
+            (from, to)
+        }
+    }
+}
+
+/// Adds `sign` y'y to a square matrix.
 #[inline(always)]
-fn remainder<const FUSED: bool>(
-    rows: &[(usize, &[f64])],
-    factor: &Band,
-    first: &[usize],
-) -> Vec<f64> {
-    let (n, count) = (first.len(), rows.len());
-    let mut solved = vec![0.0; n * count];
-    for (k, &(start, row)) in rows.iter().enumerate() {
-        for (i, &value) in row.iter().enumerate() {
-            solved[(start + i) * count + k] = value;
-        }
+fn add_square<const FUSED: bool>(target: &mut [f64], y: &[f64], sign: f64) {
+    for (row, &value) in target.chunks_exact_mut(y.len()).zip(y) {
+        add_scaled::<FUSED>(row, sign * value, y);
     }
-    let begin = rows.iter().map(|(start, _)| *start).min().unwrap_or(n);
-    let mut left = vec![0.0; count * count];
-    left.iter_mut()
-        .step_by(count + 1)
-        .for_each(|own| *own = 1.0);
-    for i in begin..n {
-        let (above, row) = solved.split_at_mut(i * count);
-        let row = &mut row[..count];
-        for j in first[i].max(begin)..i {
-            add_scaled::<FUSED>(row, -factor.at(i, j), &above[j * count..][..count]);
-        }
-        row.iter_mut().for_each(|v| *v /= factor.at(i, i));
-        for (k, left) in left.chunks_exact_mut(count).enumerate() {
-            add_scaled::<FUSED>(left, -row[k], row);
-        }
-    }
-    left
 }
 
 /// Adds to the lower half of a matrix what some neighbouring rows add to Z'Z.
 ///
 /// Neighbours have nearly the same unknowns, and four at once halve the traffic with the matrix.
-#[inline(always)]
-fn add_products<const FUSED: bool>(
-    matrix: &mut Band,
-    used: &[(usize, &[f64])],
-    rows: &[f64],
-    n: usize,
-) {
-    let start = used.iter().map(|(start, _)| *start).min().unwrap_or(0);
-    let stop = used.iter().map(|(start, row)| start + row.len()).max();
-    for i in start..stop.unwrap_or(0) {
-        // no row has two unknowns that are further apart than the band is wide
-        let from = start.max(i.saturating_sub(matrix.left));
-        let target = matrix.row_mut(i, from, i + 1);
-        if rows.len() == TOGETHER * n {
-            let four: [&[f64]; TOGETHER] = std::array::from_fn(|k| &rows[k * n..][..n]);
-            add_four::<FUSED>(
-                target,
-                four.map(|row| row[i]),
-                four.map(|row| &row[from..=i]),
-            );
-        } else {
-            for row in rows.chunks_exact(n) {
-                add_scaled::<FUSED>(target, row[i], &row[from..=i]);
+#[derive(Default)]
+struct Products {
+    /// The rows, each from the first unknown of any to the last.
+    aligned: [Vec<f64>; TOGETHER],
+}
+
+impl Products {
+    #[inline(always)]
+    fn add<const FUSED: bool>(&mut self, matrix: &mut Band, rows: &[Row<'_>]) {
+        let filled = rows.iter().filter(|(_, row)| !row.is_empty());
+        let (start, stop) = filled.fold((usize::MAX, 0), |(start, stop), (begin, row)| {
+            (start.min(*begin), stop.max(begin + row.len()))
+        });
+        if stop <= start {
+            return;
+        }
+        if stop - start > matrix.left + 1 {
+            // no row has two unknowns that are further apart than the band is wide
+            for row in rows {
+                add_alone::<FUSED>(matrix, *row);
+            }
+            return;
+        }
+        for (k, aligned) in self.aligned.iter_mut().enumerate() {
+            aligned.clear();
+            aligned.resize(stop - start, 0.0);
+            if let Some((begin, row)) = rows.get(k).filter(|(_, row)| !row.is_empty()) {
+                aligned[begin - start..][..row.len()].copy_from_slice(row);
             }
         }
+        for i in 0..stop - start {
+            let target = matrix.row_mut(start + i, start, start + i + 1);
+            let four: [&[f64]; TOGETHER] = std::array::from_fn(|k| &self.aligned[k][..=i]);
+            add_four::<FUSED>(target, four.map(|row| row[i]), four);
+        }
+    }
+}
+
+/// The same of one row.
+#[inline(always)]
+fn add_alone<const FUSED: bool>(matrix: &mut Band, (start, row): Row<'_>) {
+    for (i, &value) in row.iter().enumerate() {
+        let target = matrix.row_mut(start + i, start, start + i + 1);
+        add_scaled::<FUSED>(target, value, &row[..=i]);
     }
 }
 
 /// z' S z of each row, by the lower half of S.
 #[inline(always)]
-fn leverages<const FUSED: bool>(rows: &[(usize, &[f64])], inverse: &Band) -> Vec<f64> {
+fn leverages<const FUSED: bool>(rows: &[Row<'_>], inverse: &Band) -> Vec<f64> {
     let mut found = Vec::with_capacity(rows.len());
     // no closure: one would be compiled for any processor, and each fused product be a call
     for &(start, row) in rows {
@@ -274,18 +475,18 @@ fn leverages<const FUSED: bool>(rows: &[(usize, &[f64])], inverse: &Band) -> Vec
     found
 }
 
-/// A row from its first entry that is not zero to its last, and where that begins.
-fn used(row: &[f64]) -> (usize, &[f64]) {
-    let start = row.iter().position(|&v| v != 0.0).unwrap_or(0);
-    let stop = row
+/// What of a window is not zero.
+fn used<'a>((&first, window): (&usize, &'a [f64])) -> Row<'a> {
+    let start = window.iter().position(|&v| v != 0.0).unwrap_or(0);
+    let stop = window
         .iter()
         .rposition(|&v| v != 0.0)
         .map_or(start, |last| last + 1);
-    (start, &row[start..stop])
+    (first + start, &window[start..stop])
 }
 
 /// For each unknown the first one it meets in some row; never falling.
-fn envelope(rows: &[(usize, &[f64])], n: usize) -> Vec<usize> {
+fn envelope(rows: &[Row<'_>], n: usize) -> Vec<usize> {
     let mut first: Vec<usize> = (0..n).collect();
     for &(start, row) in rows {
         if let Some(last) = row.len().checked_sub(1) {
@@ -318,11 +519,10 @@ fn decompose<const FUSED: bool>(matrix: &mut Band, first: &[usize]) -> Option<()
     Some(())
 }
 
-/// G^-1 times several right-hand sides, in place.
+/// L^-1 times several right-hand sides, in place.
 #[inline(always)]
-fn substitute<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f64], sides: usize) {
-    let n = first.len();
-    for i in 0..n {
+fn forwards<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f64], sides: usize) {
+    for i in 0..first.len() {
         let (above, row) = right.split_at_mut(i * sides);
         for j in first[i]..i {
             add_scaled::<FUSED>(
@@ -333,6 +533,13 @@ fn substitute<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f6
         }
         row[..sides].iter_mut().for_each(|v| *v /= factor.at(i, i));
     }
+}
+
+/// G^-1 times several right-hand sides, in place.
+#[inline(always)]
+fn substitute<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f64], sides: usize) {
+    let n = first.len();
+    forwards::<FUSED>(factor, first, right, sides);
     for i in (0..n).rev() {
         let (above, row) = right.split_at_mut(i * sides);
         row[..sides].iter_mut().for_each(|v| *v /= factor.at(i, i));
@@ -444,76 +651,126 @@ fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Rows that have a few unknowns each, one that has none, and unknowns that no row has.
-    fn example() -> (Vec<f64>, Vec<f64>, usize, usize) {
-        let (rows, n, sides) = (42, 23, 3); // two rows more than whole groups of four
-        let mut z = vec![0.0; rows * n];
-        for row in 0..rows {
-            if row == 7 {
-                continue;
+    const SIDES: usize = 3;
+
+    struct Example {
+        first: Vec<usize>,
+        entries: Vec<f64>,
+        width: usize,
+        unknowns: usize,
+        y: Vec<f64>,
+    }
+
+    impl Example {
+        /// Rows that have a few unknowns each, one that has none, and unknowns that no row has.
+        fn new() -> Self {
+            let (rows, unknowns, width) = (42, 23, 9); // two rows more than whole groups of four
+            let first: Vec<usize> = (0..rows).map(|row| row / 2).collect();
+            let mut entries = vec![0.0; rows * width];
+            for row in (0..rows).filter(|row| *row != 7) {
+                for i in row / 2..(row / 2 + 5 + row % 4).min(unknowns - 2) {
+                    let entry = (row * 31 + i * 17) % 29;
+                    entries[row * width + i - first[row]] = entry as f64 - 14.0;
+                }
             }
-            for i in row / 2..(row / 2 + 5 + row % 4).min(n - 2) {
-                z[row * n + i] = f64::from(u32::try_from((row * 31 + i * 17) % 29).unwrap()) - 14.0;
+            let y = (0..rows * SIDES).map(|i| (i * 37 % 101) as f64 - 50.0);
+            Self {
+                y: y.collect(),
+                first,
+                entries,
+                width,
+                unknowns,
             }
         }
-        let y = (0..rows * sides)
-            .map(|i| f64::from(i as u32 * 37 % 101) - 50.0)
-            .collect();
-        (z, y, n, sides)
+
+        fn windows(&self) -> Windows<'_> {
+            Windows {
+                first: &self.first,
+                entries: &self.entries,
+                width: self.width,
+                unknowns: self.unknowns,
+            }
+        }
+
+        fn at(&self, row: usize, i: usize) -> f64 {
+            let place = i.checked_sub(self.first[row]).filter(|at| *at < self.width);
+            place.map_or(0.0, |at| self.entries[row * self.width + at])
+        }
+
+        /// The same without some rows.
+        fn without(&self, start: usize, stop: usize) -> Self {
+            let cut = |list: &[f64], width: usize| {
+                [&list[..start * width], &list[stop * width..]].concat()
+            };
+            Self {
+                first: [&self.first[..start], &self.first[stop..]].concat(),
+                entries: cut(&self.entries, self.width),
+                y: cut(&self.y, SIDES),
+                ..*self
+            }
+        }
     }
 
     #[test]
     fn solves_the_normal_equations() {
-        let (z, y, n, sides) = example();
-        let found = eliminate(&z, &y, n, sides, false).unwrap();
-        for j in 0..sides {
+        let example = Example::new();
+        let found = eliminate(example.windows(), &example.y, SIDES, false).unwrap();
+        for j in 0..SIDES {
             let column =
-                |m: &[f64]| -> Vec<f64> { m.iter().skip(j).step_by(sides).copied().collect() };
+                |m: &[f64]| -> Vec<f64> { m.iter().skip(j).step_by(SIDES).copied().collect() };
             let (x, left) = (column(&found.found), column(&found.left));
-            for i in 0..n {
+            for (i, x) in x.iter().enumerate() {
                 // G x = Z'y is Z'(y - Z x) = x.
-                let seen: f64 = (0..left.len()).map(|row| z[row * n + i] * left[row]).sum();
-                assert!((seen - x[i]).abs() < 1e-9, "{seen} {}", x[i]);
+                let seen: f64 = (0..left.len())
+                    .map(|row| example.at(row, i) * left[row])
+                    .sum();
+                assert!((seen - x).abs() < 1e-9, "{seen} {x}");
             }
         }
     }
 
     #[test]
     fn leverage_is_what_a_unit_error_leaves_of_itself() {
-        let (z, _, n, _) = example();
-        let rows = z.len() / n;
+        let example = Example::new();
+        let rows = example.first.len();
         for row in [0, 7, 20, rows - 1] {
             let mut unit = vec![0.0; rows];
             unit[row] = 1.0;
-            let found = eliminate(&z, &unit, n, 1, true).unwrap();
+            let found = eliminate(example.windows(), &unit, 1, true).unwrap();
             assert!((found.left[row] - (1.0 - found.leverage[row])).abs() < 1e-12);
         }
     }
 
+    /// By an elimination of the other rows alone: Y'(Y - Z G^-1 Z'Y).
     #[test]
-    fn remainders_are_what_is_left_of_unit_errors() {
-        let (z, _, n, _) = example();
-        let rows = z.len() / n;
-        let (start, stop) = (5, 12); // row 7 has no unknown
-        let blocks = remainders(&z, n, &[start, stop, rows]).unwrap();
-        let count = stop - start;
-        let mut units = vec![0.0; rows * count];
-        for k in 0..count {
-            units[(start + k) * count + k] = 1.0;
-        }
-        let found = eliminate(&z, &units, n, count, false).unwrap();
-        let expected = &found.left[start * count..stop * count];
-        for (a, b) in blocks[1].iter().zip(expected) {
-            assert!((a - b).abs() < 1e-12);
+    fn leaving_out_rows_is_never_having_had_them() {
+        let example = Example::new();
+        let rows = example.first.len();
+        // long and short blocks, one of a single row without unknowns, one of no row
+        let stops = [7, 8, 8, 10, 11, 25, rows];
+        let found = leave_out(example.windows(), &example.y, SIDES, &stops).unwrap();
+        let starts = std::iter::once(0).chain(stops);
+        for (start, (stop, found)) in starts.zip(stops.iter().zip(found)) {
+            let others = example.without(start, *stop);
+            let left = eliminate(others.windows(), &others.y, SIDES, false)
+                .unwrap()
+                .left;
+            for (place, found) in found.iter().enumerate() {
+                let (i, j) = (place / SIDES, place % SIDES);
+                let rows = others.y.chunks_exact(SIDES).zip(left.chunks_exact(SIDES));
+                let expected: f64 = rows.map(|(y, left)| y[i] * left[j]).sum();
+                assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+            }
         }
     }
 
     #[test]
     fn plain_and_fused_agree() {
-        let (z, y, n, sides) = example();
+        let example = Example::new();
+        let (z, y) = (example.windows(), &example.y);
         let (plain, best) = (
-            eliminated::<false>(&z, &y, n, sides, true),
-            eliminate(&z, &y, n, sides, true),
+            eliminated::<false>(z, y, SIDES, true),
+            eliminate(z, y, SIDES, true),
         );
         for (a, b) in plain.unwrap().left.iter().zip(best.unwrap().left) {
             assert!((a - b).abs() < 1e-10);
@@ -522,6 +779,26 @@ mod tests {
 
     #[test]
     fn refuses_what_is_not_finite() {
-        assert_eq!(eliminate(&[1.0, f64::NAN], &[1.0], 2, 1, true), None);
+        let z = Windows {
+            first: &[0],
+            entries: &[1.0, f64::NAN],
+            width: 2,
+            unknowns: 2,
+        };
+        assert_eq!(eliminate(z, &[1.0], 1, true), None);
+    }
+
+    #[test]
+    fn windows_must_end_at_the_last_unknown() {
+        let windows = |entries, unknowns| Windows {
+            first: &[1],
+            entries,
+            width: 2,
+            unknowns,
+        };
+        assert!(windows(&[1.0, 1.0], 3).fit());
+        assert!(windows(&[1.0, 0.0], 2).fit());
+        assert!(!windows(&[1.0, 1.0], 2).fit());
+        assert!(!windows(&[1.0], 3).fit());
     }
 }

@@ -1,0 +1,172 @@
+"""How the rigid step grows with its record: time and peak memory of a process that does no more.
+
+A planar arm's records of 50,000 rows and more, written as Parquet, are read and fitted by a process
+of their own. Its two joints follow slow sums of sines with pauses, so that motors reverse and stand
+as often per second in a long record as in a short one.
+
+python -m benchmarks.bench_length 50000 500000 10000000
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.timing import Row
+
+SIZES = (50_000, 500_000)
+SAMPLE_TIME = 1e-3
+COUNT = 2.0 * np.pi / 8192
+TRUTH = np.array([3.0, 0.9, 0.65, 0.7, 0.05, 0.03])  # inertias and Coulomb friction, link side
+RATIO = 0.01
+STUDY = """\
+[arm]
+kind = "planar-two-link"
+link_length = 0.35
+
+[[joint]]
+spring = "rigid"
+gear_ratio = 0.01
+encoder_counts = 8192
+
+[[joint]]
+spring = "rigid"
+gear_ratio = 0.01
+encoder_counts = 8192
+
+[channels]
+t = "t"
+torque1 = "torque1"
+torque2 = "torque2"
+theta_m1 = "theta_m1"
+theta_m2 = "theta_m2"
+
+[[experiment]]
+name = "long"
+file = "long.parquet"
+use = "motion"
+control = ["servo", "servo"]
+"""
+
+
+def rows() -> list[Row]:
+    """Our time at each size; as peer, what a step linear in its rows would take from the first."""
+    found = [measured(size) for size in SIZES]
+    least = found[0]["seconds"] / SIZES[0]
+    return [
+        Row(
+            f"rigid step, {size:,} rows, {each['peak_mb']:.0f} MB in all",
+            each["seconds"],
+            f"as many times as long as {SIZES[0]:,} rows",
+            least * size,
+        )
+        for size, each in zip(SIZES, found, strict=True)
+    ]
+
+
+def measured(n_rows: int) -> dict[str, float]:
+    """Of a process of its own: seconds to read and to fit, its peak memory, and the worst error.
+
+    Parameters
+    ----------
+    n_rows : int
+        Of the record, 1 ms each.
+
+    Returns
+    -------
+    dict
+        seconds, cpu_seconds, read_seconds, peak_mb, error_percent (of the inertias).
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder), n_rows)
+        command = [sys.executable, "-m", "benchmarks.bench_length", "--fit", folder]
+        ended = subprocess.run(command, check=True, capture_output=True, text=True)
+        found: dict[str, float] = json.loads(ended.stdout)
+        return found
+
+
+def write(folder: Path, n_rows: int) -> None:
+    """A record of the arm in planned motion, and its study."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    (folder / "study.toml").write_text(STUDY)
+    rng = np.random.default_rng(2009)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (2, 4))
+    schema = pa.schema([(c, pa.float64()) for c in ("t", *_CHANNELS)])
+    with parquet.ParquetWriter(folder / "long.parquet", schema) as writer:
+        for start in range(0, n_rows, 1_000_000):
+            t = np.arange(start, min(n_rows, start + 1_000_000)) * SAMPLE_TIME
+            columns = _channels(t, phase, rng)
+            writer.write_table(pa.table([t, *columns], schema=schema))
+
+
+_CHANNELS = ("torque1", "torque2", "theta_m1", "theta_m2")
+
+
+def _channels(
+    t: np.ndarray, phase: np.ndarray, rng: np.random.Generator
+) -> list[np.ndarray]:
+    q, dq, ddq = (np.zeros((2, len(t))) for _ in range(3))
+    for i in (0, 1):
+        for k, f in enumerate((0.11, 0.31, 0.73, 1.37)):
+            w = 2.0 * np.pi * f * (1.0 + 0.13 * i)
+            size = 0.6 / (1.0 + k)
+            q[i] += size * np.sin(w * t + phase[i, k])
+            dq[i] += size * w * np.cos(w * t + phase[i, k])
+            ddq[i] -= size * w**2 * np.sin(w * t + phase[i, k])
+    first, motor, beta, gamma, *coulomb = TRUTH
+    cos, sin = np.cos(q[1]), np.sin(q[1])
+    torque = [
+        (first + beta + 2 * gamma * cos) * ddq[0]
+        + (beta + gamma * cos) * ddq[1]
+        - gamma * sin * dq[1] * (2 * dq[0] + dq[1]),
+        (beta + gamma * cos) * ddq[0] + (motor + beta) * ddq[1] + gamma * sin * dq[0] ** 2,
+    ]
+    torque = [
+        RATIO * x + f * np.sign(v) + 1e-3 * rng.normal(size=len(t))
+        for x, f, v in zip(torque, coulomb, dq, strict=True)
+    ]
+    return [*torque, *(np.round(x / RATIO / COUNT) * COUNT for x in q)]
+
+
+def _fit(folder: Path) -> None:
+    from strainwave import logs, rigid, signals
+    from strainwave.study import read_study
+
+    begun, cpu = time.perf_counter(), time.process_time()
+    study = read_study(folder / "study.toml")
+    (log,) = logs.read_logs(study)
+    read = time.perf_counter()
+    seen = signals.motor_side(log, study)
+    del log
+    model = rigid.fit([seen], study)
+    ended = time.perf_counter()
+    values = [("beta", None), ("gamma", None)]
+    truth = {"beta": TRUTH[2], "gamma": TRUTH[3]}
+    errors = [abs(model.value(n, j) / truth[n] - 1.0) for n, j in values]
+    found = {
+        "seconds": ended - begun,
+        "cpu_seconds": time.process_time() - cpu,
+        "read_seconds": read - begun,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+        "error_percent": 100.0 * max(errors),
+        "bandwidth_hz": model.bandwidth_hz,
+    }
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--fit"]:
+        _fit(Path(sys.argv[2]))
+    else:
+        for size in map(int, sys.argv[1:] or SIZES):
+            each = measured(size)
+            print(f"{size:,} rows: " + ", ".join(f"{k} {v:.4g}" for k, v in each.items()))
