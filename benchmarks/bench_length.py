@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import Row
+from strainwave.records import FloatArray
 
 SIZES = (50_000, 500_000)
 SAMPLE_TIME = 1e-3
@@ -111,9 +112,7 @@ def write(folder: Path, n_rows: int) -> None:
 _CHANNELS = ("torque1", "torque2", "theta_m1", "theta_m2")
 
 
-def _channels(
-    t: np.ndarray, phase: np.ndarray, rng: np.random.Generator
-) -> list[np.ndarray]:
+def _channels(t: np.ndarray, phase: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
     q, dq, ddq = (np.zeros((2, len(t))) for _ in range(3))
     for i in (0, 1):
         for k, f in enumerate((0.11, 0.31, 0.73, 1.37)):
@@ -149,10 +148,9 @@ def _fit(folder: Path) -> None:
     del log
     model = rigid.fit([seen], study)
     ended = time.perf_counter()
-    values = [("beta", None), ("gamma", None)]
-    truth = {"beta": TRUTH[2], "gamma": TRUTH[3]}
-    errors = [abs(model.value(n, j) / truth[n] - 1.0) for n, j in values]
-    found = {
+    found = [model.value(name) for name in ("beta", "gamma")]
+    errors = [abs((x or np.nan) / t - 1.0) for x, t in zip(found, TRUTH[2:4], strict=True)]
+    told = {
         "seconds": ended - begun,
         "cpu_seconds": time.process_time() - cpu,
         "read_seconds": read - begun,
@@ -160,7 +158,7 @@ def _fit(folder: Path) -> None:
         "error_percent": 100.0 * max(errors),
         "bandwidth_hz": model.bandwidth_hz,
     }
-    print(json.dumps(found))
+    print(json.dumps(told))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from strainwave import scara, signals
+from strainwave import filters, scara, signals
 from strainwave.errors import InvalidInput
 from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
 from strainwave.records import FloatArray, Log
@@ -169,11 +169,20 @@ def test_responses_are_the_shapes_through_the_filter() -> None:
     assert min(len(shape) for _, shape in shapes) == 1
     assert any(shape.min() < 1.0 for _, shape in shapes)
     rows = np.arange(5, 300, 7)
-    for (first, shape), found in zip(shapes, responses(shapes, rows, kernel).T, strict=True):
+    for (first, shape), found in zip(shapes, responses(shapes, rows, kernel).dense().T, strict=True):
         whole = np.zeros(300)
         whole[first : first + len(shape)] = shape
         # sums of 41 numbers of size one
         assert found == pytest.approx(np.convolve(whole, kernel, mode="same")[rows], abs=1e-12)
+
+
+@pytest.mark.parametrize("kept", [slice(None), slice(7, None, 13)])
+@pytest.mark.parametrize("cutoff", [2.0, 40.0, 450.0])
+def test_a_long_signal_passes_piece_by_piece_as_in_one(cutoff: float, kept: slice) -> None:
+    signal = np.cumsum(np.random.default_rng(5).normal(size=(300_000, 2)), axis=0)
+    whole = signal if cutoff >= 450.0 else filters._passed(signal, cutoff * 1e-3, 1)
+    found = low_pass(signal, cutoff, 1e-3, kept=kept)
+    assert found == pytest.approx(whole[kept], abs=1e-10 * np.max(np.abs(signal)))
 
 
 @given(st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=1, max_size=200), st.integers(2, 40))

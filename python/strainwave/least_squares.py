@@ -165,8 +165,9 @@ class _Reduced:
         """Common and local unknowns that belong to scaled parameters and the one target."""
         n = self.n_common
         above = self.triangle[:n, -1] - self.triangle[:n, n:-1] @ x
-        common = np.linalg.solve(self.triangle[:n, :n], above)
-        return common, self.below[:, -1] - self.below[:, :-1] @ np.concatenate([common, x])
+        common = np.asarray(np.linalg.solve(self.triangle[:n, :n], above))
+        local = self.below[:, -1] - self.below[:, :-1] @ np.concatenate([common, x])
+        return common, np.asarray(local)
 
 
 def _reduced(
