@@ -1,8 +1,8 @@
 """How the rigid step grows with its record: time and peak memory of a process that does no more.
 
 A planar arm's records of 50,000 rows and more, written as Parquet, are read and fitted by a process
-of their own. Its two joints follow slow sums of sines with pauses, so that motors reverse and stand
-as often per second in a long record as in a short one.
+of their own. Its two joints follow slow sums of sines, so that motors reverse as often per second
+in a long record as in a short one.
 
 python -m benchmarks.bench_length 50000 500000 10000000
 """
@@ -112,7 +112,8 @@ def write(folder: Path, n_rows: int) -> None:
 _CHANNELS = ("torque1", "torque2", "theta_m1", "theta_m2")
 
 
-def _channels(t: np.ndarray, phase: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
+def _channels(t: FloatArray, phase: FloatArray, rng: np.random.Generator) -> list[FloatArray]:
+    """Torques and motor angles of the arm, torques with noise, angles in counts."""
     q, dq, ddq = (np.zeros((2, len(t))) for _ in range(3))
     for i in (0, 1):
         for k, f in enumerate((0.11, 0.31, 0.73, 1.37)):

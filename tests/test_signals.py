@@ -169,7 +169,9 @@ def test_responses_are_the_shapes_through_the_filter() -> None:
     assert min(len(shape) for _, shape in shapes) == 1
     assert any(shape.min() < 1.0 for _, shape in shapes)
     rows = np.arange(5, 300, 7)
-    for (first, shape), found in zip(shapes, responses(shapes, rows, kernel).dense().T, strict=True):
+    for (first, shape), found in zip(
+        shapes, responses(shapes, rows, kernel).dense().T, strict=True
+    ):
         whole = np.zeros(300)
         whole[first : first + len(shape)] = shape
         # sums of 41 numbers of size one
@@ -182,7 +184,13 @@ def test_a_long_signal_passes_piece_by_piece_as_in_one(cutoff: float, kept: slic
     signal = np.cumsum(np.random.default_rng(5).normal(size=(300_000, 2)), axis=0)
     whole = signal if cutoff >= 450.0 else filters._passed(signal, cutoff * 1e-3, 1)
     found = low_pass(signal, cutoff, 1e-3, kept=kept)
-    assert found == pytest.approx(whole[kept], abs=1e-10 * np.max(np.abs(signal)))
+    assert found.shape == whole[kept].shape
+    # near the ends each has its own transients, fourteen periods away less than rounding
+    edge = int(14.0 / (cutoff * 1e-3))
+    at = np.arange(len(signal))[kept]
+    inside = (at >= edge) & (at < len(signal) - edge)
+    off = np.abs(found - whole[kept])[inside].max()
+    assert off < 1e-11 * np.abs(signal).max()
 
 
 @given(st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=1, max_size=200), st.integers(2, 40))
