@@ -104,7 +104,7 @@ def write(folder: Path, n_rows: int) -> None:
     schema = pa.schema([(c, pa.float64()) for c in ("t", *_CHANNELS)])
     with parquet.ParquetWriter(folder / "long.parquet", schema) as writer:
         for start in range(0, n_rows, 1_000_000):
-            t = np.arange(start, min(n_rows, start + 1_000_000)) * SAMPLE_TIME
+            t = np.asarray(np.arange(start, min(n_rows, start + 1_000_000)) * SAMPLE_TIME)
             columns = _channels(t, phase, rng)
             writer.write_table(pa.table([t, *columns], schema=schema))
 
