@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from strainwave import applied, design, excitation, logs, pipeline, scara, simulation, virtual
-from strainwave.design import motions, rigid_motion
+from strainwave.design import motions, rigid_motion, voltages
 from strainwave.design.band import LINES, band_of
 from strainwave.design.plan import LimitBroken, Limits, limits_of
 from strainwave.design.steps import step_records
@@ -37,6 +37,14 @@ GUESS = scara.parameters()
 @pytest.fixture(scope="module")
 def designed() -> design.Design:
     return design.design(STUDY, GUESS, LIMITS)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Coarser plans, for tests of what is said of one: few periods, and a short search."""
+    monkeypatch.setattr(voltages, "_MOST_PERIODS", 12)
+    monkeypatch.setattr(rigid_motion, "_DRAWN", 12)
+    monkeypatch.setattr(rigid_motion, "_ITERATIONS", 5)
 
 
 def upright() -> tuple[Study, Values]:
@@ -111,7 +119,8 @@ def test_the_motion_is_conditioned_three_times_as_well_as_the_built_in_one(
             ]
         )
         angle, acceleration = np.cumsum(velocity, 0) * 1e-3, np.gradient(velocity, 1e-3, axis=0)
-        return rigid_motion.condition_number(STUDY, LIMITS, (angle, velocity, acceleration))
+        motion = angle, velocity, acceleration
+        return float(rigid_motion.condition_number(STUDY, LIMITS, motion))
 
     found = designed.records[0].condition_number
     assert found is not None
@@ -194,6 +203,7 @@ def test_a_band_is_what_the_two_inertias_say() -> None:
     assert band_of(rigid, values, 1) is None
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_multisine_is_flat_in_the_band_and_silent_outside() -> None:
     study, values = drive()
     limits = Limits((1.5,), (200.0,), (10.0,), ANY[:1])
@@ -212,6 +222,7 @@ def test_a_multisine_is_flat_in_the_band_and_silent_outside() -> None:
     assert np.abs(u).max() / u.std() < 1.8
 
 
+@pytest.mark.usefixtures("quick")
 def test_coarse_sensors_ask_for_more_periods() -> None:
     study, values = drive()
     limits = Limits((3.0,), (200.0,), (2.0,), ANY[:1])
@@ -304,18 +315,20 @@ def test_steps_shrink_to_the_limits_or_are_left_out() -> None:
         step_records(study, values, Limits((1.5,), (200.0,), (10.0,), (0.1,)), band, 1)
 
 
+@pytest.mark.usefixtures("quick")
 def test_what_gears_bear_is_said_where_no_limit_was_given() -> None:
     study, values = drive()
-    for torque, said in ((ANY[0], 1), (1e3, 0)):
-        found = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (torque,)))
-        codes = [w for w in found.warnings if w.code == "no-torque-limit"]
-        assert len(codes) == said
-    worst = max(float(r.foreseen.gear_torque[0]) for r in found.records)
-    free = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), ANY[:1]))
+    free, limited = (
+        design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (torque,)))
+        for torque in (ANY[0], 1e3)
+    )
+    assert "no-torque-limit" not in {w.code for w in limited.warnings}
+    worst = max(float(r.foreseen.gear_torque[0]) for r in limited.records)
     message = next(w.message for w in free.warnings if w.code == "no-torque-limit")
     assert f"bears up to {worst:.3g} N m" in message
 
 
+@pytest.mark.usefixtures("quick")
 def test_narrow_limits_are_warned_of() -> None:
     study, values = drive()
     study = replace(study, joints=(replace(study.joints[0], spring="three-slope"),))
@@ -327,6 +340,7 @@ def test_narrow_limits_are_warned_of() -> None:
     assert ("standing", "motion") in codes
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_motion_that_tells_little_is_warned_of() -> None:
     study, values = drive(gravity_torque_1=1.0)
     study = replace(study, arm=replace(study.arm, gravity=9.81))
@@ -335,12 +349,14 @@ def test_a_motion_that_tells_little_is_warned_of() -> None:
     assert ("poor-excitation", "motion") in {(w.code, w.where) for w in found.warnings}
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_slow_servo_is_warned_of() -> None:
     study, values = drive(gear_stiffness=3e5)
     found = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), ANY[:1]))
     assert "slow-clock" in {w.code for w in found.warnings}
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_record_that_breaks_a_limit_is_left_out_and_told() -> None:
     """The motor's friction alone puts 1 N m into the gear; fast voltages mostly miss it."""
     study, values = drive()
@@ -356,6 +372,7 @@ def test_a_record_that_breaks_a_limit_is_left_out_and_told() -> None:
     assert worst_use(study, values, found.limits, found.records[0]) < 1.005
 
 
+@pytest.mark.usefixtures("quick")
 def test_an_excitation_that_only_friction_holds_is_left_out_and_told() -> None:
     study, values = drive()
     found = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), (0.01,)))
@@ -363,6 +380,7 @@ def test_an_excitation_that_only_friction_holds_is_left_out_and_told() -> None:
     assert re.search(r"with \S+ V the gear torque of joint 1 would be", told["prbs-j1"])
 
 
+@pytest.mark.usefixtures("quick")
 def test_without_a_servo_voltages_are_planned_in_open_loop() -> None:
     study, values = drive()
     limits = limits_of(replace(study, servo=None), "1.5", "200", "10", None)
@@ -545,6 +563,7 @@ def unstiff() -> None:
     design.design(STUDY, lacking, LIMITS)
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize(
     ("ask", "said"),
     [

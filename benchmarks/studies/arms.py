@@ -27,7 +27,7 @@ class Rig:
 
     study: Study
     values: Values
-    noise: SensorNoise = SensorNoise()
+    noise: SensorNoise = field(default_factory=SensorNoise)
     sample_time: float = 2.5e-4  # [s] of records that excite the gears
     classes: dict[str, str] = field(default_factory=dict)  # what it is counted under
 

@@ -106,7 +106,7 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
             remedy="give a wider limit if the arm bears it, or check the servo's gains and the "
             "parameters",
         )
-    condition = condition_number(study, limits, series.at(search.time))
+    condition = float(condition_number(study, limits, series.at(search.time)))
     return Planned(
         experiment=Experiment(name, f"{name}.csv", use, (HELD,) * study.n_joints),
         drive=drive,

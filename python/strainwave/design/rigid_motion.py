@@ -23,6 +23,7 @@ HARMONICS = 8  # a period of eight seconds or more stays below 1 Hz
 _GRID = 128  # points a period: 16 in the highest harmonic's
 _DRAWN = 60  # random series, of which the best are starts
 _ITERATIONS = 40
+_STEP = 1e-8  # of forward differences of a cost near one: the root of the rounding
 _CUTS = 3
 _LEAST_SCALE = 1e-3  # where gravity alone takes the voltage: told apart by its poor condition
 _STANDING = 0.01  # of the largest velocity, over which the sign of the friction is rounded
@@ -41,9 +42,9 @@ class Fourier:
     """q = offset + sum_k [s_k sin(k w t) - c_k cos(k w t)]/(k w), w = 2 pi/period."""
 
     period: float  # [s]
-    offset: FloatArray  # (n_joints,) [rad]
-    sine: FloatArray  # (n_harmonics, n_joints) [rad/s] s_k
-    cosine: FloatArray  # (n_harmonics, n_joints) [rad/s] c_k
+    offset: FloatArray  # (..., 1, n_joints) [rad]
+    sine: FloatArray  # (..., n_harmonics, n_joints) [rad/s] s_k
+    cosine: FloatArray  # (..., n_harmonics, n_joints) [rad/s] c_k
 
     def at(self, time: FloatArray) -> Motion:
         """Link angles, velocities and accelerations at given times."""
@@ -89,27 +90,30 @@ def full_regressor(study: Study, motion: Motion) -> FloatArray:
     Parameters
     ----------
     study : Study
-    motion : tuple of (n_samples, n_joints)
+    motion : tuple of (..., n_samples, n_joints)
 
     Returns
     -------
-    (n_samples, n_joints, n_unknowns)
+    (..., n_samples, n_joints, n_unknowns)
         Columns as in `strainwave.regressor.columns_of`.
     """
     velocity = motion[1] / gear_ratios(study)
-    parts = [body_regressor(study, *motion)]
-    for i in range(study.n_joints):
+    n = study.n_joints
+    bodies = body_regressor(study, *(x.reshape(-1, n) for x in motion))
+    parts = [bodies.reshape(*velocity.shape, bodies.shape[-1])]
+    for i in range(n):
         friction = np.zeros((*velocity.shape, 3))
-        rounded = _STANDING * max(float(np.abs(velocity[:, i]).max()), 1e-12)
-        friction[:, i, 0] = velocity[:, i]
-        friction[:, i, 1] = np.tanh(velocity[:, i] / rounded)
-        friction[:, i, 2] = 1.0
+        of_it = velocity[..., i]
+        rounded = _STANDING * np.maximum(np.abs(of_it).max(axis=-1, keepdims=True), 1e-12)
+        friction[..., i, 0] = of_it
+        friction[..., i, 1] = np.tanh(of_it / rounded)
+        friction[..., i, 2] = 1.0
         parts.append(friction)
-    return np.concatenate(parts, axis=2)
+    return np.concatenate(parts, axis=-1)
 
 
-def condition_number(study: Study, limits: Limits, motion: Motion) -> float:
-    """How well a motion tells the rigid parameters apart; one is best.
+def condition_number(study: Study, limits: Limits, motion: Motion) -> FloatArray:
+    """How well motions tell the rigid parameters apart; one is best.
 
     Rows are torques in shares of what each drive can give, columns are scaled to one: it depends
     on no unit and on no parameter's size.
@@ -118,20 +122,19 @@ def condition_number(study: Study, limits: Limits, motion: Motion) -> float:
     ----------
     study : Study
     limits : Limits
-    motion : tuple of (n_samples, n_joints)
+    motion : tuple of (..., n_samples, n_joints)
 
     Returns
     -------
-    float
+    (...)
     """
     strongest = np.array(limits.voltage) * torque_per_volt(study)
     rows = full_regressor(study, motion) / strongest[:, None]
-    rows = rows.reshape(-1, rows.shape[2])
-    norms = np.linalg.norm(rows, axis=0)
-    if norms.min() <= 0.0:
-        return float("inf")
-    values = np.linalg.svd(rows / norms, compute_uv=False)
-    return float(values[0] / max(values[-1], 1e-300))
+    rows = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
+    norms = np.linalg.norm(rows, axis=-2, keepdims=True)
+    values = np.linalg.svd(rows / np.maximum(norms, 1e-300), compute_uv=False)
+    excited = norms.min(axis=(-2, -1)) > 0.0
+    return np.where(excited, values[..., 0] / np.maximum(values[..., -1], 1e-300), np.inf)
 
 
 def torque_per_volt(study: Study) -> FloatArray:
@@ -166,9 +169,15 @@ def optimised(
     rng = np.random.default_rng(seed)
     with one_blas_thread():
         drawn = rng.normal(size=(_DRAWN, search.n_unknowns))
-        first = sorted(drawn, key=search.cost)[:starts]
+        first = drawn[np.argsort(search.cost(drawn))][:starts]
         ended = [
-            minimize(search.cost, x, method="L-BFGS-B", options={"maxiter": _ITERATIONS})
+            minimize(
+                search.with_gradient,
+                x,
+                jac=True,
+                method="L-BFGS-B",
+                options={"maxiter": _ITERATIONS},
+            )
             for x in first
         ]
     return tuple(search.series(found.x) for found in sorted(ended, key=lambda found: found.fun))
@@ -193,13 +202,27 @@ class Search:
         self.waves = waves(period, HARMONICS, self.time)
         self.n_unknowns = study.n_joints * (2 * HARMONICS + 1)
 
-    def cost(self, point: FloatArray) -> float:
-        """Logarithm of the condition number of the feasible series that a point stands for."""
-        return float(np.log(condition_number(self.study, self.limits, self.motion_of(point))))
+    def cost(self, points: FloatArray) -> FloatArray:
+        """Logarithm of the condition number of the feasible series that points stand for.
 
-    def motion_of(self, point: FloatArray) -> Motion:
-        """One period of the series that a point stands for."""
-        return self.series(point).of(self.waves)
+        Parameters
+        ----------
+        points : (..., n_unknowns)
+
+        Returns
+        -------
+        (...)
+        """
+        return np.log(condition_number(self.study, self.limits, self.motion_of(points)))
+
+    def with_gradient(self, point: FloatArray) -> tuple[float, FloatArray]:
+        """Cost of one point and its forward differences, all at once."""
+        costs = self.cost(np.vstack([point, point + _STEP * np.eye(len(point))]))
+        return float(costs[0]), (costs[1:] - costs[0]) / _STEP
+
+    def motion_of(self, points: FloatArray) -> Motion:
+        """One period of the series that each point stands for: three (..., n_samples, n_joints)."""
+        return self._feasible(points)[1]
 
     def series(self, point: FloatArray) -> Fourier:
         """The largest feasible series of a point's shape and centre.
@@ -213,48 +236,65 @@ class Search:
         -------
         Fourier
         """
-        table = point.reshape(-1, self.study.n_joints)
-        most = _SHARE_ANGLE * np.array(self.limits.angle)
-        offset = 0.8 * most * np.tanh(table[0])
-        shape = Fourier(
-            self.period, np.zeros_like(offset), table[1 : HARMONICS + 1], table[HARMONICS + 1 :]
-        )
-        angle, velocity, _ = shape.of(self.waves)
-        fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * gear_ratios(self.study)
-        room = np.minimum((most - offset) / angle.max(0), (most + offset) / -angle.min(0))
-        largest = np.minimum(room, fastest / np.abs(velocity).max(0))
-        whole = Fourier(self.period, offset, shape.sine, shape.cosine).scaled(largest)
-        return whole.scaled(self._voltage_factor(whole))
+        shape, _, scale = self._feasible(point)
+        return shape.scaled(scale)
 
-    def _voltage_factor(self, series: Fourier) -> float:
-        """What a series must be scaled by to be within the voltage limits.
+    def _feasible(self, points: FloatArray) -> tuple[Fourier, Motion, FloatArray]:
+        """Shapes, their feasible motions, and the joints' scales (..., 1, n_joints) from these."""
+        n = self.study.n_joints
+        table = points.reshape(*points.shape[:-1], -1, n)
+        most = _SHARE_ANGLE * np.array(self.limits.angle)
+        offset = 0.8 * most * np.tanh(table[..., :1, :])
+        sine, cosine = table[..., 1 : HARMONICS + 1, :], table[..., HARMONICS + 1 :, :]
+        angle, velocity, acceleration = Fourier(
+            self.period, np.zeros_like(offset), sine, cosine
+        ).of(self.waves)
+        fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * gear_ratios(self.study)
+        highest, lowest = (f(angle, axis=-2, keepdims=True) for f in (np.max, np.min))
+        room = np.minimum((most - offset) / highest, (most + offset) / -lowest)
+        scale = np.minimum(room, fastest / np.abs(velocity).max(axis=-2, keepdims=True))
+        moving = (scale * angle, scale * velocity, scale * acceleration)
+        factor = self._voltage_factor(offset, moving)
+        motion = offset + factor * moving[0], factor * moving[1], factor * moving[2]
+        return Fourier(self.period, offset, sine, cosine), motion, factor * scale
+
+    def _voltage_factor(self, offset: FloatArray, moving: Motion) -> FloatArray:
+        """What series must be scaled by to be within the voltage limits: (..., 1, 1).
 
         Nearly straight in the scale, and curving upward: false position comes from below.
         """
-        high, above = 1.0, self.voltage_use(series.of(self.waves))
-        if above <= 1.0:
-            return 1.0
-        low, below = 0.0, self.voltage_use(series.scaled(0.0).of(self.waves))
-        for _ in range(_CUTS):
-            if below >= 1.0:
-                break
-            middle = low + (1.0 - below) / (above - below) * (high - low)
-            use = self.voltage_use(series.scaled(middle).of(self.waves))
-            if use <= 1.0:
-                low, below = middle, use
-            else:
-                high, above = middle, use
-        return max(low, _LEAST_SCALE)
 
-    def voltage_use(self, motion: Motion) -> float:
-        """Share that a motion of the rigid arm takes of what the drives may give it."""
-        torque = self.arm.inverse_dynamics(self.vector, *(np.ascontiguousarray(x) for x in motion))
+        def use(factor: FloatArray) -> FloatArray:
+            angle, velocity, acceleration = (factor * x for x in moving)
+            return self.voltage_use((offset + angle, velocity, acceleration))[..., None, None]
+
+        high = np.ones((*moving[0].shape[:-2], 1, 1))
+        above = use(high)
+        if (above <= 1.0).all():
+            return high
+        whole, low = above <= 1.0, np.zeros_like(high)
+        below = use(low)
+        held = below < 1.0
+        for _ in range(_CUTS):
+            slope = np.where(held & ~whole, (above - below) / (high - low), np.inf)
+            middle = low + (1.0 - below) / slope
+            used = use(middle)
+            fits = held & (used <= 1.0)
+            low, below = np.where(fits, middle, low), np.where(fits, used, below)
+            high, above = np.where(fits, high, middle), np.where(fits, above, used)
+        return np.where(whole, 1.0, np.maximum(low, _LEAST_SCALE))
+
+    def voltage_use(self, motion: Motion) -> FloatArray:
+        """Share that motions of the rigid arm take of what the drives may give it: (...)."""
+        shape = motion[0].shape
+        rows = (np.ascontiguousarray(x.reshape(-1, shape[-1])) for x in motion)
+        torque = self.arm.inverse_dynamics(self.vector, *rows).reshape(shape)
         given = _SHARE_VOLTAGE * np.array(self.limits.voltage) * torque_per_volt(self.study)
-        return float((np.abs(torque) / given).max())
+        return np.asarray((np.abs(torque) / given).max(axis=(-2, -1)))
 
     def within(self, motion: Motion) -> bool:
         """Whether a motion keeps to all limits, with something to spare."""
         fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * gear_ratios(self.study)
         near = np.abs(motion[0]).max(0) <= _SHARE_ANGLE * np.array(self.limits.angle) + 1e-12
         slow = np.abs(motion[1]).max(0) <= fastest + 1e-12
-        return bool(near.all() and slow.all()) and self.voltage_use(motion) <= 1.0 + 1e-9
+        return bool(near.all() and slow.all()) and bool(self.voltage_use(motion) <= 1.0 + 1e-9)

@@ -272,13 +272,16 @@ def _largest(
     top = limits.voltage[signal.joint - 1]
     sample_time = clock_of(signal.study)
 
-    def seen_at(amplitude: float) -> Foreseen | None:
-        seen = foreseen(
-            run(signal.study, signal.values, signal.drive(amplitude, periods, control), sample_time)
-        )
+    def within(amplitude: float, count: int) -> Foreseen | None:
+        drive = signal.drive(amplitude, count, control)
+        seen = foreseen(run(signal.study, signal.values, drive, sample_time))
         free = "servo" not in control
         unsaturated = free or (seen.voltage <= _SATURATED * np.array(limits.voltage)).all()
         return seen if unsaturated and seen.use_of(limits) <= 1.0 + 1e-12 else None
+
+    def seen_at(amplitude: float) -> Foreseen | None:
+        # what breaks a limit in the first period need not be run whole
+        return within(amplitude, periods) if within(amplitude, _LEAD) else None
 
     whole = seen_at(top)
     if whole:
