@@ -131,17 +131,26 @@ def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatA
     uncertain = np.r_[False, direction == 0.0, False]
     edges = np.flatnonzero(np.diff(uncertain.astype(np.int8)))
     shapes: list[tuple[int, FloatArray]] = []
+    known: dict[int, list[tuple[int, FloatArray]]] = {}  # stretches of one length share theirs
     for first, stop in edges.reshape(-1, 2).tolist():
         length = stop - first
-        n_knots = max(1, round(length / spacing)) + (length > spacing)
-        if n_knots == 1:
-            shapes.append((first, np.ones(length)))
-            continue
-        position = np.arange(length) * ((n_knots - 1) / max(1, length - 1))
-        for knot in range(n_knots):
-            shape = np.clip(1.0 - np.abs(position - knot), 0.0, None)
-            inside = np.flatnonzero(shape)
-            shapes.append((first + int(inside[0]), shape[inside[0] : inside[-1] + 1]))
+        if length not in known:
+            known[length] = _shapes_of(length, spacing)
+        shapes += [(first + start, shape) for start, shape in known[length]]
+    return shapes
+
+
+def _shapes_of(length: int, spacing: int) -> list[tuple[int, FloatArray]]:
+    """(first sample, shape) of one stretch."""
+    n_knots = max(1, round(length / spacing)) + (length > spacing)
+    if n_knots == 1:
+        return [(0, np.ones(length))]
+    shapes = []
+    position = np.arange(length) * ((n_knots - 1) / max(1, length - 1))
+    for knot in range(n_knots):
+        shape = np.clip(1.0 - np.abs(position - knot), 0.0, None)
+        inside = np.flatnonzero(shape)
+        shapes.append((int(inside[0]), shape[inside[0] : inside[-1] + 1]))
     return shapes
 
 
@@ -167,7 +176,9 @@ def responses(
     reach = len(kernel) // 2
     begin = np.array([first for first, _ in shapes], dtype=np.int64)
     length = np.array([len(shape) for _, shape in shapes], dtype=np.int64)
-    flat = np.array([shape.min() == 1.0 for _, shape in shapes], dtype=bool)
+    distinct = {id(shape): shape for _, shape in shapes}  # stretches of one length share theirs
+    constant = {name for name, shape in distinct.items() if shape.min() == 1.0}
+    flat = np.array([id(shape) in constant for _, shape in shapes], dtype=bool)
     # the samples that a shape reaches, and the shapes that reach a row
     low = np.searchsorted(rows, begin - reach)
     high = np.searchsorted(rows, begin + length + reach)
@@ -175,8 +186,12 @@ def responses(
     behind = np.searchsorted(low, np.arange(len(rows)), side="right")
     width = int(np.max(behind - earliest, initial=0))
     entries = np.zeros((len(rows), width))
+    answers: dict[int, FloatArray] = {}
     for c in np.flatnonzero(~flat).tolist():
-        response = np.convolve(shapes[c][1], kernel)
+        name = id(shapes[c][1])
+        if name not in answers:
+            answers[name] = np.convolve(shapes[c][1], kernel)
+        response = answers[name]
         near = np.arange(low[c], high[c])
         entries[near, c - earliest[near]] = response[rows[near] - (begin[c] - reach)]
     # most shapes are constant: their answers are differences of the answer to a step

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from joint_records import Case, case
+from strainwave import least_squares as ls
 from strainwave.errors import NotIdentifiable
 from strainwave.parameters import unit_of
-from strainwave.physical import PhysicalOptions, fit_joint, identify_joint
+from strainwave.physical import (
+    PhysicalOptions,
+    fit_joint,
+    grey_box,
+    identify_joint,
+    rigid_knowledge,
+)
 from strainwave.physical.told import cautions_of, parameters_of
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
-from strainwave.records import FloatArray, Joint, JointModel
+from strainwave.records import Decoupled, FloatArray, Joint, JointModel, LinkSignals
 
 CASES = [(1, 1), (2, 1), (3, 2), (4, 2)]
 WELL_TOLD = [NAMES.index(n) for n in ("motor_inertia", "link_inertia", "gear_stiffness")]
@@ -175,3 +183,101 @@ def test_units() -> None:
     names = ("link_inertia", "motor_coulomb_friction", "gear_stiffness", "gear_damping")
     assert [unit_of(n, revolute) for n in names] == ["kg m^2", "N m", "N m/rad", "N m s/rad"]
     assert [unit_of(n, sliding) for n in names] == ["kg", "N", "N/m", "N s/m"]
+
+
+def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
+    """Against plain least squares over the parameters and every unknown of free friction."""
+    one = case(1, 1)
+    signals = [one.signals]
+    known = rigid_knowledge(one.model, one.study, one.decoupled.joint, signals)
+    weighted = grey_box.solve(one.records, one.study, known, (5.0, 45.0)).own
+    equations, root = weighted.equations, weighted.root
+    free = np.zeros((len(root), len(equations.local_deviation)))
+    free[equations.local[0].rows] = equations.local[0].columns.dense()
+    scale = np.linalg.norm(equations.shared * root[:, None], axis=0)
+    columns = np.hstack([equations.shared / scale, free * equations.local_deviation])
+    priors = np.eye(columns.shape[1])[len(scale) :]
+    target = np.concatenate([equations.target * root, np.zeros(len(priors))])
+    plain = np.linalg.lstsq(np.vstack([columns * root[:, None], priors]), target)[0]
+    factor = ls.factorise(equations, root)
+    assert free.shape[1] > 100
+    np.testing.assert_allclose(factor.value, plain[:7] / scale, rtol=1e-7)
+    np.testing.assert_allclose(
+        factor.local, plain[7:] * equations.local_deviation, atol=1e-7 * np.abs(plain).max()
+    )
+
+
+def longer(one: Case, times: int) -> tuple[LinkSignals, Decoupled]:
+    """A record that goes through the same again and again."""
+    n = len(one.signals.time)
+
+    def tiled(columns: LinkSignals | Decoupled) -> dict[str, Any]:
+        every = {f.name: getattr(columns, f.name) for f in fields(columns)}
+        return {
+            name: np.concatenate([value] * times)
+            for name, value in every.items()
+            if isinstance(value, np.ndarray) and len(value) == n
+        }
+
+    return (
+        replace(one.signals, **tiled(one.signals)),
+        replace(one.decoupled, **tiled(one.decoupled)),
+    )
+
+
+def test_work_arrays_grow_with_the_record_and_no_faster() -> None:
+    """Numbers held by the equations of records twice and four times as long."""
+    one = case(1, 1)
+    sizes = []
+    for times in (2, 4):
+        signals, decoupled = longer(one, times)
+        piece = grey_box._piece(signals, decoupled, one.study, (5.0, 45.0))
+        equations = grey_box._assemble([piece], grey_box.RigidKnowledge(None, None, None), TRIED)
+        local = equations.local[0].columns
+        sizes.append(equations.shared.size + local.entries.size + local.first.size)
+    assert sizes[1] < 2.2 * sizes[0]  # the edges left out weigh more in the shorter one
+
+
+TRIED = np.array([1e-4, 1e-4, 0.05, 3.0, 1.0, 1e-4, 1e-3])
+"""Parameters of about the right size, around which the equations are put together."""
+
+
+def test_the_band_of_a_long_record_is_looked_for_in_its_middle(
+    monkeypatch: pytest.MonkeyPatch, models: list[tuple[Case, JointModel]]
+) -> None:
+    one, whole = models[0]
+    n = len(one.signals.time)
+    lengths: list[int] = []
+    plain = grey_box._piece
+
+    def counted(signals: LinkSignals, *rest: Any) -> Any:
+        lengths.append(len(signals.time))
+        return plain(signals, *rest)
+
+    monkeypatch.setattr(grey_box, "_piece", counted)
+    monkeypatch.setattr(grey_box, "_SEARCHED", 2 * n // 3)
+    found = found_in(one)
+    # in the whole record only the band found and those beside it
+    assert lengths.count(2 * n // 3) == len(lengths) - 3 > 0
+    std = np.sqrt(np.diag(whole.covariance))[: len(NAMES)]
+    assert np.abs((vector_of(found) - vector_of(whole)) / std).max() < 0.2
+
+
+def test_all_of_a_record_is_searched_where_its_middle_rings_elsewhere(
+    monkeypatch: pytest.MonkeyPatch, models: list[tuple[Case, JointModel]]
+) -> None:
+    one, whole = models[0]
+    n = len(one.signals.time)
+    monkeypatch.setattr(grey_box, "_SEARCHED", n - 1)
+    plain = grey_box._found
+
+    def misled(records: Any, study: Any, known: Any, search: Any) -> Any:
+        if len(records[0][0].time) == n:
+            return plain(records, study, known, search)
+        band = (9.0, 18.0)
+        return band, grey_box._equations(records, study, known, band)
+
+    monkeypatch.setattr(grey_box, "_found", misled)
+    found = found_in(one)
+    assert found.band_hz == whole.band_hz
+    assert found.values == whole.values

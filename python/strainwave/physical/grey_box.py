@@ -18,7 +18,8 @@ as one more equation each, weighted by its deviation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -39,6 +40,8 @@ from strainwave.physical.two_inertia import (
 from strainwave.records import Decoupled, FloatArray, IntArray, LinkSignals, Study
 from strainwave.stiction import free_friction, responses
 
+Seen = TypeVar("Seen", LinkSignals, Decoupled)
+
 COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "relaxation_time")
 """Unknowns: m_M, d_M, f, m_L, d_L, c = 1/k, t = d_G/k."""
 
@@ -50,6 +53,8 @@ FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring;
 _SLOWEST = 6.0  # periods of the lower edge in the shortest record, at least
 _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
+# samples of a record in which its band is looked for; records as long as this are searched whole
+_SEARCHED = 1 << 16
 _OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
 _ROUNDS = 8  # of weights and linearisation at one band, at most
 # of a deviation, by which a round still moves the unknowns: in an answer, and where all that is
@@ -195,21 +200,71 @@ def solve(
                 f"link {joint.joint} has no sensor in {signals.experiment.name}: the gear's twist "
                 "is not seen"
             )
-    band = band_hz or _possible(*search_from_hz, records)
-    equations = _equations(records, study, known, band)
-    for _ in range(0 if band_hz else _BANDS - 1):
-        equations = _settled(equations, known, _ROUGHLY)
-        better = _band_around(_joint_of(equations), records, band)
-        if same_band(band, better, _SAME_BAND):
-            break
-        band = better
-        equations = _equations(records, study, known, band, equations)
+    if band_hz:
+        band, equations = band_hz, _equations(records, study, known, band_hz)
+    else:
+        part = _found_in_part(records, study, known, search_from_hz)
+        band, equations = part or _found(records, study, known, search_from_hz)
     own = _settled(equations, known, _SETTLED)
     beside = []
     for low, high in () if band_hz else _other_bands(band):
         other = _equations(records, study, known, _possible(low, high, records), own)
         beside.append(_settled(other, known, _NEARLY))
     return Solved(tuple(records), study, known, band, own, tuple(beside))
+
+
+def _found(
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    study: Study,
+    known: RigidKnowledge,
+    search_from_hz: tuple[float, float],
+) -> tuple[tuple[float, float], _Weighted]:
+    """The band around the resonances, round by round, and the equations in it."""
+    band = _possible(*search_from_hz, records)
+    equations = _equations(records, study, known, band)
+    for _ in range(_BANDS - 1):
+        equations = _settled(equations, known, _ROUGHLY)
+        better = _band_around(_joint_of(equations), records, band)
+        if same_band(band, better, _SAME_BAND):
+            break
+        band = better
+        equations = _equations(records, study, known, band, equations)
+    return band, equations
+
+
+def _found_in_part(
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    study: Study,
+    known: RigidKnowledge,
+    search_from_hz: tuple[float, float],
+) -> tuple[tuple[float, float], _Weighted] | None:
+    """The same with the band from the middle of long records, which all of them must confirm.
+
+    None where no record is long, or where the whole of them asks for another band: a sweep's
+    middle, say, need not ring.
+    """
+    if all(len(signals.time) <= _SEARCHED for signals, _ in records):
+        return None
+    middle = [(_middle(signals), _middle(joint)) for signals, joint in records]
+    band, near = _found(middle, study, known, search_from_hz)
+    equations = _settled(_equations(records, study, known, band, near), known, _ROUGHLY)
+    better = _band_around(_joint_of(equations), records, band)
+    return (band, equations) if same_band(band, better, _SAME_BAND) else None
+
+
+def _middle(seen: Seen) -> Seen:
+    """The `_SEARCHED` samples in the middle of a record; all, where there are no more."""
+    n = len(seen.time)
+    if n <= _SEARCHED:
+        return seen
+    start = (n - _SEARCHED) // 2
+    columns = {f.name: getattr(seen, f.name) for f in fields(seen)}
+    cut: dict[str, Any] = {
+        name: column[start : start + _SEARCHED]
+        for name, column in columns.items()
+        if isinstance(column, np.ndarray) and len(column) == n
+    }
+    return replace(seen, **cut)
 
 
 def _other_bands(band: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
