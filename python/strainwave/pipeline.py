@@ -144,15 +144,15 @@ def _identify(the_study: Study, run: _Run) -> Identification:
     for log in all_logs:
         run.warnings.extend(log.warnings)
     input_check = _consistency(run, the_study, all_logs)
-    contradicted = bool(input_check.suspected)
     elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in the_study.joints)
-    elastic = elastic and not contradicted
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     model: RigidModel | None = None
     fitted: tuple[Prediction, ...] = ()
     checks: tuple[Prediction, ...] = ()
     if input_check.motors_agree:  # the rigid model asks nothing of link sensors
         model, fitted, checks = _rigid(run, the_study, all_logs)
+        input_check = _with_torques(the_study, input_check, model)
+    elastic = elastic and not input_check.suspected
     records: tuple[RecordModel, ...] = ()
     joints: tuple[JointModel, ...] = ()
     responses: dict[int, FrequencyResponse] = {}
@@ -190,6 +190,16 @@ def _consistency(run: _Run, the_study: Study, all_logs: Sequence[Log]) -> Consis
     """Whether the input agrees with itself."""
     with run.timed("consistency", "comparing the channels with one another"):
         return consistency.check(all_logs, the_study)
+
+
+def _with_torques(
+    the_study: Study, input_check: Consistency, model: RigidModel | None
+) -> Consistency:
+    """What the rigid fit says of the joints' torques against each other, with the rest."""
+    if model is None or model.torque_ratio is None:
+        return input_check
+    torques = consistency.torque_constants(*model.torque_ratio, the_study)
+    return Consistency((*input_check.suspected, torques)) if torques else input_check
 
 
 def _rigid(

@@ -13,11 +13,12 @@ from strainwave.consistency.causes import Cause, causes
 from strainwave.consistency.clipping import clipped
 from strainwave.consistency.evidence import Evidence, evidence
 from strainwave.consistency.observations import Observation, observe
+from strainwave.consistency.torque_constants import torque_constants
 from strainwave.consistency.unexplained import unexplained
 from strainwave.cores import one_blas_thread
 from strainwave.records import Consistency, Log, Study, Suspicion
 
-__all__ = ["check"]
+__all__ = ["check", "torque_constants"]
 
 _MOST_CAUSES = 6  # at once; an input with more faults is no measurement
 _MUST_STAY = ("followed", "scale", "inertia")  # kinds of observations that a mend may not lose
@@ -55,7 +56,7 @@ def _explained(seen: Evidence) -> list[Suspicion]:
         found.append(best.suspicion)
         seen = best.mend()
         now = observe(seen)
-    found.extend(unexplained([o for o in now if o.contradicts]))
+    found.extend(unexplained([o for o in now if o.contradicts], seen.study))
     return found
 
 

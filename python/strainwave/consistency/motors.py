@@ -20,7 +20,8 @@ from strainwave.regressor import gear_ratios
 _SATURATED = 0.01  # share of a record at the servo's limit, from which its law no longer holds
 _SLIDING = 0.8  # of a row's neighbourhood, that a motor slides one way
 _FEWEST_ROWS = 60  # of those; with fewer, all are taken
-_WIDEST = 1.5  # logarithm of the torque constants' ratio that is looked for
+_WIDEST = float(np.log(1e3))  # of the torque constants' ratio that is looked for: a unit's factor
+_RATIOS = 2001  # tried, 0.7 % apart
 _COUPLED = ("beta", "gamma", "gravity_torque_2")
 
 
@@ -269,7 +270,7 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
         spread = first.coupling_covariance + r**2 * second.coupling_covariance
         return float(off @ np.linalg.solve(spread, off))
 
-    grid = np.exp(np.linspace(-_WIDEST, _WIDEST, 601))
+    grid = np.exp(np.linspace(-_WIDEST, _WIDEST, _RATIOS))
     costs = np.array([cost(r) for r in grid.tolist()])
     best = int(np.argmin(costs))
     if best in (0, len(grid) - 1) or costs[best] + 4.0 > min(costs[0], costs[-1]):

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from strainwave.consistency.observations import Kind, Observation
+from strainwave.consistency.torque_constants import wrong_torque_constant
 from strainwave.consistency.wording import number
-from strainwave.records import Suspicion
+from strainwave.records import Study, Suspicion
 
 
-def unexplained(left: Sequence[Observation]) -> Iterator[Suspicion]:
+def unexplained(left: Sequence[Observation], study: Study) -> Iterator[Suspicion]:
     """Suspicions for what contradicts on its own.
 
     Parameters
     ----------
     left : sequence of Observation
+    study : Study
 
     Returns
     -------
@@ -25,7 +27,10 @@ def unexplained(left: Sequence[Observation]) -> Iterator[Suspicion]:
         if each.kind == "followed" or each.where in said:
             continue
         said.add(each.where)
-        yield _said(each)
+        if each.kind == "torque-ratio":
+            yield wrong_torque_constant(each.value, each.std, study)
+        else:
+            yield _said(each)
 
 
 def _said(each: Observation) -> Suspicion:
@@ -44,7 +49,6 @@ def _said(each: Observation) -> Suspicion:
         "delay": "misaligned",
         "drift": "clock-drift",
         "inertia": "wrong-sign",
-        "torque-ratio": "wrong-torque-constant",
     }
     about: dict[Kind, str] = {
         "count": "the step of {w} is {v} of the count that encoder_counts implies",
@@ -62,16 +66,9 @@ def _said(each: Observation) -> Suspicion:
         "drift": "the delay of {w} grows by {v} s a second",
         "inertia": "the motion of joint {j} is against its torque: {w} or theta_m{j} has the "
         "wrong sign",
-        "torque-ratio": "the torques of joint 1 are {v} of what the symmetry of the inertia "
-        "matrix allows beside those of joint 2: one torque constant is wrong",
     }
     timed = each.kind in ("delay", "drift")
     code = "wrong-sign" if each.value < 0.0 and not timed else codes[each.kind]
     text = about[each.kind].format(w=each.where, v=number(each.value), j=each.joint)
     remedy = "Check its unit, sign and wiring, and the keys of the study that it is compared with"
-    if each.kind == "torque-ratio":
-        remedy = (
-            f"Divide torque_per_volt of [[joint]] 1 by {number(each.value)}, or multiply that of "
-            "[[joint]] 2 by it, whichever is known less well"
-        )
     return Suspicion(code=code, where=each.where, message=text, remedy=remedy, factor=each.value)

@@ -25,6 +25,8 @@ class RigidModel(Shown):
     n_rows: int  # equations used, after decimation and rejection
     status: Literal["determined", "partly-determined", "not-identifiable"]
     warnings: tuple[Caution, ...] = ()
+    torque_ratio: tuple[float, float] | None = None  # joint 1's torque over joint 2's, against what
+    # the symmetry of M(q) allows, and its deviation; 1 where both torque constants are right
 
     def value(self, name: str, joint: int | None = None) -> float | None:
         """The value of one parameter; `None` where it could not be told.

@@ -44,6 +44,7 @@ from strainwave.rigid.equations import (
     n_compliances,
     prepare,
 )
+from strainwave.rigid.torque_constants import torque_ratio
 
 __all__ = ["OTHER_SHARE", "RigidOptions", "fit"]
 
@@ -131,7 +132,31 @@ def _fit(signals: Sequence[Signals], study: Study, chosen: RigidOptions) -> Rigi
     best = _choose(trials, study)
     remainder = _scatter(trials, best) + _elastic_remainder(study, best)
     covariance = best.covariance + np.diag(remainder)
-    return _model(study, best, covariance)
+    model = _model(study, best, covariance)
+    return replace(model, torque_ratio=_torque_ratio(study, trials, best))
+
+
+def _torque_ratio(
+    study: Study, trials: Sequence[_Trial], best: _Trial
+) -> tuple[float, float] | None:
+    """Joint 1's torque constant over joint 2's, as the data have it and as the study has it.
+
+    The deviation counts what the neighbouring bandwidths differ by, like the parameters' own.
+    """
+    found = torque_ratio(study, best.equations, best.factor.root, best.estimate.compliance)
+    if found is None:
+        return None
+    others = [
+        torque_ratio(study, t.equations, t.factor.root, t.estimate.compliance)
+        for t in _neighbours(trials, best)
+    ]
+    excess = [
+        max(0.0, (other.value - found.value) ** 2 - other.variance)
+        for other in others
+        if other is not None
+    ]
+    variance = found.variance + (float(np.median(excess)) if excess else 0.0)
+    return 1.0 / found.value, float(np.sqrt(variance)) / found.value**2
 
 
 def _search(signals: Sequence[Signals], study: Study) -> list[_Trial]:
@@ -302,6 +327,12 @@ def _choose(trials: Sequence[_Trial], study: Study) -> _Trial:
     return trials[int(np.argmax(regret <= regret.min() + _GAIN))]
 
 
+def _neighbours(trials: Sequence[_Trial], best: _Trial) -> list[_Trial]:
+    return [
+        t for t in trials if t is not best and 0.45 <= t.bandwidth_hz / best.bandwidth_hz <= 2.1
+    ]
+
+
 def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
     """Variance from model error that shows as dependence on the bandwidth.
 
@@ -317,8 +348,7 @@ def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
         np.clip(
             (t.estimate.solution - best.estimate.solution) ** 2 - np.diag(t.covariance), 0.0, None
         )
-        for t in trials
-        if t is not best and 0.45 <= t.bandwidth_hz / best.bandwidth_hz <= 2.1
+        for t in _neighbours(trials, best)
     ]
     return np.median(excess, axis=0) if excess else np.zeros(len(best.covariance))
 
