@@ -32,3 +32,10 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     )
     written = read_study(folder / "study.toml")
     return read_logs(written), written
+
+
+@pytest.fixture(scope="session")
+def small_arm() -> Input:
+    """The small arm of the repository, which is not made by the program's own simulator."""
+    study = read_study(Path(__file__).parents[1] / "data" / "small-arm" / "study.toml")
+    return read_logs(study), study

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from consistency_inputs import Input, changed, delayed
-from strainwave import pipeline
+from strainwave import pipeline, rigid
 from strainwave.consistency import check
 from strainwave.logs import read_logs, write_log
 from strainwave.records import Suspicion
+from strainwave.signals import motor_side
 from strainwave.study import read_study, write_study
 
 DEGREE = np.pi / 180.0
@@ -121,16 +122,60 @@ def test_a_distance_from_the_wrong_axis_is_named(arm: Input, joint: int) -> None
     assert "measured from axis 1" in found.message
 
 
-@pytest.mark.parametrize(("joint", "factor"), [(1, 1.1), (1, 0.9), (2, 1.1), (2, 0.9)])
-def test_one_torque_constant_is_held_against_the_other(
-    arm: Input, joint: int, factor: float
+@pytest.mark.parametrize(("joint", "factor"), [(1, 1.05), (2, 1.05), (2, 0.9)])
+def test_the_rigid_fit_holds_torque_constants_against_each_other(
+    arm: Input, tmp_path: Path, joint: int, factor: float
 ) -> None:
-    if arm[1].arm.gravity:
-        pytest.skip("gravity and friction leave this motion no ratio to 10 %")
     e = arm[1].joints[joint - 1].torque_per_volt or 1.0
-    found = the_one(with_joint(arm, joint, torque_per_volt=factor * e))
+    logs, study = with_joint(arm, joint, torque_per_volt=factor * e)
+    for log in logs:
+        write_log(tmp_path / log.experiment.file, {"t": log.time, **log.channels})
+    write_study(study, tmp_path / "study.toml")
+    found = pipeline.identify(tmp_path / "study.toml", stages=["rigid"])
+    assert found.verdict.status == "inconsistent-input"
+    (torques,) = found.suspected
+    assert (torques.code, torques.where) == ("wrong-torque-constant", "torque_per_volt")
+    assert torques.factor == pytest.approx(factor if joint == 1 else 1.0 / factor, rel=0.01)
+    assert "[[joint]] 2 by it" in torques.remedy
+
+
+def test_right_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
+    logs, study = small_arm
+    motion = [log for log in logs if log.experiment.use == "motion"]
+    found = rigid.fit([motor_side(log, study) for log in motion], study)
+    assert found.torque_ratio is not None
+    value, std = found.torque_ratio
+    assert abs(value - 1.0) < 4.0 * std + 1e-3
+    assert std < 0.01
+
+
+def test_a_factor_of_ten_is_named_before_any_estimate(small_arm: Input) -> None:
+    e = small_arm[1].joints[0].torque_per_volt or 1.0
+    found = the_one(with_joint(small_arm, 1, torque_per_volt=10.0 * e))
     assert found.code == "wrong-torque-constant"
-    assert found.factor == pytest.approx(factor if joint == 1 else 1.0 / factor, rel=0.06)
+    assert "about" in found.remedy
+    assert found.factor == pytest.approx(10.0, rel=0.3)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 50.0])
+def test_gear_ratios_of_a_small_arm_are_named(small_arm: Input, factor: float) -> None:
+    n = small_arm[1].joints[1].gear_ratio
+    found = the_one(with_joint(small_arm, 2, gear_ratio=factor * n))
+    assert (found.code, found.where) == ("wrong-gear-ratio", "joint 2 gear_ratio")
+    assert found.factor == pytest.approx(factor, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("length", "scale", "where"), [(1.3, 1.0, "link_length"), (1.0, 0.85, "a2")]
+)
+def test_geometry_and_scale_are_no_gear_ratio(
+    small_arm: Input, length: float, scale: float, where: str
+) -> None:
+    logs, study = changed(small_arm, a2=scale)
+    longer = replace(study.arm, link_length=length * (study.arm.link_length or 0.0))
+    found = the_one((logs, replace(study, arm=longer)))
+    assert found.where == where
+    assert found.factor == pytest.approx(length * scale, rel=0.02)
 
 
 def test_a_millisecond_is_left_to_the_whole_arm_fit(arm: Input) -> None:

@@ -32,6 +32,7 @@ Kind = Literal[
     "own",
     "elbow",
     "gravity",
+    "turn",
     "delay",
     "drift",
     "inertia",
@@ -53,10 +54,11 @@ _TOLERANCE: dict[Kind, float] = {
     "own": 0.08,
     "elbow": 0.12,
     "gravity": 0.08,
+    "turn": 0.12,
     "delay": 5e-3,  # [s] likewise
     "drift": 2e-4,  # of a second per second
     "inertia": np.inf,  # only its sign
-    "torque-ratio": 0.05,
+    "torque-ratio": 0.5,  # smaller ones show in the rigid fit, which knows the ratio far better
 }
 """What may differ from 1, or from 0 for `delay` and `drift`, without a word."""
 
@@ -68,6 +70,7 @@ _FLOOR: dict[Kind, float] = {
     "own": 0.012,
     "elbow": 0.02,
     "gravity": 0.01,
+    "turn": 0.02,
     "delay": 4e-4,
     "drift": 3e-5,
 }
@@ -203,6 +206,9 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
         found = [e.parts[part] for e in kept if part in e.parts and len(e.parts) > 1]
         if found:
             yield mean(part, [v for v, _ in found], [s for _, s in found])
+    turns = [e.turn for e in kept if e.turn is not None]
+    if turns:
+        yield mean("turn", [v for v, _ in turns], [s for _, s in turns])
 
 
 def _torques(seen: Evidence) -> Iterator[Observation]:

@@ -23,6 +23,7 @@ LINK_CHANNELS = ("a", "gyro", "theta_l")
 _REACH = float(np.log(300.0))  # of the factors that a joint's turning is looked for in
 _TRIES = 41
 _NO_TIME = 1e-3  # rows that a low-pass takes, which pass for none
+_HEARD_TURNING = 5.0  # deviations from which a turning may be divided by
 _BELOW_RESONANCE = 2.0  # resonance over bandwidth, of what is known beforehand of the gears
 
 
@@ -41,6 +42,7 @@ class Reading:
     explained: float  # share of the reading that the prediction explains
     signal: float  # size of the reading at low frequency over its noise there
     parts: dict[str, tuple[float, float]]  # "own", "elbow", "gravity" -> scale, deviation
+    turn: tuple[float, float] | None  # joint 2's motion against joint 1's, deviation
 
 
 def readings(seen: Evidence) -> list[Reading]:
@@ -186,6 +188,12 @@ def _read(
             spread = np.sqrt(np.diag(each.covariance))
             apart = {key: (float(each.value[k]), float(spread[k])) for k, key in enumerate(parts)}
     size = float(np.std(target))
+    turn = None
+    shares = _shares(study, motion, kind) if i == 1 else None
+    if shares is not None:
+        filtered = [lagged(share, sensor, T) for share in shares]
+        split = _fit(target, [*filtered, *columns], np.r_[[free] * len(shares), prior], inside)
+        turn = None if split is None else _quotient(split)
     scale = float(together.value[0])
     yield Reading(
         channel=name,
@@ -199,7 +207,28 @@ def _read(
         explained=together.explained,
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         parts=apart,
+        turn=turn,
     )
+
+
+def _shares(study: Study, motion: _Motion, kind: str) -> list[FloatArray] | None:
+    """What link 2's sensor reads of joint 2's turning, of joint 1's, and the rest."""
+    parts = _parts(study, motion, kind, 1)
+    if parts is None or kind == "theta_l" or study.joints[1].motion == "prismatic":
+        return None
+    turned = motion.velocity if kind == "gyro" else motion.acceleration
+    distance = 1.0 if kind == "gyro" else study.joints[1].accelerometer_distance or 0.0
+    rest = [part for key, part in parts.items() if key != "own"]
+    return [distance * turned[:, 1], distance * turned[:, 0], *rest]
+
+
+def _quotient(fit: Fit) -> tuple[float, float] | None:
+    """The first coefficient over the second, which may be of either sign but not lost in noise."""
+    (a, b), spread = fit.value[:2], fit.covariance[:2, :2]
+    if abs(b) < _HEARD_TURNING * np.sqrt(spread[1, 1]):
+        return None
+    slope = np.array([1.0 / b, -a / b**2])
+    return float(a / b), float(np.sqrt(slope @ spread @ slope))
 
 
 def _fit(

@@ -46,6 +46,7 @@ def _said(each: Observation) -> Suspicion:
         "own": "wrong-geometry",
         "elbow": "wrong-geometry",
         "gravity": "wrong-unit",
+        "turn": "wrong-gear-ratio",
         "delay": "misaligned",
         "drift": "clock-drift",
         "inertia": "wrong-sign",
@@ -62,6 +63,8 @@ def _said(each: Observation) -> Suspicion:
         "own": "{w} shows {v} of its own joint's motion",
         "elbow": "{w} shows {v} of the motion of its link's axis",
         "gravity": "{w} shows {v} of gravity",
+        "turn": "{w} shows {v} times the turning of joint 2 against joint 1 that the gear ratios "
+        "imply",
         "delay": "{w} lags by {v} s behind the motor angle",
         "drift": "the delay of {w} grows by {v} s a second",
         "inertia": "the motion of joint {j} is against its torque: {w} or theta_m{j} has the "
