@@ -31,11 +31,16 @@ comparisons: setup
 	$(BIN)/strainwave demo --as-published --seeds 10 --quiet --out build/comparisons
 	cp build/comparisons/comparisons.md build/comparisons/comparisons.json docs/
 
-# The drawn cases are the same in every run; without the seed, and with PROPTEST_CASES=20000, cargo
-# test looks for new ones.
+# Every run draws fresh cases and prints the seed that draws them again: make test SEED=...
+# PROPTEST_CASES=20000 draws more of them.
+ifndef SEED
+SEED := $(shell od -An -N4 -tu4 /dev/urandom | tr -d ' ')
+endif
+
 test: setup
-	PROPTEST_RNG_SEED=2009 cargo test --workspace --exclude strainwave-python --locked --quiet
-	$(BIN)/pytest -q
+	@echo 'cases drawn with SEED=$(SEED); again: make test SEED=$(SEED)'
+	PROPTEST_RNG_SEED=$(SEED) cargo test --workspace --exclude strainwave-python --locked --quiet
+	$(BIN)/pytest -q --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
 
 check: setup
 	cargo fmt --all --check
