@@ -223,7 +223,7 @@ def test_the_order_of_messages_does_not_matter(
     ]
     recorded += [
         ("/cmd", bags.START, bags.floats([0, 0])),
-        ("/cmd", bags.START + 1, bags.floats([1, 2])),
+        ("/cmd", bags.START + 20 * 10**6, bags.floats([1, 2])),
     ]
     # the header of /cmd's neighbours is within a second of the recorder's time
     bags.write(folder / "run", sorted(recorded, key=lambda m: m[1]))

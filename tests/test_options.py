@@ -139,6 +139,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "method": "n4sid",
         "horizon": 12,
         "decimation": 8,
+        "filter": "decimation",
         "band_hz": (4.0, 50.0),
     },
     "physical": {"route": "transfer-function", "band_hz": (5.0, 40.0), "use_rigid": False},
@@ -157,6 +158,7 @@ BASIS: dict[tuple[str, str], Any] = {
     # where another option must be there for one to act
     ("responses", "transient_periods"): FrequencyOptions(inputs=1),
     ("statespace", "horizon"): LinearOptions(method="n4sid"),
+    ("statespace", "filter"): LinearOptions(decimation=8),
 }
 
 

@@ -21,6 +21,7 @@ def test_the_package_names_every_record_of_its_modules() -> None:
         for module in modules
         for kind in vars(module).values()
         if is_dataclass(kind) and isinstance(kind, type) and kind.__module__ == module.__name__
+        if not kind.__name__.startswith("_")
     }
     assert defined == {name: kind for name, kind in vars(records).items() if is_dataclass(kind)}
     assert set(defined) <= set(records.__all__)

@@ -113,7 +113,7 @@ def _sources(
     for name in channel_names(study.n_joints):
         channel = study.channels.get(name)
         if channel is not None and channel.column not in table.names:
-            if name == "t" or name.startswith("theta_m"):
+            if name == "t" or name.startswith("theta_m") or isinstance(table, Bag):
                 what = f"which [channels] names for '{name}'"
                 raise _no_column(channel.column, what, table, path)
             continue  # absent in this log
