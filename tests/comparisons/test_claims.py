@@ -98,7 +98,9 @@ def test_without_the_torque_the_resonances_are_others(comparisons: Found) -> Non
 
 def test_feedback_biases_the_classical_method_and_not_pem(comparisons: Found) -> None:
     found = comparisons[13]
-    assert value(found, "PEM, joint 2 servoed") < 5.0 < value(found, "subspace, joint 2 servoed")
+    servoed = value(found, "subspace, joint 2 servoed")
+    assert value(found, "PEM, joint 2 servoed") < 5.0 < servoed
+    assert {e.order for e in found.evidence} == {3}
     # and it is the feedback: without it, the same records give less than half of the error
     assert value(found, "share of the subspace") < 0.5
 

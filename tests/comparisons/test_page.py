@@ -24,6 +24,8 @@ from strainwave.records import Caution, Comparison, Criterion, Evidence, Tally
 from strainwave.report import curves, render_comparisons
 from strainwave.summary import print_comparisons
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+SEED = 1  # of the short round
 Found = dict[int, Comparison]
 Tallies = tuple[Tally, ...]
 
@@ -111,6 +113,30 @@ def test_the_markdown_counts_and_gives_reasons(tallies: Tallies) -> None:
     assert f"| {good.figure} | {good.claim} |" in text
     assert "2/3 |" in text
     assert f"- does not hold in 1: {good.criteria[0].name} none, expected" in text
+
+
+def test_the_committed_page_is_what_its_data_make() -> None:
+    document = json.loads((DOCS / "comparisons.json").read_text(encoding="utf-8"))
+    assert package.to_markdown(document) == (DOCS / "comparisons.md").read_text(encoding="utf-8")
+    assert len(document["seeds"]) == 10
+    assert {claim["protocol"] for claim in document["claims"]} == {"own", "as-published"}
+    assert {claim["figure"] for claim in document["claims"]} == {2, *range(4, 16)}
+
+
+def test_the_committed_data_are_of_this_program(comparisons: Found) -> None:
+    """What the short round computes in full has the committed verdict, and nearly its numbers."""
+    document = json.loads((DOCS / "comparisons.json").read_text(encoding="utf-8"))
+    committed = {c["figure"]: c for c in document["claims"] if c["protocol"] == "own"}
+    place = document["seeds"].index(SEED)
+    for figure in (4, 5, 8, 10, 12):
+        now, then = comparisons[figure], committed[figure]
+        assert then["outcomes"][place] == now.outcome, "run make comparisons"
+        for criterion in then["criteria"]:
+            value = next(c.value for c in now.criteria if c.name == criterion["name"])
+            # a tenth of the limit: other compilers and small changes of an estimator move less
+            margin = 0.1 * abs(criterion["limit"])
+            if criterion["values"][place] < 2.0 * criterion["limit"]:
+                assert value == pytest.approx(criterion["values"][place], abs=margin)
 
 
 def test_one_line_a_figure(tallies: Tallies) -> None:

@@ -74,6 +74,7 @@ def compare(
             for figure, job in _jobs(rig, tuned, chosen).items()
             if figure in chosen.figures
         ]
+    rig.forget()
     return tuple(replace(each, protocol=settings.protocol) for each in found)
 
 

@@ -39,7 +39,7 @@ CLAIMS: dict[int, tuple[str, str]] = {
     10: (
         "Decoupled against motor input only",
         "With the interaction torque as a second input the model has the joint's own "
-        "anti-resonance and resonance; by motor input alone it has not, above all at joint 2.",
+        "anti-resonance and resonance; by motor input alone it has not.",
     ),
     11: (
         "One output against two under changing payload",

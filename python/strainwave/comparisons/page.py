@@ -81,8 +81,11 @@ def _reasons(claim: Claim) -> Iterator[str]:
     seen: dict[str, list[str]] = {}
     for outcome, reasons in zip(claim["outcomes"], claim["reasons"], strict=True):
         for reason in reasons:
-            # a reason's numbers differ from seed to seed, its first words do not
-            key = f"{OUTCOMES[outcome]}|{reason.split(':')[0].split('[')[0]}"
+            # numbers differ from seed to seed; what the number is of does not
+            subject = re.sub(
+                r" (-?[\d.]+(e[-+]?\d+)?|none), expected .*", "", reason.split(": ")[0]
+            )
+            key = f"{OUTCOMES[outcome]}|{subject}"
             seen.setdefault(key, []).append(reason)
     ordered = sorted(seen.items(), key=lambda item: -len(item[1]))
     for key, found in ordered[:_REASONS]:

@@ -108,6 +108,12 @@ class Rig:
         self.tuned = cache(self._tuned)
         self._begins = int(self._rng(3).integers(2**ORDER - 1))
 
+    def forget(self) -> None:
+        """Let go of all runs and models; they take some hundred megabytes."""
+        for made in (self.rigid, self.prbs, self.estimate, self.physical, self.transfer):
+            made.cache_clear()
+        self.tuned.cache_clear()
+
     def steps(self, levels: tuple[float, ...], joint: int, number: int) -> Log:
         """Steps of one servo's reference, the other servo at zero, as logged.
 
@@ -221,10 +227,17 @@ class Rig:
         method: EstimationMethod | None = None,
         inputs: Channels = "both",
         outputs: Channels = "both",
+        order: int | None = None,
     ) -> Estimate:
         """State-space model of one joint by the settings' way, but for what is given."""
         linear = self.settings.linear
-        linear = replace(linear, method=method or linear.method, inputs=inputs, outputs=outputs)
+        linear = replace(
+            linear,
+            method=method or linear.method,
+            inputs=inputs,
+            outputs=outputs,
+            order=order or linear.order,
+        )
         left_out = [
             text
             for text, kept in (("motor input only", inputs), ("one output", outputs))

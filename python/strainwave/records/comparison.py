@@ -144,6 +144,6 @@ def outcomes_text(outcomes: Sequence[Outcome]) -> str:
 
 
 def _failure(criterion: Criterion) -> str:
-    value = "none" if not math.isfinite(criterion.value) else f"{criterion.value:.3g}"
+    value = "none" if not math.isfinite(criterion.value) else f"{criterion.value:.5g}"
     text = f"{criterion.name} {value}, expected {criterion.bound} {criterion.limit:g}"
     return f"{text} ({criterion.otherwise})" if criterion.otherwise else text
