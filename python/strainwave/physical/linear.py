@@ -36,7 +36,7 @@ from strainwave.records import (
     Modes,
     StateSpace,
 )
-from strainwave.statespace import check_model, modes, pem, select_order, subspace
+from strainwave.statespace import check_model, modes, pem, propagate, select_order, subspace
 
 BELOW = 3.0  # anti-resonance over the band's lower edge
 ABOVE = 3.0  # the band's upper edge over the resonance: with less, d_G hardly shows
@@ -192,7 +192,6 @@ def modes_of(model: StateSpace) -> Modes:
     Returns
     -------
     Modes
-        Without deviations where alternating poles had to be left out.
     """
     return modes(without_alternating(model), 0, 0)
 
@@ -210,27 +209,46 @@ def without_alternating(model: StateSpace) -> StateSpace:
     Returns
     -------
     StateSpace
-        The model itself where there is none; else one without covariance.
+        The model itself where there is none; else one with its covariance carried over, if it
+        has one.
     """
     values, vectors = np.linalg.eig(model.A)
     bad = np.flatnonzero((values.imag == 0.0) & (values.real <= 0.0))
     if not len(bad) or len(bad) == model.order:
         return model
-    z, v = float(values[bad[0]].real), vectors[:, bad[0]].real
-    w = np.linalg.inv(vectors)[bad[0]].real
+    z, w = float(values[bad[0]].real), np.linalg.inv(vectors)[bad[0]].real
     others = np.linalg.svd(w[None])[2][1:].T  # w'A = z w', so that what w does not see stays unseen
-    to = np.linalg.inv(np.column_stack([others, v]))[:-1]
-    shorter = replace(
+    shorter = _without(z, others, model)
+
+    def entries(near: StateSpace) -> FloatArray:
+        left = _without(z, others, near)
+        return np.concatenate([each.ravel() for each in (left.A, left.B, left.C, left.D, left.K)])
+
+    if model.covariance is not None:
+        shorter = replace(shorter, covariance=propagate(model, entries)[1])
+    return without_alternating(shorter)
+
+
+def _without(z: float, others: FloatArray, model: StateSpace) -> StateSpace:
+    """The model without its pole nearest to z, in a basis that is `others` seen along that pole.
+
+    That basis moves smoothly with the model, as `propagate` asks.
+    """
+    values, vectors = np.linalg.eig(model.A)
+    bad = int(np.argmin(np.abs(values - z)))
+    pole, v, w = values[bad].real, vectors[:, bad].real, np.linalg.inv(vectors)[bad].real
+    basis = others - np.outer(v, w @ others)
+    to = np.linalg.inv(np.column_stack([basis, v]))[:-1]
+    return replace(
         model,
-        A=to @ model.A @ others,
+        A=to @ model.A @ basis,
         B=to @ model.B,
-        C=model.C @ others,
-        D=model.D + np.outer(model.C @ v, w @ model.B) / (1.0 - z),
+        C=model.C @ basis,
+        D=model.D + np.outer(model.C @ v, w @ model.B) / (1.0 - pole),
         K=to @ model.K,
         initial_states=model.initial_states @ to.T,
         covariance=None,
     )
-    return without_alternating(shorter)
 
 
 def band_around(
