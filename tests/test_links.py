@@ -248,6 +248,7 @@ def test_late_link_sensors_are_moved_back_in_all_records() -> None:
     assert [(c.code, c.where) for c in said] == [("sensor-delay", f"joint {j}") for j in (1, 2)]
     for before, after in zip(plain, found, strict=True):
         assert not after.warnings
+        assert after.removed_delay == delays
         for i in (0, 1):
             expected = before.link_acceleration[INNER, i]
             off = after.link_acceleration[INNER, i] - expected

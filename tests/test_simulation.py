@@ -12,14 +12,19 @@ from strainwave.errors import InvalidInput
 from strainwave.parameters import Values, read_parameters
 from strainwave.records import Experiment, FloatArray, Prbs, Study
 from strainwave.simulation import (
+    LONGEST_STEP,
     Drive,
     Quantity,
     SensorNoise,
+    Trajectory,
     build_arm,
     common_step,
+    fastest_resonance,
+    longest_step,
     measure,
     parameter_vector,
     simulate,
+    simulate_arms,
 )
 from strainwave.study import read_study
 
@@ -114,6 +119,85 @@ def test_the_payload_makes_the_inertia() -> None:
 )
 def test_the_step_divides_every_clock(clocks: list[float], step: float) -> None:
     assert common_step(clocks) == pytest.approx(step)
+
+
+def test_the_fastest_resonance_is_that_of_the_equations() -> None:
+    """One joint in closed form; two against the eigenvalues of the whole arm, stretched or not."""
+    study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
+    one = replace(study, arm=replace(study.arm, kind="single-joint"), joints=study.joints[:1])
+    motor, link, k, n = 1.5e-3, 3.0, 2e4, study.joints[0].gear_ratio
+    alone: Values = {("motor_inertia", 1): motor, ("link_inertia", 1): link}
+    alone["gear_stiffness", 1] = k
+    expected = np.sqrt(k * (1.0 / link + n**2 / motor)) / (2.0 * np.pi)
+    assert fastest_resonance(one, alone) == pytest.approx(expected, rel=1e-12)
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    highest = 0.0
+    for cosine in np.linspace(-1.0, 1.0, 21):
+        coupled = beta + gamma * cosine
+        links = np.array([[alpha + beta + 2.0 * gamma * cosine, coupled], [coupled, beta]])
+        referred = [
+            values["motor_inertia", i] / study.joints[i - 1].gear_ratio ** 2 for i in (1, 2)
+        ]
+        spring = np.diag([values["gear_stiffness", i] for i in (1, 2)])
+        flexible = (np.linalg.inv(links) + np.diag(1.0 / np.array(referred))) @ spring
+        roots = np.linalg.eigvals(flexible).real
+        highest = max(highest, float(np.sqrt(np.max(roots))) / (2.0 * np.pi))
+    assert fastest_resonance(study, values) == pytest.approx(highest, rel=1e-9)
+    assert fastest_resonance(study, {}) == 0.0
+
+
+def test_steps_follow_the_fastest_resonance() -> None:
+    """Ten times the stiffness: records stay within what a sensor resolves of far shorter steps'."""
+    study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
+    assert longest_step(study, values) == LONGEST_STEP
+    stiff = dict(values)
+    for joint in (1, 2):
+        stiff["gear_stiffness", joint] *= 10.0
+    step = longest_step(study, stiff)
+    assert step == pytest.approx(1.0 / (120.0 * fastest_resonance(study, stiff)))
+    record: tuple[Quantity, ...] = ("motor_angle", "accelerometer")
+    pushed = drive(200)
+
+    def run(longest: float) -> dict[Quantity, FloatArray]:
+        found = simulate_arms(
+            study,
+            [stiff],
+            pushed,
+            sample_time=1e-3,
+            samples=200,
+            record=record,
+            longest_step=longest,
+        )
+        return {name: found[name][0] for name in record}
+
+    exact = run(2e-6)
+
+    def off(found: Trajectory | dict[Quantity, FloatArray]) -> float:
+        sizes = (np.std(found[name] - exact[name], axis=0) for name in record)
+        return max(
+            float(np.max(size / np.std(exact[name], axis=0)))
+            for size, name in zip(sizes, record, strict=True)
+        )
+
+    own, shorter = (
+        off(
+            simulate(
+                study,
+                stiff,
+                pushed,
+                sample_time=1e-3,
+                samples=200,
+                record=record,
+                longest=longest,
+            )
+        )
+        for longest in (LONGEST_STEP, 1e-5)
+    )
+    assert own < 5e-4
+    assert own < 0.2 * off(run(LONGEST_STEP))
+    assert shorter < 0.2 * own
+    # the sensors' filters are of second order: four times less for half the step
+    assert 1.7 < np.log2(off(run(4e-5)) / off(run(2e-5))) < 2.3
 
 
 def test_clocks_without_a_common_step_are_refused() -> None:

@@ -27,6 +27,8 @@ from strainwave.simulation import simulate
 from strainwave.study import read_study
 from strainwave.virtual import Simulator, derived
 
+EXACT_STEP = 4e-6
+"""[s] Of a truth: at 300 Hz the sensors' filters are wrong by 5e-6, below any deviation told."""
 _NOMINAL = {"scale": 1.0}  # of link sensors; a delay is zero, and so is what was not drawn
 
 
@@ -100,7 +102,7 @@ def main() -> None:
     by_name: dict[str, list[list[Any]]] = defaultdict(list)
     failures: list[dict[str, Any]] = []
     statuses: dict[str, int] = defaultdict(int)
-    simulator: Simulator = simulate
+    simulator: Simulator = partial(simulate, longest=EXACT_STEP)
     if chosen.engine:
         from benchmarks.studies.engine import in_mujoco as simulator
     arm = partial(drawn_rig, series=chosen.seed, catalogue=chosen.catalogue)

@@ -32,7 +32,11 @@ Quantity = Literal[
 """What a run can record."""
 
 LONGEST_STEP = 1.25e-4
-"""[s] Some 300 steps a period of the fastest gear resonance, 26 Hz, where the order is four."""
+"""[s] Of the integrator, where no gear resonance asks for shorter ones."""
+_STEPS_PER_PERIOD = 120.0
+"""Of the fastest gear resonance: there w h = 0.05. The integrator, of fourth order, is then off by
+(w h)^4/120 or 6e-8, the sensors' filters, of second, by (w h)^2/12 or 2e-4: a fiftieth of an
+accelerometer's usual error of calibration. Records that are to be truths ask for shorter steps."""
 
 _SAME_CLOCK = 2e-4
 """Two crystals of one nominal frequency differ by up to so much."""
@@ -195,8 +199,9 @@ def simulate(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
+    longest: float = LONGEST_STEP,
 ) -> Trajectory:
-    """Run one experiment on an arm with given parameters.
+    """Run one experiment on an arm with given parameters, in steps that its fastest resonance asks.
 
     Parameters
     ----------
@@ -209,6 +214,8 @@ def simulate(
     samples : int
     record : sequence of str
         Quantities to record.
+    longest : float [s]
+        Of the integrator's steps, where its fastest resonance does not ask for shorter ones.
 
     Returns
     -------
@@ -222,10 +229,80 @@ def simulate(
         The motion left the finite numbers.
     """
     recorded = simulate_arms(
-        study, [values], drive, sample_time=sample_time, samples=samples, record=record
+        study,
+        [values],
+        drive,
+        sample_time=sample_time,
+        samples=samples,
+        record=record,
+        longest_step=min(longest, longest_step(study, values)),
     )
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
     return Trajectory(time, {name: recorded[name][0] for name in record})
+
+
+def longest_step(study: Study, values: Values) -> float:
+    """The integrator's longest step that an arm's fastest gear resonance allows.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        (name, joint) -> value.
+
+    Returns
+    -------
+    float [s]
+        `LONGEST_STEP` where no resonance asks for less.
+    """
+    fastest = fastest_resonance(study, values)
+    return min(LONGEST_STEP, 1.0 / (_STEPS_PER_PERIOD * fastest)) if fastest else LONGEST_STEP
+
+
+def fastest_resonance(study: Study, values: Values) -> float:
+    """The highest undamped natural frequency of motors and links on their stiffest springs.
+
+    det(K - w^2 M) = 0 with M of the links, folded or stretched, and of the motors, J/n^2.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        (name, joint) -> value.
+
+    Returns
+    -------
+    float [Hz]
+        Zero where the values do not tell it.
+    """
+    known, n = completed(values, study), study.n_joints
+    try:
+        own = [(known.get(("gear_stiffness", i)), i) for i in range(1, n + 1)]
+        k = np.diag([one or known["gear_stiffness_k3", i] for one, i in own])
+        ratios = [joint.gear_ratio for joint in study.joints]
+        motor = np.diag([known["motor_inertia", i] / r**2 for i, r in enumerate(ratios, start=1)])
+        links = [_link_inertias(known, n, cosine) for cosine in (-1.0, 1.0)]
+    except KeyError:
+        return 0.0
+    stiffness, fastest = np.block([[k, -k], [-k, k]]), 0.0
+    for link in links:
+        inertia = np.block([[link, np.zeros((n, n))], [np.zeros((n, n)), motor]])
+        try:
+            root = np.linalg.inv(np.linalg.cholesky(inertia))
+        except np.linalg.LinAlgError:
+            return 0.0  # an impossible arm: the core says what is wrong with it
+        squared = float(np.linalg.eigvalsh(root @ stiffness @ root.T)[-1])
+        fastest = max(fastest, float(np.sqrt(max(squared, 0.0)) / (2.0 * np.pi)))
+    return fastest
+
+
+def _link_inertias(known: Values, n_joints: int, cosine: float) -> FloatArray:
+    """M of the links alone, (n_joints, n_joints), with the cosine of the elbow's angle."""
+    if n_joints == 1:
+        return np.array([[known["link_inertia", 1]]])
+    alpha, beta, gamma = (known[name, None] for name in ("alpha", "beta", "gamma"))
+    coupled = beta + gamma * cosine
+    return np.array([[alpha + beta + 2.0 * gamma * cosine, coupled], [coupled, beta]])
 
 
 def simulate_arms(

@@ -21,7 +21,7 @@ from strainwave.physical import (
 )
 from strainwave.physical.told import cautions_of, parameters_of
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
-from strainwave.records import Decoupled, FloatArray, Joint, JointModel, LinkSignals
+from strainwave.records import Decoupled, Delay, FloatArray, Joint, JointModel, LinkSignals
 
 CASES = [(1, 1), (2, 1), (3, 2), (4, 2)]
 WELL_TOLD = [NAMES.index(n) for n in ("motor_inertia", "link_inertia", "gear_stiffness")]
@@ -112,6 +112,27 @@ def test_the_rigid_models_errors_are_counted() -> None:
     )
     k = NAMES.index("link_inertia")
     assert unsure.covariance[k, k] > 4.0 * sure.covariance[k, k]
+
+
+def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
+    """k D of a sensor's delay reads as gear damping; where none was taken off, nothing is added."""
+    one = case(1)
+    number = one.decoupled.joint
+    at = NAMES.index("gear_damping")
+
+    def having_removed(value: float) -> JointModel:
+        delays = tuple(Delay(value if j == number else 0.0, 3e-5) for j in (1, 2))
+        signals = replace(one.signals, removed_delay=delays)
+        return identify_joint([(signals, one.decoupled)], one.model, one.study)
+
+    plain, none, removed = found_in(one), having_removed(0.0), having_removed(1e-3)
+    np.testing.assert_array_equal(none.covariance, plain.covariance)
+    added = removed.covariance - plain.covariance
+    expected = (plain.values["gear_stiffness"] * 3e-5) ** 2
+    assert added[at, at] == pytest.approx(expected, rel=1e-9)
+    assert np.count_nonzero(added) == 1
+    told = next(p for p in removed.parameters if p.name == "gear_damping")
+    assert told.std == pytest.approx(np.sqrt(removed.covariance[at, at]))
 
 
 def test_a_band_may_be_set() -> None:

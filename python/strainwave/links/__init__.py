@@ -76,7 +76,7 @@ def both_sides(
             break
     if _beyond(total):
         return [link_side(log, study, options) for log in logs], (Delay(0.0, 0.0),) * len(total)
-    return found, total
+    return [replace(own, removed_delay=total) for own in found], total
 
 
 def _beyond(delays: Sequence[Delay]) -> bool:

@@ -7,7 +7,7 @@ state-space model and its transfer functions (`state_space_of`, `from_state_spac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -32,6 +32,7 @@ from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.records import (
     Caution,
     Decoupled,
+    FloatArray,
     JointModel,
     LinearOptions,
     LinkSignals,
@@ -156,7 +157,8 @@ def _joint_model(solved: Solved) -> JointModel:
     fit, number = solved.fit(), solved.records[0][1].joint
     names = tuple(signals.experiment.name for signals, _ in solved.records)
     values = _values(fit)
-    said = values, fit.covariance, fit.determined, solved.study.joints[number - 1], number
+    covariance = _with_delay(fit.covariance, values, solved.records, number)
+    said = values, covariance, fit.determined, solved.study.joints[number - 1], number
     warnings = tuple(cautions_of(*said, ", ".join(names)))
     return JointModel(
         joint=number,
@@ -164,7 +166,7 @@ def _joint_model(solved: Solved) -> JointModel:
         method="grey-box",
         parameters=tuple(parameters_of(*said)),
         values=values,
-        covariance=fit.covariance,
+        covariance=covariance,
         anti_resonance=anti_resonance(fit.joint, fit.covariance[:6, :6]),
         resonance=resonance(fit.joint, fit.covariance[:6, :6]),
         band_hz=fit.band_hz,
@@ -344,6 +346,26 @@ def _in_other_bands(
         except (StrainwaveError, np.linalg.LinAlgError):
             continue
     return found
+
+
+def _with_delay(
+    covariance: FloatArray,
+    values: Mapping[str, float],
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    number: int,
+) -> FloatArray:
+    """With what a link sensor's delay, once taken off, may still be wrong by.
+
+    A link seen late by D has the torsion n theta_m - theta_l + D theta_l', so that k of it reads as
+    gear damping of k D more or less: a variance of (k std_D)^2. It is alike in all records.
+    """
+    removed = [s.removed_delay[number - 1] for s, _ in records if s.removed_delay]
+    if not removed or not removed[0].value:
+        return covariance
+    at = list(values).index("gear_damping")
+    larger = covariance.copy()
+    larger[at, at] += (values["gear_stiffness"] * removed[0].std) ** 2
+    return larger
 
 
 def _values(fit: GreyBoxFit) -> dict[str, float]:

@@ -147,6 +147,7 @@ class LinkSignals:
     sensor_delay: tuple[Delay | None, ...]  # link sensor behind encoder; None: not to be told
     drive_delay: tuple[Delay | None, ...]  # torque behind the log's; None: not to be told
     warnings: tuple[Caution, ...] = ()
+    removed_delay: tuple[Delay, ...] = ()  # of link sensors, one a joint; (): none was taken off
 
     @property
     def summaries(self) -> tuple[LinkSummary, ...]:
