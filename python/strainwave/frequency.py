@@ -162,9 +162,7 @@ def by_welch(
     lines = np.concatenate(blocks)
     count = len(lines)
     if count <= n_in:
-        raise NotIdentifiable(
-            f"{count} segments cannot tell {n_in} inputs apart; record for longer"
-        )
+        raise NotIdentifiable(f"{count} segments cannot separate {n_in} inputs; record for longer")
     S = np.einsum("pfa,pfb->fab", lines, lines.conj()) / count
     S_uu, S_yu, S_yy = S[:, :n_in, :n_in], S[:, n_in:, :n_in], S[:, n_in:, n_in:]
     inverse = np.linalg.pinv(S_uu, rcond=1e-9, hermitian=True)

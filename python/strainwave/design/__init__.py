@@ -140,7 +140,7 @@ def design(
         A parameter is missing, the limits leave no experiment, or the arm asks for a servo that is
         not described. One experiment that the limits do not leave is a warning.
     """
-    parameter_vector(build_arm(study), values, study)  # tells what is missing
+    parameter_vector(build_arm(study), values, study)  # refuses what is missing
     bands = {j: band_of(study, values, j) for j in range(1, study.n_joints + 1)}
     warnings = _without_servo(study, bands)
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
@@ -217,7 +217,11 @@ def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Caut
         return ()
     elastic = any(bands.values())
     if study.arm.gravity or not elastic:
-        why = "under gravity a servo holds the arm" if elastic else "a rigid arm is told by motions"
+        why = (
+            "under gravity a servo holds the arm"
+            if elastic
+            else "a rigid arm is identified from motions"
+        )
         raise InvalidInput(
             f"{why}, and the study describes no servo", where=str(study.path), remedy=ADD_SERVO
         )
@@ -235,8 +239,8 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ..
     name, seen = record.experiment.name, record.foreseen
     found = []
     if record.condition_number and record.condition_number > _POOR:
-        text = f"condition number {record.condition_number:.0f}: the motion hardly tells the rigid "
-        text += "parameters apart; allow more voltage, velocity or angle"
+        text = f"condition number {record.condition_number:.0f}: the motion hardly separates the "
+        text += "rigid parameters; allow more voltage, velocity or angle"
         found.append(Caution("poor-excitation", name, text))
     for i in range(study.n_joints):
         joint = i + 1
@@ -253,6 +257,6 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ..
         if excited and beyond:
             text = f"the gear of joint {joint} sees {seen.gear_torque[i]:.3g} N m, and its knees "
             text += f"are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: its stiffness "
-            text += "beyond will not be told; allow more voltage, velocity or angle"
+            text += "beyond will not be identifiable; allow more voltage, velocity or angle"
             found.append(Caution("knee-not-reached", name, text))
     return tuple(found)

@@ -51,7 +51,7 @@ class Signal:
     order: int  # of a PRBS
     ticks: int  # of a period
     lines: FloatArray  # harmonics of a multisine
-    seed: int
+    shape: FloatArray  # (ticks,) one period, of peak one
 
     @property
     def period(self) -> float:
@@ -60,16 +60,7 @@ class Signal:
 
     def voltage(self, amplitude: float, periods: int) -> FloatArray:
         """The excitation, one value a clock."""
-        if self.kind == "prbs":
-            return excitation.prbs(Prbs(self.order, self.clock, periods, amplitude))
-        return excitation.multisine(
-            self.lines,
-            period=self.period,
-            clock=self.clock,
-            periods=periods,
-            peak=amplitude,
-            rng=np.random.default_rng([self.seed, self.joint]),
-        )
+        return amplitude * np.tile(self.shape, periods)
 
     def drive(self, amplitude: float, periods: int, control: tuple[Control, ...]) -> Drive:
         """The excitation of this joint; servos hold what they control at zero velocity."""
@@ -139,7 +130,7 @@ def voltage_record(
     )
     if kind == "multisine" and study.arm.gravity:
         raise InvalidInput(
-            "under gravity a servo holds the arm, and a study cannot tell of a multisine under one",
+            "under gravity a servo holds the arm, and a study cannot describe a multisine under one",
             where="--kind",
             remedy="use --kind prbs",
         )
@@ -256,7 +247,19 @@ def _signal(study: Study, values: Values, band: Band, joint: int, kind: Kind, se
     first = max(1, int(band.low_hz * clock * ticks))
     last = min(int(np.ceil(band.high_hz * clock * ticks)), (ticks - 1) // 2)
     lines = np.arange(first, last + 1, dtype=float)
-    return Signal(study, values, joint, kind, clock, order, ticks, lines, seed)
+    shape = (
+        excitation.prbs(Prbs(order, clock, 1, 1.0))
+        if kind == "prbs"
+        else excitation.multisine(
+            lines,
+            period=clock * ticks,
+            clock=clock,
+            periods=1,
+            peak=1.0,
+            rng=np.random.default_rng([seed, joint]),
+        )
+    )
+    return Signal(study, values, joint, kind, clock, order, ticks, lines, shape)
 
 
 def _excited(signal: Signal) -> tuple[float, float]:
@@ -325,7 +328,7 @@ def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
         lines, size = _lines(signal, seen, "accelerometer", tick, band)
         density = np.full_like(lines, SensorNoise().accelerometer_density ** 2)
         ratios["accelerometer's noise"] = np.sqrt(2.0 * density / signal.period) / size
-    always = f"{_LEAD} period to settle and {_LEAST_PERIODS} that tell noise from distortion"
+    always = f"{_LEAD} period to settle and {_LEAST_PERIODS} that separate noise from distortion"
     if not ratios:
         return _LEAST_PERIODS, f"{always}; the sensors' noise is not known"
     sensor, worst = max(

@@ -214,7 +214,7 @@ def _constants(
         Caution(
             "constant-channel",
             path.name,
-            f"the channel '{name}' never changes: it tells nothing. Check the sensor and the map",
+            f"the channel '{name}' never changes: it carries no information. Check the sensor and the map",
         )
         for name, values in channels.items()
         if name.startswith(_SENSORS) and np.ptp(values) == 0.0

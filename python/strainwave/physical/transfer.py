@@ -91,7 +91,7 @@ def from_state_space(
     -------
     JointModel
         Without deviations where the model has none. Impossible values are reported as they came,
-        with status "implausible". `fit_percent` tells how well these parameters explain the
+        with status "implausible". `fit_percent` is how well these parameters explain the
         velocities in the band, and how well G12 = G21.
 
     Raises

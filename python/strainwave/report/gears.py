@@ -201,7 +201,7 @@ def words(curve: Curve) -> str:
         text += " One slope for the whole of a bent curve."
     if curve.carried is not None:
         reach = f"{curve.largest:.3g} {curve.unit}"
-        text += f" The records load the gear up to {reach}, and tell nothing beyond."
+        text += f" The records load the gear up to {reach}, and nothing is identifiable beyond."
     return text
 
 

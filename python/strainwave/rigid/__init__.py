@@ -417,12 +417,14 @@ def _warnings(study: Study, best: _Trial) -> Iterator[Caution]:
         for i, share in enumerate(stands):
             if share > _MUCH_STANDING:
                 text = f"motor {i + 1} may stand for {100.0 * share:.0f} % of the record, which"
-                text += " then tells nothing of its friction; move faster, reverse less often"
+                text += (
+                    " then carries no information on its friction; move faster, reverse less often"
+                )
                 yield Caution("standing", stretch.signals.experiment.name, text)
     if best.factor.condition_number > _POOR and best.determined.all():
         weak = np.abs(best.factor.directions[-1])
         involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weak > 0.3))
-        text = f"condition number {best.factor.condition_number:.0f}: the records hardly tell apart"
+        text = f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
         yield Caution("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
     for k, column in enumerate(columns):
         positive = not column.name.startswith(("gravity", "friction_offset"))
@@ -455,13 +457,13 @@ def _why(study: Study, best: _Trial, unknown: int) -> str:
         one_way = not (np.any(directions > 0.0) and np.any(directions < 0.0))
         if one_way and column.name in ("motor_coulomb_friction", "friction_offset"):
             text = f"joint {joint} moves in one direction only, so that Coulomb friction and offset"
-            return f"{text} cannot be told apart; record motion in both directions"
+            return f"{text} are not separately identifiable; record motion in both directions"
     still = [str(i + 1) for i in range(study.n_joints) if not any(np.any(d[:, i]) for d in moving)]
     if still:
         return f"joint {', '.join(still)} does not move; {_REMEDY}"
     others = [str(columns[k]) for k in _companions(best, unknown)]
     if others:
-        return f"these records cannot tell it from {', '.join(others)}; {_REMEDY}"
+        return f"these records cannot separate it from {', '.join(others)}; {_REMEDY}"
     return f"these records hardly depend on it; {_REMEDY}"
 
 

@@ -108,7 +108,7 @@ class JointColumns:
         values = self._values(column)
         if np.all(values == np.round(values)) and np.ptp(values) > 100.0:
             return None, "2 pi / counts per motor turn [rad]", "whole numbers: counts?"
-        return 1.0, "", "unit taken as rad: nothing tells it"
+        return 1.0, "", "unit taken as rad: nothing gives it"
 
     def _relation(self, rate: str, value: str) -> tuple[float, float]:
         return relation_of(self._values(rate), self._values(value), self.record.time)

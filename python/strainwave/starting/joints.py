@@ -33,7 +33,7 @@ def named_columns(record: Record) -> tuple[dict[str, Named], str, tuple[str, ...
     notes: list[str] = []
     if not any(each.quantity == "angle" for each in named.values()):
         named |= _by_nature(record, named)
-        notes.append("no name told an angle: columns were told apart by their numbers alone")
+        notes.append("no name gave an angle away: columns were assigned by their numbers alone")
     numbered = _numbered(named)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
     moving = [j for j in joints if _moves(record, numbered, j)] or joints

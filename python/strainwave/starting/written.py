@@ -181,7 +181,7 @@ def _joint(number: int, facts: JointFacts, elastic: bool) -> str:
 
 def _why_spring(facts: JointFacts, elastic: bool) -> str:
     if not elastic:
-        return "unsure: nothing on the link is logged, so no spring can be told"
+        return "unsure: nothing on the link is logged, so no spring is identifiable"
     sensors = ", ".join(sorted(facts.link_sensors))
     seen = f"likely: there is a sensor on the link ({sensors})"
     why = seen if sensors else "unsure: as on the other joint, or as records of vibration are there"
