@@ -22,8 +22,8 @@ from scipy.optimize import least_squares
 from benchmarks.peers.whole_arm import NAMES, Problem, casadi, generated, mujoco_sysid
 from benchmarks.timing import Row, best_of
 from strainwave import scara
-from strainwave.cores import one_blas_thread
 from strainwave.logs import read_logs
+from strainwave.parallel import one_blas_thread
 from strainwave.parameters import Values
 from strainwave.records import (
     Control,
@@ -41,9 +41,9 @@ from strainwave.records import (
 from strainwave.simulation import SensorNoise
 from strainwave.study import read_study
 from strainwave.tuning import tune
-from strainwave.tuning.misfit import Misfit
-from strainwave.tuning.replayed import replayed
-from strainwave.tuning.unknowns import CURVE, KNEES, search_of, with_curves
+from strainwave.tuning.dataset import replayed
+from strainwave.tuning.objective import Misfit
+from strainwave.tuning.parametrisation import CURVE, KNEES, search_of, with_curves
 from strainwave.virtual import simulate_study
 
 CUTOFF = 120.0  # [Hz]

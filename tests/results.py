@@ -6,8 +6,8 @@ import numpy as np
 
 from strainwave.records import (
     ArmModel,
-    Caution,
     Criticism,
+    Diagnostic,
     FloatArray,
     Identification,
     Parameter,
@@ -91,6 +91,6 @@ def identification(name: str = "inertia") -> Identification:
         rigid=model,
         fitted=(prediction("motion", 97.5),),
         checks=(prediction("check", 91.25, float("nan")),),
-        warnings=(Caution("saturated", "motion.csv", "u1 is at its limit"),),
+        warnings=(Diagnostic("saturated", "motion.csv", "u1 is at its limit"),),
         timing_s={"read": 0.01, "rigid": 0.5},
     )

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strainwave import applied, design, excitation, logs, pipeline, scara, simulation, virtual
+from strainwave import command_table, design, excitation, logs, pipeline, scara, simulation, virtual
 from strainwave.design import motions, rigid_motion, voltages
 from strainwave.design.band import LINES, band_of
 from strainwave.design.plan import LimitBroken, Limits, limits_of
 from strainwave.design.steps import step_records
-from strainwave.design.told import print_design
+from strainwave.design.summary import print_design
 from strainwave.design.voltages import voltage_record
 from strainwave.design.written import HEADER, write
 from strainwave.errors import InvalidInput
@@ -449,7 +449,7 @@ def test_what_was_written_reads_back(designed: design.Design, tmp_path: Path) ->
     assert again.joints == STUDY.joints
     header = (tmp_path / HEADER).read_text()
     for record in designed.records:
-        table = open_table(tmp_path / applied.table_name(record.experiment))
+        table = open_table(tmp_path / command_table.table_name(record.experiment))
         columns = table.read(table.names)
         time = columns.pop("t [s]")
         np.testing.assert_allclose(

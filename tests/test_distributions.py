@@ -6,7 +6,7 @@ from scipy.linalg import expm
 from scipy.special import chdtrc, stdtrit
 
 from strainwave.distributions import chi_square_tail, student_quantile
-from strainwave.matrices import exponential
+from strainwave.linalg import exponential
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 10, 25, 100, 101, 300])

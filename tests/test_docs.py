@@ -201,10 +201,10 @@ def constants(function: str) -> set[str]:
 
 def codes_of_warnings() -> set[str]:
     """Every code a caution can have: written out, or made from a check, a step or an effect."""
-    made = [node for node in first_arguments("Caution") if not isinstance(node, ast.Constant)]
+    made = [node for node in first_arguments("Diagnostic") if not isinstance(node, ast.Constant)]
     assert {ast.unparse(node) for node in made} == {"check.name", "code", "f'{one.effect}-likely'"}
     likely = {f"{effect}-likely" for effect in get_args(records.Effect)}
-    return constants("Caution") | constants("Check") | constants("tried") | likely
+    return constants("Diagnostic") | constants("Check") | constants("tried") | likely
 
 
 def test_every_warning_has_its_place_in_troubleshooting() -> None:

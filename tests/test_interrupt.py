@@ -16,8 +16,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such signal 
 PROLOGUE = """
 import sys, threading, time
 from pathlib import Path
-from strainwave import files, interrupt
-from strainwave.cores import side_by_side, stop_if_asked
+from strainwave import atomic_files, interrupt
+from strainwave.parallel import side_by_side, stop_if_asked
 interrupt.listen()
 def ready():
     print("ready", flush=True)
@@ -84,7 +84,7 @@ def slow(*each):
     time.sleep(1.0)
     return real(*each)
 Path.replace = slow
-files.write_whole(Path({str(tmp_path)!r}), dict(one=b"1", two=b"2"))
+atomic_files.write_whole(Path({str(tmp_path)!r}), dict(one=b"1", two=b"2"))
 time.sleep(100)
 """
     code_, said, _ = stopped(code)

@@ -12,7 +12,7 @@ import pytest
 from strainwave import excitation, scara
 from strainwave.records import FloatArray, Prbs, Spring
 from strainwave.simulation import build_arm, parameter_vector
-from strainwave.tuning.replayed import low_pass_kernels
+from strainwave.tuning.dataset import low_pass_kernels
 
 STUDY = scara.study(Path())
 ARM = build_arm(STUDY)

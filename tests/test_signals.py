@@ -14,7 +14,7 @@ from strainwave import filters, scara, signals
 from strainwave.errors import InvalidInput
 from strainwave.filters import differentiate, low_pass, noise_deviation, signal_band
 from strainwave.records import FloatArray, Log
-from strainwave.stiction import free_friction, responses, sliding_direction
+from strainwave.standstill import free_friction, responses, sliding_direction
 from virtual_arms import CLOCK, DRIVE, motion_log, rigid_drive
 
 TIME: FloatArray = CLOCK * np.arange(8000, dtype=np.float64)

@@ -161,7 +161,7 @@ def test_callers_give_records_or_tables(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_parameters_of_the_fit_are_those_options_may_name(spring: str) -> None:
-    from strainwave.tuning.unknowns import search_of, with_curves
+    from strainwave.tuning.parametrisation import search_of, with_curves
 
     study, known = truth(spring)
     joints = joint_models(study, known, 0.01, np.zeros((2, 6)))

@@ -25,7 +25,7 @@ from strainwave.records import (
 )
 from strainwave.study import read_study
 from strainwave.tuning import TuningOptions, tune
-from strainwave.tuning.unknowns import CURVE, KNEES, SETTLING
+from strainwave.tuning.parametrisation import CURVE, KNEES, SETTLING
 from strainwave.virtual import derived
 from tuning_runs import (
     JOINT_NAMES,

@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 
 from strainwave.records import FloatArray
 from strainwave.tuning.confidence import Confidence, confidence_of, only_together
-from strainwave.tuning.misfit import Misfit, Weights
-from strainwave.tuning.unknowns import Prior, Search, Unknown
+from strainwave.tuning.objective import Misfit, Weights
+from strainwave.tuning.parametrisation import Prior, Search, Unknown
 from tuning_runs import linear_record, linear_search
 
 N = 600

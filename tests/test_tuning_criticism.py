@@ -10,8 +10,8 @@ from scipy import signal
 
 from strainwave.parameters import EFFECT_PARAMETERS
 from strainwave.records import Effect, FloatArray, ResidualTest
+from strainwave.tuning.dataset import low_pass_kernels
 from strainwave.tuning.effects import sizes_of
-from strainwave.tuning.replayed import low_pass_kernels
 from strainwave.tuning.residuals import (
     coloured_alike,
     follows,

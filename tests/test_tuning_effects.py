@@ -17,9 +17,9 @@ from strainwave.parameters import EFFECT_PARAMETERS, Values
 from strainwave.records import ArmModel, Effect, Log, Study
 from strainwave.simulation import SensorNoise
 from strainwave.tuning import TuningOptions, tune
+from strainwave.tuning.dataset import replayed
 from strainwave.tuning.effects import idle, records_with, tried, with_effects, without
-from strainwave.tuning.replayed import replayed
-from strainwave.tuning.unknowns import COULOMB, Prior, Search
+from strainwave.tuning.parametrisation import COULOMB, Prior, Search
 from tuning_runs import joint_models, linear_search, rigid_model, shaken_study, truth, written_logs
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))

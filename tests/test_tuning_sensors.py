@@ -12,8 +12,8 @@ from strainwave.link_sensors import moved
 from strainwave.parameters import Values
 from strainwave.records import ArmModel, Log, Study, TuningOptions
 from strainwave.tuning import tune
-from strainwave.tuning.replayed import replayed
-from strainwave.tuning.unknowns import Key
+from strainwave.tuning.dataset import replayed
+from strainwave.tuning.parametrisation import Key
 from tuning_runs import joint_models, rigid_model, shaken
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))

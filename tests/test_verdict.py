@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from results import arm_model
 from strainwave import scara
-from strainwave.cautions import grouped, published_warnings
+from strainwave.diagnostics import grouped, published_warnings
 from strainwave.parameters import unit_of
 from strainwave.records import (
     Activity,
-    Caution,
+    Diagnostic,
     Identification,
     JointModel,
     Parameter,
@@ -398,11 +398,11 @@ def test_stages_that_were_not_reached_are_named() -> None:
 def test_one_warning_for_one_cause() -> None:
     records = ("prbs-j1", "prbs-j2")
     late = [
-        Caution("misaligned", name, f"the link sensor of joint {j} is {ms} ms late in {name}")
+        Diagnostic("misaligned", name, f"the link sensor of joint {j} is {ms} ms late in {name}")
         for name, ms in zip(records, (0.72, 0.5), strict=True)
         for j in (1, 2)
     ]
-    other = Caution("at-bounds", "beta", "ended at 0.72")
+    other = Diagnostic("at-bounds", "beta", "ended at 0.72")
     first, second, third = grouped([*late, other], records)
     assert first.where == "prbs-j1, prbs-j2"
     assert first.experiments == records
@@ -412,11 +412,11 @@ def test_one_warning_for_one_cause() -> None:
 
 
 def test_what_a_later_stage_decides_is_not_warned_of_by_an_earlier_one() -> None:
-    early = Caution("implausible", "gear_damping of joint 1", "negative")
+    early = Diagnostic("implausible", "gear_damping of joint 1", "negative")
     found = replace(run(), warnings=(early,))
     assert early not in published_warnings(found)
     assert early in published_warnings(replace(found, tuned=None))
-    average = Caution("equivalent-stiffness", "gear_stiffness of joint 1", "one slope")
+    average = Diagnostic("equivalent-stiffness", "gear_stiffness of joint 1", "one slope")
     assert found.tuned is not None
     slope = made("gear_stiffness", 1, "tuned")
     curve = tuple(replace(slope, name=f"gear_stiffness_k{k}") for k in (1, 2, 3))

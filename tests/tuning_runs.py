@@ -13,6 +13,7 @@ import numpy as np
 from strainwave import scara
 from strainwave.logs import read_log
 from strainwave.parameters import Values
+from strainwave.recorded_input import replay
 from strainwave.records import (
     Control,
     Experiment,
@@ -25,11 +26,10 @@ from strainwave.records import (
     Study,
 )
 from strainwave.regressor import columns_of
-from strainwave.replay import replay
 from strainwave.simulation import Drive, Quantity, SensorNoise, simulate
 from strainwave.study import read_study
-from strainwave.tuning.replayed import Channel, Kernels, Replayed
-from strainwave.tuning.unknowns import Prior, Search, Unknown
+from strainwave.tuning.dataset import Channel, Kernels, Replayed
+from strainwave.tuning.parametrisation import Prior, Search, Unknown
 from strainwave.virtual import derived, simulate_study
 
 JOINT_NAMES = (

@@ -26,7 +26,7 @@ from strainwave.parameters import Values
 from strainwave.records import FloatArray
 from strainwave.study import read_study
 from strainwave.tuning import Fit, fitted
-from strainwave.tuning.misfit import Rows
+from strainwave.tuning.objective import Rows
 
 ORDER = 12  # of the noise models
 WAYS = ("rows", "predictor")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.records import BoolArray, Caution, Decoupled, FloatArray, Joint, Log, Study
-from strainwave.stiction import sliding_direction
+from strainwave.records import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Log, Study
+from strainwave.standstill import sliding_direction
 
 _STANDING = 0.02  # [s] of an unmoved encoder that count as standing still
 _STANDING_SAMPLES = 6  # and at least so many
@@ -112,7 +112,7 @@ def directions(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> 
 
 def saturation(
     log: Log, study: Study, channels: tuple[str, ...]
-) -> tuple[BoolArray, tuple[Caution, ...]]:
+) -> tuple[BoolArray, tuple[Diagnostic, ...]]:
     """Where the drive is at its limit: what is logged may then not be what the motor got.
 
     Only a servoed joint counts: an open-loop test may sit at its extremes on purpose.
@@ -127,10 +127,10 @@ def saturation(
     Returns
     -------
     (n_samples, n_joints) bool
-    tuple of Caution
+    tuple of Diagnostic
     """
     saturated = np.zeros((len(log), study.n_joints), dtype=bool)
-    warnings: list[Caution] = []
+    warnings: list[Diagnostic] = []
     for i, channel in enumerate(channels):
         if log.experiment.control[i] != "servo":
             continue
@@ -141,7 +141,7 @@ def saturation(
         if share > _MUCH_SATURATION:
             text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; left out"
             text += ". Record a slower motion"
-            warnings.append(Caution("saturated", log.name, text))
+            warnings.append(Diagnostic("saturated", log.name, text))
     return saturated, tuple(warnings)
 
 

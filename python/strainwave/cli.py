@@ -60,7 +60,7 @@ def init(
     quiet: Quiet = False,
 ) -> None:
     """Look at logs and write a study file to complete: guesses with reasons, and what is TODO."""
-    from strainwave.starting import start_study
+    from strainwave.study_draft import start_study
 
     with _progress(quiet) as tell:
         tell("looking at the logs")
@@ -101,7 +101,7 @@ def identify(
 ) -> None:
     """Identify the arm: logs in, DIR/result.json and DIR/report.html out."""
     from strainwave import pipeline
-    from strainwave.drawing import require_matplotlib
+    from strainwave.matplotlib_backend import require_matplotlib
 
     if figures:
         require_matplotlib()  # before the work, not after it
@@ -232,7 +232,7 @@ def excite(
             progress=tell,
         )
     if not quiet:
-        from strainwave.design.told import print_design
+        from strainwave.design.summary import print_design
 
         print_design(planned, out)
 
@@ -262,7 +262,7 @@ def demo(
 ) -> None:
     """Simulate the built-in SCARA-type arm, identify it, and compare with the truth."""
     from strainwave import virtual
-    from strainwave.drawing import require_matplotlib
+    from strainwave.matplotlib_backend import require_matplotlib
     from strainwave.summary import print_comparisons, print_summary
 
     if figures:
@@ -300,7 +300,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 def main() -> None:
     """Run the command line; the errors that a user can mend are one sentence, without traceback."""
-    from strainwave.cores import own_process
+    from strainwave.parallel import own_process
 
     own_process()
     try:

@@ -16,8 +16,8 @@ from strainwave.filters import differentiate, low_pass, noise_deviation, signal_
 from strainwave.link_sensors import as_read
 from strainwave.parameters import EFFECT_PARAMETERS, Values
 from strainwave.prediction import fit_percent
-from strainwave.records import Caution, FloatArray, Log, Prediction, Study
-from strainwave.replay import check_replay, replay
+from strainwave.recorded_input import check_replay, replay
+from strainwave.records import Diagnostic, FloatArray, Log, Prediction, Study
 from strainwave.simulation import Drive, Quantity, simulate_arms
 
 _MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
@@ -242,11 +242,11 @@ def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:
     )
 
 
-def _still(seen: Observed) -> Iterator[Caution]:
+def _still(seen: Observed) -> Iterator[Diagnostic]:
     for name, moves in zip(seen.channels, seen.moves, strict=True):
         if not moves:
             text = f"{name} has no fit: what it shows hardly stands out of its noise"
-            yield Caution("nothing-to-predict", seen.log.name, text)
+            yield Diagnostic("nothing-to-predict", seen.log.name, text)
 
 
 def has_accelerometer(log: Log, study: Study, joint: int) -> bool:

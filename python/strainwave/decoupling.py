@@ -17,10 +17,10 @@ from strainwave.interaction import (
     total_inertias,
 )
 from strainwave.records import (
-    Caution,
     Check,
     ComplexArray,
     Decoupled,
+    Diagnostic,
     FloatArray,
     JointModel,
     LinkSignals,
@@ -264,11 +264,11 @@ def _fullness(densities: tuple[FloatArray, ComplexArray], band: tuple[float, flo
 
 def _warnings(
     signals: LinkSignals, study: Study, i: int, checks: tuple[Check, ...]
-) -> Iterator[Caution]:
+) -> Iterator[Diagnostic]:
     """Failed checks, of joints that were to be identified in this record."""
     if signals.experiment.joint not in (None, i + 1):
         return
     for check in checks:
         if not check.passed:
             where = f"{signals.experiment.name}, joint {i + 1}" if study.n_joints > 1 else ""
-            yield Caution(check.name, where or signals.experiment.name, check.message)
+            yield Diagnostic(check.name, where or signals.experiment.name, check.message)

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.matrices import exponential
+from strainwave.linalg import exponential
 from strainwave.records import ComplexArray, FloatArray, Lag
 
 _FLOOR_MARGIN = 4.0  # a Welch estimate of 8 averages stays below 4 times its mean

@@ -10,7 +10,7 @@ import threading
 from contextlib import suppress
 from types import FrameType
 
-from strainwave import files
+from strainwave import atomic_files
 
 STOPPED = 130
 """The exit code, as shells give it to what Ctrl-C ended."""
@@ -51,14 +51,16 @@ def say() -> None:
 
 def _left() -> str:
     """Which files the run had written."""
-    if not files.written:
+    if not atomic_files.written:
         return "nothing was written"
-    folders = sorted({str(path.parent) for path in files.written})
-    return f"{len(files.written)} file(s) had been written before, to {', '.join(folders)}"
+    folders = sorted({str(path.parent) for path in atomic_files.written})
+    return f"{len(atomic_files.written)} file(s) had been written before, to {', '.join(folders)}"
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    if not files.writing.locked():  # what is being written appears whole; the watch ends the rest
+    if (
+        not atomic_files.writing.locked()
+    ):  # what is being written appears whole; the watch ends the rest
         raise Interrupted
 
 
@@ -69,6 +71,6 @@ def _watch(ears: socket.socket, _mouth: socket.socket) -> None:
     ears.settimeout(_GRACE)
     with suppress(TimeoutError):
         ears.recv(64)
-    with files.writing:
+    with atomic_files.writing:
         say()
         os._exit(STOPPED)

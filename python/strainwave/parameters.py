@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from strainwave.atomic_files import decode, read_bytes
 from strainwave.errors import InvalidInput
-from strainwave.files import decode, read_bytes
 from strainwave.records import Effect, Joint, Study
 
 Values = dict[tuple[str, int | None], float]

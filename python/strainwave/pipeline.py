@@ -34,16 +34,17 @@ from strainwave import (
     validation,
 )
 from strainwave.activity import activity_of
-from strainwave.cautions import published_warnings
-from strainwave.cores import one_blas_thread, side_by_side
-from strainwave.drawing import images
+from strainwave.atomic_files import write_whole
+from strainwave.diagnostics import published_warnings
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.files import write_whole
+from strainwave.matplotlib_backend import images
+from strainwave.parallel import one_blas_thread, side_by_side
+from strainwave.recorded_input import missing_for_replay
 from strainwave.records import (
     ArmModel,
-    Caution,
     Consistency,
     Decoupled,
+    Diagnostic,
     FrequencyOptions,
     FrequencyResponse,
     Identification,
@@ -59,7 +60,6 @@ from strainwave.records import (
     StateSpace,
     Study,
 )
-from strainwave.replay import missing_for_replay
 
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
@@ -214,7 +214,7 @@ def _rigid(
             model = rigid.fit(seen["motion"], the_study, the_study.options.rigid)
         except NotIdentifiable as failure:
             if _single_and_excited(the_study, all_logs) and "decoupled" in run.stages:
-                run.warnings.append(Caution("no-rigid-model", str(the_study.path), str(failure)))
+                run.warnings.append(Diagnostic("no-rigid-model", str(the_study.path), str(failure)))
             else:
                 run.failures.append(str(failure))
             return None, (), ()
@@ -243,7 +243,7 @@ def _decoupled(
     """Each excited record on its own, then all full-amplitude records of a joint at once."""
     if not excited:
         text = 'elastic gears show in fast records only: add experiments with use = "frequency"'
-        run.warnings.append(Caution("no-frequency-record", str(the_study.path), text))
+        run.warnings.append(Diagnostic("no-frequency-record", str(the_study.path), text))
         return (), (), {}
     if model is None and not _alone(the_study):
         return (), (), {}  # why there is none has been said
@@ -291,7 +291,7 @@ def _physical(
 
     def all_at_once(
         joint: int,
-    ) -> tuple[physical.JointFit | JointModel | Caution, FrequencyResponse | None]:
+    ) -> tuple[physical.JointFit | JointModel | Diagnostic, FrequencyResponse | None]:
         response = _response([parts[joint - 1] for parts in at_full], options.responses)
         own = together[joint]
         try:
@@ -299,11 +299,11 @@ def _physical(
                 return physical.fit_joint(own, model, the_study, options.physical), response
             return physical.joint_by_transfer([d for _, d in own], model, the_study, how), response
         except (NotIdentifiable, np.linalg.LinAlgError) as failure:
-            return Caution("not-identifiable", f"joint {joint}", str(failure)), response
+            return Diagnostic("not-identifiable", f"joint {joint}", str(failure)), response
 
     numbers = sorted(together)
     found = side_by_side([partial(all_at_once, n) for n in numbers])
-    run.warnings.extend(each for each, _ in found if isinstance(each, Caution))
+    run.warnings.extend(each for each, _ in found if isinstance(each, Diagnostic))
     fits = {fit.model.joint: fit for fit, _ in found if isinstance(fit, physical.JointFit)}
     joints = [fit.model for fit in fits.values()]
     joints += [each for each, _ in found if isinstance(each, JointModel)]
@@ -368,7 +368,7 @@ def _tuned(
                 all_logs, model, joints, the_study, options, start=start, progress=count
             )
         except NotIdentifiable as failure:
-            run.warnings.append(Caution("not-tuned", str(the_study.path), str(failure)))
+            run.warnings.append(Diagnostic("not-tuned", str(the_study.path), str(failure)))
             return None
     # what an earlier stage said of the same sensor is said again, and better
     late = {w.where for w in found.warnings if w.code == "sensor-delay"}
@@ -474,7 +474,7 @@ class _Run:
     stages: tuple[str, ...]
     progress: Progress
     parts: list[str] = field(default_factory=list)  # that have begun, or been passed over
-    warnings: list[Caution] = field(default_factory=list)
+    warnings: list[Diagnostic] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     sensors: dict[tuple[str, int | None], float] = field(default_factory=dict)  # delays found
     links: tuple[LinkSummary, ...] = ()
@@ -507,7 +507,7 @@ def _planned(stages: Sequence[str]) -> list[str]:
 
 
 def _signals(
-    all_logs: Sequence[Log], use: str, the_study: Study, warnings: list[Caution]
+    all_logs: Sequence[Log], use: str, the_study: Study, warnings: list[Diagnostic]
 ) -> list[Signals]:
     """Motor-side signals of the records of one use, which have them."""
     chosen = _used_for(all_logs, use)

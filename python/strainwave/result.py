@@ -12,8 +12,8 @@ import numpy as np
 
 from strainwave.records import (
     ArmModel,
-    Caution,
     Criticism,
+    Diagnostic,
     FloatArray,
     FrequencyResponse,
     Identification,
@@ -336,7 +336,7 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
     }
 
 
-def _warning(warning: Caution) -> dict[str, Any]:
+def _warning(warning: Diagnostic) -> dict[str, Any]:
     shown = {"code": warning.code, "where": warning.where, "message": warning.message}
     return shown | ({"experiments": warning.experiments} if warning.experiments else {})
 

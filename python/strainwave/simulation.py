@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from strainwave import _core
-from strainwave.cores import stop_if_asked
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.parallel import stop_if_asked
 from strainwave.parameters import Values, completed
 from strainwave.records import FloatArray, Study
 

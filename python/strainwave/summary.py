@@ -11,8 +11,8 @@ from rich.text import Text
 
 from strainwave.formatting import percent, plus_minus
 from strainwave.records import (
-    Caution,
     Decision,
+    Diagnostic,
     Identification,
     JointModel,
     Parameter,
@@ -93,7 +93,7 @@ def _fits(identification: Identification) -> Iterator[str]:
         yield f"fit ({title}) {experiment}: {fits}"
 
 
-def _warning(warning: Caution) -> Text:
+def _warning(warning: Diagnostic) -> Text:
     """In one line what is the matter; what to do about it stands in the report."""
     first = warning.message.split("; ")[0]
     return Text(f"warning [{warning.code}] {warning.where}: {first}")

@@ -10,7 +10,7 @@ from strainwave.closed_loop import predict_closed_loop
 from strainwave.errors import NotIdentifiable
 from strainwave.parameters import Values
 from strainwave.prediction import band_prediction
-from strainwave.records import ArmModel, Caution, Log, Prediction, RigidModel, Signals, Study
+from strainwave.records import ArmModel, Diagnostic, Log, Prediction, RigidModel, Signals, Study
 
 _STIFFER = 1.2
 """Stiffness for the question whether a record shows any: an error that validation should see."""
@@ -62,7 +62,7 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
         fit_percent=dict(zip(names, band.fit_percent.tolist(), strict=True)),
         unfiltered_fit_percent=dict(zip(names, full.fit_percent.tolist(), strict=True)),
         warnings=tuple(
-            Caution(
+            Diagnostic(
                 "nothing-to-predict",
                 signals.experiment.name,
                 f"{name} has no fit: its motor stands, or its torque does not vary",

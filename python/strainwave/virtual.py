@@ -15,12 +15,12 @@ import numpy as np
 
 from strainwave import comparisons, excitation, logs, pipeline, scara
 from strainwave import study as studies
-from strainwave.applied import read_applied
+from strainwave.atomic_files import write_whole
+from strainwave.command_table import read_applied
 from strainwave.errors import InvalidInput
-from strainwave.files import write_whole
 from strainwave.parameters import Values, link_inertia, read_parameters
+from strainwave.recorded_input import replay as replay_log
 from strainwave.records import Experiment, FloatArray, Identification, Prbs, Study, Tally
-from strainwave.replay import replay as replay_log
 from strainwave.report import render_comparisons
 from strainwave.simulation import (
     Drive,

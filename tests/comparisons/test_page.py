@@ -19,8 +19,8 @@ from results import identification
 from strainwave import cli, virtual
 from strainwave import comparisons as package
 from strainwave.comparisons import Settings
-from strainwave.drawing import draw
-from strainwave.records import Caution, Comparison, Criterion, Evidence, Tally
+from strainwave.matplotlib_backend import draw
+from strainwave.records import Comparison, Criterion, Diagnostic, Evidence, Tally
 from strainwave.report import curves, render_comparisons
 from strainwave.summary import print_comparisons
 
@@ -79,7 +79,7 @@ def test_names_cannot_leave_their_place(comparisons: Found) -> None:
         claim=evil,
         message=evil,
         criteria=(Criterion(evil, 1.0, "at most", 0.0, evil, evil),),
-        evidence=(Evidence(evil, evil, "converged", warnings=(Caution(evil, evil, evil),)),),
+        evidence=(Evidence(evil, evil, "converged", warnings=(Diagnostic(evil, evil, evil),)),),
         plots=(plot,),
     )
     page = render_comparisons([Tally((one,))], arm=evil)

@@ -19,7 +19,7 @@ from strainwave.physical import (
     identify_joint,
     rigid_knowledge,
 )
-from strainwave.physical.told import cautions_of, parameters_of
+from strainwave.physical.estimates import cautions_of, parameters_of
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.records import Decoupled, Delay, FloatArray, Joint, JointModel, LinkSignals
 

@@ -12,7 +12,7 @@ import pytest
 
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
-from strainwave.records import Caution, Identification, Parameter
+from strainwave.records import Diagnostic, Identification, Parameter
 from strainwave.report import figures, figures_of, parameters, render
 from strainwave.summary import print_summary
 
@@ -173,7 +173,7 @@ def test_names_cannot_leave_their_place() -> None:
 
 
 def test_a_name_is_a_name_whatever_it_begins_with() -> None:
-    caution = Caution("saturated", "#1.csv", "#2 is at its limit")
+    caution = Diagnostic("saturated", "#1.csv", "#2 is at its limit")
     page = render(replace(identification(), warnings=(caution,)))
     assert '<th scope="row">#1.csv</th><td class="text">#2 is at its limit</td>' in page
 

@@ -12,7 +12,7 @@ import pytest
 import strainwave
 from elastic_results import elastic_identification
 from results import identification, prediction
-from strainwave.records import Activity, Caution, Identification, Parameter, Suspicion
+from strainwave.records import Activity, Diagnostic, Identification, Parameter, Suspicion
 from strainwave.report import remedies
 from strainwave.report.verdict import named, verdict
 from virtual_arms import rigid_drive
@@ -71,7 +71,7 @@ def test_nearly_nothing_is_said_to_be_so() -> None:
 
 
 def test_combinations_stand_beside_the_parameters() -> None:
-    pair = Caution("only-together", "alpha and gear_damping of joint 1", "only the sum")
+    pair = Diagnostic("only-together", "alpha and gear_damping of joint 1", "only the sum")
     assert "Only the combination is identified||alpha and gear damping of joint 1|" in of(
         warnings=(pair,)
     )
@@ -134,7 +134,7 @@ def test_only_what_is_determined_and_predicted_is_green() -> None:
         (replace(fine, rigid=replace(fine.rigid, parameters=vague)), "doubt"),
         (replace(fine, checks=(prediction("a", 50.0),)), "doubt"),
         (replace(fine, warnings=identification().warnings), "doubt"),
-        (replace(fine, warnings=(Caution("resampled", "a.csv", "uneven"),)), ""),
+        (replace(fine, warnings=(Diagnostic("resampled", "a.csv", "uneven"),)), ""),
         (replace(fine, failures=("nothing moved",)), "bad"),
     ):
         assert f'class="verdict {mark}"' in verdict(found)
@@ -150,23 +150,26 @@ def test_a_fault_of_the_input_comes_first() -> None:
 
 
 def test_the_most_serious_warning_is_named() -> None:
-    mild = Caution("resampled", "a.csv", "uneven steps")
-    grave = Caution("implausible", "data/b.csv", "negative")
+    mild = Diagnostic("resampled", "a.csv", "uneven steps")
+    grave = Diagnostic("implausible", "data/b.csv", "negative")
     text = of(warnings=(mild, grave))
     assert "2 warnings|; the most serious, of b.csv: negative." in text
     assert "1 warning|; of a.csv: uneven steps." in of(warnings=(mild,))
     # what nobody has thought of comes before all
-    unheard = Caution("unheard-of", "c", "odd")
+    unheard = Diagnostic("unheard-of", "c", "odd")
     assert remedies.most_serious((grave, unheard)) is unheard
 
 
 def test_warnings_stand_in_their_order_with_what_to_do() -> None:
     rows = remedies.warnings_table(
-        [Caution("resampled", "a.csv", "uneven"), Caution("saturated", "b.csv", "at its limit")]
+        [
+            Diagnostic("resampled", "a.csv", "uneven"),
+            Diagnostic("saturated", "b.csv", "at its limit"),
+        ]
     )
     assert rows.index("b.csv") < rows.index("a.csv")
     assert "Lower the amplitude" in rows
-    assert "See the message" in remedies.warnings_table([Caution("unheard-of", "c", "odd")])
+    assert "See the message" in remedies.warnings_table([Diagnostic("unheard-of", "c", "odd")])
 
 
 def codes() -> set[str]:
@@ -179,7 +182,7 @@ def codes() -> set[str]:
             if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
                 continue
             first = node.args[0] if node.args else None
-            if isinstance(first, ast.Constant) and node.func.id in ("Caution", "Check", "tried"):
+            if isinstance(first, ast.Constant) and node.func.id in ("Diagnostic", "Check", "tried"):
                 found.add(str(first.value))
     return found
 

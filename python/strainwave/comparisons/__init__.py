@@ -13,8 +13,8 @@ from strainwave.comparisons.estimates import evidence_of
 from strainwave.comparisons.page import to_markdown
 from strainwave.comparisons.rig import Rig, Tuned
 from strainwave.comparisons.settings import OWN, PUBLISHED, Settings
-from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.errors import StrainwaveError
+from strainwave.parallel import one_blas_thread, side_by_side
 from strainwave.records import ArmModel, Comparison, Protocol, Tally
 
 __all__ = [

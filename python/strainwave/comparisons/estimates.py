@@ -15,11 +15,11 @@ from strainwave.physical.two_inertia import anti_resonance as true_anti_resonanc
 from strainwave.physical.two_inertia import resonance as true_resonance
 from strainwave.records import (
     ArmModel,
-    Caution,
     ComplexArray,
     ContinuousStateSpace,
     Criterion,
     Decoupled,
+    Diagnostic,
     Evidence,
     FloatArray,
     FrequencyResponse,
@@ -82,7 +82,7 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
     try:
         model = state_space_of(records, options)
     except (StrainwaveError, np.linalg.LinAlgError) as problem:
-        said = Caution("state-space-failed", name, str(problem))
+        said = Diagnostic("state-space-failed", name, str(problem))
         return Estimate(Evidence(name, options.method, "failed", warnings=(said,)), None)
     evidence = Evidence(
         name,
@@ -97,7 +97,7 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
         continuous = to_continuous(without_alternating(model))
         response = frequency_response(continuous, LINES_HZ)
     except (StrainwaveError, NumericalFailure, np.linalg.LinAlgError) as problem:
-        said = Caution("modes-failed", name, str(problem))
+        said = Diagnostic("modes-failed", name, str(problem))
         return Estimate(replace(evidence, warnings=(*model.warnings, said)), model)
     return Estimate(evidence, model, continuous, response, found.anti_resonance, found.resonance)
 

@@ -15,7 +15,7 @@ from strainwave.consistency.evidence import Evidence, evidence
 from strainwave.consistency.observations import Observation, observe
 from strainwave.consistency.torque_constants import torque_constants
 from strainwave.consistency.unexplained import unexplained
-from strainwave.cores import one_blas_thread
+from strainwave.parallel import one_blas_thread
 from strainwave.records import Consistency, Log, Study, Suspicion
 
 __all__ = ["check", "torque_constants"]

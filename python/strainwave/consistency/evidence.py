@@ -14,8 +14,8 @@ import numpy as np
 
 from strainwave.consistency.clocks import Clocks, clocks_of
 from strainwave.consistency.counts import count_of
-from strainwave.cores import side_by_side
 from strainwave.filters import differentiate, low_pass
+from strainwave.parallel import side_by_side
 from strainwave.records import BoolArray, Experiment, FloatArray, Log, Study
 
 _SLOW = (0.8, 2.0)  # share of the velocities' power, and bandwidth over the band that holds it

@@ -28,7 +28,7 @@ from strainwave.design.voltages import Kind, sweep_records, voltage_record
 from strainwave.design.written import write
 from strainwave.errors import InvalidInput
 from strainwave.parameters import Values, completed, read_parameters
-from strainwave.records import Caution, Study
+from strainwave.records import Diagnostic, Study
 from strainwave.simulation import build_arm, parameter_vector
 from strainwave.study import read_study
 
@@ -165,7 +165,7 @@ def design(
                 weaker, left_out = sweep_records(study, values, limits, band, record, seed=seed)
                 records += (record, *weaker)
                 warnings += tuple(
-                    Caution("limit-broken", f"sweep of joint {joint}", f"not planned: {why}")
+                    Diagnostic("limit-broken", f"sweep of joint {joint}", f"not planned: {why}")
                     for why in left_out
                 )
         if band and study.servo is not None:
@@ -177,7 +177,9 @@ def design(
     if not records:
         raise refused[0]
     warnings += tuple(
-        Caution("limit-broken", error.where or "", f"not planned: {error.problem}; {error.remedy}")
+        Diagnostic(
+            "limit-broken", error.where or "", f"not planned: {error.problem}; {error.remedy}"
+        )
         for error in refused
     )
     known = completed(values, study)
@@ -187,7 +189,7 @@ def design(
         if band and of_it and of_it[0].band_hz[1] < 0.99 * band.high_hz:
             text = f"the servo's clock lets {of_it[0].band_hz[1]:.3g} Hz through at most, and "
             text += f"{band.high_hz:.3g} Hz are wanted; drive the voltages by a faster clock"
-            warnings += (Caution("slow-clock", of_it[0].experiment.name, text),)
+            warnings += (Diagnostic("slow-clock", of_it[0].experiment.name, text),)
     warnings += _torques_without_limit(study, limits, records)
     experiments = tuple(record.experiment for record in records)
     return Design(replace(study, experiments=experiments), limits, records, warnings)
@@ -195,7 +197,7 @@ def design(
 
 def _torques_without_limit(
     study: Study, limits: Limits, records: Sequence[Planned]
-) -> tuple[Caution, ...]:
+) -> tuple[Diagnostic, ...]:
     """What the gears bear where nobody said what they may."""
     found = []
     for i in range(study.n_joints):
@@ -207,11 +209,11 @@ def _torques_without_limit(
             f"{worst.experiment.name}, and no limit was given: compare this with the peak torque "
             "in its data sheet, or give --limit-torque"
         )
-        found.append(Caution("no-torque-limit", f"joint {i + 1}", text))
+        found.append(Diagnostic("no-torque-limit", f"joint {i + 1}", text))
     return tuple(found)
 
 
-def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Caution, ...]:
+def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diagnostic, ...]:
     """What can be planned without a servo: voltages on elastic joints that lie in a plane."""
     if study.servo is not None:
         return ()
@@ -231,17 +233,17 @@ def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Caut
         f"{ADD_SERVO}; or record a slow motion of all joints as you "
         'can and add it with use = "motion"'
     )
-    return (Caution("no-servo", study.path.name, text),)
+    return (Diagnostic("no-servo", study.path.name, text),)
 
 
-def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ...]:
+def _cautions(study: Study, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
     """What to know before one record is taken."""
     name, seen = record.experiment.name, record.foreseen
     found = []
     if record.condition_number and record.condition_number > _POOR:
         text = f"condition number {record.condition_number:.0f}: the motion hardly separates the "
         text += "rigid parameters; allow more voltage, velocity or angle"
-        found.append(Caution("poor-excitation", name, text))
+        found.append(Diagnostic("poor-excitation", name, text))
     for i in range(study.n_joints):
         joint = i + 1
         moved = record.experiment.joint in (None, joint)
@@ -249,7 +251,7 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ..
         if moved and not stepped and seen.rest_share[i] > _RESTING:
             text = f"the motor of joint {joint} stands for {100.0 * seen.rest_share[i]:.0f} % of "
             text += "the record, where friction hides the rest; allow more voltage or velocity"
-            found.append(Caution("standing", name, text))
+            found.append(Diagnostic("standing", name, text))
         knees = [known[knee, joint] for knee in _KNEES if (knee, joint) in known]
         beyond = [knee for knee in knees if knee > seen.gear_torque[i]]
         strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
@@ -258,5 +260,5 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Caution, ..
             text = f"the gear of joint {joint} sees {seen.gear_torque[i]:.3g} N m, and its knees "
             text += f"are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: its stiffness "
             text += "beyond will not be identifiable; allow more voltage, velocity or angle"
-            found.append(Caution("knee-not-reached", name, text))
+            found.append(Diagnostic("knee-not-reached", name, text))
     return tuple(found)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.design.foreseen import foreseen, run
 from strainwave.design.plan import HELD, LimitBroken, Limits, Planned, clock_of
+from strainwave.design.predicted_motion import foreseen, run
 from strainwave.design.rigid_motion import (
     HARMONICS,
     Fourier,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.records import Caution, Control, Experiment, FloatArray, Study
+from strainwave.records import Control, Diagnostic, Experiment, FloatArray, Study
 from strainwave.simulation import Drive
 
 FREE: Control = "open"
@@ -97,7 +97,7 @@ class Design:
     study: Study  # with the planned experiments, whose logs are still to be recorded
     limits: Limits
     records: tuple[Planned, ...]
-    warnings: tuple[Caution, ...]
+    warnings: tuple[Diagnostic, ...]
 
 
 def limits_of(

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.cores import one_blas_thread
 from strainwave.design.plan import Limits
+from strainwave.parallel import one_blas_thread
 from strainwave.parameters import Values
 from strainwave.records import FloatArray, Study
 from strainwave.regressor import body_regressor, gear_ratios

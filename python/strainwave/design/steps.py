@@ -6,8 +6,8 @@ import numpy as np
 
 from strainwave import excitation
 from strainwave.design.band import Band
-from strainwave.design.foreseen import foreseen, run
 from strainwave.design.plan import HELD, LimitBroken, Limits, Planned, clock_of
+from strainwave.design.predicted_motion import foreseen, run
 from strainwave.parameters import Values
 from strainwave.records import Experiment, FloatArray, Servo, Study, Use
 from strainwave.simulation import Drive, holding_voltage

@@ -9,7 +9,6 @@ import numpy as np
 
 from strainwave import excitation
 from strainwave.design.band import Band
-from strainwave.design.foreseen import foreseen, run
 from strainwave.design.plan import (
     FREE,
     HELD,
@@ -19,6 +18,7 @@ from strainwave.design.plan import (
     Planned,
     clock_of,
 )
+from strainwave.design.predicted_motion import foreseen, run
 from strainwave.errors import InvalidInput
 from strainwave.parameters import Values
 from strainwave.records import Control, Experiment, FloatArray, Prbs, Study
@@ -130,7 +130,7 @@ def voltage_record(
     )
     if kind == "multisine" and study.arm.gravity:
         raise InvalidInput(
-            "under gravity a servo holds the arm, and a study cannot describe a multisine under one",
+            "under gravity a servo holds the arm, and a study cannot describe a multisine there",
             where="--kind",
             remedy="use --kind prbs",
         )

@@ -6,9 +6,9 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from strainwave.applied import applied_columns, table_name
+from strainwave.atomic_files import write_whole
+from strainwave.command_table import applied_columns, table_name
 from strainwave.design.plan import Design, Planned
-from strainwave.files import write_whole
 from strainwave.records import FloatArray, Study
 from strainwave.study import write_study
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from strainwave.atomic_files import nearest, write_whole
 from strainwave.errors import InvalidInput
 from strainwave.export.flat import to_c_header, to_json
 from strainwave.export.matlab import to_mat, to_script
@@ -12,8 +13,7 @@ from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import Export, IdentifiedArm, read_result
 from strainwave.export.state_space import state_space, to_state_space
 from strainwave.export.urdf import to_urdf
-from strainwave.files import nearest, write_whole
-from strainwave.records import Caution
+from strainwave.records import Diagnostic
 
 __all__ = ["FORMATS", "Export", "IdentifiedArm", "export_file", "read_result", "state_space"]
 
@@ -39,7 +39,7 @@ _RENDER: dict[str, Callable[[IdentifiedArm], Export]] = {
 
 def export_file(
     result: Path, out: Path, *, form: str | None = None, study: Path | None = None
-) -> tuple[Caution, ...]:
+) -> tuple[Diagnostic, ...]:
     """Write an identified arm in another program's format.
 
     Parameters
@@ -56,7 +56,7 @@ def export_file(
 
     Returns
     -------
-    tuple of Caution
+    tuple of Diagnostic
         What the file's reader must know.
 
     Raises

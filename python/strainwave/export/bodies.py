@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
-from strainwave.records import Caution
+from strainwave.records import Diagnostic
 
 _WORTH_TELLING = 0.01  # of a gravity torque
 _ASSUMED_LENGTH = 1.0  # [m] of a single link whose study names none
@@ -130,7 +130,7 @@ def about_axis(inertia: float, moment: float, length: float) -> Body:
     return Body(mass, moment / mass, inertia * rod / mass)
 
 
-def told_of_gravity(arm: IdentifiedArm) -> tuple[Caution, ...]:
+def told_of_gravity(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """Where bodies under the study's gravity miss the torque of link 2 by more than a little."""
     gravity = arm.study.arm.gravity or 0.0
     if not gravity or abs(off := effective_gravity(arm) / gravity - 1.0) < _WORTH_TELLING:
@@ -139,7 +139,7 @@ def told_of_gravity(arm: IdentifiedArm) -> tuple[Caution, ...]:
         f"gravity_torque_2 is {100.0 * off:+.1f} % off g gamma/link_length, which it is for "
         "rigid bodies; check gravity, link_length and torque_per_volt"
     )
-    return (Caution("gravity-torque", arm.source, message),)
+    return (Diagnostic("gravity-torque", arm.source, message),)
 
 
 def holds_motor(arm: IdentifiedArm) -> bool:

@@ -20,7 +20,7 @@ from strainwave.export.bodies import (
 )
 from strainwave.export.markup import numbers, remark, root, to_bytes
 from strainwave.export.source import Export, IdentifiedArm
-from strainwave.records import Caution, Joint
+from strainwave.records import Diagnostic, Joint
 
 _STEP = 1e-4  # [s] the motors' friction, a constraint, takes two steps to bring them to rest
 _THIN = 0.02  # [m] radius of the drawn links
@@ -233,17 +233,17 @@ def _has_accelerometer(arm: IdentifiedArm, number: int) -> bool:
     return joint.accelerometer_distance is not None and joint.motion == "revolute"
 
 
-def _left_out(arm: IdentifiedArm) -> tuple[Caution, ...]:
+def _left_out(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """What MuJoCo has no element for."""
     found = []
     for number, joint in enumerate(arm.study.joints, start=1):
         if joint.effects:
             message = f"MuJoCo has no {', '.join(joint.effects)}; the model goes without"
-            found.append(Caution("left-out", f"joint {number}", message))
+            found.append(Diagnostic("left-out", f"joint {number}", message))
         if joint.current_loop_hz and _lag(joint) is None:
             message = (
                 f"the current loop's {joint.current_loop_hz:g} Hz are too fast for a time step of "
                 f"{_STEP:g} s; the model's torques follow at once"
             )
-            found.append(Caution("left-out", f"joint {number}", message))
+            found.append(Diagnostic("left-out", f"joint {number}", message))
     return tuple(found)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from strainwave.atomic_files import decode, read_bytes
 from strainwave.errors import InvalidInput
-from strainwave.files import decode, read_bytes
 from strainwave.parameters import Values, completed
-from strainwave.records import Caution, Joint, Parameter, Study, is_physical, physical_range
+from strainwave.records import Diagnostic, Joint, Parameter, Study, is_physical, physical_range
 from strainwave.study import read_study
 
 _SCHEMA = "strainwave/result/1"
@@ -26,7 +26,7 @@ class Export:
     """A file's contents, and what its reader must know."""
 
     data: bytes
-    cautions: tuple[Caution, ...] = ()
+    cautions: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class IdentifiedArm:
     study: Study
     parameters: tuple[Parameter, ...]  # the best of each; None is what was not identified
     source: str  # where they come from, for messages
-    cautions: tuple[Caution, ...] = ()  # what the reader of any export must know
+    cautions: tuple[Diagnostic, ...] = ()  # what the reader of any export must know
     rejected: tuple[str, ...] = ()  # "gear_damping 2": values that the verdict rejects, here null
 
     @property
@@ -100,14 +100,14 @@ class IdentifiedArm:
             )
         return self.study.joints[number - 1]
 
-    def assumed(self) -> tuple[Caution, ...]:
+    def assumed(self) -> tuple[Diagnostic, ...]:
         """Where a known sum stands for its parts, which models with forces of both need."""
         message = (
             "link_viscous_friction is not known: the model has all viscous friction, "
             "total_viscous_friction, at the motor"
         )
         found = [
-            Caution("assumed", f"joint {number}", message)
+            Diagnostic("assumed", f"joint {number}", message)
             for number in self._lumped()
             if self.joint(number).spring != "rigid"  # motor and link of which are one
         ]
@@ -117,7 +117,7 @@ class IdentifiedArm:
             message = (
                 "of alpha and motor_inertia only rigid_inertia is known; their split is made up"
             )
-            found.append(Caution("assumed", "joint 1", message))
+            found.append(Diagnostic("assumed", "joint 1", message))
         return tuple(found)
 
     def _told(self) -> Values:
@@ -168,13 +168,13 @@ def read_result(path: Path | str, study_path: Path | str | None = None) -> Ident
     study_file = _find_study(path, named, sha256, study_path)
     study = read_study(study_file, logs_exist=False)
     _check_joints(parameters, study, path)
-    cautions: tuple[Caution, ...] = ()
+    cautions: tuple[Diagnostic, ...] = ()
     if study.sha256 != sha256:
         message = (
             f"{study_file} is not the study file as it was identified; "
             "its ratios, lengths and torques per volt are taken as they are now"
         )
-        cautions = (Caution("study-changed", str(study_file), message),)
+        cautions = (Diagnostic("study-changed", str(study_file), message),)
     kept, rejected = _without_rejected(parameters, document, path)
     return IdentifiedArm(study, kept, str(path), cautions, rejected)
 

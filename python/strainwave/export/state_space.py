@@ -11,7 +11,7 @@ from strainwave.errors import InvalidInput
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.physical import two_inertia
 from strainwave.physical.two_inertia import TwoInertia
-from strainwave.records import Caution, FloatArray
+from strainwave.records import Diagnostic, FloatArray
 
 STATES = ("twist", "motor_velocity", "link_velocity")
 INPUTS = ("motor_torque", "interaction_torque")
@@ -98,13 +98,13 @@ def _link_inertia(arm: IdentifiedArm, joint: int) -> float:
     return arm.need("alpha") + arm.need("beta") + 2.0 * arm.need("gamma")
 
 
-def linearised(arm: IdentifiedArm) -> tuple[Caution, ...]:
+def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """What a linear model of a joint leaves out, and whoever uses it must know."""
     found = arm.cautions + arm.assumed()
     for number, joint in enumerate(arm.study.joints, start=1):
         if joint.spring == "three-slope":
             message = "its gear has three slopes; the linear model has the middle one"
-            found += (Caution("linearised", f"joint {number}", message),)
+            found += (Diagnostic("linearised", f"joint {number}", message),)
     return found
 
 

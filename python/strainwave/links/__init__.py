@@ -9,17 +9,17 @@ from functools import partial
 import numpy as np
 
 from strainwave.channels import channel_of, directions, resolution, saturation, torque_channel
-from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput
 from strainwave.filters import differentiate, lagged, low_pass, noise_deviation, signal_band
 from strainwave.link_sensors import LONGEST_DELAY, moved
 from strainwave.links.alignment import drive_delay, sensor_delay
 from strainwave.links.delays import constants_of, corrected, late_sensors, misaligned
 from strainwave.links.fusion import bias_of, complement, fuse
+from strainwave.parallel import side_by_side
 from strainwave.records import (
     BoolArray,
-    Caution,
     Delay,
+    Diagnostic,
     FloatArray,
     Fusion,
     Joint,
@@ -354,7 +354,7 @@ def _acceleration(study: Study, read: FloatArray, i: int, links: _Links) -> Floa
     return np.asarray(own - ddq[:, 0] - (study.arm.link_length or 0.0) / distance * elbow)
 
 
-def _valid(view: _View) -> tuple[BoolArray, list[Caution]]:
+def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
     """Samples that edges and limits of the drive do not touch, and what to say of the sensors."""
     saturated, cautions = saturation(view.log, view.study, view.channels)
     valid = ~saturated
@@ -364,17 +364,17 @@ def _valid(view: _View) -> tuple[BoolArray, list[Caution]]:
         if source == "motor":
             text = f"link {i} has no sensor: its motion is taken as the motor's, which hides the"
             text += " gear's spring; log an accelerometer, a link encoder or the deflection"
-            warnings.append(Caution("no-link-sensor", view.log.name, text))
+            warnings.append(Diagnostic("no-link-sensor", view.log.name, text))
     prbs = view.log.experiment.prbs
     if prbs and prbs.clock < 0.999 * view.log.sample_time:
         text = f"the voltage changes every {prbs.clock:g} s but is logged every"
         text += f" {view.log.sample_time:g} s: what lies between is lost; log at least at its clock"
-        warnings.append(Caution("sub-sampled", view.log.name, text))
+        warnings.append(Diagnostic("sub-sampled", view.log.name, text))
     return valid, warnings
 
 
 def _aligned(
-    found: LinkSignals, study: Study, view: _View, warnings: list[Caution], *, alone: bool
+    found: LinkSignals, study: Study, view: _View, warnings: list[Diagnostic], *, alone: bool
 ) -> LinkSignals:
     """With the delays that are left between the channels; a link sensor's is judged by all records.
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.records import Caution, Delay, LinkSignals
+from strainwave.records import Delay, Diagnostic, LinkSignals
 
 _CERTAIN = 4.0  # deviations of a delay that are not by chance
 
@@ -46,7 +46,7 @@ def _together(delays: Sequence[Delay]) -> Delay:
     return Delay(mean if sure else 0.0, deviation)
 
 
-def misaligned(delay: Delay | None, what: str, where: str) -> Iterator[Caution]:
+def misaligned(delay: Delay | None, what: str, where: str) -> Iterator[Diagnostic]:
     """That a channel lies beside the encoder, and surely so.
 
     Parameters
@@ -59,7 +59,7 @@ def misaligned(delay: Delay | None, what: str, where: str) -> Iterator[Caution]:
 
     Yields
     ------
-    Caution
+    Diagnostic
     """
     if delay is None or abs(delay.value) < _CERTAIN * delay.std:
         return
@@ -69,7 +69,7 @@ def misaligned(delay: Delay | None, what: str, where: str) -> Iterator[Caution]:
         " encoder, and was not shifted. Check the time stamps of the logger, and the bandwidths in"
     )
     text += " the study (accelerometer_hz, gyro_hz, current_loop_hz)"
-    yield Caution("misaligned", where, text)
+    yield Diagnostic("misaligned", where, text)
 
 
 def constants_of(
@@ -97,7 +97,7 @@ def constants_of(
     }
 
 
-def corrected(delays: Sequence[Delay]) -> Iterator[Caution]:
+def corrected(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
     """That link sensors are late, and that their delays were taken off.
 
     Parameters
@@ -107,7 +107,7 @@ def corrected(delays: Sequence[Delay]) -> Iterator[Caution]:
 
     Yields
     ------
-    Caution
+    Diagnostic
     """
     for joint, delay in enumerate(delays, start=1):
         if not delay.value:
@@ -120,4 +120,4 @@ def corrected(delays: Sequence[Delay]) -> Iterator[Caution]:
             " the motor encoder; its channel was shifted by that. Likely causes: its bandwidth is"
         )
         text += " missing from the study, latency of its converter or bus, time stamps"
-        yield Caution("sensor-delay", f"joint {joint}", text)
+        yield Diagnostic("sensor-delay", f"joint {joint}", text)

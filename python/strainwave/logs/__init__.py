@@ -9,12 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.cores import side_by_side
 from strainwave.errors import InvalidInput
 from strainwave.logs.bags import Bag, is_bag
 from strainwave.logs.clocks import Track, one_clock
 from strainwave.logs.tables import Table, open_table, write_table
-from strainwave.records import Caution, Channel, Experiment, FloatArray, Log, Study, channel_names
+from strainwave.parallel import side_by_side
+from strainwave.records import (
+    Channel,
+    Diagnostic,
+    Experiment,
+    FloatArray,
+    Log,
+    Study,
+    channel_names,
+)
 
 __all__ = ["read_log", "read_logs", "write_log"]
 
@@ -86,7 +94,7 @@ def read_log(study: Study, experiment: Experiment) -> Log:
 
 def _tracks(
     table: Table | Bag, sources: dict[str, Channel], experiment: Experiment
-) -> tuple[list[Track], list[Caution]]:
+) -> tuple[list[Track], list[Diagnostic]]:
     """What was asked for with its stamps, the motor angle's first."""
     angle = sources["theta_m1"].column
     wanted = {channel.column for channel in sources.values()} | set(experiment.add.values())
@@ -189,7 +197,7 @@ def _with_added(
 
 def _constants(
     channels: dict[str, FloatArray], study: Study, experiment: Experiment, path: Path
-) -> list[Caution]:
+) -> list[Diagnostic]:
     """A log in which nothing moves is an error; a sensor that never changes is doubtful."""
     joints = range(1, study.n_joints + 1)
     moved = [i for i in joints if np.ptp(channels[f"theta_m{i}"]) > 0.0]
@@ -211,10 +219,10 @@ def _constants(
             remedy="check the channel map: the column may be another signal",
         )
     return [
-        Caution(
+        Diagnostic(
             "constant-channel",
             path.name,
-            f"the channel '{name}' never changes: it carries no information. Check the sensor and the map",
+            f"the channel '{name}' never changes. Check the sensor and the map",
         )
         for name, values in channels.items()
         if name.startswith(_SENSORS) and np.ptp(values) == 0.0

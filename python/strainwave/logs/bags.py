@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from strainwave.atomic_files import nearest
 from strainwave.errors import InvalidInput
-from strainwave.files import nearest
 from strainwave.logs.clocks import Track
 from strainwave.logs.messages import number, numbers, parse, stamp
-from strainwave.records import Caution, IntArray
+from strainwave.records import Diagnostic, IntArray
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -89,7 +89,7 @@ class Bag:
                 found[name] = _Topic(info.msgtype or "mixed", info.msgcount, columns, unreadable)
         return found
 
-    def tracks(self, wanted: Iterable[str]) -> tuple[list[Track], list[Caution]]:
+    def tracks(self, wanted: Iterable[str]) -> tuple[list[Track], list[Diagnostic]]:
         """The numbers asked for; those that came together are one track.
 
         Stamps are those of the headers where all of a topic's messages have one, else the
@@ -102,7 +102,7 @@ class Bag:
         Returns
         -------
         list of Track
-        list of Caution
+        list of Diagnostic
 
         Raises
         ------
@@ -127,7 +127,7 @@ class Bag:
         return tracks, cautions
 
     def _split(
-        self, topic: str, found: _Found, stamps: IntArray, cautions: list[Caution]
+        self, topic: str, found: _Found, stamps: IntArray, cautions: list[Diagnostic]
     ) -> list[Track]:
         """A topic's columns by the messages that have them, in the order of their stamps."""
         together: dict[tuple[int, ...], list[str]] = {}
@@ -138,13 +138,13 @@ class Bag:
             rows = np.array(shared)
             order, told = _in_order(stamps[rows], topic)
             if told:
-                cautions.append(Caution("reordered", self.path.name, told))
+                cautions.append(Diagnostic("reordered", self.path.name, told))
             time = stamps[rows][order] * _NANO
             values = {column: np.array(found.values[column])[order] for column in columns}
             tracks.append(Track(topic, time, values, partial(_message_name, rows[order])))
         return tracks
 
-    def _check_clocks(self, found: dict[str, _Found], stamped: set[str]) -> list[Caution]:
+    def _check_clocks(self, found: dict[str, _Found], stamped: set[str]) -> list[Diagnostic]:
         bare = sorted(set(found) - stamped)
         if not bare or not stamped:
             return []
@@ -164,7 +164,7 @@ class Bag:
             f"them, {1e3 * delay:.3g} ms after their stamp for the others. Publish a stamp with "
             "them if you can"
         )
-        return [Caution("recorder-stamps", self.path.name, message)]
+        return [Diagnostic("recorder-stamps", self.path.name, message)]
 
     def no_column(self, column: str, what: str) -> InvalidInput:
         """What to say where a number is not there.

@@ -15,7 +15,7 @@ import numpy as np
 from strainwave.errors import InvalidInput
 from strainwave.filters import noise_deviation
 from strainwave.logs.tables import first_impossible
-from strainwave.records import Caution, Experiment, FloatArray
+from strainwave.records import Diagnostic, Experiment, FloatArray
 
 FEWEST_ROWS = 16
 """Fewer samples cannot even be filtered."""
@@ -43,7 +43,7 @@ class Track:
 
 def one_clock(
     tracks: Sequence[Track], held: Collection[str], experiment: Experiment, path: Path
-) -> tuple[FloatArray, dict[str, FloatArray], list[Caution]]:
+) -> tuple[FloatArray, dict[str, FloatArray], list[Diagnostic]]:
     """All columns at the same, uniform instants, within the experiment's window.
 
     Measured columns are interpolated by monotone cubics, which neither ring nor flatten; commanded
@@ -63,7 +63,7 @@ def one_clock(
     -------
     (n_samples,) [s]
     dict of str to (n_samples,)
-    list of Caution
+    list of Diagnostic
 
     Raises
     ------
@@ -80,7 +80,7 @@ def one_clock(
     windowed = _overlap(windowed, held, path)
     grid, ticks, told = _grid(windowed[0].time)
     if told:
-        cautions.append(Caution("resampled", path.name, told))
+        cautions.append(Diagnostic("resampled", path.name, told))
     columns: dict[str, FloatArray] = {}
     foreign = []
     for track in windowed:
@@ -332,7 +332,7 @@ def _at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
     return np.asarray(PchipInterpolator(track.time, values)(inside))
 
 
-def _told_foreign(clock: Track, others: list[Track], path: Path) -> Caution:
+def _told_foreign(clock: Track, others: list[Track], path: Path) -> Diagnostic:
     def rate(track: Track) -> str:
         return f"{1.0 / np.median(np.diff(track.time)):.4g} Hz" if len(track.time) > 1 else "once"
 
@@ -342,12 +342,12 @@ def _told_foreign(clock: Track, others: list[Track], path: Path) -> Caution:
         "monotone cubics, commands held; what a slower topic missed is lost. Publish all from one "
         "clock if you can"
     )
-    return Caution("resampled", path.name, message)
+    return Diagnostic("resampled", path.name, message)
 
 
 def _told_silence(
     tracks: list[Track], held: Collection[str], grid: FloatArray, path: Path
-) -> list[Caution]:
+) -> list[Diagnostic]:
     """Commands that stop coming: held may be meant, or a node that died."""
     told = []
     for track in tracks:
@@ -362,5 +362,5 @@ def _told_silence(
                 f"{track.name} sends nothing from {ends[k]:.6g} to {ends[k + 1]:.6g} s: its last "
                 "value is held. Check that this is what the drive did"
             )
-            told.append(Caution("silent-command", path.name, message))
+            told.append(Diagnostic("silent-command", path.name, message))
     return told

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from strainwave.atomic_files import decode, read_bytes, write_whole
 from strainwave.errors import InvalidInput
-from strainwave.files import decode, read_bytes, write_whole
 from strainwave.records import FloatArray
 
 DELIMITERS = (",", ";", "\t")

@@ -13,8 +13,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from strainwave.cores import one_blas_thread
 from strainwave.errors import StrainwaveError
+from strainwave.parallel import one_blas_thread
+from strainwave.physical.estimates import cautions_of, parameters_of, status_of
 from strainwave.physical.grey_box import FIRST_BAND_HZ, GreyBoxFit, RigidKnowledge, Solved, solve
 from strainwave.physical.linear import (
     PHYSICAL_ORDER,
@@ -26,12 +27,11 @@ from strainwave.physical.linear import (
     state_space_of,
 )
 from strainwave.physical.rigid_knowledge import rigid_knowledge
-from strainwave.physical.told import cautions_of, parameters_of, status_of
 from strainwave.physical.transfer import from_state_space
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.records import (
-    Caution,
     Decoupled,
+    Diagnostic,
     FloatArray,
     JointModel,
     LinearOptions,
@@ -208,13 +208,13 @@ def identify_record(
     """
     chosen = options or RecordOptions()
     where = decoupled.experiment.name
-    warnings: list[Caution] = []
+    warnings: list[Diagnostic] = []
 
     def tried(code: str, step: Callable[[], Result]) -> Result | None:
         try:
             return step()
         except (StrainwaveError, np.linalg.LinAlgError) as problem:
-            warnings.append(Caution(code, where, str(problem)))
+            warnings.append(Diagnostic(code, where, str(problem)))
             return None
 
     def grey_box() -> JointModel:

@@ -25,9 +25,9 @@ import numpy as np
 
 from strainwave import least_squares as ls
 from strainwave.banded import Banded
-from strainwave.cores import stop_if_asked
 from strainwave.errors import NotIdentifiable
 from strainwave.filters import band_pass, differentiate, lagged
+from strainwave.parallel import stop_if_asked
 from strainwave.physical.linear import same_band
 from strainwave.physical.two_inertia import (
     NAMES,
@@ -38,7 +38,7 @@ from strainwave.physical.two_inertia import (
     resonance,
 )
 from strainwave.records import Decoupled, FloatArray, IntArray, LinkSignals, Study
-from strainwave.stiction import free_friction, responses
+from strainwave.standstill import free_friction, responses
 
 Seen = TypeVar("Seen", LinkSignals, Decoupled)
 

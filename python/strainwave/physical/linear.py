@@ -24,9 +24,9 @@ from strainwave.channels import check_alike
 from strainwave.errors import NotIdentifiable
 from strainwave.filters import by_spectrum, low_pass
 from strainwave.records import (
-    Caution,
     ComplexArray,
     Decoupled,
+    Diagnostic,
     FloatArray,
     Fusion,
     Hold,
@@ -469,7 +469,7 @@ def _model(
     data = _data(records, band_hz, options)
     order = options.order or (near.order if near else None) or _best_order(data, options)
     model = _near(data, near, options) or _fit(data, order, options)
-    notes: tuple[Caution, ...] = ()
+    notes: tuple[Diagnostic, ...] = ()
     if not options.order and order != PHYSICAL_ORDER and not _will_do(model):
         physical = _fit(data, PHYSICAL_ORDER, options)
         if _will_do(physical):
@@ -477,10 +477,10 @@ def _model(
     return replace(model, warnings=(*model.warnings, *notes, *_warnings(model, records)))
 
 
-def _reduced(records: Sequence[Decoupled], order: int) -> Caution:
+def _reduced(records: Sequence[Decoupled], order: int) -> Diagnostic:
     where = ", ".join(record.experiment.name for record in records)
     text = f"the data ask for {order} states, but no such model converges and rings: this one has"
-    return Caution("order-reduced", where, f"{text} {PHYSICAL_ORDER}")
+    return Diagnostic("order-reduced", where, f"{text} {PHYSICAL_ORDER}")
 
 
 def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
@@ -526,11 +526,11 @@ def _rings(model: StateSpace) -> bool:
     return bool(found.resonance and found.anti_resonance)
 
 
-def _warnings(model: StateSpace, records: Sequence[Decoupled]) -> Iterator[Caution]:
+def _warnings(model: StateSpace, records: Sequence[Decoupled]) -> Iterator[Diagnostic]:
     where = ", ".join(record.experiment.name for record in records)
     growth = float(np.abs(np.linalg.eigvals(model.A)).max())
     if growth > 1.0:
         rate = float(np.log(growth) / model.sample_time)
         text = f"the slowest pole grows by {rate:.2g} 1/s, as friction that is not quite taken off"
         text += " makes it seem; the simulated fit means nothing, resonances are not touched"
-        yield Caution("unstable-model", where, text)
+        yield Diagnostic("unstable-model", where, text)

@@ -14,6 +14,7 @@ import numpy as np
 
 from strainwave.errors import NotIdentifiable
 from strainwave.filters import by_spectrum
+from strainwave.physical.estimates import cautions_of, parameters_of, status_of
 from strainwave.physical.grey_box import RigidKnowledge
 from strainwave.physical.linear import (
     band_around,
@@ -22,7 +23,6 @@ from strainwave.physical.linear import (
     velocities,
     without_alternating,
 )
-from strainwave.physical.told import cautions_of, parameters_of, status_of
 from strainwave.physical.two_inertia import (
     NAMES,
     TwoInertia,
@@ -31,10 +31,10 @@ from strainwave.physical.two_inertia import (
     state_space,
 )
 from strainwave.records import (
-    Caution,
     ComplexArray,
     ContinuousStateSpace,
     Decoupled,
+    Diagnostic,
     FloatArray,
     JointModel,
     Mode,
@@ -274,17 +274,19 @@ def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | No
 
 def _doubts(
     own: _Pairs, lag: FloatArray, reciprocity: float | None, where: str
-) -> Iterator[Caution]:
+) -> Iterator[Diagnostic]:
     """Where the method's own assumptions do not hold."""
     if reciprocity is not None and reciprocity < _RECIPROCAL:
         text = f"G12 and G21, equal in a joint, agree only to {reciprocity:.0f} %: check the gear"
-        yield Caution("not-reciprocal", where, text + " ratio, torque_per_volt and the link sensor")
+        yield Diagnostic(
+            "not-reciprocal", where, text + " ratio, torque_per_volt and the link sensor"
+        )
     if abs(lag[4] / lag[5]) > _SLOW * abs(own.zero):
         text = "the joint's slow lag is not far below its anti-resonance, so that (18) is rough"
-        yield Caution("lag-not-slow", where, text)
+        yield Diagnostic("lag-not-slow", where, text)
     ratio = own.lag[1] / lag[5]
     if abs(ratio - 1.0) > _HEAVIER:
         text = f"the inertia where the joint rings is {ratio:.2f} times the rigid model's: see what"
-        yield Caution(
+        yield Diagnostic(
             "inertia-mismatch", where, text + " friction and torque_per_volt do to either"
         )

@@ -6,7 +6,7 @@ in rad. Joints are numbered from 1 where a person reads them and from 0 as array
 
 from __future__ import annotations
 
-from strainwave.records.answers import Caution, Consistency, Parameter, Prediction, Suspicion
+from strainwave.records.answers import Consistency, Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.records.arm import (
     ArmModel,
     Criticism,
@@ -101,7 +101,6 @@ __all__ = [
     "ArmKind",
     "ArmModel",
     "BoolArray",
-    "Caution",
     "Channel",
     "Check",
     "Comparison",
@@ -114,6 +113,7 @@ __all__ = [
     "Decision",
     "Decoupled",
     "Delay",
+    "Diagnostic",
     "Effect",
     "Evidence",
     "Experiment",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from strainwave.display import Shown
 from strainwave.records.arrays import FloatArray
-from strainwave.shown import Shown
 
 
 @dataclass(frozen=True, slots=True)
-class Caution:
+class Diagnostic:
     """Something the reader must know to trust, or not trust, an answer."""
 
     code: str  # kebab-case, stable: the troubleshooting page is indexed by it
@@ -79,7 +79,7 @@ class Prediction(Shown):
     unfiltered_fit_percent: Mapping[str, float] = field(default_factory=dict)  # with y as logged
     stiffness_effect: Mapping[int, float] = field(default_factory=dict)
     """Joint -> largest change that a fifth more gear stiffness makes, in spreads of a channel."""
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def of_drive(self) -> bool:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from strainwave.records.answers import Caution, Parameter, Prediction
+from strainwave.display import Shown
+from strainwave.records.answers import Diagnostic, Parameter, Prediction
 from strainwave.records.arrays import FloatArray
 from strainwave.records.study import Effect
-from strainwave.shown import Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class ArmModel(Shown):
     initial: tuple[Prediction, ...]  # the same before tuning
     iterations: int
     status: Literal["converged", "iteration-limit", "at-bounds"]
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
     criticism: Criticism | None = None
     carried: tuple[TorqueHistogram, ...] = ()  # one a joint with an elastic gear
     at_bounds: tuple[tuple[str, int | None], ...] = ()  # parameters that ended at a range's end

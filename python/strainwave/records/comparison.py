@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from strainwave.records.answers import Caution
+from strainwave.records.answers import Diagnostic
 
 Outcome = Literal["shown", "not-shown", "does-not-hold"]
 Protocol = Literal["own", "as-published"]
@@ -48,7 +48,7 @@ class Evidence:
     status: str  # as the model says, or "failed"
     order: int | None = None  # of a state-space model
     growth: float = math.nan  # largest modulus of its sampled poles: above one it is unstable
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
     decisive: bool = True  # whether the claim rests on it; else it is only shown beside
 
     @property

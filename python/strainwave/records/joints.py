@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from strainwave.records.answers import Caution, Parameter
+from strainwave.display import Shown
+from strainwave.records.answers import Diagnostic, Parameter
 from strainwave.records.arrays import BoolArray, FloatArray
 from strainwave.records.signals import Fusion, Lag
 from strainwave.records.statespace import (
@@ -17,7 +18,6 @@ from strainwave.records.statespace import (
     StateSpace,
 )
 from strainwave.records.study import Experiment
-from strainwave.shown import Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Decoupled(Shown):
     richness_hz: FloatArray  # (n_frequencies,) [Hz]
     richness: FloatArray  # (n_frequencies,) least over largest eigenvalue of the inputs' spectrum
     checks: tuple[Check, ...]
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class JointModel(Shown):
     band_hz: tuple[float, float]
     fit_percent: Mapping[str, float]  # of each equation, or of each output
     status: Literal["determined", "partly-determined", "implausible"]
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class RecordModel(Shown):
     )  # from the state-space model, by (17), (18); None: failed, not wanted
     check: ModelCheck | None = None  # the state-space model on a part that it was not fitted to
     response: FrequencyResponse | None = None  # nonparametric; None: inputs not told apart
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def joint_model(self) -> JointModel | None:

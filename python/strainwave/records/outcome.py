@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from strainwave.records.answers import Caution, Parameter, Prediction, Suspicion
+from strainwave.display import Shown
+from strainwave.records.answers import Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.records.arm import ArmModel
 from strainwave.records.final_table import Decision, decide
 from strainwave.records.joints import JointModel, RecordModel, Sweep
@@ -15,7 +16,6 @@ from strainwave.records.signals import Activity, LinkSummary
 from strainwave.records.statespace import FrequencyResponse
 from strainwave.records.study import Study
 from strainwave.records.verdict import Status, Validated, Verdict
-from strainwave.shown import Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Identification(Shown):
     rigid: RigidModel | None
     fitted: tuple[Prediction, ...]  # the model on the records it was fitted to
     checks: tuple[Prediction, ...]  # and on those kept for validation
-    warnings: tuple[Caution, ...]
+    warnings: tuple[Diagnostic, ...]
     timing_s: Mapping[str, float]
     links: tuple[LinkSummary, ...] = ()  # of every joint in every record that excites a gear
     records: tuple[RecordModel, ...] = ()  # of the joints excited, record by record

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from strainwave.records.answers import Caution, Parameter
+from strainwave.display import Shown
+from strainwave.records.answers import Diagnostic, Parameter
 from strainwave.records.arrays import FloatArray
-from strainwave.shown import Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class RigidModel(Shown):
     decimation: int
     n_rows: int  # equations used, after decimation and rejection
     status: Literal["determined", "partly-determined", "not-identifiable"]
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
     torque_ratio: tuple[float, float] | None = None  # joint 1's torque over joint 2's, against what
     # the symmetry of M(q) allows, and its deviation; 1 where both torque constants are right
 

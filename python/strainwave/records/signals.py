@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from strainwave.records.answers import Caution
+from strainwave.display import Shown
+from strainwave.records.answers import Diagnostic
 from strainwave.records.arrays import BoolArray, FloatArray
 from strainwave.records.study import Experiment
-from strainwave.shown import Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class Log(Shown):
     time: FloatArray  # (n_samples,) [s], uniform
     sample_time: float  # [s]
     channels: Mapping[str, FloatArray]  # contract's channel name -> (n_samples,)
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def name(self) -> str:
@@ -52,7 +52,7 @@ class Signals:
     valid: BoolArray  # (n_samples, n_joints): False at edges and where the drive saturates
     unfiltered_torque: FloatArray  # (n_samples, n_joints) [N m] at the motor, at the stamps
     torque_channel: tuple[str, ...]  # the log's channel each torque came from
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,7 @@ class LinkSignals:
     bias: FloatArray  # (n_joints,) [rad/s^2] taken off the link acceleration
     sensor_delay: tuple[Delay | None, ...]  # link sensor behind encoder; None: not to be told
     drive_delay: tuple[Delay | None, ...]  # torque behind the log's; None: not to be told
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
     removed_delay: tuple[Delay, ...] = ()  # of link sensors, one a joint; (): none was taken off
 
     @property

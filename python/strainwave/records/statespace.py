@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from strainwave.records.answers import Caution
+from strainwave.display import Shown
+from strainwave.records.answers import Diagnostic
 from strainwave.records.arrays import FloatArray
-from strainwave.shown import Shown
 
 Hold = Literal["zero", "first"]  # between samples: held, or joined by straight lines
 
@@ -64,7 +64,7 @@ class StateSpace:
     evaluations: int = 0
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def order(self) -> int:
@@ -94,7 +94,7 @@ class ContinuousStateSpace:
     covariance: FloatArray | None = None
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def order(self) -> int:
@@ -142,7 +142,7 @@ class FrequencyResponse(Shown):
     distortion_variance: FloatArray | None = None  # of one record's response
     method: Literal["model", "periods", "welch"] = "model"
     n_averages: int = 0
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
     def between(self, low_hz: float, high_hz: float, most: int) -> FrequencyResponse:
         """Its lines in a band; of more than `most`, those evenly spread over log frequency.

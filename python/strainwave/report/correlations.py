@@ -81,7 +81,7 @@ def words(found: Correlations) -> str:
         return f"No two errors correlate by {STRONG:g} or more: each parameter stands on its own."
     said = "; ".join(f"{a} with {b} ({r:+.3f})" for a, b, r in strong)
     return (
-        f"Errors that go together: {said}. Of such a pair the data identify a combination better than"
+        f"Correlated errors: {said}. Of such a pair the data identify a combination better than"
         " either alone."
     )
 

@@ -1,8 +1,9 @@
 """Plots as plain plotly dictionaries: building them needs no plotting library.
 
-Colours are Okabe and Ito's, which the colour-blind can tell apart; measured is always dark blue,
-the model always vermilion. The page exchanges colours where it is dark; `strainwave.drawing` draws
-the same dictionaries without a browser, and knows what is used here and no more.
+Colours are Okabe and Ito's, which the colour-blind can distinguish; measured is always dark blue,
+the model always vermilion. The page exchanges colours where it is dark;
+`strainwave.matplotlib_backend` draws the same dictionaries without a browser, and knows what is
+used here and no more.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import PurePath
 
-from strainwave.records import Caution
+from strainwave.records import Diagnostic
 from strainwave.report.html import prose, row, table
 
 REMEDIES = {
@@ -124,41 +124,41 @@ MILD = frozenset(
 _UNHEARD = "See the message."
 
 
-def most_serious(warnings: Iterable[Caution]) -> Caution:
+def most_serious(warnings: Iterable[Diagnostic]) -> Diagnostic:
     """The warning that takes most from the answer; of equals the first.
 
     Parameters
     ----------
-    warnings : iterable of Caution
+    warnings : iterable of Diagnostic
         At least one.
 
     Returns
     -------
-    Caution
+    Diagnostic
     """
     return min(warnings, key=_weight)
 
 
-def by_weight(warnings: Iterable[Caution]) -> list[Caution]:
+def by_weight(warnings: Iterable[Diagnostic]) -> list[Diagnostic]:
     """The most serious first; of equals in their order.
 
     Parameters
     ----------
-    warnings : iterable of Caution
+    warnings : iterable of Diagnostic
 
     Returns
     -------
-    list of Caution
+    list of Diagnostic
     """
     return sorted(warnings, key=_weight)
 
 
-def warnings_table(warnings: Iterable[Caution]) -> str:
+def warnings_table(warnings: Iterable[Diagnostic]) -> str:
     """Every warning with its remedy, the most serious first.
 
     Parameters
     ----------
-    warnings : iterable of Caution
+    warnings : iterable of Diagnostic
 
     Returns
     -------
@@ -173,11 +173,11 @@ def warnings_table(warnings: Iterable[Caution]) -> str:
     return table("Warnings", heads, rows, heading=False)
 
 
-def place_of(warning: Caution) -> str:
+def place_of(warning: Diagnostic) -> str:
     """Where it is; of a file its name alone, the folders stand at the end of the page."""
     return PurePath(warning.where).name
 
 
-def _weight(warning: Caution) -> int:
+def _weight(warning: Diagnostic) -> int:
     order = list(REMEDIES)
     return order.index(warning.code) if warning.code in REMEDIES else -1

@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from strainwave.cautions import not_exercised
+from strainwave.diagnostics import not_exercised
 from strainwave.records import Decision, Identification, Parameter, Verdict, half_width
 from strainwave.report.remedies import MILD, most_serious, place_of
 

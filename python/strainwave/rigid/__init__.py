@@ -16,13 +16,13 @@ from typing import Literal
 import numpy as np
 
 from strainwave import least_squares as ls
-from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.distributions import student_quantile
 from strainwave.errors import NotIdentifiable
+from strainwave.parallel import one_blas_thread, side_by_side
 from strainwave.prediction import band_prediction
 from strainwave.records import (
     BoolArray,
-    Caution,
+    Diagnostic,
     FloatArray,
     Parameter,
     RigidModel,
@@ -405,13 +405,13 @@ def _fits(study: Study, best: _Trial, stretch: Stretch) -> dict[str, float]:
     return dict(zip(stretch.signals.torque_channel, fitted.fit_percent.tolist(), strict=True))
 
 
-def _warnings(study: Study, best: _Trial) -> Iterator[Caution]:
+def _warnings(study: Study, best: _Trial) -> Iterator[Diagnostic]:
     """What the reader must know: unknowns not told, motors that stand, motion too fast."""
     columns = columns_of(study)
     names = ", ".join(s.signals.experiment.name for s in best.stretches)
     for k, column in enumerate(columns):
         if not best.determined[k]:
-            yield Caution("not-identifiable", str(column), _why(study, best, k))
+            yield Diagnostic("not-identifiable", str(column), _why(study, best, k))
     for stretch in best.stretches:
         stands = (stretch.signals.direction == 0.0).mean(axis=0)
         for i, share in enumerate(stands):
@@ -420,28 +420,28 @@ def _warnings(study: Study, best: _Trial) -> Iterator[Caution]:
                 text += (
                     " then carries no information on its friction; move faster, reverse less often"
                 )
-                yield Caution("standing", stretch.signals.experiment.name, text)
+                yield Diagnostic("standing", stretch.signals.experiment.name, text)
     if best.factor.condition_number > _POOR and best.determined.all():
         weak = np.abs(best.factor.directions[-1])
         involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weak > 0.3))
         text = f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
-        yield Caution("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
+        yield Diagnostic("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
     for k, column in enumerate(columns):
         positive = not column.name.startswith(("gravity", "friction_offset"))
         value, std = best.estimate.solution[k], np.sqrt(best.covariance[k, k])
         if best.determined[k] and positive and value + 2.0 * std < 0.0:
             text = f"{value:.3g} {column.unit} is negative beyond its uncertainty: the records show"
             text += " something that a rigid arm with Coulomb and viscous friction is not"
-            yield Caution("implausible", str(column), text)
+            yield Diagnostic("implausible", str(column), text)
     if best.last_move > _UNSETTLED:
         text = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
         text += " deviations; record a longer or livelier motion"
-        yield Caution("not-settled", names, text)
+        yield Diagnostic("not-settled", names, text)
     limit = _surely_elastic(study, best)
     if best.bandwidth_hz > limit:
         text = f"the gears' compliance shows at {_BELOW_RESONANCE * limit:.1f} Hz, too near to the"
         text += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
-        yield Caution("not-rigid", names, text)
+        yield Diagnostic("not-rigid", names, text)
 
 
 def _why(study: Study, best: _Trial, unknown: int) -> str:

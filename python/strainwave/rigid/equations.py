@@ -24,7 +24,7 @@ from strainwave.regressor import (
     gear_ratios,
     n_body,
 )
-from strainwave.stiction import free_friction, responses, running
+from strainwave.standstill import free_friction, responses, running
 
 MOTOR_SHARE = 0.5
 """Share of joint 1's rigid inertia (a single joint's inertia) taken for its motor's.

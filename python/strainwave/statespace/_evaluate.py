@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from strainwave import _core
-from strainwave.records import Caution, FloatArray, StateSpace
+from strainwave.records import Diagnostic, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, unpack, unscale
 from strainwave.statespace._riccati import is_stable
 from strainwave.statespace._stack import Stack
@@ -129,7 +129,7 @@ def assemble(
     method: Literal["subspace", "pem", "output-error"],
     status: Literal["estimated", "converged", "iteration-limit", "stalled", "not-determined"],
     feedthrough: tuple[bool, ...],
-    warnings: tuple[Caution, ...] = (),
+    warnings: tuple[Diagnostic, ...] = (),
 ) -> StateSpace:
     """The record of a model of scaled channels, in the user's units."""
     evaluator = Evaluator(data, matrices.order)

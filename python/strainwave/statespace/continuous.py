@@ -8,8 +8,8 @@ from math import factorial
 import numpy as np
 
 from strainwave.errors import NotIdentifiable
-from strainwave.matrices import exponential
-from strainwave.records import Caution, ContinuousStateSpace, FloatArray, StateSpace
+from strainwave.linalg import exponential
+from strainwave.records import ContinuousStateSpace, Diagnostic, FloatArray, StateSpace
 from strainwave.statespace.propagation import propagate
 
 # Share of the Nyquist frequency beyond which a pole may be the alias of a faster one.
@@ -121,12 +121,12 @@ def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
     return top[:, n : 2 * n], top[:, 2 * n :]
 
 
-def _aliases(A: FloatArray, T: float) -> tuple[Caution, ...]:
+def _aliases(A: FloatArray, T: float) -> tuple[Diagnostic, ...]:
     fastest = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0))
     if fastest < NEAR_NYQUIST * np.pi / T:
         return ()
     return (
-        Caution(
+        Diagnostic(
             "pole-near-nyquist",
             "state-space model",
             f"a pole at {fastest / (2.0 * np.pi):.3g} Hz, with samples at {1.0 / T:.3g} Hz, may be "

@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.cores import stop_if_asked
 from strainwave.errors import InvalidInput
-from strainwave.records import Caution, FloatArray, StateSpace
+from strainwave.parallel import stop_if_asked
+from strainwave.records import Diagnostic, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, balanced, n_entries, rescale
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
 from strainwave.statespace._restricted import restricted
@@ -219,11 +219,11 @@ def _model(
     )
 
 
-def _advice(fit: _Fit, options: PemOptions) -> tuple[Caution, ...]:
+def _advice(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
     found = []
     if fit.status == "iteration-limit":
         found.append(
-            Caution(
+            Diagnostic(
                 "pem-iteration-limit",
                 "state-space model",
                 f"not converged after {fit.iterations} steps; {fit.promised:.2g} of log-likelihood "
@@ -232,7 +232,7 @@ def _advice(fit: _Fit, options: PemOptions) -> tuple[Caution, ...]:
         )
     if fit.status == "stalled":
         found.append(
-            Caution(
+            Diagnostic(
                 "pem-stalled",
                 "state-space model",
                 f"the search stopped {fit.promised:.2g} of log-likelihood short of an optimum, "
@@ -243,7 +243,7 @@ def _advice(fit: _Fit, options: PemOptions) -> tuple[Caution, ...]:
         )
     if fit.covariance is None:
         found.append(
-            Caution(
+            Diagnostic(
                 "pem-not-determined",
                 "state-space model",
                 "the data leave a direction of the model open, so no covariance is given. Lower "
@@ -253,7 +253,7 @@ def _advice(fit: _Fit, options: PemOptions) -> tuple[Caution, ...]:
     return tuple(found)
 
 
-def _unlike_simulation(model: StateSpace) -> tuple[Caution, ...]:
+def _unlike_simulation(model: StateSpace) -> tuple[Diagnostic, ...]:
     """A warning where the inputs alone explain less of an output than its mean would.
 
     One-step predictions may still be good: the last sample says most of the next one.
@@ -267,7 +267,7 @@ def _unlike_simulation(model: StateSpace) -> tuple[Caution, ...]:
     text = f"simulated from the inputs alone it is worse than a constant ({fits}), though it "
     text += "predicts one step ahead: its response to the inputs is not to be trusted. Take off "
     text += "drifts, change the order, or estimate an output-error model"
-    return (Caution("negative-fit", "state-space model", text),)
+    return (Diagnostic("negative-fit", "state-space model", text),)
 
 
 def _covariance(

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.records import Caution, FloatArray, StateSpace
+from strainwave.records import Diagnostic, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, balanced
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
 from strainwave.statespace._hankel import solve_upper, triangular_factor
@@ -36,7 +36,7 @@ LONGEST_HORIZON = 40
 HIGHEST_ORDER = 10
 
 
-_DIVERGES = Caution(
+_DIVERGES = Diagnostic(
     "subspace-not-determined",
     "state-space model",
     "the predictor diverges on its own data. Take off means and drifts, or change the order",

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from strainwave.atomic_files import decode, read_bytes, write_whole
 from strainwave.errors import InvalidInput
-from strainwave.files import decode, read_bytes, write_whole
 from strainwave.records import Options, Study
 from strainwave.study.checks import check_files, check_fit, check_options, check_sizes
 from strainwave.study.flags import Flag, parsed

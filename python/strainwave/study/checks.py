@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from strainwave.atomic_files import nearest
 from strainwave.errors import InvalidInput
-from strainwave.files import nearest
 from strainwave.parameters import SENSOR_PARAMETERS, whole_arm_parameters
 from strainwave.records import Study, channel_names
 from strainwave.study.reader import Reader

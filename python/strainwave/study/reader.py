@@ -13,8 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
+from strainwave.atomic_files import nearest
 from strainwave.errors import InvalidInput
-from strainwave.files import nearest
 from strainwave.records import (
     Arm,
     Channel,

@@ -14,13 +14,14 @@ from typing import Literal
 import numpy as np
 
 from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
-from strainwave.cores import one_blas_thread, side_by_side
 from strainwave.errors import NotIdentifiable
 from strainwave.link_sensors import is_sensor_constant, nominal
+from strainwave.parallel import one_blas_thread, side_by_side
+from strainwave.recorded_input import missing_for_replay
 from strainwave.records import (
     ArmModel,
-    Caution,
     Criticism,
+    Diagnostic,
     FloatArray,
     JointModel,
     Log,
@@ -28,32 +29,39 @@ from strainwave.records import (
     Study,
     TuningOptions,
 )
-from strainwave.replay import missing_for_replay
 from strainwave.tuning.agreement import disagreement, stage_differences
-from strainwave.tuning.carried import carried_torques, gear_torques, histograms_of, largest_of
+from strainwave.tuning.dataset import Replayed, coarser, replayed, usable
 from strainwave.tuning.effects import left_out, records_with, tried
-from strainwave.tuning.misfit import Misfit
-from strainwave.tuning.replayed import Replayed, coarser, replayed, usable
-from strainwave.tuning.residuals import residual_cautions, residual_tests
-from strainwave.tuning.restricted import as_published, published_records, restricted
-from strainwave.tuning.richer import effect_cautions, richer_models
-from strainwave.tuning.searching import Progress, finely, reported, roughly
-from strainwave.tuning.sensors import (
-    sensor_cautions,
-    with_evident_sensors,
-    with_sensors,
-    without_idle_sensors,
-)
-from strainwave.tuning.starts import rejected_starts, starts_of
-from strainwave.tuning.told import Fit, parameters_of, warnings_of
-from strainwave.tuning.unknowns import CURVE, LINEAR, SETTLING, Key, Search, search_of, with_curves
-from strainwave.tuning.variants import (
+from strainwave.tuning.estimates import Fit, parameters_of, warnings_of
+from strainwave.tuning.gear_load import carried_torques, gear_torques, histograms_of, largest_of
+from strainwave.tuning.model_selection import (
     bent,
     with_named_effects,
     with_settling_times,
     without_idle_effects,
     without_idle_settling,
 )
+from strainwave.tuning.objective import Misfit
+from strainwave.tuning.parametrisation import (
+    CURVE,
+    LINEAR,
+    SETTLING,
+    Key,
+    Search,
+    search_of,
+    with_curves,
+)
+from strainwave.tuning.residuals import residual_cautions, residual_tests
+from strainwave.tuning.restricted import as_published, published_records, restricted
+from strainwave.tuning.score_tests import effect_cautions, richer_models
+from strainwave.tuning.sensors import (
+    sensor_cautions,
+    with_evident_sensors,
+    with_sensors,
+    without_idle_sensors,
+)
+from strainwave.tuning.solver import Progress, finely, reported, roughly
+from strainwave.tuning.starts import rejected_starts, starts_of
 
 __all__ = ["Fit", "TuningOptions", "fitted", "tune"]
 
@@ -146,7 +154,7 @@ class _Begun:
     records: tuple[Replayed, ...]
     coarse: Misfit  # the same records in long steps
     start: FloatArray  # (n_unknowns,)
-    rejected: tuple[Caution, ...]  # starts that were impossible
+    rejected: tuple[Diagnostic, ...]  # starts that were impossible
 
 
 def _begun(

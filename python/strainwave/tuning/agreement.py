@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strainwave.parameters import unit_of
-from strainwave.records import Caution, FloatArray, StageDifference, Study
-from strainwave.tuning.told import Fit
-from strainwave.tuning.unknowns import unit_of_arm
+from strainwave.records import Diagnostic, FloatArray, StageDifference, Study
+from strainwave.tuning.estimates import Fit
+from strainwave.tuning.parametrisation import unit_of_arm
 
 DISAGREES = 3.0
 """Standard deviations of a difference from which it is a finding: 3 runs in 100 by noise alone.
@@ -58,7 +58,7 @@ def _deviations(covariances: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
-def disagreement(differences: Sequence[StageDifference]) -> Iterator[Caution]:
+def disagreement(differences: Sequence[StageDifference]) -> Iterator[Diagnostic]:
     """The warning that the stages disagree, if they do.
 
     Parameters
@@ -67,7 +67,7 @@ def disagreement(differences: Sequence[StageDifference]) -> Iterator[Caution]:
 
     Yields
     ------
-    Caution
+    Diagnostic
         At most one, with the likely causes, the likeliest first.
     """
     far = sorted(differences, key=lambda d: -abs(d.deviations))
@@ -82,4 +82,4 @@ def disagreement(differences: Sequence[StageDifference]) -> Iterator[Caution]:
     text = f"they differ by up to {abs(far[0].deviations):.1f} standard deviations: {shown}; likely"
     text += " causes in this order: a motor constant that falls with current, a clock that is fast"
     text += " or slow, a dead zone of the drive, another law of friction"
-    yield Caution("stages-disagree", "rigid and whole-arm fit", text)
+    yield Diagnostic("stages-disagree", "rigid and whole-arm fit", text)

@@ -34,10 +34,10 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.cores import side_by_side
 from strainwave.distributions import student_quantile
+from strainwave.parallel import side_by_side
 from strainwave.records import FloatArray, IntArray
-from strainwave.tuning.misfit import BLOCKS, Misfit, Rows, lagged_products
+from strainwave.tuning.objective import BLOCKS, Misfit, Rows, lagged_products
 
 _NOTHING = 1e-30  # information of what no record tells of
 _LEAST_SHARE = 1e-3  # of the local variance: what no record tells of shows no errors either

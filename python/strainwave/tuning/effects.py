@@ -9,9 +9,9 @@ import numpy as np
 
 from strainwave.closed_loop import with_known_effects
 from strainwave.parameters import EFFECT_PARAMETERS, Values, unit_of
-from strainwave.records import Caution, Effect, FloatArray, Study
-from strainwave.tuning.replayed import Replayed
-from strainwave.tuning.unknowns import COULOMB, Key, Search, Unknown
+from strainwave.records import Diagnostic, Effect, FloatArray, Study
+from strainwave.tuning.dataset import Replayed
+from strainwave.tuning.parametrisation import COULOMB, Key, Search, Unknown
 
 Tried = tuple[int, Effect]
 """A joint, from 1, and an effect that it may have."""
@@ -143,7 +143,7 @@ def idle(search: Search, z: FloatArray, covariance: FloatArray) -> Iterator[Trie
                     yield joint, effect
 
 
-def left_out(search: Search, study: Study) -> Iterator[Caution]:
+def left_out(search: Search, study: Study) -> Iterator[Diagnostic]:
     """What a reader must know of the effects that a study names and a fit does without.
 
     Parameters
@@ -154,14 +154,14 @@ def left_out(search: Search, study: Study) -> Iterator[Caution]:
 
     Yields
     ------
-    Caution
+    Diagnostic
     """
     known = set(tried(with_known_effects(study, search.keys)))
     for joint, effect in tried(study):
         if (joint, effect) not in known:
             text = f"{effect} was tried and left out: the records do not show it; take it out of"
             text += " this joint's effects, or record slow motions and reversals"
-            yield Caution("effect-left-out", f"joint {joint}", text)
+            yield Diagnostic("effect-left-out", f"joint {joint}", text)
 
 
 def records_with(

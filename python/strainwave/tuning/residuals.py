@@ -9,10 +9,10 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from strainwave.cores import side_by_side
-from strainwave.records import Caution, FloatArray, ResidualTest
-from strainwave.tuning.misfit import Misfit, Rows, Weights, lagged_products
-from strainwave.tuning.replayed import Replayed
+from strainwave.parallel import side_by_side
+from strainwave.records import Diagnostic, FloatArray, ResidualTest
+from strainwave.tuning.dataset import Replayed
+from strainwave.tuning.objective import Misfit, Rows, Weights, lagged_products
 
 _SEGMENTS = 8  # of a record, half of each in common with the next, over which spectra are averaged
 _LEAST_SEGMENT = 64  # rows
@@ -183,7 +183,7 @@ def follows(
     return found
 
 
-def residual_cautions(tests: Sequence[ResidualTest]) -> Iterator[Caution]:
+def residual_cautions(tests: Sequence[ResidualTest]) -> Iterator[Diagnostic]:
     """For each kind of channel the one of whose motion most is left unexplained.
 
     Parameters
@@ -192,7 +192,7 @@ def residual_cautions(tests: Sequence[ResidualTest]) -> Iterator[Caution]:
 
     Yields
     ------
-    Caution
+    Diagnostic
     """
     for name in dict.fromkeys(test.channel for test in tests):
         own = [test for test in tests if test.channel == name and test.noise > 0.0]
@@ -215,4 +215,4 @@ def residual_cautions(tests: Sequence[ResidualTest]) -> Iterator[Caution]:
                 " not describe, a wrong constant in the study and an outside disturbance look so"
             )
         text += "; intervals were widened for it"
-        yield Caution("residual-not-noise", worst.experiment, text)
+        yield Diagnostic("residual-not-noise", worst.experiment, text)

@@ -9,10 +9,19 @@ import numpy as np
 
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.link_sensors import is_sensor_constant
+from strainwave.recorded_input import missing_for_replay
 from strainwave.records import FloatArray, Log, Study, TuningOptions
 from strainwave.records.options import PUBLISHED_RANGE
-from strainwave.replay import missing_for_replay
-from strainwave.tuning.unknowns import COULOMB, CURVE, LINEAR, OFFSET, Key, Prior, Search, Unknown
+from strainwave.tuning.parametrisation import (
+    COULOMB,
+    CURVE,
+    LINEAR,
+    OFFSET,
+    Key,
+    Prior,
+    Search,
+    Unknown,
+)
 
 
 def as_published(options: TuningOptions) -> TuningOptions:

@@ -18,12 +18,12 @@ from strainwave.link_sensors import (
     is_sensor_constant,
     nominal,
 )
-from strainwave.records import Caution, FloatArray, Parameter, TuningOptions
-from strainwave.tuning.misfit import Evaluated
+from strainwave.records import Diagnostic, FloatArray, Parameter, TuningOptions
+from strainwave.tuning.estimates import Fit
+from strainwave.tuning.objective import Evaluated
+from strainwave.tuning.parametrisation import Key, Search, Unknown
 from strainwave.tuning.restricted import is_held
-from strainwave.tuning.searching import SOON, again_roughly, refined, search_from
-from strainwave.tuning.told import Fit
-from strainwave.tuning.unknowns import Key, Search, Unknown
+from strainwave.tuning.solver import SOON, again_roughly, refined, search_from
 
 _EVIDENT = 4.0  # deviations at which a constant joins: of eight candidates none by chance
 _MATTERS_ROUGHLY = 0.1  # and share of the cost far from the minimum, where long steps err as well
@@ -176,7 +176,7 @@ def _left(columns: FloatArray, target: FloatArray) -> float:
     return float(np.sum((target + columns @ step) ** 2))
 
 
-def sensor_cautions(parameters: Sequence[Parameter]) -> Iterator[Caution]:
+def sensor_cautions(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     """What a reader must know of a rig whose link sensors are late or out of scale.
 
     Parameters
@@ -185,7 +185,7 @@ def sensor_cautions(parameters: Sequence[Parameter]) -> Iterator[Caution]:
 
     Yields
     ------
-    Caution
+    Diagnostic
     """
     for found in parameters:
         key = found.name, found.joint
@@ -203,11 +203,11 @@ def sensor_cautions(parameters: Sequence[Parameter]) -> Iterator[Caution]:
                 " motor encoder; estimated and corrected. Likely causes: its bandwidth is missing"
             )
             text += " from the study, latency of its converter or bus, time stamps"
-            yield Caution("sensor-delay", f"joint {found.joint}", text)
+            yield Diagnostic("sensor-delay", f"joint {found.joint}", text)
         else:
             text = f"the {sensor} reads {found.value:.4g} ± {half:.2g} times the motion; estimated"
             text += (
                 " and corrected. Likely causes: its calibration, its distance from the axis in the"
             )
             text += " study, its direction"
-            yield Caution("sensor-scale", f"joint {found.joint}", text)
+            yield Diagnostic("sensor-scale", f"joint {found.joint}", text)

@@ -14,7 +14,7 @@ import numpy as np
 
 from strainwave.errors import NotIdentifiable
 from strainwave.parameters import Values, unit_of
-from strainwave.records import Caution, JointModel, RigidModel, Study
+from strainwave.records import Diagnostic, JointModel, RigidModel, Study
 
 Key = tuple[str, int | None]
 
@@ -80,7 +80,7 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], study: Stu
     return Starts(start, rejected)
 
 
-def rejected_starts(starts: Starts, study: Study) -> Iterator[Caution]:
+def rejected_starts(starts: Starts, study: Study) -> Iterator[Diagnostic]:
     """What a reader must know of starts that were impossible.
 
     Parameters
@@ -90,14 +90,14 @@ def rejected_starts(starts: Starts, study: Study) -> Iterator[Caution]:
 
     Yields
     ------
-    Caution
+    Diagnostic
     """
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
         unit = "kg m^2" if joint is None else unit_of(name, study.joints[joint - 1])
         text = f"the steps before found {value:.3g} {unit}, which is impossible; the whole-arm fit"
         text += f" started from {starts.values[name, joint]:.3g}, which is usual for such arms"
-        yield Caution("start-rejected", place, text)
+        yield Diagnostic("start-rejected", place, text)
 
 
 def _inertias(

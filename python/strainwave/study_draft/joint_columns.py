@@ -1,0 +1,247 @@
+"""One joint's columns told apart: angles first, then what belongs to them."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+
+from strainwave.records import FloatArray
+from strainwave.study_draft.axes import chosen_axis, scale_and_reason
+from strainwave.study_draft.candidates import AGREES, Guess, JointFacts, Mapping, Sure
+from strainwave.study_draft.inspection import Record
+from strainwave.study_draft.names import COUNTS, LINEAR, UNITS, Named
+from strainwave.study_draft.signal_features import (
+    flat_top,
+    levels,
+    proportion,
+    quantum,
+    usual_counts,
+    wraps,
+)
+from strainwave.study_draft.signal_features import relation as relation_of
+from strainwave.study_draft.units import NEAR, nearest_unit, unit_pair
+
+
+class JointColumns:
+    """One joint's columns while they are being told apart."""
+
+    def __init__(
+        self, record: Record, named: dict[str, Named], number: int, mapping: Mapping
+    ) -> None:
+        self.record = record
+        self.named = named
+        self.number = number
+        self.mapping = mapping
+        self.facts = JointFacts()
+        mapping.joints.append(self.facts)
+
+    def map(self) -> None:
+        """Angle first: the others are told by how they belong to it."""
+        motor, link = self._angles()
+        if motor is None:
+            self.mapping.missing[f"theta_m{self.number}"] = "the motor's angle [rad at the motor]"
+        else:
+            self._velocity(motor)
+            self._encoder(motor)
+            self._reference(motor)
+        if motor is not None and link is not None:
+            self._link(motor, link)
+        self._input()
+        self._sensors(motor)
+
+    def _of(self, quantity: str) -> list[str]:
+        return [name for name, each in self.named.items() if each.quantity == quantity]
+
+    def _add(self, channel: str, column: str, why: str, sure: Sure, **more: object) -> None:
+        key = f"{channel}{self.number}"
+        if column == key and more.get("scale", 1.0) == 1.0:
+            why, sure = "the channel's own name, in SI units", "sure"
+        self.mapping.guesses[key] = Guess(key, column, why, sure, **more)  # type: ignore[arg-type]
+
+    def _values(self, column: str) -> FloatArray:
+        return self.record.columns[column]
+
+    def _angles(self) -> tuple[str | None, str | None]:
+        """The motor's angle and the link's: by name, or else the wider range is the motor's."""
+        names = sorted(self._of("angle"), key=lambda n: -float(np.ptp(self._values(n))))
+        link = [n for n in names if self.named[n].side == "link"]
+        motor = [n for n in names if self.named[n].side == "motor"]
+        neither = [n for n in names if n not in link + motor]
+        ordered = motor + neither
+        chosen = ordered[0] if ordered else link.pop(0) if link else None
+        second = next(iter(link + ordered[1:]), None)
+        for name in names:
+            if name not in (chosen, second):
+                self.mapping.unused[name] = f"a further angle of joint {self.number}"
+        if chosen is not None:
+            self._angle(chosen, "link" if self.named[chosen].side == "link" else "motor")
+        return chosen, second
+
+    def _angle(self, column: str, side: str) -> None:
+        each = self.named[column]
+        sure: Sure = "likely" if each.sure else "unsure"
+        why = _by_name(each)
+        scale, todo, said = self._angle_unit(column)
+        self.facts.prismatic = each.unit in LINEAR or any(e.unit in LINEAR for e in self._inputs())
+        if side == "link":
+            scale, todo = None, "1/gear_ratio: motor turns per link turn"
+            said = "an angle of the link, and no motor's is there"
+        elif each.side is None and not self.facts.prismatic:
+            said += "; taken as the motor's, before the gear: if it is the link's, divide the scale"
+            said += " by gear_ratio"
+        if wraps(self._values(column), 2.0 * pi if scale == 1.0 else 360.0):
+            said += "; IT JUMPS BY A TURN: unwrap it in the log first"
+        self._add("theta_m", column, f"{why}; {said}", sure, scale=scale, todo=todo)
+
+    def _inputs(self) -> list[Named]:
+        return [each for each in self.named.values() if each.quantity in ("torque", "velocity")]
+
+    def _angle_unit(self, column: str) -> tuple[float | None, str, str]:
+        unit = self.named[column].unit
+        if unit in COUNTS:
+            return None, "2 pi / counts per motor turn [rad]", "in counts by its name"
+        if unit is not None:
+            return UNITS["angle"][unit], "", f"unit {unit} by its name"
+        for velocity in self._of("velocity"):
+            known = self._unit_pair(column, velocity)
+            if known and self.named[velocity].unit is None:
+                return known[0], "", f"with {velocity!r}: {known[2]}"
+            rate = UNITS["velocity"].get(self.named[velocity].unit or "")
+            r, ratio = self._relation(velocity, column)
+            if rate and r > AGREES and ratio > 0.0:
+                scale = nearest_unit(rate / ratio)
+                return scale, "", f"unit by {velocity!r}, of which it is the integral"
+        values = self._values(column)
+        if np.all(values == np.round(values)) and np.ptp(values) > 100.0:
+            return None, "2 pi / counts per motor turn [rad]", "whole numbers: counts?"
+        return 1.0, "", "unit taken as rad: nothing gives it"
+
+    def _relation(self, rate: str, value: str) -> tuple[float, float]:
+        return relation_of(self._values(rate), self._values(value), self.record.time)
+
+    def _unit_pair(self, angle: str, velocity: str) -> tuple[float, float, str] | None:
+        r, ratio = self._relation(velocity, angle)
+        return unit_pair(ratio) if r > AGREES else None
+
+    def _velocity(self, angle: str) -> None:
+        mapped = self.mapping.guesses[f"theta_m{self.number}"].scale
+        for column in self._of("velocity"):
+            r, ratio = self._relation(column, angle)
+            agrees = r > AGREES and ratio > 0.0
+            if not agrees or mapped is None:
+                why = f"a velocity by its name; it is not that of {angle!r} (r = {r:.2f})"
+                self.mapping.unused[column] = why if not agrees else "a velocity of the link"
+                continue
+            scale = ratio * mapped
+            nearest = nearest_unit(scale)
+            if abs(scale / nearest - 1.0) > 2.0 * NEAR:
+                why = f"a velocity, but {angle!r} changes {scale:.4g} times as fast: is one of the "
+                why += "two behind the gear?"
+                self.mapping.unused[column] = why
+                if 5.0 < scale < 1000.0:
+                    self.facts.gear_ratio = (1.0 / round(scale), f"{angle!r} over {column!r}")
+                continue
+            why = f"its integral is {angle!r} (r = {r:.3f})"
+            self._add("omega_m", column, why, "sure", scale=nearest)
+
+    def _encoder(self, angle: str) -> None:
+        scale = self.mapping.guesses[f"theta_m{self.number}"].scale
+        step = quantum(self._values(angle))
+        if scale is None or step is None or self.facts.prismatic:
+            return
+        counts = 2.0 * pi / (step * scale)
+        if 16.0 < counts < 5e6:
+            why = f"{angle!r} changes in steps of {step * scale:.6g} rad, {counts:.6g} a turn"
+            usual = usual_counts(counts)
+            if usual is not None and round(counts) != usual:
+                why += f"; {usual} is the nearest number that encoders have"
+            self.facts.encoder_counts = (usual, why) if usual else (None, why)
+
+    def _reference(self, angle: str) -> None:
+        for column in self._of("reference"):
+            values, each = self._values(column), self.named[column]
+            follows, _ = self._relation(column, angle)
+            span = self._values(angle) - self._values(angle).mean()
+            same, _ = proportion(span, values - values.mean())
+            scale = UNITS["reference"].get(each.unit or "", 1.0)
+            if same > max(follows, AGREES):
+                self.mapping.unused[column] = f"a reference of {angle!r}; only velocities have one"
+            else:
+                sure: Sure = "sure" if follows > AGREES else "unsure"
+                why = f"{_by_name(each)}; {angle!r} is its integral (r = {follows:.2f})"
+                self._add("ref", column, why, sure, scale=scale)
+
+    def _link(self, motor: str, link: str) -> None:
+        """The link's own angle; and how often it turns per motor turn is the gear ratio."""
+        of_motor, of_link = (self._values(n) - self._values(n).mean() for n in (motor, link))
+        r, ratio = proportion(of_motor, of_link)
+        scale, todo, said = self._angle_unit(link)
+        sure: Sure = "likely" if r > AGREES else "unsure"
+        why = f"{_by_name(self.named[link])}; it goes with {motor!r} (r = {r:.3f}); {said}"
+        self._add("theta_l", link, why, sure, scale=scale, todo=todo)
+        self.facts.link_sensors.add("theta_l")
+        own = self.mapping.guesses[f"theta_m{self.number}"].scale
+        if r > AGREES and own and scale and 0.0 < ratio * scale / own <= 1.05:
+            found = 1.0 / max(1.0, round(own / (ratio * scale)))
+            self.facts.gear_ratio = (found, f"{link!r} over {motor!r}: {ratio * scale / own:.5g}")
+
+    def _input(self) -> None:
+        for quantity, channel in (("torque", "torque"), ("voltage", "u"), ("current", "torque")):
+            for column in self._of(quantity):
+                have = {f"torque{self.number}", f"u{self.number}"} & set(self.mapping.guesses)
+                if have:
+                    other = self.mapping.guesses[have.pop()].column
+                    why = f"a {quantity} by its name; {other!r} is taken. If it acts beside that: "
+                    self.mapping.unused[column] = why + "see `add` in docs/study.md"
+                    continue
+                self._add_input(column, quantity, channel)
+        if not {f"torque{self.number}", f"u{self.number}"} & set(self.mapping.guesses):
+            self.mapping.missing[f"u{self.number}"] = "the drive's voltage [V], or call it torque"
+
+    def _add_input(self, column: str, quantity: str, channel: str) -> None:
+        each = self.named[column]
+        scale: float | None = UNITS[each.quantity or "voltage"].get(each.unit or "", 1.0)
+        todo, why = "", _by_name(each)
+        if quantity == "current":
+            scale, todo = None, "torque constant [N m/A], at the motor; times 1e-3 for mA"
+        found = levels(self._values(column))
+        if found is not None and len(found) > 1:
+            why += f"; it takes {len(found)} levels"
+        limit = flat_top(self._values(column))
+        if found is None and limit is not None:
+            why += f"; now and then it stays at {limit:.4g}: the drive's limit?"
+        if each.word in ("pwm", "duty"):
+            scale, todo = None, "volts at full duty"
+        if each.unit is None and quantity != "current":
+            why += f"; unit taken as {'V' if quantity == 'voltage' else 'N m at the motor'}"
+        self.facts.voltage = channel == "u"
+        self._add(channel, column, why, "likely" if each.sure else "unsure", scale=scale, todo=todo)
+
+    def _sensors(self, motor: str | None) -> None:
+        angle = None if motor is None else self._values(motor)
+        for quantity, channel in (
+            ("acceleration", "a"),
+            ("gyro", "gyro"),
+            ("deflection", "deflection"),
+        ):
+            columns = {name: self._values(name) for name in self._of(quantity)}
+            found = chosen_axis(columns, quantity, angle, self.record.time)
+            if found is None:
+                continue
+            column, r = found
+            each = self.named[column]
+            scale, said = scale_and_reason(each, quantity, r, len(columns))
+            sure: Sure = "likely" if each.sure and each.placed else "unsure"
+            nowhere = "" if each.placed else "; no joint in its name: the last is a guess"
+            self._add(channel, column, _by_name(each) + said + nowhere, sure, scale=scale)
+            self.facts.link_sensors.add(channel)
+            for other, values in columns.items():
+                if other != column and np.ptp(values) > 0.0:
+                    self.mapping.unused[other] = "another axis of the same sensor"
+
+
+def _by_name(each: Named) -> str:
+    if each.word:
+        return f"{each.quantity} by its name"
+    return f"{each.quantity} by its unit" if each.unit else f"{each.quantity} by its numbers"

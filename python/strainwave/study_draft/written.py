@@ -1,0 +1,277 @@
+"""Guesses -> the text of a study file, each with its reason; what nobody can guess is a TODO."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from strainwave.study_draft.candidates import Guess, JointFacts, Mapping
+from strainwave.study_draft.experiment_type import Proposed
+from strainwave.study_draft.inspection import Record
+
+TODO = "TODO"
+_WIDTH = 100
+_HEAD = (
+    "Written by `strainwave init` from {files}. {todo} Every other line is a guess; the comment "
+    "says why, and whether it is sure, likely or unsure. docs/study.md has every key. When all is "
+    "filled in:"
+)
+_SERVO_NEEDED = (
+    "Needed: {names} moved under the servo, and only a simulation with the same servo can be "
+    "compared with {them}. Gains that nobody knows: take the table out; the elastic model is then "
+    "fitted, but not validated."
+)
+_SERVO_OPTIONAL = "only for `strainwave simulate` and `strainwave excite`"
+_SERVO = (  # key, value, comment
+    ("kind", '"pi-velocity"', "u = kp e + ki integral(e), e = reference - motor velocity"),
+    ("period", "{period:.6g}", "[s] of its clock"),
+    ("kp", "{gains}", "[V s/rad] at the motor, one a joint: the drive's set-up"),
+    ("ki", "{gains}", "[V/rad]"),
+    ("limit", "TODO", "[V] the drive's largest output"),
+)
+_EXPERIMENTS = (
+    "In every [[experiment]], control is unsure: a joint without input, or with one of few levels, "
+    "is taken as open, any other as under a servo. Records to check with are never fitted."
+)
+_WHERE = {
+    "link_length": "[m] from axis 1 to axis 2: the drawing, or measure it",
+    "gear_ratio": "link turns per motor turn, 0.01 for 100:1: the gear's data sheet; "
+    "1 where torque and angle are both logged behind the gear",
+    "torque_per_volt": "[N m/V] at the motor: amplifier gain [A/V] times the motor's torque "
+    "constant [N m/A], from their data sheets",
+    "accelerometer_distance": "[m] from this link's own axis to the sensor: measure it",
+}
+
+
+_BANDWIDTH = (
+    "bandwidth [Hz] of the sensor with its filter, from the data sheet or the set-up. Without it "
+    "the lag counts as delay or damping; take the line out only where it exceeds the sampling rate"
+)
+_CURRENT_LOOP = (
+    "bandwidth [Hz] from voltage to torque, from the drive's data sheet; take the line out only "
+    "where it exceeds the sampling rate"
+)
+
+
+def study_text(
+    records: Sequence[Record], mapping: Mapping, experiments: Sequence[Proposed], out: Path
+) -> str:
+    """A study file to complete.
+
+    Parameters
+    ----------
+    records : sequence of Record
+    mapping : Mapping
+    experiments : sequence of Proposed
+    out : Path
+        Where it will lie; logs are named from there.
+
+    Returns
+    -------
+    str
+    """
+    elastic = is_elastic(mapping, experiments)
+    parts = [_arm(mapping)]
+    for number, facts in enumerate(mapping.joints, start=1):
+        parts.append(_joint(number, facts, elastic))
+    parts.append(_servo(records[0], mapping, experiments, elastic))
+    parts.append(_channels(records, mapping))
+    parts.append("\n".join(_wrapped(_EXPERIMENTS)))
+    parts += [_experiment(each, out) for each in experiments]
+    body = "\n\n".join(parts) + "\n"
+    count = todos(body)
+    todo = f"Complete it: {count} value(s) are {TODO}." if count else f"Nothing is {TODO}."
+    files = ", ".join(record.path.name for record in records[:4])
+    more = f" and {len(records) - 4} more" if len(records) > 4 else ""
+    head = _wrapped(_HEAD.format(files=files + more, todo=todo))
+    head.append(f"#     strainwave identify {out.name} --out results")
+    return "\n".join(head) + "\n\n" + body
+
+
+def todos(text: str) -> int:
+    """How many values are still to be filled in."""
+    lines = [line.split("#")[0] for line in text.splitlines()]
+    return sum(line.count(TODO) for line in lines)
+
+
+def is_elastic(mapping: Mapping, experiments: Sequence[Proposed]) -> bool:
+    """Whether the logs can tell a gear's spring: a sensor on a link, or a pseudo-random input."""
+    sensed = any(facts.link_sensors for facts in mapping.joints)
+    return sensed or any(each.prbs for each in experiments)
+
+
+def _line(key: str, value: str, comment: str) -> str:
+    """One line, or the comment above it where it would be too long."""
+    code = f"{key} = {value}"
+    if len(code) + len(comment) + 4 <= _WIDTH:
+        return f"{code:<26}  # {comment}"
+    return "\n".join([*_wrapped(comment), code])
+
+
+def _wrapped(text: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
+
+
+def _off(key: str, value: str, comment: str) -> str:
+    """A line that may be taken in."""
+    code = f"# {key} = {value}" if value else f"# {key}"
+    return f"{code:<26}  # {comment}"
+
+
+def _servo(record: Record, mapping: Mapping, experiments: Sequence[Proposed], elastic: bool) -> str:
+    """[servo]: to be filled in where steps are compared with a simulation, or else optional."""
+    gains = "[" + ", ".join([TODO] * len(mapping.joints)) + "]"
+    entries = [
+        (key, value.format(period=record.period, gains=gains), comment)
+        for key, value, comment in _SERVO
+    ]
+    steps = [
+        each.record.name
+        for each in experiments
+        if each.use in ("tuning", "check") and each.joint is not None and "servo" in each.control
+    ]
+    if not (elastic and steps):
+        return "\n".join([_off("[servo]", "", _SERVO_OPTIONAL), *(_off(*e) for e in entries)])
+    names = ", ".join(steps[:4]) + (f" and {len(steps) - 4} more" if len(steps) > 4 else "")
+    why = _wrapped(_SERVO_NEEDED.format(names=names, them="it" if len(steps) == 1 else "them"))
+    return "\n".join([*why, "[servo]", *(_line(*each) for each in entries)])
+
+
+def _arm(mapping: Mapping) -> str:
+    two = len(mapping.joints) == 2
+    kind = "planar-two-link" if two else "single-joint"
+    seen = "angles of two joints are there" if two else "one joint's angle is there"
+    lines = ["[arm]", _line("kind", json.dumps(kind), f"likely: {seen}")]
+    if two:
+        lines.append(_line("link_length", TODO, _WHERE["link_length"]))
+    if not any(facts.prismatic for facts in mapping.joints):
+        lines.append(_off("gravity", "9.81", "[m/s^2] if the arm moves in a vertical plane: links"))
+        lines += _wrapped(
+            "then lie along +x at zero angle; where your zero hangs down, give theta_m1 the offset "
+            "-1.5708/gear_ratio"
+        )
+    return "\n".join(lines)
+
+
+def _joint(number: int, facts: JointFacts, elastic: bool) -> str:
+    lines = [f"[[joint]]                   # {number}"]
+    if facts.prismatic:
+        lines.append(_line("motion", '"prismatic"', "likely: by its units; m, N, kg"))
+    spring = '"linear"' if elastic else '"rigid"'
+    lines += [_line("spring", spring, _why_spring(facts, elastic)), _gear(facts)]
+    if facts.voltage:
+        lines.append(_line("torque_per_volt", TODO, _WHERE["torque_per_volt"]))
+    if facts.encoder_counts:
+        counts, said = facts.encoder_counts
+        put, sure = (_line, "likely") if counts else (_off, "unsure")
+        lines.append(put("encoder_counts", str(counts or TODO), f"{sure}: {said}; per motor turn"))
+    if "a" in facts.link_sensors:
+        lines.append(_line("accelerometer_distance", TODO, _WHERE["accelerometer_distance"]))
+        lines.append(_line("accelerometer_hz", TODO, _BANDWIDTH))
+    if "gyro" in facts.link_sensors:
+        lines.append(_line("gyro_hz", TODO, _BANDWIDTH))
+    if facts.voltage and elastic:
+        lines.append(_line("current_loop_hz", TODO, _CURRENT_LOOP))
+    return "\n".join(lines)
+
+
+def _why_spring(facts: JointFacts, elastic: bool) -> str:
+    if not elastic:
+        return "unsure: nothing on the link is logged, so no spring is identifiable"
+    sensors = ", ".join(sorted(facts.link_sensors))
+    seen = f"likely: there is a sensor on the link ({sensors})"
+    why = seen if sensors else "unsure: as on the other joint, or as records of vibration are there"
+    return why + '; or "three-slope": strain-wave gears stiffen'
+
+
+def _gear(facts: JointFacts) -> str:
+    if facts.gear_ratio:
+        ratio, said = facts.gear_ratio
+        note = f"likely: {said}; link turns per motor turn, see the gear's data sheet"
+        return _line("gear_ratio", f"{ratio:.6g}", note)
+    if facts.prismatic:
+        return _line("gear_ratio", "1.0", "likely: all is logged along the axis")
+    return _line("gear_ratio", TODO, _WHERE["gear_ratio"])
+
+
+def _channels(records: Sequence[Record], mapping: Mapping) -> str:
+    """[channels]; what has its channel's own name needs no line, and may be missing in a log."""
+    record = records[0]
+    lines = ["[channels]                  # value = scale * column + offset, in SI units"]
+    own = [g.channel for g in mapping.guesses.values() if g.column == g.channel and g.scale == 1.0]
+    if record.time_column is not None:
+        rate = 1.0 / record.period
+        why = f"sure: increases by {record.period / record.time_scale:.4g} {record.time_unit}, "
+        unit = record.time_unit
+        why += f"{rate:.4g} Hz" if unit == "s" else f"{rate:.4g} Hz if it counts {unit}"
+        if record.time_column == "t" and record.time_scale == 1.0:
+            lines += _wrapped(f"t: {why}")
+        else:
+            lines.append(_line("t", _entry(record.time_column, record.time_scale), why))
+    if own:
+        lines += _wrapped(f"sure: under their own names, in SI units: {', '.join(own)}")
+    for guess in mapping.guesses.values():
+        if guess.channel not in own:
+            lines.append(_guess(guess, records))
+    for channel, what in mapping.missing.items():
+        lines.append(_line(channel, f'"{TODO}"', f"no column was found for {what}"))
+    for column, why in mapping.unused.items():
+        lines += _wrapped(f"not used: {json.dumps(column, ensure_ascii=False)}: {why}")
+    told = (f"{each.path.name}: {said}" for each in records for said in each.faults)
+    for note in dict.fromkeys((mapping.limit, *mapping.notes, *record.notes, *told)):
+        if note:
+            lines += _wrapped(f"note: {note}")
+    return "\n".join(lines)
+
+
+def _guess(guess: Guess, records: Sequence[Record]) -> str:
+    """One channel; in logs that lack its column it is absent."""
+    comment = f"{guess.sure}: {guess.why}"
+    lacking = [record.path.name for record in records if guess.column not in record.columns]
+    if lacking:
+        comment += f"; not in {', '.join(lacking)}: absent there"
+    if guess.scale is None:
+        comment = f"{TODO}: {guess.todo}. {comment}"
+    return _line(guess.channel, _entry(guess.column, guess.scale), comment)
+
+
+def _entry(column: str, scale: float | None) -> str:
+    """A channel as [channels] has it."""
+    value = TODO if scale is None else repr(float(scale))
+    scaled = "" if scale == 1.0 else f", scale = {value}"
+    if not column.startswith("/"):
+        name = json.dumps(column, ensure_ascii=False)
+        return f"{{ column = {name}{scaled} }}" if scaled else name
+    topic, _, rest = column.partition(".")
+    text = f'{{ topic = "{topic}", '
+    if rest.endswith("]") and not rest[rest.rindex("[") + 1 : -1].isdecimal():
+        at = rest.rindex("[")
+        name = json.dumps(rest[at + 1 : -1], ensure_ascii=False)
+        return text + f'field = "{rest[:at]}", name = {name}{scaled} }}'
+    return text + f'field = "{rest}"{scaled} }}'
+
+
+def _experiment(each: Proposed, out: Path) -> str:
+    path = os.path.relpath(each.record.path, out.parent).replace(os.sep, "/")
+    record = each.record
+    span = f"{record.time[-1] - record.time[0]:.4g} s at {1.0 / record.period:.4g} Hz"
+    control = ", ".join(f'"{control}"' for control in each.control)
+    lines = [
+        "[[experiment]]",
+        f"name = {json.dumps(record.name, ensure_ascii=False)}",
+        _line("file", json.dumps(path, ensure_ascii=False), span),
+        _line("use", f'"{each.use}"', f"likely: {each.why}"),
+    ]
+    if each.joint is not None:
+        lines.append(_line("joint", str(each.joint), "the excited one"))
+    lines.append(f"control = [{control}]")
+    if each.prbs is not None:
+        p = each.prbs
+        value = f"{{ order = {p.order}, clock = {p.clock!r}, periods = {p.periods}, "
+        value += f"amplitude = {p.amplitude!r} }}"
+        lines.append(_line("prbs", value, "likely: by its runs and repetition"))
+    return "\n".join(lines)

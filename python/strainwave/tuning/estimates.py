@@ -1,0 +1,190 @@
+"""A fit -> parameters with their intervals, and what must be said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from strainwave.parameters import unit_of
+from strainwave.records import Diagnostic, FloatArray, Parameter, Study
+from strainwave.tuning.confidence import Confidence, confidence_of, only_together
+from strainwave.tuning.objective import Misfit
+from strainwave.tuning.parametrisation import (
+    CURVE,
+    KNEES,
+    SETTLING,
+    VISCOUS,
+    Key,
+    combination,
+    link_inertia,
+    rigid_inertia,
+    total_viscous,
+)
+
+_BENDS = 0.01  # share by which two slopes differ at least
+_EVIDENT = 3.0  # and deviations
+_TOLD = 0.3  # relative deviation up to which a parameter is worth printing
+_REACH = 1.96  # of a 95 % interval, in deviations
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where the search ended."""
+
+    misfit: Misfit
+    z: FloatArray  # (n_unknowns,)
+    cost: float  # by the weights of the search; infinite before any
+    iterations: int
+    converged: bool
+
+    @cached_property
+    def confidence(self) -> Confidence:
+        """How sure the unknowns are."""
+        return confidence_of(self.misfit, self.z)
+
+
+def parameters_of(
+    fit: Fit, study: Study, largest_torque: Sequence[float]
+) -> tuple[tuple[Parameter, ...], FloatArray]:
+    """The unknowns and what is derived from them, with their covariance.
+
+    Parameters
+    ----------
+    fit : Fit
+    study : Study
+    largest_torque : sequence of float [N m]
+        That each gear carries in the records.
+
+    Returns
+    -------
+    tuple of Parameter, (n_parameters, n_parameters)
+    """
+    search = fit.misfit.search
+    keys = search.keys
+    names = list(keys)
+    units = [unknown.unit for unknown in search.unknowns]
+    told = _curves_told(fit, fit.confidence.combined, largest_torque)
+    weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
+    held = [0.0] * len(keys)
+    for number, joint in enumerate(study.joints, start=1):
+        derived = {"total_viscous_friction": total_viscous(study, number)}
+        if study.n_joints > 1:
+            derived["link_inertia"] = link_inertia(study, number)
+        if number == 1:
+            derived |= rigid_inertia(study)
+        for name, parts in derived.items():
+            if not any(key in keys for key in parts):
+                continue  # all of it is held
+            names.append((name, number))
+            units.append(unit_of(name, joint))
+            weight.append(combination(keys, parts))
+            held.append(sum(w * search.fixed.get(key, 0.0) for key, w in parts.items()))
+    W = np.array(weight)
+    values = W @ search.parameters(fit.z) + np.array(held)
+    covariance = W @ fit.confidence.combined @ W.T
+    deviation = np.sqrt(np.diag(covariance))
+    deviation[[told.get(name, name) is None for name in names]] = np.inf
+    found = tuple(
+        _parameter(name, joint, unit, float(value), float(std))
+        for (name, joint), unit, value, std in zip(names, units, values, deviation, strict=True)
+    )
+    return found, covariance
+
+
+def _curves_told(
+    fit: Fit, covariance: FloatArray, largest_torque: Sequence[float]
+) -> dict[Key, Key | None]:
+    """For each slope and knee the unknown that holds it, or None where no record reaches it.
+
+    A knee between two slopes that are one, or beyond the largest torque, is none: what lies behind
+    it moves up, and the last of its kind is not told. Of two slopes that are one the better known
+    stands for both.
+    """
+    search = fit.misfit.search
+    at = {key: k for k, key in enumerate(search.keys)}
+    values = search.parameters(fit.z)
+    told: dict[Key, Key | None] = {}
+    for joint, largest in enumerate(largest_torque, start=1):
+        if (CURVE[0], joint) not in at:
+            continue
+        slopes: list[Key] = [(CURVE[0], joint)]
+        knees: list[Key] = []
+        for name, knee in zip(CURVE[1:], KNEES, strict=True):
+            a, b = at[slopes[-1]], at[name, joint]
+            apart = abs(values[b] - values[a])
+            spread = np.sqrt(covariance[a, a] + covariance[b, b] - 2.0 * covariance[a, b])
+            bends = apart > max(_BENDS * values[a], _EVIDENT * spread)
+            if values[at[knee, joint]] >= largest:
+                continue
+            if bends:
+                slopes.append((name, joint))
+                knees.append((knee, joint))
+            elif covariance[b, b] < covariance[a, a]:
+                slopes[-1] = (name, joint)
+        for names, found in ((CURVE, slopes), (KNEES, knees)):
+            for k, name in enumerate(names):
+                told[name, joint] = found[k] if k < len(found) else None
+    return told
+
+
+def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
+    vague = name in (*VISCOUS, *CURVE, *KNEES) and std > _TOLD * abs(value)
+    if vague or not np.isfinite(std):
+        return Parameter(name, joint, None, None, unit, "tuned")
+    reach = _REACH * std
+    return Parameter(name, joint, value, std, unit, "tuned", (value - reach, value + reach))
+
+
+def warnings_of(
+    fit: Fit, bounded: Sequence[bool], parameters: Sequence[Parameter]
+) -> Iterator[Diagnostic]:
+    """What a reader of the parameters must know.
+
+    Parameters
+    ----------
+    fit : Fit
+    bounded : sequence of bool
+        Of each unknown, whether it ended at the end of its range.
+    parameters : sequence of Parameter
+
+    Yields
+    ------
+    Diagnostic
+    """
+    search = fit.misfit.search
+    values = search.parameters(fit.z)
+    deviation = np.sqrt(np.diag(fit.confidence.combined))
+    for k, (unknown, at) in enumerate(zip(search.unknowns, bounded, strict=True)):
+        if at and unknown.name != SETTLING:
+            text = f"the fit ended at the end of its range, {values[k]:.3g} {unknown.unit}: the"
+            text += " records do not agree on it"
+            yield Diagnostic("at-bounds", str(unknown), text)
+        if parameters[k].value is not None:
+            continue
+        if unknown.name in (*CURVE, *KNEES):
+            text = "no record twists the gear so far that it shows; use a larger amplitude, or hold"
+            text += " the link"
+            yield Diagnostic("not-reached", str(unknown), text)
+            continue
+        told = (
+            f"the records identify it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
+        )
+        if unknown.name in VISCOUS:
+            told += "; of the viscous frictions only the total is well known"
+        yield Diagnostic("not-identifiable", str(unknown), told)
+    for unknown, value in zip(search.unknowns, values, strict=True):
+        if unknown.name == SETTLING:
+            text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
+            text += " it changes sides that much before the motor does"
+            yield Diagnostic("friction-settles", str(unknown), text)
+    names = [str(unknown) for unknown in search.unknowns]
+    for group, spread in only_together(names, values, fit.confidence.combined):
+        text = "only the combination is identified: the values trade off by"
+        text += f" {100.0 * spread:.2g} %; trust it, not each value"
+        yield Diagnostic("only-together", " and ".join(group), text)
+    if not fit.converged:
+        text = f"still moving after {fit.iterations} iterations; allow more, or record longer"
+        yield Diagnostic("iteration-limit", "tuning", text)
