@@ -30,6 +30,7 @@ from strainwave.records import (
     TuningOptions,
 )
 from strainwave.tuning.agreement import disagreement, stage_differences
+from strainwave.tuning.beginnings import with_evident_beginnings
 from strainwave.tuning.dataset import Replayed, coarser, replayed, usable
 from strainwave.tuning.effects import left_out, records_with, tried
 from strainwave.tuning.estimates import Fit, parameters_of, warnings_of
@@ -303,7 +304,8 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     With friction that takes its time, if that is asked for or explains much more, and with those
     effects that the study names and the records show.
     """
-    rough = bent(roughly(begun.coarse, begun.start, options), options)
+    rough = with_evident_beginnings(roughly(begun.coarse, begun.start, options), options)
+    rough = bent(rough, options)
     rough = with_evident_sensors(rough, options, rough=True)
     if options.settling is not False and rough.iterations < options.max_iterations:
         rough = with_settling_times(rough, options)
@@ -311,7 +313,9 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
         # the effects have evaluations of their own, as many as the fit without them
         options = replace(options, max_iterations=2 * options.max_iterations)
         rough = with_named_effects(rough, study, options)
-    misfit = rough.misfit.seen_by(records_with(begun.records, study, rough.misfit.search.keys))
+    pairs = zip(begun.records, rough.misfit.records, strict=True)
+    records = [replace(record, moving=coarse.moving) for record, coarse in pairs]
+    misfit = rough.misfit.seen_by(records_with(records, study, rough.misfit.search.keys))
     fine = finely(misfit.reweighted(rough.z), rough.z, rough.iterations, options)
     if tried(study):
         fine = without_idle_effects(fine, study, options)

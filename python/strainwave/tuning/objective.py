@@ -233,6 +233,21 @@ class Misfit:
         """The same records and weights for other unknowns."""
         return replace(self, search=search, memory=_Memory(list(self.memory.own)))
 
+    def only(self, k: int) -> Misfit:
+        """One of the records by itself."""
+        memory = _Memory([self.memory.own[k]])
+        return replace(
+            self, records=self.records[k : k + 1], weights=self.weights[k : k + 1], memory=memory
+        )
+
+    def in_motion(self, k: int, own: FloatArray | None = None) -> Misfit:
+        """One of the records begun in motion, at a first guess or where its own unknowns are."""
+        record, known = replace(self.records[k], moving=True), list(self.memory.own)
+        constants = known[k][len(self.records[k].local) :]
+        known[k] = np.concatenate([record.start(), constants]) if own is None else own
+        records = (*self.records[:k], record, *self.records[k + 1 :])
+        return replace(self, records=records, memory=_Memory(known))
+
     def corrected(self, z: FloatArray) -> Misfit:
         """With the error of the integrator's step made good as it is at z."""
         evaluated, values = self.evaluate(z), self.search.values(z)
