@@ -178,6 +178,41 @@ def test_an_alternating_pole_is_a_gain_in_the_band() -> None:
     assert without_alternating(joint) is joint
 
 
+def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
+    """Against models drawn from the covariance, each reduced by itself."""
+    joint = TwoInertia().sampled()
+    A = np.zeros((4, 4))
+    A[:3, :3], A[3, 3] = joint.A, -0.6
+    rng = np.random.default_rng(2)
+    small = 1e-2 * rng.standard_normal(2)
+    whole = state_space(
+        A, np.vstack([joint.B, small]), np.hstack([joint.C, [[1.0], [1e-3]]]), joint.D
+    )
+    names = ("A", "B", "C", "D", "K")
+    entries = np.concatenate([getattr(whole, name).ravel() for name in names])
+    std = 1e-5 * np.abs(entries)
+    known = replace(whole, covariance=np.diag(std**2))
+    found = modes_of(known)
+
+    def drawn() -> list[float]:
+        values = entries + std * rng.standard_normal(len(std))
+        parts = np.split(values, np.cumsum([getattr(whole, name).size for name in names])[:-1])
+        shapes = {
+            name: part.reshape(getattr(whole, name).shape)
+            for name, part in zip(names, parts, strict=True)
+        }
+        near = modes_of(replace(whole, **shapes))
+        assert near.resonance is not None
+        assert near.anti_resonance is not None
+        return [near.resonance.frequency_hz, near.anti_resonance.frequency_hz]
+
+    scatter = np.std([drawn() for _ in range(300)], axis=0)
+    assert found.resonance is not None
+    assert found.anti_resonance is not None
+    said = [found.resonance.frequency_std_hz, found.anti_resonance.frequency_std_hz]
+    assert said == pytest.approx(scatter, rel=0.2)  # 300 draws scatter by 4 %
+
+
 @pytest.mark.parametrize("which", CASES[:2])
 def test_held_out_data_are_foretold_and_feedback_is_seen(which: tuple[int, int]) -> None:
     """One step ahead on the last quarter; the interaction torque is feedback, and shows as such."""

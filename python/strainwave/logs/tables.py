@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 
 from strainwave.atomic_files import decode, read_bytes, write_whole
 from strainwave.errors import InvalidInput
+from strainwave.logs import mat
 from strainwave.records import FloatArray
 
 DELIMITERS = (",", ";", "\t")
@@ -345,21 +347,32 @@ def _numbers(column: Any, where: str) -> FloatArray:
 
 
 def _open_mat(path: Path) -> Table:
-    import scipy.io
-
     data = read_bytes(path, "the log")
     if data[:4] == b"\x89HDF" or b"MATLAB 7.3" in data[:64]:
         return _open_hdf5(path)
     try:
-        variables = scipy.io.loadmat(io.BytesIO(data), squeeze_me=True)
-    except Exception as error:  # a damaged file makes SciPy's reader raise almost anything
-        raise InvalidInput(
-            f"is no MAT file, or a damaged one ({str(error)[:100]})",
-            where=str(path),
-            remedy="save it anew, with -v7 or -v7.3",
-        ) from error
-    return _array_table(
-        {name: value for name, value in variables.items() if not name.startswith("__")}, path
+        names = mat.variables(data)
+    except (ValueError, zlib.error, struct.error) as error:
+        raise _damaged_mat(error, path) from error
+
+    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
+        for name in wanted:
+            if not names[name]:
+                raise _no_vector("not an array of real numbers", name, path)
+        try:
+            found = mat.read(data, wanted)
+        except Exception as error:  # a damaged file makes SciPy's reader raise almost anything
+            raise _damaged_mat(error, path) from error
+        return _vectors(found, path)
+
+    return Table(list(names), read, _element)
+
+
+def _damaged_mat(error: Exception, path: Path) -> InvalidInput:
+    return InvalidInput(
+        f"is no MAT file, or a damaged one ({str(error)[:100]})",
+        where=str(path),
+        remedy="save it anew, with -v7 or -v7.3",
     )
 
 
@@ -388,33 +401,37 @@ def _open_hdf5(path: Path) -> Table:
             where=str(path),
             remedy="write it anew",
         ) from error
-    return _array_table(found, path)
+    return Table(list(found), lambda names: _vectors({n: found[n] for n in names}, path), _element)
 
 
-def _array_table(variables: Mapping[str, Any], path: Path) -> Table:
+def _element(row: int) -> str:
+    return f"element {row + 1}"
+
+
+def _no_vector(what: str, name: str, path: Path) -> InvalidInput:
+    return InvalidInput(
+        f"is no vector of numbers, but {what}",
+        where=f"{path}, variable {name!r}",
+        remedy="store one vector for each channel",
+    )
+
+
+def _vectors(variables: Mapping[str, Any], path: Path) -> dict[str, FloatArray]:
     """Variables of a file that need not be columns: those asked for must be vectors of numbers."""
-
-    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
-        columns = {}
-        for name in wanted:
-            value = np.asarray(variables[name])
-            if value.ndim != 1 or value.dtype.kind not in "fiu":
-                raise InvalidInput(
-                    f"is no vector of numbers, but {value.dtype} of shape {value.shape}",
-                    where=f"{path}, variable {name!r}",
-                    remedy="store one vector for each channel",
-                )
-            columns[name] = value.astype(float)
-        lengths = {len(column) for column in columns.values()}
-        if len(lengths) > 1:
-            raise InvalidInput(
-                f"the variables differ in length: {sorted(lengths)}",
-                where=str(path),
-                remedy="store all channels at the same instants",
-            )
-        return columns
-
-    return Table(list(variables), read, lambda row: f"element {row + 1}")
+    columns = {}
+    for name, variable in variables.items():
+        value = np.asarray(variable)
+        if value.ndim != 1 or value.dtype.kind not in "fiu":
+            raise _no_vector(f"{value.dtype} of shape {value.shape}", name, path)
+        columns[name] = value.astype(float)
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths) > 1:
+        raise InvalidInput(
+            f"the variables differ in length: {sorted(lengths)}",
+            where=str(path),
+            remedy="store all channels at the same instants",
+        )
+    return columns
 
 
 def first_impossible(values: FloatArray) -> int | None:
