@@ -16,7 +16,7 @@ import studies
 import virtual_arms
 from strainwave import pipeline
 from strainwave.errors import InvalidInput
-from strainwave.logs import read_log, write_log
+from strainwave.logs import read_logs, write_log
 from strainwave.records import FloatArray, Log
 from strainwave.study import read_study, write_study
 
@@ -28,7 +28,7 @@ def read(folder: Path, file: str, channels: str = bags.CHANNELS, window: str = "
     text = studies.STUDY.replace("motion.csv", file) + channels
     text = text.replace('use = "motion"\n', f'use = "motion"\n{window}', 1)
     study = read_study(studies.write(folder, text))
-    return read_log(study, study.experiments[0])
+    return read_logs(study, study.experiments[:1])[0]
 
 
 def ticks(period: float, samples: int) -> FloatArray:
@@ -196,7 +196,7 @@ def test_a_gap_in_one_topic_is_refused(tmp_path: Path) -> None:
         read(tmp_path, "run")
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 2**32 - 1),
     doubled=st.lists(st.integers(0, 59), max_size=5),

@@ -498,7 +498,7 @@ class _Run:
 
 def _planned(stages: Sequence[str]) -> list[str]:
     """The timed parts of a run, in order."""
-    planned = ["read", "rigid", "checks"]
+    planned = ["read", "consistency", "rigid", "checks"]
     if "decoupled" in stages:
         planned.append("decoupled")
     if "tuned" in stages:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -197,7 +198,7 @@ def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
     def drawn() -> list[float]:
         values = entries + std * rng.standard_normal(len(std))
         parts = np.split(values, np.cumsum([getattr(whole, name).size for name in names])[:-1])
-        shapes = {
+        shapes: dict[str, Any] = {
             name: part.reshape(getattr(whole, name).shape)
             for name, part in zip(names, parts, strict=True)
         }

@@ -78,7 +78,7 @@ def read_log(study: Study, experiment: Experiment) -> Log:
         The file, a column or a value is at fault.
     """
     path = study.log_path(experiment)
-    table = Bag(path) if is_bag(path) else open_table(path)
+    table = _open(path)
     sources = _sources(study, experiment, table, path)
     tracks, warnings = _tracks(table, sources, experiment)
     time, columns, told = one_clock(tracks, _held(sources, experiment), experiment, path)
@@ -90,6 +90,10 @@ def read_log(study: Study, experiment: Experiment) -> Log:
     warnings += told + _constants(channels, study, experiment, path)
     sample_time = float((time[-1] - time[0]) / (len(time) - 1))
     return Log(experiment, time, sample_time, channels, tuple(warnings))
+
+
+def _open(path: Path) -> Table | Bag:
+    return Bag(path) if is_bag(path) else open_table(path)
 
 
 def _tracks(
@@ -121,9 +125,10 @@ def _sources(
     for name in channel_names(study.n_joints):
         channel = study.channels.get(name)
         if channel is not None and channel.column not in table.names:
-            if name == "t" or name.startswith("theta_m") or isinstance(table, Bag):
-                what = f"which [channels] names for '{name}'"
-                raise _no_column(channel.column, what, table, path)
+            # a recorded topic without the field is no missing sensor, but a wrong field
+            misnamed = isinstance(table, Bag) and table.has_topic_of(channel.column)
+            if name == "t" or name.startswith("theta_m") or misnamed:
+                raise _no_mapped(name, channel, table, path)
             continue  # absent in this log
         if channel is not None or name in table.names:
             sources[name] = channel or Channel(name)
@@ -139,12 +144,20 @@ def _sources(
 def _check_mapped(study: Study, read: Sequence[Log]) -> None:
     """A mapped column may be missing from some logs, not from all."""
     for name, channel in study.channels.items():
-        if name != "t" and read and not any(name in log.channels for log in read):
-            raise InvalidInput(
-                f"no log has the column '{channel.column}', which [channels] names for '{name}'",
-                where=str(study.path),
-                remedy=f"correct channels.{name}, or take it out",
-            )
+        if name == "t" or not read or any(name in log.channels for log in read):
+            continue
+        path = study.log_path(read[0].experiment)
+        if len(read) == 1 or is_bag(path):  # a bag's error lists its topics, which serves better
+            raise _no_mapped(name, channel, _open(path), path)
+        raise InvalidInput(
+            f"no log has the column '{channel.column}', which [channels] names for '{name}'",
+            where=str(study.path),
+            remedy=f"correct channels.{name}, or take it out",
+        )
+
+
+def _no_mapped(name: str, channel: Channel, table: Table | Bag, path: Path) -> InvalidInput:
+    return _no_column(channel.column, f"which [channels] names for '{name}'", table, path)
 
 
 def _check_required(

@@ -166,6 +166,19 @@ class Bag:
         )
         return [Diagnostic("recorder-stamps", self.path.name, message)]
 
+    def has_topic_of(self, column: str) -> bool:
+        """Whether the topic of a number is in the bag, be the number itself there or not.
+
+        Parameters
+        ----------
+        column : str
+
+        Returns
+        -------
+        bool
+        """
+        return topic_of(column) in self._topics
+
     def no_column(self, column: str, what: str) -> InvalidInput:
         """What to say where a number is not there.
 

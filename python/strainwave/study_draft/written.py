@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -145,7 +144,7 @@ def _arm(mapping: Mapping) -> str:
     two = len(mapping.joints) == 2
     kind = "planar-two-link" if two else "single-joint"
     seen = "angles of two joints are there" if two else "one joint's angle is there"
-    lines = ["[arm]", _line("kind", json.dumps(kind), f"likely: {seen}")]
+    lines = ["[arm]", _line("kind", _quoted(kind), f"likely: {seen}")]
     if two:
         lines.append(_line("link_length", TODO, _WHERE["link_length"]))
     if not any(facts.prismatic for facts in mapping.joints):
@@ -220,7 +219,7 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
     for channel, what in mapping.missing.items():
         lines.append(_line(channel, f'"{TODO}"', f"no column was found for {what}"))
     for column, why in mapping.unused.items():
-        lines += _wrapped(f"not used: {json.dumps(column, ensure_ascii=False)}: {why}")
+        lines += _wrapped(f"not used: {_quoted(column)}: {why}")
     told = (f"{each.path.name}: {said}" for each in records for said in each.faults)
     for note in dict.fromkeys((mapping.limit, *mapping.notes, *record.notes, *told)):
         if note:
@@ -244,13 +243,13 @@ def _entry(column: str, scale: float | None) -> str:
     value = TODO if scale is None else repr(float(scale))
     scaled = "" if scale == 1.0 else f", scale = {value}"
     if not column.startswith("/"):
-        name = json.dumps(column, ensure_ascii=False)
+        name = _quoted(column)
         return f"{{ column = {name}{scaled} }}" if scaled else name
     topic, _, rest = column.partition(".")
     text = f'{{ topic = "{topic}", '
     if rest.endswith("]") and not rest[rest.rindex("[") + 1 : -1].isdecimal():
         at = rest.rindex("[")
-        name = json.dumps(rest[at + 1 : -1], ensure_ascii=False)
+        name = _quoted(rest[at + 1 : -1])
         return text + f'field = "{rest[:at]}", name = {name}{scaled} }}'
     return text + f'field = "{rest}"{scaled} }}'
 
@@ -262,8 +261,8 @@ def _experiment(each: Proposed, out: Path) -> str:
     control = ", ".join(f'"{control}"' for control in each.control)
     lines = [
         "[[experiment]]",
-        f"name = {json.dumps(record.name, ensure_ascii=False)}",
-        _line("file", json.dumps(path, ensure_ascii=False), span),
+        f"name = {_quoted(record.name)}",
+        _line("file", _quoted(path), span),
         _line("use", f'"{each.use}"', f"likely: {each.why}"),
     ]
     if each.joint is not None:
@@ -275,3 +274,10 @@ def _experiment(each: Proposed, out: Path) -> str:
         value += f"amplitude = {p.amplitude!r} }}"
         lines.append(_line("prbs", value, "likely: by its runs and repetition"))
     return "\n".join(lines)
+
+
+def _quoted(text: str) -> str:
+    """A TOML string; JSON's escapes would do, but for DEL, which TOML forbids."""
+    import tomli_w
+
+    return tomli_w.dumps({"text": text}).removeprefix("text = ").removesuffix("\n")
