@@ -167,14 +167,29 @@ def test_the_steady_covariance_knows_how_quick_errors_are() -> None:
     assert total @ found[0].local @ total > 4.0 * (total @ true @ total)
 
 
-def test_errors_count_as_no_smaller_than_their_deviation() -> None:
+def test_errors_count_as_no_smaller_than_the_sensors_noise() -> None:
+    """However lenient the weights; what is larger than the noise counts as it is."""
     error = quick(np.random.default_rng(15), N, 0.1)
-    steady = [
-        confidence_of(misfit_of([table_of(15)], [error], deviation), TRUTH).steady
-        for deviation in (FAR * 0.1, 2.0 * FAR * 0.1)
-    ]
-    size = np.max(steady[0])
-    np.testing.assert_allclose(steady[1], 4.0 * steady[0], rtol=1e-3, atol=1e-3 * size)
+
+    def steady(noise: float, deviation: float = FAR * 0.1) -> FloatArray:
+        found = confidence_of(misfit_of([table_of(15)], [error], deviation, noise=noise), TRUTH)
+        return found.steady - 1e-3 * found.local
+
+    plain = steady(0.05)
+    close = {"rtol": 1e-3, "atol": 1e-3 * float(np.max(plain))}
+    np.testing.assert_allclose(steady(0.01), plain, **close)
+    np.testing.assert_allclose(steady(0.05, 2.0 * FAR * 0.1), plain, **close)
+    larger = (0.4 / np.std(error)) ** 2 * plain
+    np.testing.assert_allclose(steady(0.4), larger, rtol=1e-3, atol=1e-3 * float(np.max(larger)))
+
+
+def test_at_standstill_errors_are_the_sensors_noise() -> None:
+    """White, where nothing shows how they repeat: the closed form."""
+    table = table_of(19)
+    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.5, noise=0.1), TRUTH)
+    flat = table.reshape(-1, 3)
+    expected = 0.1**2 * np.linalg.inv(flat.T @ flat)
+    np.testing.assert_allclose(found.steady - 1e-3 * found.local, expected, rtol=1e-6)
 
 
 def test_what_the_rigid_step_told_counts_by_its_own_errors() -> None:
@@ -316,8 +331,9 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
     )
     loud = confidence_of(unexplained, z)
     raised = np.sqrt(np.diag(loud.combined) / np.diag(quiet.combined))
-    # a variance of 0.1^2, of which noise makes 1 / 40^2; nearly all of the rest counts once more
-    share = 0.8 - 1.0 / 40.0**2 / 0.1**2
+    # of a variance noise makes 1 / 40^2; nearly all of the rest counts once more
+    left = (table @ z)[:, :, None] - (table @ TRUTH)[:, :, None] - error[..., None]
+    share = 0.8 - 1.0 / 40.0**2 / (1.4826 * np.median(np.abs(left))) ** 2
     np.testing.assert_allclose(raised, np.sqrt(1.0 + share), rtol=1e-6)
 
 
@@ -325,9 +341,11 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
 def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
     """Twice the records make noise matter half as much, and a wrong model as much as before."""
     rng = np.random.default_rng(12)
-    tables, errors = [table_of(12, 200)] * n, [rng.normal(0.0, 0.1, (200, 1))] * n
+    error = rng.normal(0.0, 1.0, (200, 1))
+    tables, errors = [table_of(12, 200)] * n, [0.1 * error / np.std(error)] * n
     found = [
-        confidence_of(misfit_of(tables, errors, 0.1, noise=noise), TRUTH) for noise in (1e9, 1e-9)
+        confidence_of(misfit_of(tables, errors, 0.1, noise=noise), TRUTH)
+        for noise in (0.0999, 1e-9)
     ]
     raised = np.diag(found[1].combined) / np.diag(found[0].combined)
     np.testing.assert_allclose(raised, 1.0 + 0.8 * n, rtol=1e-9)

@@ -148,6 +148,24 @@ def test_noise_is_what_sensors_leave_behind_the_low_pass() -> None:
     np.testing.assert_allclose(noisy.noise, off, rtol=0.3)
 
 
+def test_noise_is_not_what_an_arm_makes_of_its_motion() -> None:
+    """Sampled at the clock of a PRBS: quick motion looks like noise until an arm explains it."""
+    study, values, (log, *_) = ideal()
+    rng = np.random.default_rng(2)
+    channels = {name: x[::4] for name, x in log.channels.items()}
+    sizes = {"theta_m1": 1e-6, "theta_m2": 1e-6, "a1": 2e-3, "a2": 2e-3}
+    for name, size in sizes.items():
+        channels[name] = channels[name] + rng.normal(0.0, size, len(channels[name]))
+    slow = replace(log, sample_time=4.0 * log.sample_time, time=log.time[::4], channels=channels)
+    seen = replayed(slow, study, CUTOFF)
+    kernels = [seen.kernels.taps(rate=channel.rate) for channel in seen.channels]
+    true = np.array([s * np.linalg.norm(k) for s, k in zip(sizes.values(), kernels, strict=True)])
+    assert np.all(seen.noise > 3.0 * true)
+    np.testing.assert_allclose(
+        seen.corrected(values, seen.start()).noise, true, rtol=0.2
+    )  # some 500 samples
+
+
 def test_counts_are_noise() -> None:
     study, _, (log, *_) = shaken()
     still = {**log.channels, "theta_m2": np.zeros(len(log))}

@@ -338,12 +338,16 @@ def test_the_share_of_the_noise() -> None:
         return misfit.seen_by(records).reweighted(TRUTH)
 
     alone = behind(linear_misfit([noise], noise=WHITE))
-    assert alone.noise_shares()[0] == pytest.approx(1.0, abs=0.15)
+    assert alone.noise_shares(TRUTH)[0] == pytest.approx(1.0, abs=0.15)
     model = coloured(rng, (6000, 1), 0.9, 3.0 * WHITE)
     wrong = behind(linear_misfit([noise + model], noise=WHITE))
     # variances and their repetitions, 2 and 19
     expected = 2.0 / (2.0 + 9.0 * 19.0)
-    assert wrong.noise_shares()[0] == pytest.approx(expected, rel=0.5)
+    assert wrong.noise_shares(TRUTH)[0] == pytest.approx(expected, rel=0.5)
+    # a channel that errs by less than its noise makes up for no other
+    errors = np.concatenate([noise + model, 0.01 * noise], axis=1)
+    both = behind(linear_misfit([errors], noise=WHITE))
+    assert both.noise_shares(TRUTH)[0] == pytest.approx(0.5 * (1.0 + expected), rel=0.2)
 
 
 def test_other_unknowns_leave_records_and_weights() -> None:

@@ -253,6 +253,7 @@ def linear_record(
         time=time,
         measured=measured,
         noise=np.full(n_channels, noise),
+        counts=(0.0,) * n_channels,
         moving=False,
         longest_step=1e-3,
         lacking=np.zeros(measured.shape),

@@ -91,8 +91,12 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     Confidence
         Correlations are those of the steady one.
     """
-    each = zip(misfit.rows(z), misfit.blocks(), strict=True)
-    records = side_by_side([partial(_evidence, own, block) for own, block in each])
+    noise = [
+        np.minimum(1.0, record.noise / weights.deviation)
+        for record, weights in zip(misfit.records, misfit.weights, strict=True)
+    ]
+    each = zip(misfit.rows(z), misfit.blocks(), noise, strict=True)
+    records = side_by_side([partial(_evidence, *one) for one in each])
     search, prior = misfit.search, misfit.search.prior
     slope = search.slope(z)
     rows = prior.rows @ slope
@@ -121,7 +125,7 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     if n_records >= _FEWEST:
         variance = variance + _excess(own, scattered, pooled, n_records)
     products = [record.product for record in records]
-    variance = variance * (1.0 + n_records * _beyond_noise(misfit, products, inverse))
+    variance = variance * (1.0 + n_records * _beyond_noise(misfit, z, products, inverse))
     ones = np.ones_like(variance)
     raised = np.sqrt(np.divide(variance, steadied, out=ones, where=steadied > 0.0))
     by_errors = sum((record.steady for record in records), np.zeros_like(known))
@@ -162,8 +166,8 @@ class _Evidence:
     steady: FloatArray  # (n_unknowns, n_unknowns) of the gradient, its errors alike throughout
 
 
-def _evidence(rows: Rows, block: IntArray) -> _Evidence:
-    """Of one record, its own unknowns at their best.
+def _evidence(rows: Rows, block: IntArray, noise: FloatArray) -> _Evidence:
+    """Of one record, its own unknowns at their best; its sensors' noise is in deviations.
 
     Weights (1 + r^2)^(-1/2) give the gradient of the soft L1 loss; it bends as (1 + r^2)^(-3/2).
     """
@@ -181,10 +185,10 @@ def _evidence(rows: Rows, block: IntArray) -> _Evidence:
     bend = np.sqrt(1.0 + rows.residual**2)
     bent = shared / bend.reshape(-1, 1)
     columns = shared.reshape(-1, width, n) * (rows.root * bend)[..., None]
-    return _Evidence(sums, shared.T @ shared, bent.T @ bent, _steady(columns, rows.residual))
+    return _Evidence(sums, shared.T @ shared, bent.T @ bent, _steady(columns, rows.residual, noise))
 
 
-def _steady(columns: FloatArray, residual: FloatArray) -> FloatArray:
+def _steady(columns: FloatArray, residual: FloatArray, noise: FloatArray) -> FloatArray:
     """Covariance of a record's gradient if each channel's errors are alike in all its rows.
 
     Autocovariances up to a stretch's length, tapered (Newey and West, 1987), make a power spectrum,
@@ -199,7 +203,7 @@ def _steady(columns: FloatArray, residual: FloatArray) -> FloatArray:
     found = np.zeros((n_unknowns, n_unknowns))
     for k in range(n_channels):
         lags = np.zeros(around)
-        lags[:reach] = taper * _autocovariance(residual[:, k])[:reach]
+        lags[:reach] = taper * _autocovariance(residual[:, k], float(noise[k]))[:reach]
         lags[around - reach + 1 :] = lags[1:reach][::-1]
         power = np.maximum(np.fft.rfft(lags).real, 0.0)
         lines = np.fft.rfft(columns[:, k], around, axis=0)
@@ -208,16 +212,16 @@ def _steady(columns: FloatArray, residual: FloatArray) -> FloatArray:
     return found
 
 
-def _autocovariance(residual: FloatArray) -> FloatArray:
-    """Of the loss's slope: (n_rows,). Errors count as no smaller than their deviation.
+def _autocovariance(residual: FloatArray, noise: float) -> FloatArray:
+    """Of the loss's slope: (n_rows,). Errors count as no smaller than the sensor's noise.
 
-    That of a motor at rest, or of a record without noise, is more than what they show.
+    That of a motor at rest is more than what they show.
     """
-    n, size = len(residual), float(np.var(residual))
+    n, size, least = len(residual), float(np.var(residual)), noise**2
     if size == 0.0:
-        return np.asarray(np.eye(1, n)[0])
+        return np.asarray(least * np.eye(1, n)[0])
     _, lagged = lagged_products(residual / np.sqrt(1.0 + residual**2))
-    return np.asarray(lagged / (n * min(1.0, size)))
+    return np.asarray(lagged / n * max(1.0, least / size))
 
 
 def _contradicted(
@@ -264,11 +268,11 @@ def residual_covariance(
 
 
 def _beyond_noise(
-    misfit: Misfit, products: Sequence[FloatArray], inverse: FloatArray
+    misfit: Misfit, z: FloatArray, products: Sequence[FloatArray], inverse: FloatArray
 ) -> FloatArray:
     """The share of each local variance that the sensors' noise does not explain."""
     excess = np.zeros_like(inverse)
-    for share, product in zip(misfit.noise_shares(), products, strict=True):
+    for share, product in zip(misfit.noise_shares(z), products, strict=True):
         excess += max(0.0, 1.0 - share - _UNSURE) * product
     return np.asarray(np.diag(inverse @ excess @ inverse) / np.diag(inverse))
 

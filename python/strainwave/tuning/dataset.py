@@ -108,6 +108,7 @@ class Replayed:
     time: FloatArray  # (n_rows,) [s]
     measured: FloatArray  # (n_rows, n_channels)
     noise: FloatArray  # (n_channels,) standard deviation of the sensors' own noise behind it
+    counts: tuple[float, ...]  # of each channel, by which its samples are rounded; zero: unknown
     moving: bool  # whether it begins in motion
     longest_step: float  # [s] of the integrator
     lacking: FloatArray  # (n_rows, n_channels) what the integrator's step takes from the channels
@@ -269,13 +270,30 @@ class Replayed:
     ) -> Replayed:
         """The same, with the error of its integrator's step made good, as it is for an arm.
 
-        For arms nearby it is nearly the same: a search may go on in long steps.
+        For arms nearby it is nearly the same: a search may go on in long steps. Of the sensors'
+        noise it knows more, too: what is noise is not in the arm's motion, quick as that may be.
         """
         step = min(self.longest_step / _SHORTER, 1.0 / (_SHORT_STEPS * self.cutoff_hz))
         short = replace(self, longest_step=step)
         runs = (one.run(values, local, self.quantities()) for one in (short, self))
-        exact, own = (self.seen(run) for run in runs)
-        return replace(self, lacking=exact - own)
+        exact, own = runs
+        noise = np.minimum(self.noise, self._noise_beside(exact, values))
+        return replace(self, lacking=self.seen(exact) - self.seen(own), noise=noise)
+
+    def _noise_beside(
+        self, runs: Mapping[Quantity, FloatArray], values: Mapping[tuple[str, int | None], float]
+    ) -> FloatArray:
+        """The sensors' noise behind the low-pass, from what an arm's samples leave of the log's.
+
+        (n_channels,) An upper bound, as the log's samples alone give one: those of a motion that is
+        quick beside the sampling are no smooth signal.
+        """
+        scales = self.sensor_scales(values)
+        left = [
+            self.log.channels[c.name] - scale * runs[c.quantity][:, c.joint - 1]
+            for c, scale in zip(self.channels, scales, strict=True)
+        ]
+        return _noise(self.channels, left, self.kernels, self.counts)
 
     def _begun(self, local: FloatArray) -> Drive:
         if not self.moving:
@@ -342,12 +360,9 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
     channels = tuple(_channels(log, study))
     raw = [log.channels[channel.name] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
-    norm = [np.linalg.norm(kernels.slope if c.rate else kernels.smooth) for c in channels]
-    steps = [
+    counts = tuple(
         _count(study.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0 for c in channels
-    ]
-    own = [noise_deviation(x) for x in raw]
-    noise = np.maximum(own, np.array(steps) / np.sqrt(12.0)) * norm
+    )
     middle = 0.5 * (reach - 1) * T
     return Replayed(
         log=log,
@@ -358,7 +373,8 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
         kernels=kernels,
         time=log.time[0] + middle + kernels.step * T * np.arange(len(rows[0])),
         measured=np.column_stack(rows),
-        noise=np.asarray(noise),
+        noise=_noise(channels, raw, kernels, counts),
+        counts=counts,
         moving=_begins_in_motion(log, study),
         longest_step=_STEP,
         lacking=np.zeros((len(rows[0]), len(channels))),
@@ -426,6 +442,18 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -
     slope = -np.gradient(smooth)
     slope /= np.sum(slope * at) * sample_time
     return Kernels(smooth, slope, step)
+
+
+def _noise(
+    channels: Sequence[Channel],
+    samples: Sequence[FloatArray],
+    kernels: Kernels,
+    counts: Sequence[float],
+) -> FloatArray:
+    """Behind the low-pass, of noise at the top of the samples' spectra, no less than rounding's."""
+    own = [noise_deviation(x) for x in samples]
+    norm = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
+    return np.asarray(np.maximum(own, np.array(counts) / np.sqrt(12.0)) * norm)
 
 
 def _channels(log: Log, study: Study) -> Iterator[Channel]:

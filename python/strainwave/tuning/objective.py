@@ -223,9 +223,8 @@ class Misfit:
         weights = []
         for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
             errors = rows.residual * old.deviation
-            size = _ROBUST * np.median(np.abs(errors), axis=0)
             least = np.maximum(record.noise, _LEAST * np.std(record.measured, axis=0))
-            size = np.maximum(np.maximum(size, 0.5 * np.std(errors, axis=0)), least)
+            size = np.maximum(_size(errors), least)
             weights.append(Weights(size, np.array([_repeats(column) for column in errors.T])))
         return replace(self, weights=tuple(weights), guessed=False)
 
@@ -273,15 +272,20 @@ class Misfit:
             found.append(k * BLOCKS + np.arange(n) * BLOCKS // n)
         return found
 
-    def noise_shares(self) -> list[float]:
-        """Of each record, the share of its errors' variance that its sensors' noise makes."""
+    def noise_shares(self, z: FloatArray) -> list[float]:
+        """Of each record, the share of its errors' variance at z that its sensors' noise makes.
+
+        A channel that errs by less than that, as one at standstill does, makes up for no other.
+        """
         found = []
-        for record, weights in zip(self.records, self.weights, strict=True):
-            variance = weights.deviation**2 * weights.repeats
+        every = zip(self.records, self.weights, self.rows(z), strict=True)
+        for record, weights, rows in every:
+            size = np.maximum(_size(rows.residual * weights.deviation), record.noise)
             kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
             repeats = np.array([repetitions(_lagged(k, record.kernels.step)) for k in kernels])
-            share = repeats * record.noise**2 / variance
-            found.append(float(np.clip(np.mean(share), 0.0, 1.0)))
+            share = np.divide(record.noise, size, out=np.ones_like(size), where=size > 0.0) ** 2
+            share = np.minimum(1.0, share * repeats / weights.repeats)
+            found.append(float(np.mean(share)))
         return found
 
     def fits(self, z: FloatArray) -> dict[str, dict[str, float]]:
@@ -425,6 +429,12 @@ def _shifts(record: Replayed) -> FloatArray:
     columns = np.zeros((len(record.channels), len(own)))
     columns[own, range(len(own))] = 1.0
     return columns
+
+
+def _size(errors: FloatArray) -> FloatArray:
+    """Standard deviations without a few large errors, of (n_rows, n_channels): (n_channels,)."""
+    typical = _ROBUST * np.median(np.abs(errors), axis=0)
+    return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))
 
 
 def _repeats(column: FloatArray) -> float:
