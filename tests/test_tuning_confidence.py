@@ -176,11 +176,13 @@ def test_errors_count_as_no_smaller_than_the_sensors_noise() -> None:
         return found.steady - 1e-3 * found.local
 
     plain = steady(0.05)
-    close = {"rtol": 1e-3, "atol": 1e-3 * float(np.max(plain))}
-    np.testing.assert_allclose(steady(0.01), plain, **close)
-    np.testing.assert_allclose(steady(0.05, 2.0 * FAR * 0.1), plain, **close)
-    larger = (0.4 / np.std(error)) ** 2 * plain
-    np.testing.assert_allclose(steady(0.4), larger, rtol=1e-3, atol=1e-3 * float(np.max(larger)))
+    for other, times in (
+        (steady(0.01), 1.0),
+        (steady(0.05, 2.0 * FAR * 0.1), 1.0),
+        (steady(0.4), (0.4 / np.std(error)) ** 2),
+    ):
+        size = times * np.max(plain)
+        np.testing.assert_allclose(other, times * plain, rtol=1e-3, atol=1e-3 * size)
 
 
 def test_at_standstill_errors_are_the_sensors_noise() -> None:
