@@ -237,7 +237,9 @@ def _trial(
         factor = ls.factorise(equations, root)
         before = factor.value if around is None else around.solution
         change = factor.value - before
-        moved, step = np.abs(change), change / np.clip(factor.deviation, 1e-300, None)
+        moved = np.abs(change)
+        known = factor.deviation > 0.0  # others stay where they are
+        step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
         settled = rounds > 1 and np.all(moved <= _CONVERGED * factor.deviation)
         found = estimate_of(study, stretches, equations, factor, motor_share)
         if around is not None and step @ last < 0.0 and not settled:  # to and fro
