@@ -2,9 +2,9 @@
 
 Each arm is simulated once. Then faults are drawn, kind and size, and put one at a time into its
 logs or its study; every one goes through `identify` as a user's would. A fault is *named* where the
-run says so with the right code, *harmless* where nothing is said and every value published is
-within `_HARMLESS` of the truth or its interval holds it, and *silent* otherwise. Arms without a
-fault count too: there every finding is a false alarm.
+run says so with the right code, *refused* where it ends at once with a message, *harmless* where
+nothing is said and every value published is within `_HARMLESS` of the truth or its interval holds
+it, and *silent* otherwise. Arms without a fault count too: there every finding is a false alarm.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.studies import arms, catalogue
+from strainwave.errors import InvalidInput
 from strainwave.logs import read_logs, write_log
 from strainwave.parameters import Values
 from strainwave.pipeline import STAGES, identify
@@ -221,6 +222,8 @@ def _outcome(folder: Path, fault: Fault, truth: Values, stages: tuple[str, ...])
     said: dict[str, Any] = {"kind": fault.kind, "size": fault.size}
     try:
         found = identify(path, stages=stages)
+    except InvalidInput as refusal:
+        return said | {"class": "refused", "codes": [], "status": str(refusal)[-160:]}
     except Exception as failure:
         return said | {"class": "traceback", "codes": [], "status": f"{type(failure).__name__}"}
     codes = [each.code for each in found.suspected]

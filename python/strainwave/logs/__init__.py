@@ -217,11 +217,15 @@ def _constants(
     excited = experiment.joint
     if not moved or (excited is not None and excited not in moved):
         name = f"theta_m{excited or 1}"
-        raise InvalidInput(
-            f"the channel '{name}' never changes: the joint did not move",
-            where=str(path),
-            remedy="check the encoder's wiring, the channel map and the amplitude",
-        )
+        problem = f"the channel '{name}' never changes: the joint did not move"
+        remedy = "check the encoder's wiring, the channel map and the amplitude"
+        if moved:
+            other = f"theta_m{moved[0]}"
+            problem += f", though '{other}' does and the record is to excite joint {excited}"
+            remedy = (
+                f"exchange '{name}' and '{other}' in [channels], or correct joint; else {remedy}"
+            )
+        raise InvalidInput(problem, where=str(path), remedy=remedy)
     inputs = [
         channels[name] for i in joints for name in (f"u{i}", f"torque{i}") if name in channels
     ]
