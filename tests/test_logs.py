@@ -326,7 +326,7 @@ def test_the_excited_joint_must_move(tmp_path: Path) -> None:
     values = studies.columns() | {"theta_m1": np.ones(40)}
     study: Study = read_study(studies.write(tmp_path, log=studies.csv_text(values)))
     read_log(study, study.experiments[0])
-    with pytest.raises(InvalidInput, match="'theta_m1' never changes.*exchange .* 'theta_m2'"):
+    with pytest.raises(InvalidInput, match=r"'theta_m1' never changes.*exchange .* 'theta_m2'"):
         read_log(study, study.experiments[1])
 
 
