@@ -40,7 +40,8 @@ endif
 test: setup
 	@echo 'cases drawn with SEED=$(SEED); again: make test SEED=$(SEED)'
 	PROPTEST_RNG_SEED=$(SEED) cargo test --workspace --exclude strainwave-python --locked --quiet
-	$(BIN)/pytest -q --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n logical --maxprocesses=8 --dist loadfile \
+	  --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
 
 check: setup
 	cargo fmt --all --check
