@@ -44,6 +44,7 @@ from strainwave.rigid.equations import (
     n_compliances,
     prepare,
 )
+from strainwave.rigid.repetition import period_of
 from strainwave.rigid.torque_constants import torque_ratio
 
 __all__ = ["OTHER_SHARE", "RigidOptions", "fit"]
@@ -60,6 +61,9 @@ _MUCH_STANDING = 0.3  # share of a record
 _POOR = 300.0  # condition number; good motion gives 10 to 50
 _REMEDY = "record both joints moving together, in both directions, at varied speeds and postures"
 _BELOW_RESONANCE = 3.0  # anti-resonance over bandwidth from which first order suffices
+
+
+_Motion = tuple[Signals, float]  # with the period that it repeats
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,10 +129,11 @@ def fit(
 
 
 def _fit(signals: Sequence[Signals], study: Study, chosen: RigidOptions) -> RigidModel:
+    motions = [(s, period_of(s)) for s in signals]
     if chosen.bandwidth_hz is not None:
-        trials = [_trial(study, _prepared(study, signals, chosen.bandwidth_hz), None)]
+        trials = [_trial(study, _prepared(study, motions, chosen.bandwidth_hz), None)]
     else:
-        trials = _search(signals, study)
+        trials = _search(motions, study)
     best = _choose(trials, study)
     remainder = _scatter(trials, best) + _elastic_remainder(study, best)
     covariance = best.covariance + np.diag(remainder)
@@ -159,15 +164,15 @@ def _torque_ratio(
     return 1.0 / found.value, float(np.sqrt(variance)) / found.value**2
 
 
-def _search(signals: Sequence[Signals], study: Study) -> list[_Trial]:
+def _search(motions: Sequence[_Motion], study: Study) -> list[_Trial]:
     """Trials at rising bandwidths, while they gain and the arm still looks nearly rigid."""
     trials: list[_Trial] = []
     least, since = np.full(len(columns_of(study)), np.inf), 0
     stiff = n_compliances(study) == 0
-    for bandwidth in _bandwidths(signals, _STEP ** (2 if stiff else 1)):
+    for bandwidth in _bandwidths(motions, _STEP ** (2 if stiff else 1)):
         if trials and bandwidth > _surely_elastic(study, trials[-1]):
             break
-        stretches = _prepared(study, signals, bandwidth)
+        stretches = _prepared(study, motions, bandwidth)
         around = carried(trials[-1].estimate, trials[-1].stretches, stretches) if trials else None
         trial = _trial(study, stretches, around)
         trials.append(trial)
@@ -191,11 +196,11 @@ def _surely_elastic(study: Study, trial: _Trial) -> float:
     return float(np.min(anti_resonances(study, sure))) / _BELOW_RESONANCE
 
 
-def _bandwidths(signals: Sequence[Signals], step: float) -> Iterator[float]:
+def _bandwidths(motions: Sequence[_Motion], step: float) -> Iterator[float]:
     """From where nine tenths of the motion's power lie below, up to half the signals' own."""
-    top = min(s.bandwidth_hz or 0.5 / s.sample_time for s in signals) / 2.0
-    shortest = min(len(s.time) * s.sample_time for s in signals)
-    bandwidth = max([8.0 / shortest, *(_motion_band(s) for s in signals)])
+    top = min(s.bandwidth_hz or 0.5 / s.sample_time for s, _ in motions) / 2.0
+    shortest = min(period * s.sample_time for s, period in motions)
+    bandwidth = max([8.0 / shortest, *(_motion_band(s) for s, _ in motions)])
     bandwidth = min(bandwidth, top)
     while bandwidth <= top:
         yield bandwidth
@@ -217,8 +222,8 @@ def _motion_band(signals: Signals) -> float:
     return highest
 
 
-def _prepared(study: Study, signals: Sequence[Signals], bandwidth_hz: float) -> tuple[Stretch, ...]:
-    return tuple(prepare(study, s, bandwidth_hz) for s in signals)
+def _prepared(study: Study, motions: Sequence[_Motion], bandwidth_hz: float) -> tuple[Stretch, ...]:
+    return tuple(prepare(study, s, bandwidth_hz, period) for s, period in motions)
 
 
 def _trial(

@@ -75,11 +75,20 @@ class Stretch:
     # where in the motion there are any, (n_near,), and them, (n_near, n_free)
     free: tuple[Banded, ...]  # per joint (n_rows, n_free), those shapes filtered
     noise: FloatArray  # (n_parameters,) deviation of each column's, from the angles'
+    period: float  # samples after which the motion repeats; all where it does not
 
     @property
     def duration(self) -> float:
-        """Of the record [s]."""
-        return len(self.signals.time) * self.signals.sample_time
+        """Of the motion, each period of which counts once [s]."""
+        return self.period * self.signals.sample_time
+
+    def blocks(self, count: int) -> IntArray:
+        """Of each row one of so many equal parts of the period: (n_rows,)."""
+        since = self.rows - self.rows[:1]
+        step = decimation(self.signals.sample_time, self.bandwidth_hz)
+        span = min(self.period, step * len(self.rows))
+        # what repeats is left out in all periods at once
+        return np.asarray((since % span) * count / span, dtype=np.int64)
 
     def motion_samples(self) -> IntArray:
         """Samples at which the motion is kept; the equations' rows are among them."""
@@ -109,7 +118,7 @@ def _reach(sample_time: float, bandwidth_hz: float) -> int:
     return int(_REACH / (bandwidth_hz * sample_time))
 
 
-def prepare(study: Study, signals: Signals, bandwidth_hz: float) -> Stretch:
+def prepare(study: Study, signals: Signals, bandwidth_hz: float, period: float) -> Stretch:
     """Filter and decimate one record's torque, friction columns and free friction.
 
     Parameters
@@ -117,6 +126,8 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float) -> Stretch:
     study : Study
     signals : Signals
     bandwidth_hz : float [Hz]
+    period : float [samples]
+        After which the motion repeats; all where it does not.
 
     Returns
     -------
@@ -124,7 +135,7 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float) -> Stretch:
     """
     T = signals.sample_time
     n_samples, n_joints = signals.motor_torque.shape
-    period = 1.0 / (bandwidth_hz * T)  # in samples
+    of_cutoff = 1.0 / (bandwidth_hz * T)  # samples in a period of it
     reach = _reach(T, bandwidth_hz)
     step = _motion_step(T, bandwidth_hz)
     rows = np.arange(reach, n_samples - reach, decimation(T, bandwidth_hz))
@@ -133,9 +144,9 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float) -> Stretch:
     wider = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
     keep, standing, free = [], [], []
     for i in range(n_joints):
-        keep.append(_clear_of(~signals.valid[:, i], int(period / 2))[rows])
+        keep.append(_clear_of(~signals.valid[:, i], int(of_cutoff / 2))[rows])
         still = signals.direction[:, i] == 0.0
-        spacing = max(2, round(period / _KNOTS_PER_PERIOD))
+        spacing = max(2, round(of_cutoff / _KNOTS_PER_PERIOD))
         shapes = free_friction(signals.direction[:, i], spacing)
         near = np.flatnonzero(~_clear_of(still, len(wider))[moments])
         standing.append((near, responses(shapes, moments[near], wider)))
@@ -166,6 +177,7 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float) -> Stretch:
         standing=tuple(standing),
         free=tuple(free),
         noise=_column_noise(study, signals, bandwidth_hz),
+        period=period,
     )
 
 
@@ -203,8 +215,8 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
     """The equations of all records and joints in one.
 
     Nuisance unknowns are the compliances of elastic joints, common to all rows, and the free
-    friction of each record and joint. Blocks are equal lengths of time, about `_BLOCKS` in all;
-    both joints share them.
+    friction of each record and joint. Blocks are equal lengths of time, about `_BLOCKS` in all, and
+    of a motion that repeats equal parts of its period; both joints share them.
 
     Parameters
     ----------
@@ -227,7 +239,7 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
     for record, stretch in enumerate(stretches):
         body, lags, torque = _body_equations(study, stretch, around, record, elastic)
         n_blocks = max(2, round(_BLOCKS * stretch.duration / total))
-        label = first_block + np.arange(len(stretch.rows)) * n_blocks // len(stretch.rows)
+        label = first_block + stretch.blocks(n_blocks)
         first_block += n_blocks
         for i, free in enumerate(stretch.free):
             friction = n_of_body + FRICTION_COLUMNS * i
