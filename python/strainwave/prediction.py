@@ -10,6 +10,7 @@ from strainwave.filters import low_pass
 from strainwave.records import BoolArray, FloatArray, Signals, Study
 from strainwave.regressor import FRICTION_COLUMNS, body_regressor, gear_ratios, n_body
 
+_PIECE = 1 << 16  # samples predicted at once
 _MOSTLY = 0.5  # share of standing from which a fit says nothing of the model
 
 
@@ -100,21 +101,39 @@ def predict_torque(
     -------
     (n_samples, n_joints) [N m]
     """
-    n = gear_ratios(study)
-    first = n_body(study)
-    phi = body_regressor(
-        study,
-        signals.motor_angle * n,
-        signals.motor_velocity * n,
-        signals.motor_acceleration * n,
-    )
-    viscous, coulomb, offset = solution[first:].reshape(study.n_joints, FRICTION_COLUMNS).T
-    rest = phi @ solution[:first] + viscous * signals.motor_velocity + offset
     direction = np.column_stack([_bridged(d) for d in signals.direction.T])
-    torque: FloatArray = rest + coulomb * direction
-    held = rest + np.clip(signals.motor_torque - rest, -abs(coulomb), abs(coulomb))
     stands = standing(signals.direction, longest_bridge)
-    return np.where(stands, held, torque)
+    torque = np.empty_like(signals.motor_torque)
+    for start in range(0, len(torque), _PIECE):  # a regressor of all samples is many times as large
+        piece = slice(start, start + _PIECE)
+        torque[piece] = _predicted(study, solution, signals, piece, direction[piece], stands[piece])
+    return torque
+
+
+def _predicted(
+    study: Study,
+    solution: FloatArray,
+    signals: Signals,
+    piece: slice,
+    direction: FloatArray,
+    stands: BoolArray,
+) -> FloatArray:
+    """Motor torques of some samples, with the directions and standstills there."""
+    n, first = gear_ratios(study), n_body(study)
+    angle, velocity, acceleration, measured = (
+        x[piece]
+        for x in (
+            signals.motor_angle,
+            signals.motor_velocity,
+            signals.motor_acceleration,
+            signals.motor_torque,
+        )
+    )
+    phi = body_regressor(study, angle * n, velocity * n, acceleration * n)
+    viscous, coulomb, offset = solution[first:].reshape(study.n_joints, FRICTION_COLUMNS).T
+    rest = phi @ solution[:first] + viscous * velocity + offset
+    held = rest + np.clip(measured - rest, -abs(coulomb), abs(coulomb))
+    return np.where(stands, held, rest + coulomb * direction)
 
 
 def standing(direction: FloatArray, longest_bridge: int) -> BoolArray:
