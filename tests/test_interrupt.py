@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,23 @@ except interrupt.Interrupted:
 GRACE = 5.0  # s; the promise is one, on a machine that has nothing else to do
 
 
+@pytest.fixture(autouse=True)
+def heard() -> Iterator[None]:
+    """Ctrl-C counts in every child, even where the tests themselves run in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def communicate(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """What a process still says; one that does not end is ended."""
+    try:
+        return process.communicate(timeout=60.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+
+
 def stopped(code: str, *, times: int = 1) -> tuple[int, str, float]:
     """Exit code, standard error and seconds of a program to which Ctrl-C is sent once it is ready."""
     body = "try:\n" + "".join(f"    {line}\n" for line in code.strip().splitlines())
@@ -45,7 +63,7 @@ def stopped(code: str, *, times: int = 1) -> tuple[int, str, float]:
         for _ in range(times):
             process.send_signal(signal.SIGINT)
             time.sleep(0.05)
-        _, said = process.communicate(timeout=60.0)
+        _, said = communicate(process)
         return process.returncode, said, time.monotonic() - begin
 
 
@@ -108,7 +126,7 @@ def test_a_command_is_stopped_while_it_starts(tmp_path: Path) -> None:
             time.sleep(1.0)
         time.sleep(0.2)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60.0)
+        _, said = communicate(process)
     assert (process.returncode, said) == (130, NOTHING)
     assert not os.path.exists(tmp_path / "demo")
 

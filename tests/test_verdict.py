@@ -411,6 +411,24 @@ def test_one_warning_for_one_cause() -> None:
     assert third == other
 
 
+def test_one_warning_for_one_cause_in_a_joint_of_several_records() -> None:
+    records = ("prbs-j1", "prbs-j1-servo", "prbs-j2")
+    weak = [
+        Diagnostic(
+            "interaction-spectrum", f"{name}, joint {j}", f"in {share} % of the band of {name}"
+        )
+        for name, j, share in (("prbs-j1", 1, 20), ("prbs-j1-servo", 1, 35), ("prbs-j2", 2, 10))
+    ]
+    alone = Diagnostic("coherence", "prbs-j2, joint 2", "coherence 0.4 in prbs-j2")
+    elsewhere = replace(weak[0], where="other, joint 1")
+    one, kept, foreign = grouped([*weak, alone, elsewhere], records)
+    assert one.where == "prbs-j1 (joint 1), prbs-j1-servo (joint 1), prbs-j2 (joint 2)"
+    assert one.experiments == records
+    assert one.message == "in 10 to 35 % of the band of "
+    assert kept == replace(alone, experiments=("prbs-j2",))
+    assert foreign == elsewhere
+
+
 def test_what_a_later_stage_decides_is_not_warned_of_by_an_earlier_one() -> None:
     early = Diagnostic("implausible", "gear_damping of joint 1", "negative")
     found = replace(run(), warnings=(early,))

@@ -12,6 +12,7 @@ _NUMBER = re.compile(
     r"(?<![\w.])(?<!joint )(?<!motor )(?<!link )-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 )
 """A number of the case; not the joint's in "joint 2", nor a part of a name as in "u1"."""
+_IN_JOINT = re.compile(r", joint (\d+)$")
 _OF_ONE_STAGE = frozenset({"not-identifiable", "implausible", "equivalent-stiffness"})
 """Codes that speak of one parameter as one stage sees it."""
 
@@ -93,7 +94,7 @@ def grouped(warnings: Iterable[Diagnostic], experiments: Sequence[str]) -> tuple
     """Warnings of one cause in several records as one that lists them.
 
     Causes are one where code and message are, but for numbers; where those differ the message has
-    their range.
+    their range. A place is a record, or a joint in one as in "prbs-j1, joint 1".
 
     Parameters
     ----------
@@ -108,34 +109,39 @@ def grouped(warnings: Iterable[Diagnostic], experiments: Sequence[str]) -> tuple
     """
     alike: dict[tuple[str, ...], list[Diagnostic]] = {}
     for each in warnings:
-        text = _without_place(each)
         cause = (
-            (each.code, _NUMBER.sub("#", text))
-            if each.where in experiments
+            (each.code, _NUMBER.sub("#", _without_place(each)))
+            if _record(each) in experiments
             else (each.code, each.where, each.message)
         )
         alike.setdefault(cause, []).append(each)
     return tuple(_one(group, experiments) for group in alike.values())
 
 
+def _record(warning: Diagnostic) -> str:
+    return _IN_JOINT.sub("", warning.where)
+
+
 def _without_place(warning: Diagnostic) -> str:
-    return warning.message.replace(warning.where, "")
+    return warning.message.replace(_record(warning), "")
 
 
 def _one(group: Sequence[Diagnostic], experiments: Sequence[str]) -> Diagnostic:
     first = group[0]
-    if first.where not in experiments:
+    if _record(first) not in experiments:
         return first
-    names = tuple(dict.fromkeys(each.where for each in group))
-    if len(names) == 1:
+    names = tuple(dict.fromkeys(_record(each) for each in group))
+    places = tuple(dict.fromkeys(each.where for each in group))
+    if len(places) == 1:
         return replace(first, experiments=names)
+    where = ", ".join(_IN_JOINT.sub(r" (joint \1)", place) for place in places)
     pieces = _NUMBER.split(_without_place(first))
     numbers = zip(*(_NUMBER.findall(_without_place(each)) for each in group), strict=True)
     message = pieces[0]
     for found, piece in zip(numbers, pieces[1:], strict=True):
         least, most = min(found, key=float), max(found, key=float)
         message += (least if least == most else f"{least} to {most}") + piece
-    return replace(first, where=", ".join(names), message=message, experiments=names)
+    return replace(first, where=where, message=message, experiments=names)
 
 
 def _still_true(found: Identification, decisions: Sequence[Decision]) -> Iterator[Diagnostic]:
