@@ -12,7 +12,7 @@ import pytest
 from elastic_runs import SAMPLE, log_of, prbs_run, rig
 from strainwave import links
 from strainwave.errors import InvalidInput
-from strainwave.filters import lagged
+from strainwave.filters import Between, band_pass, band_passes, differentiate, lagged, unaliased
 from strainwave.links.fusion import bias_of, complement, fuse
 from strainwave.logs import read_log
 from strainwave.records import FloatArray, Fusion, Lag, Log, Study
@@ -65,6 +65,62 @@ def test_the_current_loop_is_the_drives() -> None:
     torque = lagged(0.08 * run["voltage"][:, 0], [Lag(1, 1000.0)], SAMPLE, held=True)
     # before the first sample there was no voltage
     assert torque[40:] == pytest.approx(run["motor_torque"][40:, 0], abs=1e-9)
+
+
+def test_an_angle_keeps_its_size_behind_a_lag() -> None:
+    """At a tenth of the sampling rate, where straight lines take (w T)^2 / 12 = 3.3 % of it."""
+    T, lag = 1e-3, Lag(2, 300.0)
+    t = T * np.arange(2000)
+    turns = 100.0 / lag.cutoff_hz
+    response = 1.0 / (1.0 + np.sqrt(2.0) * 1j * turns - turns**2)
+    exact = (response * np.exp(200j * np.pi * t)).imag
+    straight = lagged(np.sin(200.0 * np.pi * t), [lag], T)
+    passed = unaliased(np.sin(200.0 * np.pi * t), [lag], T, "smooth")
+    inner = slice(200, -200)
+    assert passed[inner] == pytest.approx(exact[inner], abs=2e-4)
+    assert np.abs(straight - exact)[inner].max() > 0.02
+
+
+@pytest.mark.parametrize("between", ["smooth", "held", "straight"])
+def test_a_straight_line_comes_late_by_the_lags_and_the_hold(between: Between) -> None:
+    t = SAMPLE * np.arange(4000)
+    passed = unaliased(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE, between)
+    late = 1.0 / (2.0 * np.pi * 1000.0) + np.sqrt(2.0) / (2.0 * np.pi * 300.0)
+    late += 0.5 * SAMPLE if between == "held" else 0.0
+    assert passed[2000] == pytest.approx(t[2000] - late, abs=1e-8)
+
+
+def test_a_held_voltage_leaves_no_aliases() -> None:
+    """Against the same voltage at sixteen times the rate, whose spectrum needs no folding."""
+    T, finer, lags = 1e-3, 16, [Lag(1, 800.0)]
+    rng = np.random.default_rng(3)
+    voltage = rng.choice([-10.0, 10.0], 2000)
+    fine = lagged(np.repeat(voltage, finer), lags, T / finer, held=True)
+    exact = band_pass(fine, 20.0, 300.0, T / finer)[::finer]
+    errors = []
+    for torque in (unaliased(voltage, lags, T, "held"), lagged(voltage, lags, T, held=True)):
+        error = (band_pass(torque, 20.0, 300.0, T) - exact)[200:-200]
+        errors.append(error.std() / exact.std())
+    assert errors[0] < 0.005
+    assert errors[1] > 0.05
+
+
+def test_several_signals_pass_one_band_with_their_integrals_and_derivatives() -> None:
+    t = SAMPLE * np.arange(8000)
+    w = 2.0 * np.pi * 20.0
+    signals = np.column_stack([np.sin(w * t), np.cos(w * t)])
+    wanted = [(0, 0), (0, -1), (0, -2), (1, 0), (1, 1)]
+    passed = band_passes(signals, wanted, 5.0, 80.0, SAMPLE)
+    for column, (k, integrals) in enumerate(wanted[::3]):
+        alone = band_pass(signals[:, k], 5.0, 80.0, SAMPLE, integrals=integrals)
+        assert passed[:, 3 * column] == pytest.approx(alone, abs=1e-12)
+    sine, velocity, acceleration = passed[2400:-2400, :3].T
+    gain = (1.0 + 0.25**8) ** -2.0
+    assert sine == pytest.approx(gain * np.sin(w * t)[2400:-2400], abs=1e-4)
+    assert velocity == pytest.approx(gain * w * np.cos(w * t)[2400:-2400], abs=1e-4 * w)
+    assert acceleration == pytest.approx(-(w**2) * sine, abs=1e-4 * w**2)
+    # fourth differences of the integral: (w T)^4 / 30
+    assert differentiate(passed[:, 4], SAMPLE)[9:-9] == pytest.approx(passed[9:-9, 3], abs=1e-5)
 
 
 # --- fusion -----------------------------------------------------------------------------------

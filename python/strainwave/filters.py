@@ -15,6 +15,8 @@ import numpy as np
 from strainwave.linalg import exponential
 from strainwave.records import ComplexArray, FloatArray, Lag
 
+Between = Literal["smooth", "held", "straight"]
+
 _FLOOR_MARGIN = 4.0  # a Welch estimate of 8 averages stays below 4 times its mean
 _LEAST_SAMPLES = 32
 _SETTLED = 14.0  # periods of its cut-off after which a low-pass has forgotten all but rounding
@@ -270,6 +272,79 @@ def _lag_response(
     return np.asarray(response, dtype=np.complex128), size
 
 
+def unaliased(
+    signal: FloatArray, lags: Sequence[Lag], sample_time: float, between: Between
+) -> FloatArray:
+    """A signal after low-pass filters, below the Nyquist frequency only.
+
+    What `lagged` gives at the samples holds what lies above the Nyquist frequency too, folded
+    down: a held voltage has a good deal there, an angle nothing. Where one is differentiated and
+    compared with the other, that must not be. Straight lines between the samples of an angle
+    would make it smaller by (w T)^2 / 12. So each line of the spectrum is multiplied by
+
+        H(jw) R(jw),   R = 1 (smooth), sinc(w T / 2) exp(-jwT/2) (held), sinc(w T / 2)^2 (straight)
+
+    Parameters
+    ----------
+    signal : (n_samples, ...)
+    lags : sequence of Lag
+    sample_time : float [s]
+    between : "smooth", "held" or "straight"
+        How the signal runs from sample to sample: as its spectrum says, constant, or straight.
+
+    Returns
+    -------
+    (n_samples, ...)
+        At rest at the first sample: what comes before is taken as equal to it.
+    """
+    if not lags and between == "smooth":
+        return signal
+    n = len(signal)
+    pad = min(n - 1, max(_LEAST_SAMPLES, round(_memory(lags) / sample_time)))
+    before, after = np.repeat(signal[:1], pad, axis=0), np.repeat(signal[-1:], pad, axis=0)
+    if between == "smooth":
+        after = 2.0 * after - signal[-2 : -pad - 2 : -1]
+    longer = np.concatenate([before, signal, after])
+    # of a straight line the answer is the line, later; without it the ends meet
+    whole = len(longer)
+    slope = (longer[-1] - longer[0]) / (whole - 1)
+    line = longer[0] + np.multiply.outer(np.arange(whole), slope)
+    size = _fast_length(whole)
+    response, late = _analog(tuple(lags), sample_time, between, size)
+    longer = longer - line
+    spectrum = np.fft.rfft(longer, size, axis=0)
+    spectrum *= response.reshape(-1, *(1,) * (signal.ndim - 1))
+    passed = np.fft.irfft(spectrum, size, axis=0)[pad : pad + n]
+    passed += line[pad : pad + n]
+    return np.asarray(passed - slope * (late / sample_time))
+
+
+def _memory(lags: Sequence[Lag]) -> float:
+    """After how long the slowest of low-pass filters has forgotten all but rounding [s]."""
+    return max((_SETTLED / lag.cutoff_hz for lag in lags), default=0.0)
+
+
+@lru_cache(maxsize=32)
+def _analog(
+    lags: tuple[Lag, ...], sample_time: float, between: Between, size: int
+) -> tuple[ComplexArray, float]:
+    """Response at the lines of a transform, and by how much a straight line comes later [s]."""
+    f = np.fft.rfftfreq(size, sample_time)
+    response = np.ones(len(f), dtype=np.complex128)
+    late = 0.0
+    for lag in lags:
+        s = 1j * f / lag.cutoff_hz
+        first = 1.0 if lag.order == 1 else np.sqrt(2.0)
+        response /= 1.0 + first * s + (s**2 if lag.order == 2 else 0.0)
+        late += first / (2.0 * np.pi * lag.cutoff_hz)
+    if between == "held":
+        response *= np.sinc(f * sample_time) * np.exp(-1j * np.pi * f * sample_time)
+        late += 0.5 * sample_time
+    elif between == "straight":
+        response *= np.sinc(f * sample_time) ** 2
+    return response, late
+
+
 def _discrete(
     lags: tuple[Lag, ...], sample_time: float, held: bool
 ) -> tuple[FloatArray, FloatArray]:
@@ -329,6 +404,36 @@ def band_pass(
     return by_spectrum(signal, response, sample_time, 3.0 / low_hz)
 
 
+def band_passes(
+    signals: FloatArray,
+    wanted: Sequence[tuple[int, int]],
+    low_hz: float,
+    high_hz: float,
+    sample_time: float,
+) -> FloatArray:
+    """Several signals, integrals and derivatives of them, through one `band_pass`.
+
+    Parameters
+    ----------
+    signals : (n_samples, n_signals)
+    wanted : sequence of (signal, integrals)
+        What is to come back: how often which signal is integrated; differentiated, if negative.
+    low_hz, high_hz : float [Hz]
+    sample_time : float [s]
+
+    Returns
+    -------
+    (n_samples, n_wanted)
+    """
+    f, spectrum, inner = _spectrum_of(signals, sample_time, 3.0 / low_hz)
+    gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
+    found = np.empty((len(signals), len(wanted)))
+    for column, (k, integrals) in enumerate(wanted):
+        response = gain if integrals == 0 else gain * (2j * np.pi * f) ** -integrals
+        found[:, column] = _back((response * spectrum[:, k])[:, None], inner, len(signals))[:, 0]
+    return found
+
+
 def _eighth_power(x: FloatArray) -> FloatArray:
     return np.asarray(np.square(np.square(np.square(x))))  # `**` takes logarithms
 
@@ -355,17 +460,30 @@ def by_spectrum(
     -------
     (n_samples, ...)
     """
-    n = len(signal)
-    pad = min(n - 1, int(reach / sample_time))
-    longer = _continued(signal, pad)
-    size = _fast_length(len(longer) + pad)
-    f: FloatArray = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
-    spectrum = np.fft.rfft(longer, size, axis=0)[1:]
+    f, spectrum, inner = _spectrum_of(signal, sample_time, reach)
     gain = response(f)
     if gain.ndim == 3:
         spectrum = np.einsum("foi,fi->fo", gain, spectrum)
     else:
         spectrum = spectrum * gain.reshape(-1, *(1,) * (signal.ndim - 1))
+    return _back(spectrum, inner, len(signal))
+
+
+def _spectrum_of(
+    signal: FloatArray, sample_time: float, reach: float
+) -> tuple[FloatArray, ComplexArray, tuple[int, int]]:
+    """Frequencies [Hz], lines without the mean, and (samples before the first, in all)."""
+    n = len(signal)
+    pad = min(n - 1, int(reach / sample_time))
+    longer = _continued(signal, pad)
+    size = _fast_length(len(longer) + pad)
+    f: FloatArray = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
+    return f, np.asarray(np.fft.rfft(longer, size, axis=0)[1:]), (pad, size)
+
+
+def _back(spectrum: ComplexArray, inner: tuple[int, int], n: int) -> FloatArray:
+    """The n samples of a signal from its lines without the mean."""
+    pad, size = inner
     whole = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
     passed: FloatArray = np.fft.irfft(whole, size, axis=0)[pad : pad + n]
     return passed

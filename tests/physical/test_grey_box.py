@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from joint_records import Case, case
+from elastic_runs import SAMPLE, log_of, prbs_run, rig, rig_values, true_model
+from joint_records import Case, case, truth_of
+from strainwave import decoupling, links
 from strainwave import least_squares as ls
 from strainwave.errors import NotIdentifiable
 from strainwave.parameters import unit_of
@@ -133,6 +135,36 @@ def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
     assert np.count_nonzero(added) == 1
     told = next(p for p in removed.parameters if p.name == "gear_damping")
     assert told.std == pytest.approx(np.sqrt(removed.covariance[at, at]))
+
+
+def test_slow_sampling_biases_nothing() -> None:
+    """Of ideal sensors at 1 kHz; straight lines between the samples took 1 % of motor inertia."""
+    study = rig(counts=None)
+    values = rig_values(study)
+    run = prbs_run(study, both=True)
+    log = log_of(run)
+    slow = {name: channel[::4] for name, channel in log.channels.items()}
+    signals = links.link_side(
+        replace(log, time=log.time[::4], sample_time=4.0 * SAMPLE, channels=slow), study
+    )
+    model = true_model(study, values)
+    decoupled = decoupling.decouple(signals, model, study)[0]
+    found = vector_of(identify_joint([(signals, decoupled)], model, study))
+    off = found / truth_of(values, 1).vector - 1.0
+    assert np.abs(off[WELL_TOLD]).max() < 0.002
+    assert abs(off[NAMES.index("gear_damping")]) < 0.01
+
+
+def test_what_hangs_on_friction_in_doubt_joins_the_deviations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Reversals within an encoder's counts: were friction there taken alike, nothing would join."""
+    one = case(*CASES[0])
+    plain = np.sqrt(np.diag(found_in(one).covariance))
+    monkeypatch.setattr(grey_box, "_TAKEN", grey_box._STANDING)
+    alike = np.sqrt(np.diag(found_in(one).covariance))
+    assert np.all(plain > 0.99 * alike)
+    assert np.max(plain / alike) > 1.02
 
 
 def test_a_band_may_be_set() -> None:

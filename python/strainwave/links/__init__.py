@@ -8,9 +8,16 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.channels import channel_of, directions, resolution, saturation, torque_channel
+from strainwave.channels import channel_of, directions, saturation, torque_channel
 from strainwave.errors import InvalidInput
-from strainwave.filters import differentiate, lagged, low_pass, noise_deviation, signal_band
+from strainwave.filters import (
+    Between,
+    differentiate,
+    low_pass,
+    noise_deviation,
+    signal_band,
+    unaliased,
+)
 from strainwave.link_sensors import LONGEST_DELAY, moved
 from strainwave.links.alignment import drive_delay, sensor_delay
 from strainwave.links.delays import constants_of, corrected, late_sensors, misaligned
@@ -37,6 +44,7 @@ __all__ = ["LinkOptions", "both_sides", "constants_of", "corrected", "link_side"
 _EDGE = 2.0  # periods of the slowest low-pass until its start is forgotten
 _SPREAD = 5e-4  # [s] of uncertainty above which a delay says nothing
 _CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
+_UNSURE = 4.0  # deviations of a velocity up to which its sign is in doubt
 _PASSES = 4  # over late sensors: a delay is linear in the relations only where it is short
 
 
@@ -192,13 +200,13 @@ class _View:
         self.motor_angle = self.through(self.raw_angle)
 
     def through(
-        self, signal: FloatArray, own: Sequence[Lag] = (), *, held: bool = False
+        self, signal: FloatArray, own: Sequence[Lag] = (), between: Between = "smooth"
     ) -> FloatArray:
         """A channel behind the shared low-passes that its own sensor has not applied yet."""
         rest = list(self.shared)
         for lag in own:
             rest.remove(lag)
-        return self.smooth(lagged(signal, rest, self.log.sample_time, held=held))
+        return self.smooth(unaliased(signal, rest, self.log.sample_time, between))
 
     def smooth(self, signal: FloatArray) -> FloatArray:
         """A signal through the zero-phase filter, where there is one."""
@@ -226,24 +234,39 @@ class _View:
             )
         loop = [Lag(1, joint.current_loop_hz)] if joint.current_loop_hz else []
         T = self.log.sample_time
-        torque = lagged(joint.torque_per_volt * values, [*loop, *self.shared], T, held=True)
+        torque = joint.torque_per_volt * values
+        if loop or self.shared:
+            torque = unaliased(torque, [*loop, *self.shared], T, "held")
         return self.smooth(torque)
+
+    def _velocity_noise(self, noise: FloatArray) -> FloatArray:
+        """Standard deviation of what the low-passed velocities are wrong by.
+
+        White noise of the deviation s on an angle, up to the frequency f of samples at T:
+        s 2 pi f sqrt(2 f T / 3). A count of an encoder is 1/sqrt(12) of noise at least.
+        """
+        counts = [
+            2.0 * np.pi / j.encoder_counts if j.encoder_counts else 0.0 for j in self.study.joints
+        ]
+        least = np.array(counts) / np.sqrt(12.0)
+        f, T = self.band, self.log.sample_time
+        return np.asarray(np.maximum(noise, least) * 2.0 * np.pi * f * np.sqrt(2.0 * f * T / 3.0))
 
     def directions(self) -> tuple[FloatArray, FloatArray]:
         """Where each motor surely slides and which way; and its direction as the signals show it.
 
-        Where it may stand, the latter is the velocity over its resolution.
+        Where it may stand, the latter is the velocity over four times its noise.
         """
         T = self.log.sample_time
         noise = np.array([noise_deviation(angle) for angle in self.raw_angle.T])
         certain = directions(self.raw_angle, noise, self.study, T)
         velocity = differentiate(low_pass(self.raw_angle, self.band, T), T)
-        finest = np.array(
-            [resolution(j, s) for j, s in zip(self.study.joints, noise.tolist(), strict=True)]
+        softened = np.clip(
+            velocity / np.maximum(_UNSURE * self._velocity_noise(noise), 1e-12), -1.0, 1.0
         )
-        # the velocity of one count up and down at the top of the band
-        softened = np.clip(velocity / np.maximum(np.pi * self.band * finest, 1e-12), -1.0, 1.0)
-        return certain, self.through(np.where(certain != 0.0, certain, softened))
+        return certain, self.through(
+            np.where(certain != 0.0, certain, softened), between="straight"
+        )
 
 
 def _source(log: Log, study: Study, joint: int) -> LinkSource:

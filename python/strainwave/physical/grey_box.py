@@ -9,7 +9,8 @@ With both sides of the gear measured, (1) and (2) of one joint are two equations
 what the torque through the gear makes of it. Both pass one zero-phase band-pass around the
 anti-resonance and the resonance, which keeps out bias and drift of the sensors below and their
 noise above. Every signal has the sensors' own filters behind it (`LinkSignals.shared`), so those
-drop out of the equations. Friction where the motor may stand is an unknown of its own.
+drop out of the equations. Friction where the motor may stand is an unknown of its own, about what
+the velocity shows there; what hangs on that joins the covariance.
 
 What the rigid model knows, c_1 = m_M + n^2 m_L, c_0 = d_M + n^2 d_L and the Coulomb friction, joins
 as one more equation each, weighted by its deviation.
@@ -26,7 +27,7 @@ import numpy as np
 from strainwave import least_squares as ls
 from strainwave.banded import Banded
 from strainwave.errors import NotIdentifiable
-from strainwave.filters import band_pass, differentiate, lagged
+from strainwave.filters import band_pass, band_passes, unaliased
 from strainwave.parallel import stop_if_asked
 from strainwave.physical.linear import same_band
 from strainwave.physical.two_inertia import (
@@ -66,6 +67,8 @@ _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
 _SUREST = 1e-6  # relative deviation of what the rigid model tells, at least: weights stay finite
 _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
+# the same where the velocity's sign is taken at its word, to see what hangs on that: a tenth
+_TAKEN = 0.058
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +132,7 @@ class Solved:
     known: RigidKnowledge
     band: tuple[float, float]
     own: _Weighted
+    as_it_shows: _Weighted  # with friction as the velocity shows it, also where that is in doubt
     beside: tuple[_Weighted, ...]  # in a narrower band and a wider one; none where it was given
 
     def fit(self) -> GreyBoxFit:
@@ -139,6 +143,8 @@ class Solved:
         GreyBoxFit
         """
         found = _result(self.own, self.known, self.band)
+        doubt = _physical(self.as_it_shows.x) - _physical(self.own.x)
+        found = replace(found, covariance=found.covariance + np.outer(doubt, doubt))
         if not self.beside:
             return found
         moves = [_physical(other.x) - _physical(self.own.x) for other in self.beside]
@@ -161,8 +167,9 @@ class Solved:
         better = _band_around(_joint_of(own), record, self.band)
         if not same_band(self.band, better, _SAME_BAND):
             return solve(record, self.study, known, search_from_hz=self.band)
+        shown = _settled(self.as_it_shows.of_record(k, known), known, _NEARLY)
         beside = [_settled(each.of_record(k, known), known, _NEARLY) for each in self.beside]
-        return Solved(record, self.study, known, self.band, own, tuple(beside))
+        return Solved(record, self.study, known, self.band, own, shown, tuple(beside))
 
 
 def solve(
@@ -206,11 +213,12 @@ def solve(
         part = _found_in_part(records, study, known, search_from_hz)
         band, equations = part or _found(records, study, known, search_from_hz)
     own = _settled(equations, known, _SETTLED)
+    shown = _settled(_as_it_shows(own, known), known, _NEARLY)
     beside = []
     for low, high in () if band_hz else _other_bands(band):
         other = _equations(records, study, known, _possible(low, high, records), own)
         beside.append(_settled(other, known, _NEARLY))
-    return Solved(tuple(records), study, known, band, own, tuple(beside))
+    return Solved(tuple(records), study, known, band, own, shown, tuple(beside))
 
 
 def _found(
@@ -309,15 +317,16 @@ class _Weighted:
     equations: ls.Equations
     root: FloatArray  # (n_rows,) square roots of the weights
     x: FloatArray  # around which they are linear
+    standing: float = _STANDING  # deviation of free friction about what the velocity shows, in f
 
     def of_record(self, k: int, known: RigidKnowledge) -> _Weighted:
         """The equations of one record alone, with what is known of it."""
         pieces = self.pieces[k : k + 1]
-        equations = _assemble(pieces, known, self.x)
+        equations = _assemble(pieces, known, self.x, self.standing)
         own = self.root[self.equations.group // 2 == k]
         root = np.ones_like(equations.target)
         root[: len(own)] = own
-        return _Weighted(pieces, equations, root, self.x)
+        return replace(self, pieces=pieces, equations=equations, root=root)
 
 
 def _possible(
@@ -351,46 +360,37 @@ def _piece(
     reach = min(reach, len(signals.time) // 4)
     rows = np.arange(reach, len(signals.time) - reach, max(1, int(1.0 / (_ROWS_PER_HZ * high * T))))
 
-    def passed(x: FloatArray, integrals: int = 0) -> FloatArray:
-        return band_pass(x, low, high, T, integrals=integrals)
-
-    acceleration = signals.link_acceleration[:, i]
-    tau = decoupled.inputs[:, 1] if decoupled.inputs.shape[1] > 1 else np.zeros(len(signals.time))
-    direction = signals.sliding[:, i]
+    torque = signals.motor_torque[:, i]
     columns = [
-        signals.motor_torque[:, i],
-        tau,
-        signals.motor_velocity[:, i],
+        unaliased(torque, (), T, "held") if signals.held[i] else torque,
+        decoupled.inputs[:, 1] if decoupled.inputs.shape[1] > 1 else np.zeros(len(torque)),
+        signals.direction[:, i],
         signals.motor_angle[:, i],
-        lagged(direction, signals.shared, T),
-        acceleration,
+        signals.link_acceleration[:, i],
     ]
+    # of the motor's angle its derivatives, of the link's acceleration its integrals
+    wanted = [(0, 0), (1, 0), (2, 0), (3, 0), (3, -1), (3, -2), (4, 0), (4, 1), (4, 2)]
     if signals.sources[i] in ("encoder", "deflection"):
         columns += [signals.link_velocity[:, i], signals.link_angle[:, i]]
-        torque, tau, *motor, link_acceleration, link_velocity, link_angle = passed(
-            np.column_stack(columns)
-        ).T
-    else:
-        torque, tau, *motor, link_acceleration = passed(np.column_stack(columns)).T
-        link_velocity, link_angle = passed(acceleration, 1), passed(acceleration, 2)
-    motor_velocity, motor_angle, slid = motor
+        wanted[-2:] = [(5, 0), (6, 0)]
+    passed = band_passes(np.column_stack(columns), wanted, low, high, T)[rows]
+    torque, tau, slid, motor_angle, motor_velocity, motor_acceleration = passed[:, :6].T
+    link_acceleration, link_velocity, link_angle = passed[:, 6:].T
     around = int(2.0 / (low * T))  # the band-pass's answer has then fallen below 1e-5
     impulse = np.zeros(2 * around + 1)
     impulse[around] = 1.0
-    kernel = passed(lagged(impulse, signals.shared, T))
-    shapes = free_friction(direction, max(2, int(1.0 / (_KNOTS * high * T))))
+    kernel = band_pass(unaliased(impulse, signals.shared, T, "straight"), low, high, T)
+    shapes = free_friction(signals.sliding[:, i], max(2, int(1.0 / (_KNOTS * high * T))))
     return _Piece(
         ratio=n,
         band=band,
         sample_time=T,
         rows=rows,
-        torque=(torque + n * tau)[rows],
-        tau=tau[rows],
-        motor=np.column_stack([differentiate(motor_velocity, T), motor_velocity, slid])[rows],
-        link=np.column_stack([link_acceleration, link_velocity])[rows],
-        twist=np.column_stack([n * motor_angle - link_angle, n * motor_velocity - link_velocity])[
-            rows
-        ],
+        torque=torque + n * tau,
+        tau=tau,
+        motor=np.column_stack([motor_acceleration, motor_velocity, slid]),
+        link=np.column_stack([link_acceleration, link_velocity]),
+        twist=np.column_stack([n * motor_angle - link_angle, n * motor_velocity - link_velocity]),
         free=responses(shapes, rows, kernel),
     )
 
@@ -425,11 +425,20 @@ def _settled(weighted: _Weighted, known: RigidKnowledge, within: float) -> _Weig
         factor = ls.factorise(equations, root)
         settled = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
         x = factor.value
-        equations = _assemble(pieces, known, x)
+        equations = _assemble(pieces, known, x, weighted.standing)
         root = ls.root_weights(equations, factor)
         if settled:
             break
-    return _Weighted(pieces, equations, root, x)
+    return _Weighted(pieces, equations, root, x, weighted.standing)
+
+
+def _as_it_shows(own: _Weighted, known: RigidKnowledge) -> _Weighted:
+    """The same equations with friction that follows the velocity's sign where that is in doubt.
+
+    A reversal takes a few samples within an encoder's counts, where friction is one more unknown.
+    What the data say of it depends on their noise, and so does what it takes from the others.
+    """
+    return replace(own, equations=_assemble(own.pieces, known, own.x, _TAKEN), standing=_TAKEN)
 
 
 def _rigid_errors(weighted: _Weighted, factor: ls.Factor, known: RigidKnowledge) -> FloatArray:
@@ -462,7 +471,9 @@ def _start(pieces: Sequence[_Piece]) -> FloatArray:
     return x
 
 
-def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) -> ls.Equations:
+def _assemble(
+    pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray, standing: float = _STANDING
+) -> ls.Equations:
     """(S6) and (S7) of all records around x, then what the rigid model knows."""
     shared, local, target, group, block, deviation = [], [], [], [], [], []
     total = sum(len(p.torque) for p in pieces)
@@ -486,7 +497,7 @@ def _assemble(pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray) ->
         target += [p.torque, p.twist[:, 0] + x[_COMPLIANCE] * own]
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [label, label]
-        deviation += [max(_STANDING * abs(float(x[_COULOMB])), 1e-300)] * n_free
+        deviation += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
     beforehand, values = _knowledge(known, pieces[0].ratio)
     rows = np.concatenate([*shared, beforehand])
     return ls.Equations(
