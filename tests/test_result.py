@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from results import arm_model, identification
-from strainwave import pipeline, result
+from strainwave import pipeline, report, result
 from strainwave.errors import InvalidInput
 from strainwave.records import Parameter, RigidModel
 
@@ -41,6 +41,7 @@ def test_the_contract_s_keys() -> None:
     assert stage["parameters"] == document["parameters"]
     assert stage["fit_percent"] == {"motion": {"torque1": 97.5}}
     assert stage["condition_number"] == 12.5
+    assert stage["torque_ratio"] is None
     assert document["checks"] == [
         {"experiment": "check", "fit_percent": {"torque1": 91.25, "torque2": None}}
     ]
@@ -62,6 +63,16 @@ def test_what_is_not_finite_is_null() -> None:
     assert document["stages"]["rigid"]["condition_number"] is None
     assert document["parameters"][0]["value"] is None
     assert document["parameters"][0]["ci95"] is None
+
+
+def test_the_ratio_of_torques_is_published() -> None:
+    one = identification()
+    ratio = replace(one, rigid=replace(rigid(one.rigid), torque_ratio=(0.98, 0.004)))
+    stage = json.loads(result.to_json(ratio))["stages"]["rigid"]
+    assert stage["torque_ratio"] == {"value": 0.98, "std": 0.004}
+    said = "0.9800, standard deviation 0.004, of what the symmetry"
+    assert said in report.render(ratio)
+    assert said not in report.render(one)
 
 
 def test_numpy_numbers_become_numbers() -> None:

@@ -170,6 +170,8 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "bandwidth_hz": model.bandwidth_hz,
         "decimation": model.decimation,
         "n_rows": model.n_rows,
+        "torque_ratio": model.torque_ratio
+        and dict(zip(("value", "std"), model.torque_ratio, strict=True)),
     }
 
 

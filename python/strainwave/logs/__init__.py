@@ -12,7 +12,7 @@ import numpy as np
 from strainwave.errors import InvalidInput
 from strainwave.logs.bags import Bag, is_bag
 from strainwave.logs.clocks import Track, one_clock
-from strainwave.logs.tables import Table, open_table, write_table
+from strainwave.logs.tables import Table, open_table, release_readers_memory, write_table
 from strainwave.parallel import side_by_side
 from strainwave.records import (
     Channel,
@@ -88,6 +88,8 @@ def read_log(study: Study, experiment: Experiment) -> Log:
         if name != "t"
     }
     warnings += told + _constants(channels, study, experiment, path)
+    del columns, tracks
+    release_readers_memory()
     sample_time = float((time[-1] - time[0]) / (len(time) - 1))
     return Log(experiment, time, sample_time, channels, tuple(warnings))
 

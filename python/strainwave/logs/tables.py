@@ -10,6 +10,7 @@ import csv
 import gzip
 import io
 import struct
+import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -110,6 +111,13 @@ def write_table(path: Path, columns: Mapping[str, FloatArray]) -> None:
         )
     data = sink.getvalue()
     write_whole(path.parent, {path.name: gzip.compress(data) if name.endswith(".gz") else data})
+
+
+def release_readers_memory() -> None:
+    """Give back what reading tables took beside the columns: more than these themselves."""
+    arrow = sys.modules.get("pyarrow")
+    if arrow is not None:
+        arrow.default_memory_pool().release_unused()
 
 
 # --- CSV --------------------------------------------------------------------------------------

@@ -274,5 +274,14 @@ def _making(identification: Identification) -> str:
                 f"{model.decimation}th sample, condition number {model.condition_number:.3g}",
             )
         )
+        if model.torque_ratio is not None:
+            value, std = model.torque_ratio
+            facts.append(
+                (
+                    "torque of joint 1 over joint 2",
+                    f"{value:.4f}, standard deviation {std:.2g}, of what the symmetry of the "
+                    "inertia matrix allows; 1 where both torque constants are right",
+                )
+            )
     items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(fact)}</dd>" for term, fact in facts)
     return f"<dl>{items}</dl>"
