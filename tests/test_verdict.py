@@ -15,12 +15,12 @@ from strainwave.diagnostics import grouped, published_warnings
 from strainwave.parameters import unit_of
 from strainwave.records import (
     Activity,
+    AgreementTest,
     Diagnostic,
     Identification,
     JointModel,
     Parameter,
     RigidModel,
-    StageDifference,
     Study,
     Suspicion,
     half_width,
@@ -319,20 +319,20 @@ def test_a_fit_that_did_not_converge_is_no_whole_answer() -> None:
 def test_stages_that_contradict_each_other_reject_what_they_touch() -> None:
     found = run()
     assert found.tuned is not None
-    far = StageDifference("motor_inertia", 2, 1.0, 1.1, 0.01, "kg m^2")
-    one = replace(found, tuned=replace(found.tuned, differences=(far,)))
+    far = AgreementTest("inertias", None, 50.0, 4, 6.3)
+    one = replace(found, tuned=replace(found.tuned, agreement=(far,)))
     assert all(p.value is None for p in one.parameters)
     assert (one.verdict.status, one.verdict.exit_code) == ("not-determined", 3)
-    friction = StageDifference("total_viscous_friction", 2, 1.0, 1.1, 0.01, "N m s/rad")
-    one = replace(found, tuned=replace(found.tuned, differences=(friction,)))
+    friction = AgreementTest("friction", 2, 50.0, 3, 6.5)
+    one = replace(found, tuned=replace(found.tuned, agreement=(friction,)))
     assert {p.label for p in one.parameters if p.value is None} == {
         "motor_viscous_friction 2",
         "link_viscous_friction 2",
         "total_viscous_friction 2",
         "motor_coulomb_friction 2",
     }
-    near = StageDifference("motor_inertia", 2, 1.0, 1.02, 0.01, "kg m^2")
-    assert replace(found, tuned=replace(found.tuned, differences=(near,))).verdict.exit_code == 0
+    near = AgreementTest("inertias", None, 15.0, 4, 2.8)
+    assert replace(found, tuned=replace(found.tuned, agreement=(near,))).verdict.exit_code == 0
 
 
 @pytest.mark.parametrize(

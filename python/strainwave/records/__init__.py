@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from strainwave.records.answers import Consistency, Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.records.arm import (
+    AgreementTest,
     ArmModel,
     Criticism,
     ResidualTest,
@@ -97,6 +98,7 @@ __all__ = [
     "CHANNELS",
     "OUTCOMES",
     "Activity",
+    "AgreementTest",
     "Arm",
     "ArmKind",
     "ArmModel",

@@ -83,6 +83,17 @@ class StageDifference:
 
 
 @dataclass(frozen=True, slots=True)
+class AgreementTest:
+    """Whether the rigid and the whole-arm fit agree on several values at once, by chi-square."""
+
+    scope: Literal["all", "inertias", "friction"]  # "inertias": gravity torques as well
+    joint: int | None  # from 1, whose friction; None: of the other scopes
+    chi_square: float
+    degrees: int
+    deviations: float  # of a normal variable that is as unlikely on both sides
+
+
+@dataclass(frozen=True, slots=True)
 class ArmModel(Shown):
     """All parameters of the arm, fitted at once to all records that excite its gears."""
 
@@ -100,3 +111,4 @@ class ArmModel(Shown):
     carried: tuple[TorqueHistogram, ...] = ()  # one a joint with an elastic gear
     at_bounds: tuple[tuple[str, int | None], ...] = ()  # parameters that ended at a range's end
     differences: tuple[StageDifference, ...] = ()  # from the rigid model, value by value
+    agreement: tuple[AgreementTest, ...] = ()  # with it, of all these differences and of groups

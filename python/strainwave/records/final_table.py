@@ -22,9 +22,9 @@ from strainwave.records.study import Study
 Key = tuple[str, int | None]
 
 CONTRADICTION = 4.0
-"""Standard deviations from which a difference between stages rejects what it touches.
+"""Standard deviations from which a disagreement of the stages rejects what it touches.
 
-Of a dozen values that differ by noise alone one is as far off in a run of a thousand.
+Of the four groups of two joints one differs as much by noise alone in a run of four thousand.
 """
 
 _ORDER = {name: place for place, name in enumerate(PHYSICAL_RANGES)}
@@ -202,9 +202,9 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
     for p in tuned.parameters:
         at_end = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
         table[_key(p)] = _Entry(p, at_end if _key(p) in bounded else "")
-    far = [d for d in tuned.differences if abs(d.deviations) > CONTRADICTION]
-    rubbing = {d.joint for d in far}
-    torques = any("friction" not in d.name for d in far)
+    far = [test for test in tuned.agreement if test.deviations > CONTRADICTION]
+    rubbing = {test.joint for test in far if test.scope == "friction"}
+    torques = any(test.scope == "inertias" for test in far)
     for key, entry in table.items():
         friction = "friction" in entry.parameter.name and entry.parameter.joint in rubbing
         if (torques or friction) and not entry.rejected:

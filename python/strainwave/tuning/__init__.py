@@ -29,7 +29,7 @@ from strainwave.records import (
     Study,
     TuningOptions,
 )
-from strainwave.tuning.agreement import disagreement, stage_differences
+from strainwave.tuning.agreement import agreement_tests, disagreement, stage_differences
 from strainwave.tuning.beginnings import with_evident_beginnings
 from strainwave.tuning.dataset import Replayed, coarser, replayed, usable
 from strainwave.tuning.effects import left_out, records_with, tried
@@ -232,7 +232,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         status = "at-bounds"
     if not fit.converged:
         status = "iteration-limit"
-    differences = stage_differences(fit, study)
+    differences, agreement = stage_differences(fit, study), agreement_tests(fit)
     criticism = Criticism(residual_tests(fit.misfit, fit.z), tuple(richer_models(fit, study)))
     repeated = [
         log
@@ -256,7 +256,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         warnings=(
             *begun.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
-            *disagreement(differences),
+            *disagreement(differences, agreement),
             *left_out(fit.misfit.search, study),
             *sensor_cautions(parameters),
             *residual_cautions(criticism.residuals),
@@ -270,6 +270,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
             if ended and key[0] != SETTLING
         ),
         differences=differences,
+        agreement=agreement,
     )
 
 

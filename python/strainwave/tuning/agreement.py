@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from statistics import NormalDist
+from typing import Literal
 
 import numpy as np
 
+from strainwave.distributions import chi_square_tail
 from strainwave.parameters import unit_of
-from strainwave.records import Diagnostic, FloatArray, StageDifference, Study
+from strainwave.records import AgreementTest, Diagnostic, FloatArray, StageDifference, Study
 from strainwave.tuning.estimates import Fit
 from strainwave.tuning.parametrisation import unit_of_arm
 
+Scope = Literal["all", "inertias", "friction"]
+
 DISAGREES = 3.0
-"""Standard deviations of a difference from which it is a finding: 3 runs in 100 by noise alone.
+"""Standard deviations from which a disagreement is a finding: a run in a hundred by noise alone.
 
 From `records.final_table.CONTRADICTION` on, what it touches is rejected.
 """
 
 _NOTHING_NEW = 0.05  # of the rigid deviation: a smaller one says that the records add nothing
+_SINGULAR = 1e-9  # of the rigid correlations: along such a direction the values are one
+_LEAST_TAIL = 1e-300  # of a probability, 37 deviations
 
 
 def stage_differences(fit: Fit, study: Study) -> tuple[StageDifference, ...]:
@@ -58,28 +65,101 @@ def _deviations(covariances: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
-def disagreement(differences: Sequence[StageDifference]) -> Iterator[Diagnostic]:
+def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
+    """Chi-squares of the differences: of all of them, of inertias, and of each joint's friction.
+
+    d' C^-1 d, d the differences and C their covariance: the correlations of steady errors, which a
+    thousand rows know, with the larger one of both variances. Only directions count in which the
+    records add to what the rigid model knows.
+
+    Parameters
+    ----------
+    fit : Fit
+        At its minimum.
+
+    Returns
+    -------
+    tuple of AgreementTest
+        None where there was no rigid model, or the records say nothing of its values.
+    """
+    prior, sure = fit.misfit.search.prior, fit.confidence
+    F = prior.factor
+    _, steady = (F @ part @ F.T for part in sure.prior_covariance)
+    std = _deviations([F @ part @ F.T for part in sure.prior_covariance])
+    own = np.sqrt(np.maximum(np.diag(steady), 0.0))
+    raised = np.divide(std, own, out=np.ones_like(std), where=own > 0.0)
+    covariance = steady * np.outer(raised, raised)
+    rigid, difference = F @ prior.errors @ F.T, F @ sure.prior_residual
+    groups: dict[tuple[Scope, int | None], list[int]] = {}
+    for k, (name, joint) in enumerate(prior.names):
+        own_group: tuple[Scope, int | None] = ("inertias", None)
+        if "friction" in name:
+            own_group = ("friction", joint)
+        for group in (("all", None), own_group):
+            groups.setdefault(group, []).append(k)
+    found = []
+    for (scope, joint), at in groups.items():
+        own_part = np.ix_(at, at)
+        q, degrees = _chi_square(difference[at], covariance[own_part], rigid[own_part])
+        if degrees:
+            found.append(AgreementTest(scope, joint, q, degrees, _as_normal(q, degrees)))
+    return tuple(found)
+
+
+def _chi_square(
+    difference: FloatArray, covariance: FloatArray, rigid: FloatArray
+) -> tuple[float, int]:
+    """D' C^-1 d over the directions in which C is not nothing beside the rigid covariance."""
+    size = np.sqrt(np.diag(rigid))
+    values, vectors = np.linalg.eigh(rigid / np.outer(size, size))
+    known = values > _SINGULAR * values[-1]
+    whiten = (vectors[:, known] / np.sqrt(values[known])).T / size
+    share, directions = np.linalg.eigh(whiten @ covariance @ whiten.T)
+    new = share > _NOTHING_NEW**2
+    along = directions.T[new] @ (whiten @ difference)
+    return float(np.sum(along**2 / share[new])), int(np.count_nonzero(new))
+
+
+def _as_normal(chi_square: float, degrees: int) -> float:
+    tail = max(chi_square_tail(chi_square, degrees), _LEAST_TAIL)
+    return max(0.0, -NormalDist().inv_cdf(0.5 * tail))
+
+
+def disagreement(
+    differences: Sequence[StageDifference], tests: Sequence[AgreementTest]
+) -> Iterator[Diagnostic]:
     """The warning that the stages disagree, if they do.
 
     Parameters
     ----------
     differences : sequence of StageDifference
+    tests : sequence of AgreementTest
+        That decide it.
 
     Yields
     ------
     Diagnostic
         At most one, with the likely causes, the likeliest first.
     """
-    far = sorted(differences, key=lambda d: -abs(d.deviations))
-    far = [d for d in far if abs(d.deviations) > DISAGREES]
-    if not far:
+    worst = max(tests, key=lambda test: test.deviations, default=None)
+    if worst is None or worst.deviations <= DISAGREES:
         return
     shown = ", ".join(
         f"{d.name if d.joint is None else f'{d.name} of joint {d.joint}'} "
         f"{d.rigid:.4g} by the rigid and {d.whole_arm:.4g} {d.unit} by the whole-arm fit"
-        for d in far[:3]
+        for d in sorted(differences, key=lambda d: -abs(d.deviations))[:3]
     )
-    text = f"they differ by up to {abs(far[0].deviations):.1f} standard deviations: {shown}; likely"
+    what = {
+        "all": "the values",
+        "inertias": "inertias",
+        "friction": f"joint {worst.joint}'s friction",
+    }
+    text = (
+        f"taken together, {what[worst.scope]} differ by {worst.deviations:.1f} standard deviations"
+    )
+    text += (
+        f" (chi-square {worst.chi_square:.4g} of {worst.degrees} degrees), most in {shown}; likely"
+    )
     text += " causes in this order: a motor constant that falls with current, a clock that is fast"
     text += " or slow, a dead zone of the drive, another law of friction"
     yield Diagnostic("stages-disagree", "rigid and whole-arm fit", text)
