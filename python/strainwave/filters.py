@@ -121,11 +121,15 @@ def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
     -------
     (n_samples, ...)
     """
-    slope: FloatArray = np.gradient(signal, sample_time, axis=0)
-    if len(signal) > 4:
-        near = signal[3:-1] - signal[1:-3]
-        far = signal[4:] - signal[:-4]
-        slope[2:-2] = (8.0 * near - far) / (12.0 * sample_time)
+    slope = np.empty_like(signal)
+    ends = min(len(signal), 4)  # of as many samples are the two at an end
+    slope[:2] = np.gradient(signal[:ends], sample_time, axis=0)[:2]
+    slope[-2:] = np.gradient(signal[-ends:], sample_time, axis=0)[-2:]
+    for start in range(2, len(signal) - 2, _PIECE):
+        stop = min(start + _PIECE, len(signal) - 2)
+        near = signal[start + 1 : stop + 1] - signal[start - 1 : stop - 1]
+        far = signal[start + 2 : stop + 2] - signal[start - 2 : stop - 2]
+        slope[start:stop] = (8.0 * near - far) / (12.0 * sample_time)
     return slope
 
 

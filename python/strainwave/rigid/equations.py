@@ -52,7 +52,9 @@ class Estimate:
 
     solution: FloatArray  # (n_parameters,)
     compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, not negative
-    standing: tuple[FloatArray, ...]  # per record (n_motion, n_joints) free friction [N m]
+    standing: tuple[
+        FloatArray, ...
+    ]  # per record (n_motion, n_joints) free friction [N m], or empty
     motor_share: float = MOTOR_SHARE
 
 
@@ -64,7 +66,7 @@ class Stretch:
     bandwidth_hz: float
     motion_step: int  # samples from one of `motion` to the next
     motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
-    drive: tuple[FloatArray, ...]  # torque and direction, as the motion
+    drive: tuple[FloatArray, ...]  # torque and direction, as the motion; none if no gear gives way
     rows: IntArray  # (n_rows,) samples kept
     keep: BoolArray  # (n_rows, n_joints)
     torque: FloatArray  # (n_rows, n_joints)
@@ -72,7 +74,7 @@ class Stretch:
     standing: tuple[
         tuple[IntArray, Banded], ...
     ]  # per joint, shapes of free friction as the motion:
-    # where in the motion there are any, (n_near,), and them, (n_near, n_free)
+    # where in the motion there are any, (n_near,), and them, (n_near, n_free); as the drive
     free: tuple[Banded, ...]  # per joint (n_rows, n_free), those shapes filtered
     noise: FloatArray  # (n_parameters,) deviation of each column's, from the angles'
     period: float  # samples after which the motion repeats; all where it does not
@@ -142,14 +144,16 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float, period: float) 
     moments = np.arange(reach % step, n_samples, step)  # of the motion
     kernel = _impulse_response(bandwidth_hz, T)
     wider = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
+    elastic = n_compliances(study) > 0
     keep, standing, free = [], [], []
     for i in range(n_joints):
         keep.append(_clear_of(~signals.valid[:, i], int(of_cutoff / 2))[rows])
-        still = signals.direction[:, i] == 0.0
         spacing = max(2, round(of_cutoff / _KNOTS_PER_PERIOD))
         shapes = free_friction(signals.direction[:, i], spacing)
-        near = np.flatnonzero(~_clear_of(still, len(wider))[moments])
-        standing.append((near, responses(shapes, moments[near], wider)))
+        if elastic:
+            still = signals.direction[:, i] == 0.0
+            near = np.flatnonzero(~_clear_of(still, len(wider))[moments])
+            standing.append((near, responses(shapes, moments[near], wider)))
         free.append(responses(shapes, rows, kernel))
     angle, velocity, acceleration, torque, direction = (
         low_pass(x, _MOTION_CUTOFFS * bandwidth_hz, T, kept=slice(reach % step, None, step))
@@ -169,7 +173,7 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float, period: float) 
         bandwidth_hz=bandwidth_hz,
         motion_step=step,
         motion=(angle, velocity, acceleration),
-        drive=(torque, direction),
+        drive=(torque, direction) if elastic else (),
         rows=rows,
         keep=np.column_stack(keep),
         torque=passed[:, :, 0],
@@ -206,8 +210,8 @@ def carried(estimate: Estimate, before: Sequence[Stretch], after: Sequence[Stret
     standing = []
     for friction, old, new in zip(estimate.standing, before, after, strict=True):
         here, there = old.motion_samples(), new.motion_samples()
-        columns = [np.interp(there, here, column) for column in friction.T]
-        standing.append(np.column_stack(columns))
+        columns = [np.interp(there, here, column) for column in friction.T if len(column)]
+        standing.append(np.column_stack(columns) if columns else friction)
     return replace(estimate, standing=tuple(standing))
 
 
@@ -251,7 +255,8 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
             keep = np.flatnonzero(stretch.keep[:, i])
             shared.append(X[keep])
             common.append(lags[keep, i, :n_elastic])
-            local.append(Local(at + np.arange(len(keep)), free.rows(keep)))
+            columns = free if len(keep) == len(stretch.rows) else free.rows(keep)
+            local.append(Local(at + np.arange(len(keep)), columns))
             at += len(keep)
             target.append(torque[keep, i])
             group.append(np.full(len(keep), i))
@@ -307,7 +312,7 @@ def estimate_of(
         compliance = np.clip(factor.common, 0.0, 3.0 * equations.common_deviation) * elastic
     standing, at = [], 0
     for stretch in stretches:
-        friction = np.zeros_like(stretch.motion[0])
+        friction = np.zeros_like(stretch.motion[0] if stretch.standing else stretch.torque[:0])
         for i, (near, shapes) in enumerate(stretch.standing):
             friction[near, i] = shapes @ factor.local[at : at + shapes.n_columns]
             at += shapes.n_columns
