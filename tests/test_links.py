@@ -83,7 +83,7 @@ def test_an_angle_keeps_its_size_behind_a_lag() -> None:
 
 @pytest.mark.parametrize("between", ["smooth", "held", "straight"])
 def test_a_straight_line_comes_late_by_the_lags_and_the_hold(between: Between) -> None:
-    t = SAMPLE * np.arange(4000)
+    t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
     passed = unaliased(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE, between)
     late = 1.0 / (2.0 * np.pi * 1000.0) + np.sqrt(2.0) / (2.0 * np.pi * 300.0)
     late += 0.5 * SAMPLE if between == "held" else 0.0

@@ -94,6 +94,12 @@ def test_steps_that_were_not_fitted_are_predicted() -> None:
         assert fits[f"step-check-j{joint}"][f"omega_m{joint}"] > 99.0
 
 
+def test_the_measured_response_is_the_models() -> None:
+    found = identified()
+    assert len(found.responses) == 2
+    assert not [w for w in found.warnings if w.code == "response-apart"]
+
+
 def test_the_logs_are_as_small_as_they_say() -> None:
     """A clone carries them: under a megabyte, and none of the built-in arm's parameters."""
     assert sum(file.stat().st_size for file in FOLDER.iterdir()) < 1_000_000

@@ -313,6 +313,8 @@ def _physical(
         own = [decoupling.without_friction(s, d, joint) for s, d in together[joint.joint]]
         response = _response(own, options.responses)
         responses |= {} if response is None else {joint.joint: response}
+    ratios = [each.gear_ratio for each in the_study.joints]
+    joints = [physical.compared(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints]
     records = _record_models(the_study, model, seen, fits)
     return records, joints, responses
 

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from elastic_results import BAND, JOINT, SPREAD, joint_model, measured, response, sampled
+from strainwave.physical.agreement import motor_response
+from strainwave.records import Diagnostic
 from strainwave.report import bode
 from strainwave.report.figures import RESIDUAL, Figure
 
@@ -49,7 +51,7 @@ def test_the_band_is_that_of_the_parameters() -> None:
     f = np.array(fill["x"][:half])
     rng = np.random.default_rng(3)
     A = [
-        bode._response(JOINT.vector * (1.0 + SPREAD * rng.standard_normal(6)), JOINT.gear_ratio, f)
+        motor_response(JOINT.vector * (1.0 + SPREAD * rng.standard_normal(6)), JOINT.gear_ratio, f)
         for _ in range(2000)
     ]
     std = np.std(np.abs(A), axis=0) / np.abs(response(f))
@@ -83,17 +85,6 @@ def test_what_is_not_coherent_is_grey() -> None:
     unknown = bode.bode(joint_model(), RATIO, replace(measured(), coherence=None))
     assert "yaxis3" not in unknown["layout"]
     assert max(line_of(unknown, "measured")[0]) > 100.0
-
-
-def test_noise_and_distortion_make_a_point_doubtful() -> None:
-    """Each alone is a quarter of the response, together a third."""
-    found = replace(measured(), coherence=None)
-    quarter = (0.25 * np.abs(found.response)) ** 2
-    assert bode.trusted(found).all()
-    assert bode.trusted(replace(found, noise_variance=quarter)).all()
-    assert bode.trusted(replace(found, distortion_variance=quarter)).all()
-    both = replace(found, noise_variance=quarter, distortion_variance=quarter)
-    assert not bode.trusted(both).any()
 
 
 def test_modes_are_marked_where_the_response_dips_and_peaks() -> None:
@@ -132,25 +123,18 @@ def test_the_whole_arm_fit_is_drawn_over_pale_measured_points() -> None:
     tuned = {name: 1.1 * value for name, value in joint_model().values.items()}
     drawn = bode.bode(joint_model(), RATIO, measured(), tuned=tuned)
     f, size = line_of(drawn, "whole-arm fit")
-    expected = bode._response(1.1 * JOINT.vector, JOINT.gear_ratio, f)
+    expected = motor_response(1.1 * JOINT.vector, JOINT.gear_ratio, f)
     assert size == pytest.approx(20.0 * np.log10(np.abs(expected)), abs=0.005)
     names = [t["name"] for t in drawn["data"]]
     assert names.index("measured") < names.index("physical model")  # the line lies on top
     assert traces(drawn, "measured")[0]["marker"]["opacity"] < 0.5
 
 
-def test_model_and_points_that_differ_are_a_warning() -> None:
-    """Twice as large is 6 dB; a tenth of that is none, nor is what the points' own noise explains."""
-    at = measured()
-    assert bode.disagreement(joint_model(), RATIO, None) is None
-    assert bode.disagreement(joint_model(), RATIO, at) is None
-    assert bode.disagreement(joint_model(), RATIO, replace(at, response=1.07 * at.response)) is None
-    twice = replace(at, response=2.0 * at.response)
-    said = bode.disagreement(joint_model(), RATIO, twice)
-    assert said is not None
-    assert "on 100 % of the lines, by 6 dB near" in said
-    noise = np.abs(twice.response) ** 2 * 0.29**2  # of points that still count as trusted
-    assert bode.disagreement(joint_model(), RATIO, replace(twice, noise_variance=noise)) is None
+def test_the_words_repeat_the_warning_that_model_and_points_differ() -> None:
+    apart = Diagnostic("response-apart", "joint 1", "they differ near 7 Hz")
+    said = bode.words(replace(joint_model(), warnings=(apart,)), measured())
+    assert said.endswith("Warning: they differ near 7 Hz.")
+    assert "Warning" not in bode.words(joint_model(), measured())
 
 
 def test_frequencies_have_whole_labels_with_prefixes() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from strainwave.errors import StrainwaveError
 from strainwave.parallel import one_blas_thread
+from strainwave.physical.agreement import compared
 from strainwave.physical.estimates import cautions_of, parameters_of, status_of
 from strainwave.physical.grey_box import FIRST_BAND_HZ, GreyBoxFit, RigidKnowledge, Solved, solve
 from strainwave.physical.linear import (
@@ -49,6 +50,7 @@ __all__ = [
     "LinearOptions",
     "PhysicalOptions",
     "RecordOptions",
+    "compared",
     "fit_joint",
     "from_state_space",
     "identify_joint",

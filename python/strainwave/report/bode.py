@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from strainwave.formatting import plus_minus
-from strainwave.physical.two_inertia import jacobian, joint_of, state_space
+from strainwave.physical.agreement import OUTSIDE, motor_response, response_jacobian, trusted
 from strainwave.records import (
-    BoolArray,
     ComplexArray,
     FloatArray,
     FrequencyResponse,
@@ -37,16 +36,11 @@ from strainwave.report.figures import (
 from strainwave.statespace import frequency_response
 
 _POINTS = 300  # of a model's curve
-_OUTSIDE = 3.0  # how far a response is drawn beyond the band of the fit
 _MOST_LINES = 500  # measured; of more, those evenly spread over the logarithm of frequency
-_COHERENT = 0.8  # below that a point is doubtful
-_BLURRED = 0.3  # and so it is above this relative deviation
 _NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
 _REACH = 1.96  # of a 95 % band, in deviations
 _DASHES = ("6px,3px", "2px,2px", "8px,3px,2px,3px")  # of sampled models
 _DOT, _PALE = 5, 0.4  # size and opacity of measured points
-_APART = 2.0  # [dB], a quarter: what nobody overlooks in the figure
-_MANY = 0.2  # of the lines; fewer may be leakage or a harmonic
 _BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
 
 
@@ -81,7 +75,7 @@ def bode(
     dict
         A plotly figure.
     """
-    low, high = joint.band_hz[0] / _OUTSIDE, joint.band_hz[1] * _OUTSIDE
+    low, high = joint.band_hz[0] / OUTSIDE, joint.band_hz[1] * OUTSIDE
     data: list[Figure] = []
     unit = "m/s/N" if straight else "rad/s/(N m)"
     titles, heights = [f"dB re {unit}", "phase [°]"], [1.0, 0.7]
@@ -102,34 +96,13 @@ def bode(
     data += _physical(joint, gear_ratio, f)
     if tuned is not None:
         vector = np.array([tuned[name] for name in list(joint.values)[:6]])
-        data += _curve(f, _response(vector, gear_ratio, f), "whole-arm fit", TUNED, "8px,4px")
+        data += _curve(f, motor_response(vector, gear_ratio, f), "whole-arm fit", TUNED, "8px,4px")
     layout = panels("frequency [Hz]", titles, log=True, heights=heights)
     layout["yaxis2"]["dtick"] = 90
     if "yaxis3" in layout:
         layout["yaxis3"]["range"] = [0.0, 1.05]
     marks = _marks(joint, layout["yaxis2"]["domain"][1])
     return {"data": data, "layout": marked(layout, marks)}
-
-
-def trusted(measured: FrequencyResponse) -> BoolArray:
-    """Where the output follows the input, and neither noise nor distortion blurs by how much.
-
-    Parameters
-    ----------
-    measured : FrequencyResponse
-
-    Returns
-    -------
-    (n_frequencies,)
-    """
-    variance = np.zeros(len(measured.frequencies_hz))
-    for part in (measured.noise_variance, measured.distortion_variance):
-        if part is not None:
-            variance += part[:, 0, 0]
-    sure = np.sqrt(variance) <= _BLURRED * np.abs(measured.response[:, 0, 0])
-    if measured.coherence is not None:
-        sure &= measured.coherence[:, 0] >= _COHERENT
-    return np.asarray(sure)
 
 
 def words(joint: JointModel, measured: FrequencyResponse | None) -> str:
@@ -155,65 +128,9 @@ def words(joint: JointModel, measured: FrequencyResponse | None) -> str:
         lines = f"{100.0 * share:.0f} % of the measured lines in the fit's band"
         said.append(f"{lines} stand out of their noise")
     text = "; ".join(said)
-    return f"{text[:1].upper()}{text[1:]}." if text else ""
-
-
-def disagreement(
-    joint: JointModel, gear_ratio: float, measured: FrequencyResponse | None
-) -> str | None:
-    """Where the physical model and the measured response differ by more than both 95 % bands.
-
-    Parameters
-    ----------
-    joint : JointModel
-    gear_ratio : float
-    measured : FrequencyResponse or None
-
-    Returns
-    -------
-    str or None
-        How much, and near which frequency; None: over most of the drawn range they agree.
-    """
-    if measured is None:
-        return None
-    low, high = joint.band_hz[0] / _OUTSIDE, joint.band_hz[1] * _OUTSIDE
-    f = measured.frequencies_hz
-    at = (f >= low) & (f <= high) & trusted(measured)
-    if not at.any():
-        return None
-    vector, G = _vector(joint), measured.response[at, 0, 0]
-    H = _response(vector, gear_ratio, f[at])
-    spread = (
-        np.zeros(len(G))
-        if measured.noise_variance is None
-        else np.sqrt(measured.noise_variance[at, 0, 0])
-    )
-    own = _relative_spread(joint, gear_ratio, f[at])
-    beyond = np.abs(G - H) > _REACH * (spread + own * np.abs(H))
-    apart = np.abs(decibel(np.abs(G)) - decibel(np.abs(H)))
-    differs = beyond & (apart > _APART)
-    if np.mean(differs) <= _MANY:
-        return None
-    worst = int(np.argmax(np.where(differs, apart, 0.0)))
-    return (
-        f"Warning: model and measured response differ by more than both 95 % bands on "
-        f"{100.0 * np.mean(differs):.0f} % of the lines, by {apart[worst]:.0f} dB near "
-        f"{f[at][worst]:.3g} Hz"
-    )
-
-
-def _relative_spread(joint: JointModel, gear_ratio: float, f: FloatArray) -> FloatArray:
-    """Standard deviation of the physical model's response over its modulus, by the delta method."""
-
-    def parts(at: FloatArray) -> FloatArray:
-        G = _response(at, gear_ratio, f)
-        return np.concatenate([G.real, G.imag])
-
-    real, imaginary = np.split(jacobian(parts, _vector(joint)), 2)
-    J = real + 1j * imaginary
-    variance = np.einsum("fi,ij,fj->f", J, joint.covariance[:6, :6], J.conj()).real
-    modulus = np.abs(_response(_vector(joint), gear_ratio, f))
-    return np.asarray(np.sqrt(np.clip(variance, 0.0, None)) / modulus)
+    text = f"{text[:1].upper()}{text[1:]}." if text else ""
+    apart = [f"Warning: {w.message}." for w in joint.warnings if w.code == "response-apart"]
+    return " ".join([text, *apart]).strip()
 
 
 def _lines_between(measured: FrequencyResponse, low: float, high: float) -> np.ndarray:
@@ -254,16 +171,12 @@ def _coherence(f: FloatArray, coherence: FloatArray) -> list[Figure]:
 def _physical(joint: JointModel, gear_ratio: float, f: FloatArray) -> list[Figure]:
     """The curve of the physical model and its 95 % band, by the delta method."""
     vector = _vector(joint)
-
-    def parts(at: FloatArray) -> FloatArray:
-        G = _response(at, gear_ratio, f)
-        return np.concatenate([G.real, G.imag])
-
-    G = _response(vector, gear_ratio, f)
+    G = motor_response(vector, gear_ratio, f)
     name = "physical model"
     data = _curve(f, G, name, MODEL, "solid")
-    real, imaginary = np.split(jacobian(parts, vector), 2)
-    relative = (real + 1j * imaginary) / G[:, None]  # dG/G: of the modulus, and i times the phase
+    relative = (
+        response_jacobian(vector, gear_ratio, f) / G[:, None]
+    )  # dG/G: of the modulus, and i times the phase
     J = np.concatenate([relative.real, relative.imag])
     variance = np.einsum("fi,ij,fj->f", J, joint.covariance[:6, :6], J)
     if np.isfinite(variance).all():
@@ -280,13 +193,6 @@ def _physical(joint: JointModel, gear_ratio: float, f: FloatArray) -> list[Figur
 
 def _vector(joint: JointModel) -> FloatArray:
     return np.array(list(joint.values.values())[:6])
-
-
-def _response(vector: FloatArray, gear_ratio: float, f: FloatArray) -> ComplexArray:
-    """G11 of the physical model."""
-    A, B, C = state_space(joint_of(vector, gear_ratio))
-    s = 2j * np.pi * f[:, None, None]
-    return np.asarray((C @ np.linalg.solve(s * np.eye(3) - A, B.astype(complex)))[:, 0, 0])
 
 
 def _curve(f: FloatArray, G: ComplexArray, name: str, colour: str, dash: str) -> list[Figure]:

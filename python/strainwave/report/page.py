@@ -115,8 +115,7 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
         )
         label = f"Joint {joint.joint} alone: motor torque to motor velocity"
         name = f"bode joint {joint.joint}"
-        differ = bode.disagreement(joint, own.gear_ratio, measured)
-        words = bode.words(joint, measured) + (f" {differ}." if differ else "")
+        words = bode.words(joint, measured)
         parts.append(figure(name, label, drawn, plots, words=words))
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = "".join(row(cells) for cells in elastic.resonance_rows(found))

@@ -37,6 +37,10 @@ REMEDIES = {
         "Look at what the records disagree on: friction that warms up, another payload, a "
         "wrong gear_ratio."
     ),
+    "response-apart": (
+        "Look at the Bode plot: at small amplitudes friction bends the measured points; else "
+        "take the joint's values from the whole-arm fit, and check torque_per_volt."
+    ),
     "grey-box-failed": "Look at the record: saturation, a link that strikes, a wrong channel.",
     "not-identifiable": (
         "Excite it more: a larger amplitude, other postures, faster reversals; or take it "
