@@ -13,8 +13,8 @@ from strainwave.records import (
     Parameter,
     Prediction,
     ResidualTest,
-    RicherModel,
     RigidModel,
+    ScoreTest,
 )
 from virtual_arms import rigid_two_link
 
@@ -63,7 +63,7 @@ def criticism() -> Criticism:
         input_probability=1e-20,
     )
     sizes = {"hysteresis_torque": 2.1}
-    likely = RicherModel(1, "hysteresis", sizes, {"hysteresis_torque": 0.1}, 441.0, 0.3, True)
+    likely = ScoreTest(1, "hysteresis", sizes, {"hysteresis_torque": 0.1}, 441.0, 0.3, True)
     return Criticism((left,), (likely,))
 
 

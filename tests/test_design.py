@@ -294,7 +294,7 @@ def test_every_use_is_planned_with_a_check_of_each_model(designed: design.Design
         level, other = (np.abs(r.drive.reference).max() for r in (step, check))
         assert other == pytest.approx(0.7 * level, rel=0.2)  # each is cut to the limits by itself
         # the servo acts: it is nowhere at its limit
-        assert max(step.foreseen.voltage) < 10.0
+        assert max(step.predicted.voltage) < 10.0
 
 
 def names_of(record: design.Planned) -> str:
@@ -309,8 +309,8 @@ def test_steps_shrink_to_the_limits_or_are_left_out() -> None:
         step_records(study, values, Limits((1.5,), (200.0,), (10.0,), (torque,)), band, 1)
         for torque in (ANY[0], 8.0)
     )
-    assert wide[0].foreseen.gear_torque[0] > 8.0
-    assert 4.0 < narrow[0].foreseen.gear_torque[0] <= 8.0
+    assert wide[0].predicted.gear_torque[0] > 8.0
+    assert 4.0 < narrow[0].predicted.gear_torque[0] <= 8.0
     with pytest.raises(LimitBroken, match=r"no step of joint 1 keeps .* gear torque of joint 1"):
         step_records(study, values, Limits((1.5,), (200.0,), (10.0,), (0.1,)), band, 1)
 
@@ -323,7 +323,7 @@ def test_what_gears_bear_is_said_where_no_limit_was_given() -> None:
         for torque in (ANY[0], 1e3)
     )
     assert "no-torque-limit" not in {w.code for w in limited.warnings}
-    worst = max(float(r.foreseen.gear_torque[0]) for r in limited.records)
+    worst = max(float(r.predicted.gear_torque[0]) for r in limited.records)
     message = next(w.message for w in free.warnings if w.code == "no-torque-limit")
     assert f"bears up to {worst:.3g} N m" in message
 
@@ -569,7 +569,7 @@ def unstiff() -> None:
     [
         (no_voltage, r"--limit-voltage: .*add \[servo\]"),
         (no_servo_under_gravity, r"under gravity .* no servo.*add \[servo\]"),
-        (no_servo_of_a_rigid_arm, r"a rigid arm is told by motions.*add \[servo\]"),
+        (no_servo_of_a_rigid_arm, r"a rigid arm is identified from motions.*add \[servo\]"),
         (unheld, "hold"),
         (immovable, r"keeps to the limits.*gear torque of joint 1 would be .* of 0.1"),
         (unstiff, "gear_stiffness_k2 of joint 1"),

@@ -152,7 +152,7 @@ def test_a_criticism_is_told_without_its_spectra() -> None:
     tuned = arm_model((told("a", 1.0, 2.0),), np.array([[4.0]]))
     document = json.loads(result.to_json(replace(identification(), tuned=tuned)))
     criticism = document["stages"]["tuned"]["criticism"]
-    (left,), (likely,) = criticism["residuals"], criticism["richer"]
+    (left,), (likely,) = criticism["residuals"], criticism["score_tests"]
     assert (left["channel"], left["noise"], left["input_delay"]) == ("a1", 0.1, 0.006)
     assert "density" not in left
     assert likely["effect"] == "hysteresis"

@@ -108,7 +108,7 @@ def test_an_effect_that_is_not_in_the_model_is_named(effect: Effect) -> None:
     """It comes first, by about its size, and the warning says what to do."""
     model = tuned((effect,), ())
     assert model.criticism is not None
-    first = model.criticism.richer[0]
+    first = model.criticism.score_tests[0]
     assert (first.joint, first.effect) == (1, effect)
     assert first.evident
     for key in sizes_of((1, effect)):
@@ -124,16 +124,16 @@ def test_an_effect_that_is_not_in_the_model_is_named(effect: Effect) -> None:
 def test_an_arm_without_effects_gives_no_evidence_of_any() -> None:
     model = tuned((), ())
     assert model.criticism is not None
-    assert len(model.criticism.richer) == 6
-    assert not any(one.evident for one in model.criticism.richer)
-    assert max(one.gain for one in model.criticism.richer) < 16.0
+    assert len(model.criticism.score_tests) == 6
+    assert not any(one.evident for one in model.criticism.score_tests)
+    assert max(one.gain for one in model.criticism.score_tests) < 16.0
     assert not any(c.code.endswith("-likely") for c in model.warnings)
 
 
 def test_what_is_fitted_is_no_longer_a_candidate() -> None:
     model = tuned(("hysteresis",), ("hysteresis",))
     assert model.criticism is not None
-    tested = {(one.joint, one.effect) for one in model.criticism.richer}
+    tested = {(one.joint, one.effect) for one in model.criticism.score_tests}
     assert (1, "hysteresis") not in tested
     assert len(tested) == 5
-    assert not any(one.evident for one in model.criticism.richer)
+    assert not any(one.evident for one in model.criticism.score_tests)

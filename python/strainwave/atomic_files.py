@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and files that cannot be read, told clearly."""
+"""Files that appear whole or not at all, and files that cannot be read, reported clearly."""
 
 from __future__ import annotations
 

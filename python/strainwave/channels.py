@@ -17,7 +17,7 @@ _MUCH_SATURATION = 0.01  # share of a record worth a warning
 
 
 def torque_channel(log: Log, joint: int) -> str:
-    """The channel that tells a motor's torque: `torque{i}`, or else the voltage `u{i}`.
+    """The channel that holds a motor's torque: `torque{i}`, or else the voltage `u{i}`.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def channel_of(log: Log, name: str) -> FloatArray:
 
 
 def resolution(joint: Joint, noise: float) -> float:
-    """What a motor's encoder can tell apart.
+    """What a motor's encoder resolves.
 
     One count of toggling, or five deviations of noise, say nothing of the direction.
 

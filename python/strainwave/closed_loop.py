@@ -1,4 +1,4 @@
-"""Elastic model and a record -> what its sensors should have read, by replaying the record.
+"""Elastic model and a record -> what its sensors should have read, by applying its input again.
 
 Servo, references and open-loop voltages are the record's; the arm is the model. What is compared
 are motor velocities, from the encoders' differences, and accelerometers, all through one zero-phase
@@ -162,7 +162,7 @@ def observe(log: Log, study: Study, cutoff_hz: float | None = None) -> Observed:
     Raises
     ------
     InvalidInput
-        The log lacks something that replaying it needs.
+        The log lacks something that simulating it needs.
     """
     check_replay(study, log)
     cutoff = cutoff_hz or velocity_band(log, study)
@@ -210,7 +210,7 @@ def predict_closed_loop(
     Raises
     ------
     InvalidInput
-        The log lacks something that replaying it needs, or a parameter is missing or impossible.
+        The log lacks something that simulating it needs, or a parameter is missing or impossible.
     NumericalFailure
         The motion left the finite numbers.
     """

@@ -1,4 +1,4 @@
-"""Signals that make an arm tell what it is: PRBS, multisine, steps, chirp, smooth rigid motion.
+"""Signals that identify an arm: PRBS, multisine, steps, chirp, smooth rigid motion.
 
 Every function returns the values at the clock's ticks, one a row; the drive holds each until the
 next tick. Randomness is an argument.
@@ -203,7 +203,7 @@ def smooth_motion(
     speed: float,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Velocity reference of a rigid-motion record: a random Fourier series that starts at rest.
+    """Velocity reference of a rigid-motion record: a random Fourier series from standstill.
 
     Amplitudes fall with frequency so that accelerations of all harmonics matter alike, phases are
     random; a raised-cosine lead-in of half a second avoids a jump. Scaled to whichever of the two

@@ -35,7 +35,7 @@ def low_pass(
 
     |H|^2 = 1 / (1 + (tan(pi f T) / tan(pi cutoff_hz T))^8), so that H = 1/2 at the cut-off,
     applied to the spectrum of the signal continued at both ends by its own point reflection.
-    Long signals pass piece by piece, each with so much of its neighbours that rounding alone tells.
+    Long signals pass piece by piece, with so much of its neighbours that only rounding differs.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def low_pass(
         At or above 0.45 of the sampling rate the signal is returned as it is.
     sample_time : float [s]
     decimated : int
-        The signal is every so manieth sample of those; it gets the very gain that they would.
+        The signal is every k-th sample of those; it gets the very gain that they would.
     kept : slice
         The samples wanted, from the first wanted one on in equal steps.
 
@@ -247,7 +247,7 @@ def lagged(
     Returns
     -------
     (n_samples, ...)
-        At rest at the first sample: what comes before is taken as equal to it.
+        Steady at the first sample: what comes before is taken as equal to it.
     """
     if not lags:
         return signal
@@ -299,7 +299,7 @@ def unaliased(
     Returns
     -------
     (n_samples, ...)
-        At rest at the first sample: what comes before is taken as equal to it.
+        Steady at the first sample: what comes before is taken as equal to it.
     """
     if not lags and between == "smooth":
         return signal

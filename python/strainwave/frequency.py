@@ -54,7 +54,7 @@ def respond(
     InvalidInput
         There is no record, or they are of different joints, sample times or inputs.
     NotIdentifiable
-        The inputs cannot be told apart in the records.
+        The inputs cannot be separated in the records.
     """
     chosen = options or FrequencyOptions()
     check_alike(records)

@@ -166,7 +166,7 @@ def known(model: RigidModel, name: str, joint: int | None) -> float:
     Raises
     ------
     NotIdentifiable
-        The motion records do not tell it.
+        The motion records do not identify it.
     """
     value = model.value(name, joint)
     if value is None:

@@ -1,4 +1,4 @@
-"""Ctrl-C ends the process within a second, whatever runs, with one line that says what is left."""
+"""Ctrl-C ends the process within a second, whatever runs, with a line on what was written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Least squares with nuisance unknowns: robust weights, what cannot be told, honest deviations."""
+"""Least squares with nuisance unknowns: robust weights, identifiability, honest deviations."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     With the prior's rows below, [Z; I] z + [X; 0] x = [y; 0]. Projecting [X; 0] and [y; 0] off the
     columns of [Z; I] leaves equations in x alone, solved by QR; nothing in x is squared. The
     common nuisance unknowns come before x in that QR, each with its prior's row. The SVD of x's
-    part of R tells which directions the data see: those whose singular value exceeds what the
+    part of R shows which directions the data see: those whose singular value exceeds what the
     regressor's own noise would make of it.
 
     Parameters
@@ -346,8 +346,8 @@ class _Normal:
     def without(self, label: int) -> FloatArray:
         """The solution with the rows of one block left out.
 
-        What only these rows tell is lost without them: a ridge keeps that at its whole-data size
-        instead of dividing by nothing.
+        What only these rows identify is lost without them: a ridge keeps that at its whole-data
+        size instead of dividing by nothing.
         """
         gram = self.gram - self.lost[label][:-1]
         gram[np.diag_indices(len(gram))] += 1e-9
@@ -373,7 +373,7 @@ def _without_blocks(
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:
-    """Which unknowns the data tell.
+    """Which unknowns the data identify.
 
     Not those that take part in a direction lost in noise, nor those whose uncertainty, times how
     much they were exercised, is a good part of all the torque there was.

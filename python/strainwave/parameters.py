@@ -225,7 +225,7 @@ def link_inertia(values: Values, study: Study, joint: int) -> float:
 
 
 def completed(values: Values, study: Study) -> Values:
-    """What an arm needs for being simulated, made of what an identification told.
+    """What an arm needs for being simulated, made of what an identification found.
 
     A sum stands for its parts where they hardly matter apart: `total_viscous_friction` for the
     motor's, where that is not known; one `gear_stiffness` for the three slopes of a gear; and

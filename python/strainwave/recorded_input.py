@@ -13,8 +13,8 @@ from strainwave.simulation import Drive
 def replay(study: Study, log: Log) -> Drive:
     """The log's own references and open-loop voltages; a servoed joint's PRBS from its numbers.
 
-    The arm starts at rest where the log does, under the voltages of its first sample. A reference
-    that was not logged is zero.
+    The arm starts at standstill where the log does, under the voltages of its first sample. A
+    reference that was not logged is zero.
 
     Parameters
     ----------

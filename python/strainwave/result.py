@@ -301,7 +301,7 @@ def _criticism(criticism: Criticism) -> dict[str, Any]:
             {name: getattr(test, name) for name in (*plain, *inputs)}
             for test in criticism.residuals
         ],
-        "richer": [
+        "score_tests": [
             {
                 "joint": one.joint,
                 "effect": one.effect,
@@ -311,7 +311,7 @@ def _criticism(criticism: Criticism) -> dict[str, Any]:
                 "share": one.share,
                 "evident": one.evident,
             }
-            for one in criticism.richer
+            for one in criticism.score_tests
         ],
     }
 

@@ -273,7 +273,7 @@ def fastest_resonance(study: Study, values: Values) -> float:
     Returns
     -------
     float [Hz]
-        Zero where the values do not tell it.
+        Zero where the values do not give it.
     """
     known, n = completed(values, study), study.n_joints
     try:

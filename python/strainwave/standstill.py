@@ -30,7 +30,7 @@ def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> Fl
     angle : (n_samples,)
         As measured, not smoothed: smoothing moves the instants of reversal.
     resolution : float
-        What the sensor can tell apart: an encoder count, or a few deviations of its noise.
+        What the sensor resolves: an encoder count, or a few deviations of its noise.
     standing : int
         Samples.
 

@@ -93,7 +93,7 @@ def predict_elastic(arm: ArmModel, log: Log, study: Study) -> Prediction:
     Raises
     ------
     InvalidInput
-        The log or the study lacks something that replaying it needs.
+        The log or the study lacks something that simulating it needs.
     """
     values = dict(arm.values)
     predicted = predict_closed_loop(values, log, study)
@@ -107,7 +107,7 @@ def _stiffness_effect(
 ) -> float:
     """Largest change of a predicted channel by a fifth more stiffness of one gear, in its spreads.
 
-    A motion too slow to twist a gear is predicted as well with any stiffness: it says nothing of
+    A motion too slow to load a gear is predicted as well with any stiffness: it says nothing of
     the elastic model.
     """
     stiffer = {

@@ -74,7 +74,7 @@ def simulate_study_file(
     ideal : bool
         Sensors without noise.
     progress : callable
-        Told what is being done.
+        Called with what is being done.
 
     Returns
     -------
@@ -237,7 +237,7 @@ def compare(
 
 
 def derived(values: Values, study: Study) -> Values:
-    """Known values, with the sums of them that identification can tell.
+    """Known values, with the sums of them that identification can give.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def _invent(
             raise InvalidInput(
                 f"experiment {experiment.name!r} moves joint {i + 1} in open loop, without a log",
                 where=str(study.path),
-                remedy='set its control to "servo", or give a log to replay',
+                remedy='set its control to "servo", or give a log whose input is applied again',
             )
     still = (0.0,) * study.n_joints
     drive = Drive(

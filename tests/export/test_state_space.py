@@ -37,8 +37,8 @@ def expected(p: TwoInertia) -> tuple[ComplexArray, ComplexArray]:
     s: ComplexArray = np.asarray(1j * OMEGA)
     b, a = coefficients(p)
     lag = np.polyval(a[::-1], s)
-    twist = p.gear_ratio * (1.0 + p.gear_damping / p.gear_stiffness * s)
-    return np.polyval(b[::-1], s) / lag, s * twist / lag
+    torsion = p.gear_ratio * (1.0 + p.gear_damping / p.gear_stiffness * s)
+    return np.polyval(b[::-1], s) / lag, s * torsion / lag
 
 
 # SciPy goes through numerators, whose vanishing leading coefficients it warns of
@@ -100,7 +100,7 @@ def test_the_file_holds_the_matrices(tmp_path: Path) -> None:
     export = to_state_space(arm)
     document = json.loads(export.data)
     assert export.cautions == ()
-    assert document["states"] == ["twist", "motor_velocity", "link_velocity"]
+    assert document["states"] == ["torsion", "motor_velocity", "link_velocity"]
     for joint in (1, 2):
         found = [document["joints"][joint - 1][name] for name in "ABCD"]
         assert found == [matrix.tolist() for matrix in state_space(arm, joint)]

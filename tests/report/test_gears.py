@@ -1,4 +1,4 @@
-"""Stiffness curves: twist and slope belong together, and so do their bands."""
+"""Stiffness curves: torsion and slope belong together, and so do their bands."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def curve() -> Curve:
 
 def test_the_slope_of_the_twist_is_one_over_the_stiffness() -> None:
     torque: FloatArray = np.linspace(0.0, 60.0, 6001)
-    twist, _ = gears.twisted(curve(), torque)
-    slope = np.gradient(torque, twist)
+    torsion, _ = gears.torsion_at(curve(), torque)
+    slope = np.gradient(torque, torsion)
     for low, high, expected in ((0.0, 6.9, 16000.0), (7.1, 24.9, 25000.0), (25.1, 60.0, 29000.0)):
         inside = (torque > low) & (torque < high)
         assert slope[inside] == pytest.approx(expected, rel=1e-9)
@@ -35,8 +35,8 @@ def test_the_twist_scatters_as_its_deviation_says() -> None:
     for _ in range(4000):
         values = [v + s * rng.standard_normal() for v, s in CURVE.values()]
         one = replace(found, slopes=np.array(values[:3]), knees=np.array(values[3:]))
-        drawn.append(gears.twisted(one, torque)[0])
-    _, std = gears.twisted(found, torque)
+        drawn.append(gears.torsion_at(one, torque)[0])
+    _, std = gears.torsion_at(found, torque)
     assert std == pytest.approx(np.std(drawn, axis=0), rel=0.05)  # of 4000 draws: 1.1 %
 
 
@@ -56,15 +56,15 @@ def test_without_the_whole_arm_the_joint_tells_one_slope() -> None:
     assert found.slopes.tolist() == [25000.0]
     assert found.covariance[0, 0] == pytest.approx(joint_model().covariance[4, 4])
     assert found.carried is None
-    assert "One slope for the whole" in gears.words(found)
+    assert "One stiffness for the whole" in gears.words(found)
     assert "yaxis2" not in gears.slope_figure(found)["layout"]
 
 
 def test_both_figures_show_the_knees_and_the_records() -> None:
-    slope, twist = gears.slope_figure(curve()), gears.twist_figure(curve())
+    slope, torsion = gears.slope_figure(curve()), gears.torsion_figure(curve())
     assert [shape["x0"] for shape in slope["layout"]["shapes"]] == [7.0, 25.0]
     knees = [1e3 * 7.0 / 16000.0, 1e3 * (7.0 / 16000.0 + 18.0 / 25000.0)]
-    assert [shape["x0"] for shape in twist["layout"]["shapes"]] == pytest.approx(knees)
+    assert [shape["x0"] for shape in torsion["layout"]["shapes"]] == pytest.approx(knees)
     (bars,) = (trace for trace in slope["data"] if trace["type"] == "bar")
     assert sum(bars["y"]) == pytest.approx(100.0, abs=1e-3)
     steps = [trace for trace in slope["data"] if trace["name"] == "slope" and "fill" not in trace]

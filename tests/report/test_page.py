@@ -134,7 +134,7 @@ def test_the_page_shows_the_figures_that_files_are_made_of() -> None:
         "interaction-joint-1-time",
         "interaction-joint-1-spectrum",
         "gear-joint-1-slope",
-        "gear-joint-1-twist",
+        "gear-joint-1-torsion",
         "left-a1",
         "correlations",
     } == set(found)

@@ -10,14 +10,14 @@ from strainwave.records import FloatArray, Study
 from strainwave.simulation import Trajectory
 
 
-def spring_torque(values: Values, joint: int, twist: FloatArray) -> FloatArray:
+def spring_torque(values: Values, joint: int, torsion: FloatArray) -> FloatArray:
     """The three-slope law of one gear.
 
     Parameters
     ----------
     values : dict
     joint : int
-    twist : (n_samples,) [rad]
+    torsion : (n_samples,) [rad]
 
     Returns
     -------
@@ -27,13 +27,13 @@ def spring_torque(values: Values, joint: int, twist: FloatArray) -> FloatArray:
     t1, t2 = (values[f"gear_knee_t{i}", joint] for i in (1, 2))
     first = t1 / k1
     second = first + (t2 - t1) / k2
-    size = np.abs(twist)
+    size = np.abs(torsion)
     torque = (
         k1 * np.minimum(size, first)
         + k2 * np.clip(size - first, 0.0, second - first)
         + k3 * np.maximum(size - second, 0.0)
     )
-    return np.asarray(np.sign(twist) * torque)
+    return np.asarray(np.sign(torsion) * torque)
 
 
 def slopes(values: Values, joint: int) -> tuple[float, float, float]:
@@ -86,7 +86,7 @@ def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> Tw
 def equivalent(study: Study, values: Values, trajectory: Trajectory, joint: int) -> TwoInertia:
     """The joint with the slope that fits its spring's torque over the whole run best.
 
-    k = sum(T(delta) delta) / sum(delta^2), with the twist delta of the run.
+    k = sum(T(delta) delta) / sum(delta^2), with the torsion delta of the run.
 
     Parameters
     ----------
@@ -105,6 +105,6 @@ def equivalent(study: Study, values: Values, trajectory: Trajectory, joint: int)
     if ("gear_stiffness", joint) in values:
         return joint_with(values, joint, values["gear_stiffness", joint], ratio)
     column = joint - 1
-    twist = ratio * trajectory["motor_angle"][:, column] - trajectory["link_angle"][:, column]
-    torque = spring_torque(values, joint, twist)
-    return joint_with(values, joint, float(torque @ twist / (twist @ twist)), ratio)
+    torsion = ratio * trajectory["motor_angle"][:, column] - trajectory["link_angle"][:, column]
+    torque = spring_torque(values, joint, torsion)
+    return joint_with(values, joint, float(torque @ torsion / (torsion @ torsion)), ratio)

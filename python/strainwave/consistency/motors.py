@@ -134,7 +134,7 @@ def torques(seen: Evidence) -> list[Torque]:
     Returns
     -------
     list of Torque
-        Of the joints whose torque some record tells.
+        Of the joints whose torque some record has.
     """
     slow = [r for r in seen.records if is_slow(r.experiment)]
     found = []
@@ -259,7 +259,7 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
     Returns
     -------
     value, standard deviation, or None
-        None where the arm has one joint, or its motion does not tell.
+        None where the arm has one joint, or its motion does not show it.
     """
     if len(found) < 2 or found[0].shared != found[1].shared or not found[0].shared:
         return None

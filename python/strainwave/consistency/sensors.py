@@ -57,7 +57,7 @@ def readings(seen: Evidence) -> list[Reading]:
     Returns
     -------
     list of Reading
-        Without those of which a record tells nothing.
+        Without those of which a record has no information.
     """
     slow = {name for r in seen.records if is_slow(r.experiment) for name in r.channels}
     found: list[Reading] = []

@@ -31,7 +31,7 @@ def torque_constants(value: float, std: float, study: Study) -> Suspicion | None
 
 
 def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
-    """The suspicion that one of two torque constants is wrong; which of them no data tell."""
+    """The suspicion that one of two torque constants is wrong; which of them no data show."""
     factor = number(value) if std < _ABOUT * value else f"about {number(value, 2)}"
     logged = any(name.startswith("torque") for name in study.channels)
     if logged:
@@ -50,7 +50,7 @@ def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
         message=(
             f"the torques of joint 1 are {factor} (deviation {number(std, 2)}) times what the "
             "symmetry of the inertia matrix allows beside those of joint 2: one of the two torque "
-            "constants is wrong, and which of them these signals cannot tell"
+            "constants is wrong, and which of them these signals do not show"
         ),
         remedy=remedy,
         factor=value,

@@ -1,8 +1,9 @@
-"""Study, guessed parameters, limits -> Design: which records tell the arm, and how long ones.
+"""Study, guessed parameters, limits -> Design: which records identify the arm, and how long ones.
 
-`band` says where a joint rings, `voltages` plans what makes it ring, `rigid_motion` searches the
-motion that tells the rigid parameters apart and `motions` makes a record of it; `foreseen` runs
-every plan on the guessed arm, `written` makes files of it and `told` the table for the terminal.
+`band` says where a joint's resonances are, `voltages` plans what excites them, `rigid_motion`
+searches the motion that separates the rigid parameters and `motions` makes a record of it;
+`predicted_motion` runs every plan on the guessed arm, `written` makes files of it and `summary` the
+table for the terminal.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def excite_study_file(
     kind : "prbs" or "multisine"
     seed : int
     progress : callable
-        Told what is being done.
+        Called with what is being done.
 
     Returns
     -------
@@ -203,9 +204,9 @@ def _torques_without_limit(
     for i in range(study.n_joints):
         if np.isfinite(limits.gear_torque[i]) or study.joints[i].spring == "rigid":
             continue
-        worst = max(records, key=lambda record: float(record.foreseen.gear_torque[i]))
+        worst = max(records, key=lambda record: float(record.predicted.gear_torque[i]))
         text = (
-            f"the gear of joint {i + 1} bears up to {worst.foreseen.gear_torque[i]:.3g} N m in "
+            f"the gear of joint {i + 1} bears up to {worst.predicted.gear_torque[i]:.3g} N m in "
             f"{worst.experiment.name}, and no limit was given: compare this with the peak torque "
             "in its data sheet, or give --limit-torque"
         )
@@ -238,7 +239,7 @@ def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diag
 
 def _cautions(study: Study, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
     """What to know before one record is taken."""
-    name, seen = record.experiment.name, record.foreseen
+    name, seen = record.experiment.name, record.predicted
     found = []
     if record.condition_number and record.condition_number > _POOR:
         text = f"condition number {record.condition_number:.0f}: the motion hardly separates the "

@@ -1,4 +1,4 @@
-"""Where a guessed joint rings, and the frequencies that tell it."""
+"""Resonances of a guessed joint, and the frequencies that identify it."""
 
 from __future__ import annotations
 

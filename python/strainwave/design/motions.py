@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.design.plan import HELD, LimitBroken, Limits, Planned, clock_of
-from strainwave.design.predicted_motion import foreseen, run
+from strainwave.design.predicted_motion import predicted_motion, run
 from strainwave.design.rigid_motion import (
     HARMONICS,
     Fourier,
@@ -94,7 +94,7 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
     periods, reason = _periods(search, values, series)
     for _ in range(_TRIES):
         drive, angle, lead = _drive(search, values, series, periods)
-        seen = foreseen(run(study, values, drive, drive.tick))
+        seen = predicted_motion(run(study, values, drive, drive.tick))
         if seen.use_of(limits) <= 1.0:
             break
         series = replace(series.scaled(_SMALLER), offset=_SMALLER * series.offset)
@@ -112,12 +112,12 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / series.period, HARMONICS / series.period),
-        foreseen=seen,
+        predicted=seen,
         reasons=(
             f"{HARMONICS} harmonics of {1.0 / series.period:.3g} Hz, condition number "
             f"{condition:.1f} after scaling of columns",
             reason,
-            f"{lead:g} s each to get in and out at rest",
+            f"{lead:g} s each to begin and end at standstill",
         ),
         condition_number=condition,
     )

@@ -1,4 +1,4 @@
-"""What a design is made of: limits in, planned records with what is foreseen of them out."""
+"""What a design is made of: limits in, planned records with their predicted motion out."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Foreseen:
+class PredictedMotion:
     """What the guessed arm does in a record, one number a joint."""
 
     angle: FloatArray  # (n_joints,) [rad] largest magnitude of the link's
@@ -80,7 +80,7 @@ class Planned:
     drive: Drive
     motor_angle: FloatArray | None  # (n_ticks, n_joints) [rad] that is meant; None: not prescribed
     band_hz: tuple[float, float]  # in which the arm is excited
-    foreseen: Foreseen
+    predicted: PredictedMotion
     reasons: tuple[str, ...]  # how long, and why, a sentence each
     condition_number: float | None = None  # of the rigid regressor, columns scaled
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.design.plan import Foreseen
+from strainwave.design.plan import PredictedMotion
 from strainwave.parameters import Values
 from strainwave.records import FloatArray, Study
 from strainwave.simulation import Drive, Quantity, Trajectory, simulate
@@ -33,7 +33,7 @@ def run(study: Study, values: Values, drive: Drive, sample_time: float) -> Traje
     Returns
     -------
     Trajectory
-        With all that `foreseen` looks at, and the accelerometers.
+        With all that `predicted_motion` looks at, and the accelerometers.
     """
     samples = round(len(drive.voltage) * drive.tick / sample_time)
     return simulate(
@@ -41,7 +41,7 @@ def run(study: Study, values: Values, drive: Drive, sample_time: float) -> Traje
     )
 
 
-def foreseen(trajectory: Trajectory) -> Foreseen:
+def predicted_motion(trajectory: Trajectory) -> PredictedMotion:
     """The largest magnitudes of a run, and the part of it in which each motor stands.
 
     Parameters
@@ -50,13 +50,13 @@ def foreseen(trajectory: Trajectory) -> Foreseen:
 
     Returns
     -------
-    Foreseen
+    PredictedMotion
     """
 
     def peak(name: Quantity) -> FloatArray:
         return np.asarray(np.abs(trajectory[name]).max(axis=0))
 
-    return Foreseen(
+    return PredictedMotion(
         angle=peak("link_angle"),
         velocity=peak("motor_velocity"),
         voltage=peak("voltage"),

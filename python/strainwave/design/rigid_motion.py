@@ -1,4 +1,4 @@
-"""A periodic motion of all joints that tells the rigid parameters apart as well as limits allow.
+"""A periodic motion of all joints that separates the rigid parameters as well as limits allow.
 
 A Fourier series a joint (Swevers et al. 1997), chosen for the condition number of the rigid
 regressor (5)-(7), every column scaled to one. Joint, velocity and voltage limits are not
@@ -113,7 +113,7 @@ def full_regressor(study: Study, motion: Motion) -> FloatArray:
 
 
 def condition_number(study: Study, limits: Limits, motion: Motion) -> FloatArray:
-    """How well motions tell the rigid parameters apart; one is best.
+    """How well motions separate the rigid parameters; one is best.
 
     Rows are torques in shares of what each drive can give, columns are scaled to one: it depends
     on no unit and on no parameter's size.

@@ -7,7 +7,7 @@ import numpy as np
 from strainwave import excitation
 from strainwave.design.band import Band
 from strainwave.design.plan import HELD, LimitBroken, Limits, Planned, clock_of
-from strainwave.design.predicted_motion import foreseen, run
+from strainwave.design.predicted_motion import predicted_motion, run
 from strainwave.parameters import Values
 from strainwave.records import Experiment, FloatArray, Servo, Study, Use
 from strainwave.simulation import Drive, holding_voltage
@@ -84,7 +84,7 @@ def _record(
     """One record, made smaller until the simulated arm keeps to all limits."""
     for _ in range(_TRIES):
         drive, angle = _drive(study, values, joint, size * np.array(levels), hold)
-        seen = foreseen(run(study, values, drive, drive.tick))
+        seen = predicted_motion(run(study, values, drive, drive.tick))
         unsaturated = (seen.voltage <= _SATURATED * np.array(limits.voltage)).all()
         if unsaturated and seen.use_of(limits) <= 1.0:
             break
@@ -104,7 +104,7 @@ def _record(
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / (len(levels) * hold), 0.5 / drive.tick),
-        foreseen=seen,
+        predicted=seen,
         reasons=(
             f"steps of {size:.3g} rad/s at the motor, there and back, both ways, {hold:.3g} s each",
             what,

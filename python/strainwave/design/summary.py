@@ -58,7 +58,7 @@ def _table(design: Design) -> Table:
 
 
 def _rows(record: Planned) -> list[tuple[str, ...]]:
-    seen = record.foreseen
+    seen = record.predicted
     return [
         (
             record.experiment.name,

@@ -12,13 +12,13 @@ from strainwave.design.band import Band
 from strainwave.design.plan import (
     FREE,
     HELD,
-    Foreseen,
     LimitBroken,
     Limits,
     Planned,
+    PredictedMotion,
     clock_of,
 )
-from strainwave.design.predicted_motion import foreseen, run
+from strainwave.design.predicted_motion import predicted_motion, run
 from strainwave.errors import InvalidInput
 from strainwave.parameters import Values
 from strainwave.records import Control, Experiment, FloatArray, Prbs, Study
@@ -152,7 +152,7 @@ def voltage_record(
         drive=signal.drive(amplitude, periods, control),
         motor_angle=None,
         band_hz=_excited(signal),
-        foreseen=seen,
+        predicted=seen,
         reasons=(_why_so(signal, band, amplitude, control), reason),
     )
 
@@ -194,7 +194,7 @@ def sweep_records(
     for share in _SWEEP:
         amplitude = float(f"{share * of.prbs.amplitude:.2g}")
         drive = signal.drive(amplitude, of.prbs.periods, of.control)
-        seen = foreseen(run(study, values, drive, clock_of(study)))
+        seen = predicted_motion(run(study, values, drive, clock_of(study)))
         if seen.use_of(limits) > 1.0 + 1e-12:  # a free arm drifts, less strongly driven or not
             left_out.append(f"at {amplitude:g} V {seen.broken(limits)}")
             continue
@@ -209,7 +209,7 @@ def sweep_records(
                 drive=drive,
                 motor_angle=None,
                 band_hz=full.band_hz,
-                foreseen=seen,
+                predicted=seen,
                 reasons=(f"{of.name} at {amplitude:g} V: how stiffness changes over the torque",),
             )
         )
@@ -224,7 +224,7 @@ def _too_strong(
     least = _SMALLEST * top
     while True:
         drive = signal.drive(least, periods, control)
-        seen = foreseen(run(signal.study, signal.values, drive, clock_of(signal.study)))
+        seen = predicted_motion(run(signal.study, signal.values, drive, clock_of(signal.study)))
         if (_moves(seen, signal.joint) and seen.broken(limits)) or least >= top:
             break
         least = min(1.5 * least, top)
@@ -270,19 +270,19 @@ def _excited(signal: Signal) -> tuple[float, float]:
 
 def _largest(
     signal: Signal, periods: int, limits: Limits, control: tuple[Control, ...]
-) -> tuple[float, Foreseen | None]:
-    """The largest amplitude within the limits, rounded down, and what is foreseen of it."""
+) -> tuple[float, PredictedMotion | None]:
+    """The largest amplitude within the limits, rounded down, and its predicted motion."""
     top = limits.voltage[signal.joint - 1]
     sample_time = clock_of(signal.study)
 
-    def within(amplitude: float, count: int) -> Foreseen | None:
+    def within(amplitude: float, count: int) -> PredictedMotion | None:
         drive = signal.drive(amplitude, count, control)
-        seen = foreseen(run(signal.study, signal.values, drive, sample_time))
+        seen = predicted_motion(run(signal.study, signal.values, drive, sample_time))
         free = "servo" not in control
         unsaturated = free or (seen.voltage <= _SATURATED * np.array(limits.voltage)).all()
         return seen if unsaturated and seen.use_of(limits) <= 1.0 + 1e-12 else None
 
-    def seen_at(amplitude: float) -> Foreseen | None:
+    def seen_at(amplitude: float) -> PredictedMotion | None:
         # what breaks a limit in the first period need not be run whole
         return within(amplitude, periods) if within(amplitude, _LEAD) else None
 
@@ -303,7 +303,7 @@ def _largest(
     return 0.0, None
 
 
-def _moves(seen: Foreseen, joint: int) -> bool:
+def _moves(seen: PredictedMotion, joint: int) -> bool:
     """Whether a joint's friction is overcome now and then: else there is nothing to record."""
     return float(seen.rest_share[joint - 1]) < _STANDING
 

@@ -1,13 +1,13 @@
 """Base parameters -> rigid bodies that have them.
 
-The motion of an arm tells only alpha, beta, gamma and the gravity torques; many sets of masses
+The motion of an arm identifies only alpha, beta, gamma and the gravity torques; many sets of masses
 share them. Chosen here, for two links with kappa = gamma^2/(alpha beta), which is below one where
 the inertia matrix is positive definite:
 
     m2 l1^2 = alpha (1 + kappa)/2,   m2 lc2 = gamma/l1,   I2 = beta (1 - kappa)/(1 + kappa)
 
-so that what is left for link 1, alpha (1 - kappa)/2, and I2 are positive for every such arm. Link 1
-is `about_axis` with what gravity tells of its first moment.
+so that the rest, for link 1, alpha (1 - kappa)/2, and I2 are positive for every such arm. Link 1
+is `about_axis` with what gravity shows of its first moment.
 """
 
 from __future__ import annotations

@@ -165,7 +165,7 @@ def _gear(tendons: ET.Element, arm: IdentifiedArm, number: int) -> None:
 
 
 def _springs(arm: IdentifiedArm, number: int) -> list[tuple[float, float]]:
-    """(stiffness [N m/rad], twist [rad] from which it acts), to be added up."""
+    """(stiffness [N m/rad], torsion [rad] from which it acts), to be added up."""
     if arm.joint(number).spring == "linear":
         return [(arm.need("gear_stiffness", number), 0.0)]
     k1, k2, k3 = (arm.need(f"gear_stiffness_k{i}", number) for i in (1, 2, 3))

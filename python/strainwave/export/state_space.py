@@ -13,7 +13,7 @@ from strainwave.physical import two_inertia
 from strainwave.physical.two_inertia import TwoInertia
 from strainwave.records import Diagnostic, FloatArray
 
-STATES = ("twist", "motor_velocity", "link_velocity")
+STATES = ("torsion", "motor_velocity", "link_velocity")
 INPUTS = ("motor_torque", "interaction_torque")
 OUTPUTS = ("motor_velocity", "link_acceleration")
 _SCHEMA = "strainwave/state-space/1"
@@ -24,10 +24,10 @@ def state_space(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """dx/dt = A x + B u, y = C x + D u of one decoupled joint, (11), (12) in minimal form.
 
-    States: twist delta = n theta_M - theta_L [rad], motor velocity, link velocity [rad/s]. Inputs:
-    motor torque less Coulomb friction, interaction torque at the link (13) [N m]. Outputs: motor
-    velocity [rad/s], link acceleration [rad/s^2]. The link has the inertia it has at q2 = 0; of a
-    three-slope gear it is the middle slope; gravity is left out.
+    States: torsion delta = n theta_M - theta_L [rad], motor velocity, link velocity [rad/s].
+    Inputs: motor torque less Coulomb friction, interaction torque at the link (13) [N m]. Outputs:
+    motor velocity [rad/s], link acceleration [rad/s^2]. The link has the inertia it has at q2 = 0;
+    of a three-slope gear it is the middle slope; gravity is left out.
 
     Parameters
     ----------

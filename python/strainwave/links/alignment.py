@@ -34,7 +34,7 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     torques T linear in the base parameters; a delay D of the link's sensor adds D times the slope
     of its share of ddtheta_L, and a scale 1 + e of it takes e times that share away. All
     coefficients are found at once by least squares over the spectral lines in which the link moves.
-    A three-slope spring adds bent functions of T. They do where this joint was excited; a
+    A three-slope spring adds nonlinear functions of T. They do where this joint was excited; a
     neighbour's torque bends otherwise, and would pass for half a sample. D_L makes D too large by
     d_L / k.
 

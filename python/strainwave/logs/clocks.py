@@ -20,7 +20,7 @@ from strainwave.records import Diagnostic, Experiment, FloatArray
 FEWEST_ROWS = 16
 """Fewer samples cannot even be filtered."""
 LARGEST_GAP = 10.0
-"""[periods] What was between two samples further apart cannot be told by interpolation."""
+"""[periods] What was between two samples further apart is beyond interpolation."""
 MOST_JITTER = 0.4
 """[periods] Stamps this close to a clock's ticks belong to one tick each."""
 NEARLY = 1e-3

@@ -125,7 +125,7 @@ def identify_joint(
     Returns
     -------
     JointModel
-        A parameter that the records hardly tell has the value None, and a warning says so; an
+        A parameter that the records hardly identify has the value None, and a warning says so; an
         impossible one is reported as it came, with a warning.
     """
     return fit_joint(records, model, study, options, search_from_hz=search_from_hz).model
@@ -172,7 +172,7 @@ def _joint_model(solved: Solved) -> JointModel:
         anti_resonance=anti_resonance(fit.joint, fit.covariance[:6, :6]),
         resonance=resonance(fit.joint, fit.covariance[:6, :6]),
         band_hz=fit.band_hz,
-        fit_percent={"torque": fit.torque_fit_percent, "twist": fit.twist_fit_percent},
+        fit_percent={"torque": fit.torque_fit_percent, "torsion": fit.twist_fit_percent},
         status=status_of(warnings),
         warnings=warnings,
     )
@@ -187,7 +187,7 @@ def identify_record(
     together: JointFit | None = None,
     near: StateSpace | None = None,
 ) -> RecordModel:
-    """Everything one record tells of the joint that was excited in it.
+    """Everything one record shows of the joint that was excited in it.
 
     Parameters
     ----------
@@ -321,9 +321,9 @@ def _of_physical_order(
         reduced = state_space_of(records, physical_order(options))
     except (StrainwaveError, np.linalg.LinAlgError):
         return found
-    rings = modes_of(replace(reduced, covariance=None))
+    modes = modes_of(replace(reduced, covariance=None))
     sound = (
-        reduced.status in ("converged", "estimated") and rings.resonance and rings.anti_resonance
+        reduced.status in ("converged", "estimated") and modes.resonance and modes.anti_resonance
     )
     return reduced if sound else found
 

@@ -22,7 +22,7 @@ def parameters_of(
     joint: Joint,
     number: int,
 ) -> Iterator[Parameter]:
-    """Each value as a parameter, None where it is hardly told, then the total viscous friction.
+    """Each value as a parameter, None if hardly identified, then the total viscous friction.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def cautions_of(
     number: int,
     source: str,
 ) -> Iterator[Diagnostic]:
-    """What is hardly told, what is impossible, and what is an average.
+    """What is hardly identified, what is impossible, and what is an average.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def cautions_of(
                 text += "; of the viscous frictions only the total is well known"
             yield Diagnostic("not-identifiable", place, text)
     if joint.spring == "three-slope":
-        text = f"one slope for the whole curve, as twisted in {source}: between the softest and the"
-        text += " stiffest of the three"
+        text = f"one stiffness for the whole curve, at the torsion reached in {source}: between the"
+        text += " softest and the stiffest of the three"
         yield Diagnostic("equivalent-stiffness", f"gear_stiffness of joint {number}", text)
 
 

@@ -5,7 +5,7 @@ With both sides of the gear measured, (1) and (2) of one joint are two equations
     u + n tau = m_M dw_M + d_M w_M + f s + n (m_L dw_L + d_L w_L)                          (S6)
     delta = c (m_L dw_L + d_L w_L - tau) - t ddelta,     c = 1/k, t = d_G/k                (S7)
 
-(S6) is linear in its parameters; (S7) is linearised around the last ones, and says of the twist
+(S6) is linear in its parameters; (S7) is linearised around the last ones, and says of the torsion
 what the torque through the gear makes of it. Both pass one zero-phase band-pass around the
 anti-resonance and the resonance, which keeps out bias and drift of the sensors below and their
 noise above. Every signal has the sensors' own filters behind it (`LinkSignals.shared`), so those
@@ -160,7 +160,7 @@ class Solved:
         Returns
         -------
         Solved
-            In bands of its own where it rings elsewhere.
+            In bands of its own where its resonance is elsewhere.
         """
         record, known = self.records[k : k + 1], self.known.of_record(k)
         own = _settled(self.own.of_record(k, known), known, _SETTLED)
@@ -204,8 +204,8 @@ def solve(
     for signals, joint in records:
         if signals.sources[joint.joint - 1] == "motor":
             raise NotIdentifiable(
-                f"link {joint.joint} has no sensor in {signals.experiment.name}: the gear's twist "
-                "is not seen"
+                f"link {joint.joint} has no sensor in {signals.experiment.name}: the gear's "
+                "torsion is not measured"
             )
     if band_hz:
         band, equations = band_hz, _equations(records, study, known, band_hz)
@@ -301,7 +301,7 @@ class _Piece:
     tau: FloatArray  # (n_rows,)
     motor: FloatArray  # (n_rows, 3) dw_M, w_M, s
     link: FloatArray  # (n_rows, 2) dw_L, w_L
-    twist: FloatArray  # (n_rows, 2) delta, ddelta
+    torsion: FloatArray  # (n_rows, 2) delta, ddelta
     free: Banded  # (n_rows, n_free) shapes of free friction
 
     def passed(self, signal: FloatArray) -> FloatArray:
@@ -390,7 +390,7 @@ def _piece(
         tau=tau,
         motor=np.column_stack([motor_acceleration, motor_velocity, slid]),
         link=np.column_stack([link_acceleration, link_velocity]),
-        twist=np.column_stack([n * motor_angle - link_angle, n * motor_velocity - link_velocity]),
+        torsion=np.column_stack([n * motor_angle - link_angle, n * motor_velocity - link_velocity]),
         free=responses(shapes, rows, kernel),
     )
 
@@ -459,15 +459,15 @@ def _rigid_errors(weighted: _Weighted, factor: ls.Factor, known: RigidKnowledge)
 
 
 def _start(pieces: Sequence[_Piece]) -> FloatArray:
-    """(S6) alone gives the inertias; the twist per torque, the compliance."""
+    """(S6) alone gives the inertias; the torsion per torque, the compliance."""
     x = np.zeros(len(COLUMNS))
     motor = np.concatenate([np.hstack([p.motor, p.ratio * p.link[:, :1]]) for p in pieces])
     torque = np.concatenate([p.torque for p in pieces])
     x[[_MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK]] = np.linalg.lstsq(motor, torque)[0]
     through = np.concatenate([x[_LINK] * p.link[:, 0] - p.tau for p in pieces])
-    twist = np.concatenate([p.twist for p in pieces])
-    columns = np.column_stack([through, -twist[:, 1]])
-    x[[_COMPLIANCE, _RELAXATION]] = np.linalg.lstsq(columns, twist[:, 0])[0]
+    torsion = np.concatenate([p.torsion for p in pieces])
+    columns = np.column_stack([through, -torsion[:, 1]])
+    x[[_COMPLIANCE, _RELAXATION]] = np.linalg.lstsq(columns, torsion[:, 0])[0]
     return x
 
 
@@ -487,14 +487,14 @@ def _assemble(
         own = p.link @ x[[_LINK, _LINK_VISCOUS]]
         gear[:, [_LINK, _LINK_VISCOUS]] = x[_COMPLIANCE] * p.link
         gear[:, _COMPLIANCE] = own - p.tau
-        gear[:, _RELAXATION] = -p.twist[:, 1]
+        gear[:, _RELAXATION] = -p.torsion[:, 1]
         local.append(ls.Local(at + np.arange(n_rows), p.free))
         at += 2 * n_rows
         n_blocks = max(2, round(_BLOCKS * n_rows / total))
         label = first_block + np.arange(n_rows) * n_blocks // n_rows
         first_block += n_blocks
         shared += [motor, gear]
-        target += [p.torque, p.twist[:, 0] + x[_COMPLIANCE] * own]
+        target += [p.torque, p.torsion[:, 0] + x[_COMPLIANCE] * own]
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [label, label]
         deviation += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
@@ -574,5 +574,5 @@ def _result(weighted: _Weighted, known: RigidKnowledge, band: tuple[float, float
 
 
 def _size(pieces: Sequence[_Piece], parity: int) -> float:
-    signals = [p.twist[:, 0] if parity else p.torque for p in pieces]
+    signals = [p.torsion[:, 0] if parity else p.torque for p in pieces]
     return float(np.linalg.norm(np.concatenate(signals)))

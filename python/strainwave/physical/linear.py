@@ -124,7 +124,7 @@ def physical_order(options: LinearOptions) -> LinearOptions:
 def other_bands(
     band_hz: tuple[float, float], records: Sequence[Decoupled]
 ) -> tuple[tuple[float, float], ...]:
-    """A narrower and a wider band: what the model leaves out shows in how its answer changes.
+    """A narrower and a wider band: what the model lacks shows in how its answer changes.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def _without(z: float, others: FloatArray, model: StateSpace) -> StateSpace:
 def band_around(
     anti_resonance_hz: float, resonance_hz: float, records: Sequence[Decoupled]
 ) -> tuple[float, float]:
-    """The band of the filter for a joint that rings there, cut to what the records hold.
+    """The band of the filter for a joint with its resonance there, cut to what the records hold.
 
     Parameters
     ----------
@@ -479,7 +479,9 @@ def _model(
 
 def _reduced(records: Sequence[Decoupled], order: int) -> Diagnostic:
     where = ", ".join(record.experiment.name for record in records)
-    text = f"the data ask for {order} states, but no such model converges and rings: this one has"
+    text = (
+        f"the data ask for {order} states, but no such model converges with a resonance: this has"
+    )
     return Diagnostic("order-reduced", where, f"{text} {PHYSICAL_ORDER}")
 
 

@@ -16,7 +16,7 @@ _Sum = dict[tuple[str, int | None], float]
 def rigid_knowledge(
     model: RigidModel | None, study: Study, joint: int, records: Sequence[LinkSignals] = ()
 ) -> RigidKnowledge:
-    """c_1, c_0 and f of one joint, each with its deviation, as the rigid model tells them.
+    """c_1, c_0 and f of one joint, each with its deviation, as the rigid model gives them.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def rigid_knowledge(
     Returns
     -------
     RigidKnowledge
-        None for what it does not tell.
+        None for what it does not give.
     """
     if model is None:
         return RigidKnowledge(None, None, None)

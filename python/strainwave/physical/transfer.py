@@ -286,7 +286,7 @@ def _doubts(
         yield Diagnostic("lag-not-slow", where, text)
     ratio = own.lag[1] / lag[5]
     if abs(ratio - 1.0) > _HEAVIER:
-        text = f"the inertia where the joint rings is {ratio:.2f} times the rigid model's: see what"
+        text = f"the inertia at the joint's resonance is {ratio:.2f} times the rigid model's: see"
         yield Diagnostic(
-            "inertia-mismatch", where, text + " friction and torque_per_volt do to either"
+            "inertia-mismatch", where, text + " what friction and torque_per_volt do to either"
         )

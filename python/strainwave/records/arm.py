@@ -32,7 +32,7 @@ class ResidualTest:
 
 
 @dataclass(frozen=True, slots=True)
-class RicherModel:
+class ScoreTest:
     """What an effect that is not in the model would explain of a fit's residuals."""
 
     joint: int  # from 1
@@ -49,7 +49,7 @@ class Criticism:
     """What a fit does not explain, and what might."""
 
     residuals: tuple[ResidualTest, ...]
-    richer: tuple[RicherModel, ...]  # the most telling first
+    score_tests: tuple[ScoreTest, ...]  # the most significant first
 
 
 @dataclass(frozen=True, slots=True)

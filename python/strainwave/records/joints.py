@@ -71,7 +71,7 @@ class Resonance:
 
 @dataclass(frozen=True, slots=True)
 class JointModel(Shown):
-    """One joint's physical parameters, as one or several records of it tell them."""
+    """One joint's physical parameters, as one or several records of it give them."""
 
     joint: int  # from 1
     experiments: tuple[str, ...]
@@ -89,7 +89,7 @@ class JointModel(Shown):
 
 @dataclass(frozen=True, slots=True)
 class RecordModel(Shown):
-    """Everything one record tells of the joint that was excited in it."""
+    """Everything one record shows of the joint that was excited in it."""
 
     signals: Decoupled
     physical: JointModel | None  # from the equations of motion; None: it failed, or not wanted

@@ -29,7 +29,7 @@ class RigidModel(Shown):
     # the symmetry of M(q) allows, and its deviation; 1 where both torque constants are right
 
     def value(self, name: str, joint: int | None = None) -> float | None:
-        """The value of one parameter; `None` where it could not be told.
+        """The value of one parameter; `None` where it is not identifiable.
 
         Raises
         ------

@@ -65,7 +65,7 @@ class Lag:
 
 @dataclass(frozen=True, slots=True)
 class Fusion:
-    """How a link velocity was put together, (10), with the low-pass F of unit gain at rest.
+    """How a link velocity was put together, (10), with the low-pass F of unit gain at 0 Hz.
 
     dtheta_L = (1 - F) integral(ddtheta_L) + F n dtheta_M: above the corner from the acceleration,
     below it from the motor. F = 1/(1 + s T_V), or 1/(1 + sqrt(2) s T_V + (s T_V)^2).

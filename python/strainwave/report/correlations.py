@@ -1,4 +1,4 @@
-"""Which parameters the data tell only together: correlations of their errors."""
+"""Parameters of which only a combination is identifiable: correlations of their errors."""
 
 from __future__ import annotations
 

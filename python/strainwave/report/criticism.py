@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.formatting import plus_minus
-from strainwave.records import Criticism, ResidualTest, RicherModel
+from strainwave.records import Criticism, ResidualTest, ScoreTest
 from strainwave.report.figures import MEASURED, RESIDUAL, Figure, line, panels, rounded
 from strainwave.report.html import figure, number, row, table
 from strainwave.report.predictions import unit_of
@@ -38,14 +38,14 @@ def criticised(criticism: Criticism, plots: dict[str, Figure]) -> str:
         parts.append(f"<details><summary>All {len(tests)} tests</summary>{every}</details>")
     parts.append(
         table(
-            "What a richer model would explain of it",
+            "What further effects would explain of them",
             ("effect", "joint", "of the size", "#deviations", "#share of the cost", "in the data"),
-            "".join(_richer(one) for one in criticism.richer),
+            "".join(_richer(one) for one in criticism.score_tests),
         )
     )
     for test in worst:
-        label = f"{test.experiment}, {test.channel}: what is left, over frequency"
-        words = f"What is left is {_loudness(test):.2g} times the sensor's noise, and exceeds it"
+        label = f"{test.experiment}, {test.channel}: residuals over frequency"
+        words = f"The residuals are {_loudness(test):.2g} times the sensor's noise, and exceeds it"
         words += f" most near {test.worst_hz:.3g} Hz."
         parts.append(figure(f"left {test.channel}", label, spectrum(test), plots, words=words))
     return "".join(parts)
@@ -57,7 +57,7 @@ def _tests(title: str, tests: Sequence[ResidualTest], *, heading: bool = True) -
 
 
 def spectrum(test: ResidualTest) -> Figure:
-    """The density of what is left and of the sensor's noise.
+    """The density of the residuals and of the sensor's noise.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def _row(test: ResidualTest) -> str:
     return row((test.experiment, test.channel, *map(number, numbers), follows))
 
 
-def _richer(one: RicherModel) -> str:
+def _richer(one: ScoreTest) -> str:
     prefix = one.effect.replace("-", "_") + "_"
     sizes = ", ".join(
         f"{name.removeprefix(prefix)} {' ± '.join(plus_minus(size, one.stds[name]))}"

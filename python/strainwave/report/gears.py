@@ -1,4 +1,4 @@
-"""Stiffness curves of the gears, with what the records twisted them by."""
+"""Stiffness curves of the gears, with the torques that the records loaded them by."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _BEYOND = 1.5  # times the last knee, where nothing says what torques there were
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One gear's slopes and the torques at which they change, as far as they are told."""
+    """One gear's slopes and the torques at which they change, as far as they are identified."""
 
     joint: int  # from 1
     slopes: FloatArray  # (n_slopes,) [N m/rad]
@@ -120,8 +120,8 @@ def slope_figure(curve: Curve) -> Figure:
     return {"data": data, "layout": marked(layout, marks)}
 
 
-def twist_figure(curve: Curve) -> Figure:
-    """Torque over twist, with its 95 % band, knees, and how it would go on without.
+def torsion_figure(curve: Curve) -> Figure:
+    """Torque over torsion, with its 95 % band, knees, and how it would go on without.
 
     Parameters
     ----------
@@ -133,27 +133,27 @@ def twist_figure(curve: Curve) -> Figure:
         A plotly figure.
     """
     torque = np.linspace(0.0, curve.largest, _POINTS)
-    twist, std = twisted(curve, torque)
-    at = rounded(1e3 * twist)
-    # the band of the torque at a given twist: that of the twist times the slope
+    torsion, std = torsion_at(curve, torque)
+    at = rounded(1e3 * torsion)
+    # the band of the torque at a given torsion: that of the torsion times the slope
     slope = curve.slopes[np.searchsorted(curve.knees, torque)]
     reach = _REACH * std * slope
-    straight = curve.slopes[0] * twist
+    straight = curve.slopes[0] * torsion
     data = [
         band(at, torque - reach, torque + reach, MODEL),
         line(at, torque, "gear", MODEL, width=2.0),
         line(at, straight, "its first slope", RESIDUAL, dash="4px,2px", width=1.0),
     ]
     layout = panels(
-        f"twist of the gear, at the link [{'mm' if curve.straight else 'mrad'}]",
+        f"torsion of the gear, at the link [{'mm' if curve.straight else 'mrad'}]",
         [f"torque [{curve.unit}]"],
     )
-    knees = 1e3 * twisted(curve, curve.knees)[0]
+    knees = 1e3 * torsion_at(curve, curve.knees)[0]
     return {"data": data, "layout": marked(layout, _marks(curve, knees, 1.0))}
 
 
-def twisted(curve: Curve, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Twist under a torque, and its deviation by the delta method.
+def torsion_at(curve: Curve, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Torsion under a torque, and its deviation by the delta method.
 
     delta(T) = sum over the slopes of (length of [0, T] that lies on each) / slope.
 
@@ -164,17 +164,17 @@ def twisted(curve: Curve, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    twist, std : (n,) [rad]
+    torsion, std : (n,) [rad]
     """
     edges = np.concatenate([[0.0], curve.knees, [np.inf]])
     on = np.clip(torque[:, None], edges[:-1], edges[1:]) - edges[:-1]  # (n, n_slopes)
-    twist = on @ (1.0 / curve.slopes)
+    torsion = on @ (1.0 / curve.slopes)
     by_slope = -on / curve.slopes**2
     past = (torque[:, None] > curve.knees).astype(float)
     by_knee = past * (1.0 / curve.slopes[:-1] - 1.0 / curve.slopes[1:])
     J = np.hstack([by_slope, by_knee])
     variance = np.einsum("ni,ij,nj->n", J, curve.covariance, J)
-    return twist, np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
+    return torsion, np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
 
 
 def words(curve: Curve) -> str:
@@ -198,7 +198,7 @@ def words(curve: Curve) -> str:
         text += f", with knees at {told} {curve.unit}"
     text += "."
     if curve.equivalent:
-        text += " One slope for the whole of a bent curve."
+        text += " One stiffness for the whole of a multi-slope curve."
     if curve.carried is not None:
         reach = f"{curve.largest:.3g} {curve.unit}"
         text += f" The records load the gear up to {reach}, and nothing is identifiable beyond."

@@ -172,7 +172,7 @@ def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
 
 def _fit(fit: float) -> str:
     """A fit, where there was something to judge it by."""
-    return percent(fit) if math.isfinite(fit) else "at rest, not judged"
+    return percent(fit) if math.isfinite(fit) else "at standstill, not judged"
 
 
 def _change(before: float, after: float | None) -> Cell:
@@ -227,8 +227,8 @@ def _gears(found: Identification, plots: dict[str, Figure]) -> str:
         name = f"gear joint {curve.joint}"
         parts.append(figure(f"{name} slope", label, gears.slope_figure(curve), plots, words=words))
         if len(curve.knees):
-            label = f"Gear {curve.joint}: torque over twist"
-            parts.append(figure(f"{name} twist", label, gears.twist_figure(curve), plots))
+            label = f"Gear {curve.joint}: torque over torsion"
+            parts.append(figure(f"{name} torsion", label, gears.torsion_figure(curve), plots))
     return "".join(parts)
 
 

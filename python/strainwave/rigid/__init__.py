@@ -113,7 +113,7 @@ def fit(
     Returns
     -------
     RigidModel
-        Parameters that the data do not tell have the value None, and a warning says why.
+        Parameters that the data do not identify have the value None, and a warning says why.
 
     Raises
     ------

@@ -341,7 +341,7 @@ def halfway(one: Estimate, other: Estimate) -> Estimate:
 
 
 def anti_resonances(study: Study, estimate: Estimate) -> FloatArray:
-    """Lowest frequency at which each link rings on its gear, sqrt(1 / (c M_ii)) / 2 pi.
+    """Lowest resonance of each link on its gear, sqrt(1 / (c M_ii)) / 2 pi.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Rigid equations of two joints -> the ratio of their torque constants' errors.
 
 M(q) is symmetric: beta and gamma couple either joint to the other by the same torque, and G2 acts
-on both. So joint 1's torques, with joint 2's, tell whether both are measured in the same unit. One
+on both. So joint 1's torques, with joint 2's, show whether both are measured in the same unit. One
 overall factor of both is beyond any signal of the arm.
 """
 
@@ -53,7 +53,7 @@ def torque_ratio(
     Returns
     -------
     TorqueRatio or None
-        None of a single joint, and where the rounds do not settle: the motion does not tell.
+        None of a single joint, and where the rounds do not settle: the motion does not show it.
     """
     if study.n_joints != 2:
         return None

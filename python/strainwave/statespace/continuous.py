@@ -38,7 +38,7 @@ def to_continuous(model: StateSpace) -> ContinuousStateSpace:
     Returns
     -------
     ContinuousStateSpace
-        With a covariance if the model has one. A warning tells of poles so near the Nyquist
+        With a covariance if the model has one. A warning names poles so near the Nyquist
         frequency that they may be aliases.
 
     Raises

@@ -1,4 +1,4 @@
-"""Poles and zeros: where a joint rings, and where its link rings while the motor stands."""
+"""Poles and zeros: the resonances and anti-resonances of a joint."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def select_order(
     Returns
     -------
     OrderSelection
-        Its models are those of all of the data; `rule` tells why one was chosen. Held-out fits are
+        Its models are those of all of the data; `rule` says why one was chosen. Held-out fits are
         NaN where the records are too short to hold anything out.
 
     Raises

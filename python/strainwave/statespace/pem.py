@@ -61,7 +61,7 @@ def pem(
     Returns
     -------
     StateSpace
-        `status` tells how the search ended: "converged"; "iteration-limit" and "stalled" carry a
+        `status` says how the search ended: "converged"; "iteration-limit" and "stalled" carry a
         warning with advice; "not-determined" means that the data leave a direction open. A model
         whose simulation misses an output by more than that output moves carries a warning, however
         well it predicts one step ahead.

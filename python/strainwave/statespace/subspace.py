@@ -143,7 +143,7 @@ def choose_horizon(data: Stack, order: int) -> int:
     """Past samples after which more of them no longer predict better (Akaike's criterion).
 
     One factor answers for every length: with columns [u[k], z[k-1], z[k-2], ..., y[k]] the rows of
-    R below a column hold what is left of y[k] once all columns before are known.
+    R below a column hold the residual of y[k] once all columns before are known.
     """
     width = data.n_inputs + data.n_outputs
     longest = max(len_ for len_ in data.lengths)

@@ -1,6 +1,6 @@
-"""study.toml -> Study, with every fault found here and told by file, line and key.
+"""study.toml -> Study, with every fault found here and named by file, line and key.
 
-`reader` checks each value where it stands; `checks` asks what one value cannot tell.
+`reader` checks each value where it stands; `checks` asks what one value cannot show.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What one value cannot tell: whether the tables fit each other, and sizes that no rig has."""
+"""What one value cannot show: whether the tables fit each other, and sizes that no rig has."""
 
 from __future__ import annotations
 

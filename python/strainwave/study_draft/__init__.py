@@ -1,8 +1,8 @@
 """Logs -> a study file to complete: `strainwave init`.
 
-`looked_at` reads what can be read; `names`, `nature` and `units` say what a column may be, `joints`
-whose it is; `joint_columns` and `axes` join what they say of one joint, `channels` of the arm;
-`uses` proposes what each record is for, and `written` writes it all down with reasons.
+`inspection` reads what can be read; `names`, `signal_features` and `units` say what a column is,
+`joints` whose it is; `joint_columns` and `axes` join what they say of one joint, `channels` of the
+arm; `experiment_type` proposes what each record is for, and `written` writes it down with reasons.
 """
 
 from __future__ import annotations

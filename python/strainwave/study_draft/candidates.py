@@ -36,7 +36,7 @@ class JointFacts:
 
 @dataclass(slots=True)
 class Mapping:
-    """All channels, and what is left over."""
+    """All channels, and the columns that are none."""
 
     guesses: dict[str, Guess] = field(default_factory=dict)
     joints: list[JointFacts] = field(default_factory=list)

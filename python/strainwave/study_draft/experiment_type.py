@@ -1,4 +1,4 @@
-"""What each record is for: pseudo-random voltages tell vibration, slow motions the rigid arm."""
+"""What each record is for: pseudo-random voltages identify elasticity, slow motion rigidity."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def propose(records: Sequence[Record], mapping: Mapping, elastic: bool) -> list[
     records : sequence of Record
     mapping : Mapping
     elastic : bool
-        Whether the gears' springs are to be told.
+        Whether the gears' springs are to be identified.
 
     Returns
     -------

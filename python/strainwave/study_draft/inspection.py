@@ -179,5 +179,5 @@ def _finite(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], l
 
 
 def in_common(records: Sequence[Record]) -> Record:
-    """The record with the most columns that change: what columns are is told from it."""
+    """The record with the most columns that change: what columns are is judged by it."""
     return max(records, key=lambda record: sum(np.ptp(v) > 0.0 for v in record.columns.values()))

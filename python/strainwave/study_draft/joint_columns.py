@@ -1,4 +1,4 @@
-"""One joint's columns told apart: angles first, then what belongs to them."""
+"""One joint's columns identified: angles first, then what belongs to them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from strainwave.study_draft.units import NEAR, nearest_unit, unit_pair
 
 
 class JointColumns:
-    """One joint's columns while they are being told apart."""
+    """One joint's columns while they are being identified."""
 
     def __init__(
         self, record: Record, named: dict[str, Named], number: int, mapping: Mapping
@@ -37,7 +37,7 @@ class JointColumns:
         mapping.joints.append(self.facts)
 
     def map(self) -> None:
-        """Angle first: the others are told by how they belong to it."""
+        """Angle first: the others are identified by how they belong to it."""
         motor, link = self._angles()
         if motor is None:
             self.mapping.missing[f"theta_m{self.number}"] = "the motor's angle [rad at the motor]"

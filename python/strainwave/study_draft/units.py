@@ -1,4 +1,4 @@
-"""Units told by numbers: an angle and its velocity, or a factor near a known one."""
+"""Units identified by numbers: an angle and its velocity, or a factor near a known one."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def todos(text: str) -> int:
 
 
 def is_elastic(mapping: Mapping, experiments: Sequence[Proposed]) -> bool:
-    """Whether the logs can tell a gear's spring: a sensor on a link, or a pseudo-random input."""
+    """Whether the logs identify a gear's spring: a sensor on a link, or a pseudo-random input."""
     sensed = any(facts.link_sensors for facts in mapping.joints)
     return sensed or any(each.prbs for each in experiments)
 

@@ -54,7 +54,7 @@ from strainwave.tuning.parametrisation import (
 )
 from strainwave.tuning.residuals import residual_cautions, residual_tests
 from strainwave.tuning.restricted import as_published, published_records, restricted
-from strainwave.tuning.score_tests import effect_cautions, richer_models
+from strainwave.tuning.score_tests import effect_cautions, score_tests_of
 from strainwave.tuning.sensors import (
     sensor_cautions,
     with_evident_sensors,
@@ -87,8 +87,8 @@ def tune(
 
     The recorded voltages drive the simulated arm. Differences of motor velocities and link
     accelerations, through one low-pass, count in robust deviations that the records show.
-    The rigid model joins as rows of its own: motion tells most of friction and gravity. Sensors'
-    constants, and how a record began that begins in motion, are unknowns of that record.
+    The rigid model joins as rows of its own: motion has most information on friction and gravity.
+    Sensors' constants, and how a record began that begins in motion, are unknowns of that record.
 
     The effects that the study names are left out at first, then fitted with the rest; those stay
     that the records show, and a warning names the others.
@@ -112,8 +112,8 @@ def tune(
     Returns
     -------
     ArmModel
-        `values` has every parameter; in `parameters` what the data hardly tell has the value None,
-        and a warning says why. A parameter at the end of its range gives the status "at-bounds".
+        `values` has every parameter; in `parameters` what the data hardly identify has the value
+        None, and a warning says why. A parameter at the end of its range gives status "at-bounds".
 
     Raises
     ------
@@ -233,7 +233,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
     if not fit.converged:
         status = "iteration-limit"
     differences, agreement = stage_differences(fit, study), agreement_tests(fit)
-    criticism = Criticism(residual_tests(fit.misfit, fit.z), tuple(richer_models(fit, study)))
+    criticism = Criticism(residual_tests(fit.misfit, fit.z), tuple(score_tests_of(fit, study)))
     repeated = [
         log
         for log in begun.logs
@@ -260,7 +260,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
             *left_out(fit.misfit.search, study),
             *sensor_cautions(parameters),
             *residual_cautions(criticism.residuals),
-            *effect_cautions(criticism.richer, study),
+            *effect_cautions(criticism.score_tests, study),
         ),
         criticism=criticism,
         carried=histograms_of(carried),

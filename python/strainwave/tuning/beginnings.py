@@ -1,8 +1,8 @@
 """Records that begin in motion, though their motors seem to stand: found by what it explains.
 
-A motor that turns back has no velocity: its angle begins like one from rest, while the gears are
-twisted and the links move. Beside a fit the two are far apart: an arm from rest never gets near
-such a record, one that may begin as it likes does.
+A motor that turns back has no velocity: its angle begins like one from rest, while gears are
+under torque and the links move. Beside a fit the two are far apart: an arm from rest never gets
+near such a record, one that may begin as it likes does.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def with_evident_beginnings(fit: Fit, options: TuningOptions) -> Fit:
     Returns
     -------
     Fit
-        Its misfit's records say which begin in motion.
+        Its objective's records say which begin in motion.
     """
     if fit.iterations >= options.max_iterations:
         return fit

@@ -1,6 +1,6 @@
 """How sure a fit's parameters are: what its own noise, its stretches and its records say.
 
-Four covariances tell of each parameter's deviation:
+Four covariances describe each parameter's deviation:
 
 - local, (J'J)^-1 of rows in deviations: an upper end if the model is right, as rows are weighed by
   how slow errors repeat, and those of a velocity are quick;
@@ -8,17 +8,17 @@ Four covariances tell of each parameter's deviation:
   errors come and go, or go on for longer than the rows' weights allow for; but some fifty stretches
   know a variance only so well;
 - steady, a sandwich of errors that are alike from a record's first row to its last: a thousand rows
-  tell how each channel's repeat, and so how little of quick ones a slow effect sees;
+  show how each channel's repeat, and so how little of quick ones a slow effect sees;
 - scatter of the records, each judged by what it wants of the fit: it sees what is wrong with the
   model in different ways in different experiments.
 
 A variance is the larger one of both sandwiches, with what the scatter adds to it. Correlations are
 those of the steady one, as a sum of parameters sees other errors than each of them: that of a
-joint's viscous frictions is slow, and what is slow is told better than the rows' weights say.
+joint's viscous frictions is slow, and what is slow is better known than the rows' weights say.
 
 What the rigid step knows is weighed by deviations that are never small, so that the records have
 the last word. That makes its errors no larger: in both sandwiches they are what the rigid step
-told, and more only where the fit contradicts it.
+reports, and more only where the fit contradicts it.
 
 None of them sees what is wrong with the model in the same way everywhere. Its size shows all the
 same, as residuals larger than the sensors' own noise explains. Such an error does not average away
@@ -325,7 +325,7 @@ def _inverse(information: FloatArray) -> FloatArray:
 def only_together(
     names: Sequence[str], values: FloatArray, covariance: FloatArray
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Groups of parameters that the data tell only together.
+    """Groups of parameters of which the data identify only a combination.
 
     Parameters
     ----------

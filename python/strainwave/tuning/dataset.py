@@ -1,4 +1,4 @@
-"""Log -> Replayed: a record to go through again, and what of it is compared with a simulated arm.
+"""Log -> `Replayed`: a record to simulate, and what of it is compared with a simulated arm.
 
 The recorded voltages drive the arm, so that no servo has to be known. Angles are compared as
 velocities, which do not drift away as open-loop angles do. Every channel passes through one
@@ -333,7 +333,7 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
     cutoff_hz : float [Hz]
         Of the low-pass.
     closed_loop : bool
-        Servoed joints follow their references under the study's servo, where the log tells enough
+        Servoed joints follow their references under the study's servo, where the log has enough
         for that; otherwise the recorded voltages drive them.
 
     Returns

@@ -119,7 +119,7 @@ def without(search: Search, effects: Collection[Tried]) -> Search:
 
 
 def idle(search: Search, z: FloatArray, covariance: FloatArray) -> Iterator[Tried]:
-    """The effects whose size is nothing as far as the records tell.
+    """The effects whose size is nothing as far as the records show.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def records_with(
 
     Returns
     -------
-    tuple of Replayed
+    tuple of `Replayed`
     """
     effects = [joint.effects for joint in with_known_effects(study, known).joints]
 

@@ -165,7 +165,7 @@ def warnings_of(
         if parameters[k].value is not None:
             continue
         if unknown.name in (*CURVE, *KNEES):
-            text = "no record twists the gear so far that it shows; use a larger amplitude, or hold"
+            text = "no record loads the gear so far that it shows; use a larger amplitude, or hold"
             text += " the link"
             yield Diagnostic("not-reached", str(unknown), text)
             continue

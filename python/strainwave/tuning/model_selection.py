@@ -73,7 +73,7 @@ def with_settling_times(fit: Fit, options: TuningOptions) -> Fit:
     begin = search.coordinates(dict.fromkeys(search.keys, SETTLING_START) | values)
     misfit = fit.misfit.for_unknowns(search)
     most = None if options.settling else _TRIAL
-    richer = search_from(
+    score_tests = search_from(
         misfit,
         begin,
         fit.iterations,
@@ -82,9 +82,9 @@ def with_settling_times(fit: Fit, options: TuningOptions) -> Fit:
         relative=ROUGHLY,
         most=most,
     )
-    if options.settling is None and fit.cost - richer.cost < _EVIDENT**2:
-        return replace(fit, iterations=richer.iterations)
-    return richer
+    if options.settling is None and fit.cost - score_tests.cost < _EVIDENT**2:
+        return replace(fit, iterations=score_tests.iterations)
+    return score_tests
 
 
 def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
@@ -133,7 +133,7 @@ def with_named_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     values = fit.misfit.search.values(fit.z)
     largest = gear_torques(fit.misfit.records, values).tolist()
     search, begin = with_effects(fit.misfit.search, study, values, largest)
-    richer = search_from(
+    score_tests = search_from(
         _on(fit.misfit, search, study),
         begin,
         fit.iterations,
@@ -141,13 +141,13 @@ def with_named_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
         tolerance=SOON,
         most=_TRIAL_OF_EFFECTS,
     )
-    if fit.cost - richer.cost < _EVIDENT**2:
-        return replace(fit, iterations=richer.iterations)
-    return richer
+    if fit.cost - score_tests.cost < _EVIDENT**2:
+        return replace(fit, iterations=score_tests.iterations)
+    return score_tests
 
 
 def without_idle_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
-    """Again without the effects that the records do not show, until all that are left are told.
+    """Again without the effects that the records do not show, until all others are identified.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ _ROBUST = 1.4826  # standard deviation of normal errors over their median magnit
 
 _ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
 _STAYS = 1e-3  # deviations by which another round moves nothing that matters
-_BEGUN = 0.1  # gain still foretold of moving a beginning, in units of the cost
+_BEGUN = 0.1  # gain still predicted of moving a beginning, in units of the cost
 _BEGINNINGS = 12  # of a record that are tried for one point
 
 LEAST_BEND = 0.5

@@ -143,8 +143,8 @@ class Search:
     def moved(self, z: FloatArray, step: FloatArray) -> FloatArray:
         """Where a step leads that is straight in the values, not in the coordinates: (n_unknowns,).
 
-        What the data tell best are sums: of an inertia with a motor's, of a joint's two viscous
-        frictions. Their valleys are straight among values and bent among logarithms.
+        What the data identify best are sums: of an inertia with a motor's, of a joint's two viscous
+        frictions. Their valleys are straight among values and curved among logarithms.
         """
         end, positive = z + step, self._positive
         end[positive] = z[positive] + np.log1p(step[positive])

@@ -1,4 +1,4 @@
-"""What a fit leaves: how much beside noise, at which frequencies, and what inputs foretell."""
+"""What a fit leaves: how much beside noise, at which frequencies, and what inputs predict."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.parameters import EFFECT_PARAMETERS, Values
-from strainwave.records import Diagnostic, Effect, FloatArray, RicherModel, Study
+from strainwave.records import Diagnostic, Effect, FloatArray, ScoreTest, Study
 from strainwave.tuning.effects import (
     HYSTERESIS_TWIST,
     STRIBECK_VELOCITY,
@@ -38,14 +38,14 @@ _AT_NOTHING = {
 }
 _EXPERIMENTS: Mapping[Effect, str] = {
     "stribeck": "turn the motor slowly, at several constant speeds of either sign",
-    "hysteresis": "hold the link and twist the gear slowly to and fro, to several torques",
+    "hysteresis": "hold the link and turn the motor slowly to and fro, to several torques",
     "kinematic-error": "turn the motor at a constant speed through many turns, and look for lines"
     " at two per turn in the accelerometers",
 }
 
 
-def richer_models(fit: Fit, study: Study) -> list[RicherModel]:
-    """The effects that no joint's model has yet, the most telling first.
+def score_tests_of(fit: Fit, study: Study) -> list[ScoreTest]:
+    """The effects that no joint's model has yet, the most significant first.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ def richer_models(fit: Fit, study: Study) -> list[RicherModel]:
 
     Returns
     -------
-    list of RicherModel
-        Each one's gain is what is left to it by those before; empty where the arm with effects
+    list of ScoreTest
+        Each one's gain is beyond that of those before; empty where the arm with effects
         cannot be simulated.
     """
     candidates = _missing(fit, study)
@@ -104,7 +104,7 @@ class _Step:
     std: FloatArray
 
 
-def _chosen(candidates: Sequence[Tried], factor: FloatArray, cost: float) -> Iterator[RicherModel]:
+def _chosen(candidates: Sequence[Tried], factor: FloatArray, cost: float) -> Iterator[ScoreTest]:
     """One after the other, each given those before it as long as they are evident."""
     columns, at = {}, 0
     for one in candidates:
@@ -119,7 +119,7 @@ def _chosen(candidates: Sequence[Tried], factor: FloatArray, cost: float) -> Ite
         evident = best.gain > _EVIDENT**2 and share > _MATTERS
         joint, effect = best.candidate
         names = [name for name, _ in sizes_of(best.candidate)]
-        yield RicherModel(
+        yield ScoreTest(
             joint=joint,
             effect=effect,
             sizes=dict(zip(names, best.size.tolist(), strict=True)),
@@ -150,7 +150,7 @@ def _step(candidate: Tried, columns: FloatArray, taken: FloatArray, target: Floa
     return _Step(candidate, gain, size, std)
 
 
-def effect_cautions(richer: Sequence[RicherModel], study: Study) -> Iterator[Diagnostic]:
+def effect_cautions(score_tests: Sequence[ScoreTest], study: Study) -> Iterator[Diagnostic]:
     """The effect that the residuals speak for most, and the experiment that would settle it.
 
     One at a time: what the others would explain is known only with this one in the model. Effects
@@ -158,8 +158,8 @@ def effect_cautions(richer: Sequence[RicherModel], study: Study) -> Iterator[Dia
 
     Parameters
     ----------
-    richer : sequence of RicherModel
-        The most telling first.
+    score_tests : sequence of ScoreTest
+        The most significant first.
     study : Study
 
     Yields
@@ -167,7 +167,7 @@ def effect_cautions(richer: Sequence[RicherModel], study: Study) -> Iterator[Dia
     Diagnostic
     """
     named = tried(study)
-    for one in richer:
+    for one in score_tests:
         if not one.evident or (one.joint, one.effect) in named:
             continue
         sizes = ", ".join(

@@ -1,4 +1,4 @@
-"""From a start to the minimum: rounds of robust weights, first roughly and then finely."""
+"""From a start to the minimum: rounds of robust weights, first coarse and then fine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from strainwave.tuning.estimates import Fit
 from strainwave.tuning.objective import Misfit
 from strainwave.tuning.trust_region import Linearised, minimise
 
-SOON, ROUGHLY = 1.0, 2e-3  # gain still foretold at a rough end, in units of the cost and as a share
+SOON, ROUGHLY = (
+    1.0,
+    2e-3,
+)  # predicted gain at a rough end, in units of the cost and as a share
 _FINE, _GUESSED = 1e-2, 2e-2  # the same of the fit itself, and by weights that are guessed
 _ROUNDS = 4  # of new weights; the third seldom moves anything
 _ROUGH_ROUNDS = 8  # of the same far from the minimum

@@ -16,12 +16,12 @@ import numpy as np
 
 from strainwave.records import BoolArray, FloatArray
 
-_GOOD, _POOR = 0.75, 0.25  # share of the foretold gain from which the region grows, or shrinks
-# Friction's events make a cost rough: below some roughness no foretold gain is to be had.
+_GOOD, _POOR = 0.75, 0.25  # share of the predicted gain from which the region grows, or shrinks
+# Friction's events make a cost rough: below some roughness no predicted gain is to be had.
 _PATIENCE = 4  # evaluations without
 _STUCK = 30.0  # tolerances of gain, after which the search ends
-_HOPE, _LITTLE = 1000.0, 0.2  # unless as many, and this share of the cost, are foretold still
-_LOST = 12  # evaluations without, after which nothing foretold is believed: a cliff in the cost
+_HOPE, _LITTLE = 1000.0, 0.2  # unless as many, and this share of the cost, are predicted still
+_LOST = 12  # evaluations without, after which nothing predicted is believed: a cliff in the cost
 _HELPS = 1e-4  # share from which a step is taken
 _LEAST_DAMPING, _FELT = 1e-9, 1e-3  # to which it may fall; to which it rises at once
 _SHORTER = 0.3  # share of the last one that is trusted after a step that did not help
@@ -95,7 +95,7 @@ def minimise(
     start : (n,)
     space : Space
     tolerance : float
-        The search has converged when the foretold gain is below this, in units of the cost: where
+        The search has converged when the predicted gain is below this, in units of the cost: where
         residuals are in deviations, a hundredth is a tenth of a parameter's standard deviation.
     relative : float
         The same as a share of the cost, to be added.
@@ -108,7 +108,7 @@ def minimise(
     Returns
     -------
     Found
-        Not converged if the evaluations ran out, or no step helps although much is foretold. None
+        Not converged if the evaluations ran out, or no step helps although much is predicted. None
         if there is no problem at the start.
     """
     x, first = start, linearise(start)
@@ -132,15 +132,15 @@ def minimise(
             return Found(x, at, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
-        foretold, step = _trusted_step(at.factor, damping, free, _Trust(space, x, share))
+        predicted, step = _trusted_step(at.factor, damping, free, _Trust(space, x, share))
         trial = space.moved(x, step)
         there = linearise(trial)
         evaluations += 1
-        quality = (at.cost - there.cost) / max(foretold, 1e-300) if there else -np.inf
+        quality = (at.cost - there.cost) / max(predicted, 1e-300) if there else -np.inf
         if there is None or quality < _HELPS:
             damping, growth = max(damping * growth, _FELT), growth * 2.0
             share *= _SHORTER
-            if abs(foretold) < tolerance:  # no step helps
+            if abs(predicted) < tolerance:  # no step helps
                 return Found(x, at, evaluations, hopeless)
             continue
         if quality > _GOOD:
@@ -169,15 +169,15 @@ def _trusted_step(
     """A damped step in which what would go too far goes as far as it may.
 
     The others make the best of that: along a narrow valley a step that is merely cut off would
-    leave it. What that foretells may be a loss; more damping follows then.
+    leave it. What that predicts may be a loss; more damping follows then.
     """
     held = np.zeros(len(free))
     while True:
-        foretold, step = _step(factor, damping, free, held)
+        predicted, step = _step(factor, damping, free, held)
         cut = trust.space.trusted(trust.x, step, trust.share)
         beyond = free & (cut != step)
         if not np.any(beyond):
-            return foretold, step
+            return predicted, step
         held[beyond] = cut[beyond]
         free = free & ~beyond
 
@@ -185,7 +185,7 @@ def _trusted_step(
 def _step(
     factor: FloatArray, damping: float, free: BoolArray, held: FloatArray | None = None
 ) -> tuple[float, FloatArray]:
-    """The step that minimises |R (step, 1)|^2 + damping |D step|^2, and the gain it foretells.
+    """The step that minimises |R (step, 1)|^2 + damping |D step|^2, and the gain it predicts.
 
     Coordinates that are not free move as `held` says, or not at all.
     """

@@ -1,4 +1,4 @@
-"""Recorded voltages or the servo's own loop: `python -m benchmarks.studies.replay --arms 20`.
+"""Recorded voltages or the servo's loop: `python -m benchmarks.studies.recorded_input --arms 20`.
 
 Each arm's records are fitted twice. Servoed joints are driven by what their drives were told, or
 follow their references under the study's servo. Told are the errors of both, by parameter.
