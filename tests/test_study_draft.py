@@ -249,6 +249,29 @@ def test_a_column_that_some_logs_lack_is_absent_there(tmp_path: Path) -> None:
         assert [name in log.channels for log in read_logs(study)] == [True, False]
 
 
+@pytest.mark.parametrize("still", [False, True])
+def test_columns_that_only_a_shorter_log_has_are_mapped(tmp_path: Path, still: bool) -> None:
+    """Even where a joint stands still in that log: joints are those of the fullest."""
+    truth = motion()
+    columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
+    write_log(
+        tmp_path / "a.csv", columns | {"omega_m1": truth["omega_m1"], "gyro1": truth["gyro1"]}
+    )
+    less = columns | {"theta_m1": 0.0 * truth["theta_m1"], "u1": 0.0 * truth["u1"]}
+    lab = {"acc_2": truth["a2"], "temperature": 20.0 + 0.0 * truth["t"]}
+    write_log(tmp_path / "b.csv", (less if still else columns) | lab)
+    begun = start_study([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "study.toml")
+    assert {"omega_m1", "gyro1", "a2"} <= set(begun.channels)
+    text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
+    assert '\na2 = "acc_2" ' in text
+    assert "not in a.csv: absent there" in text
+    assert "accelerometer_distance" in text  # what the sensor asks of its joint
+    assert '"temperature": it never changes' in text
+    study = read_study(filled_in(tmp_path / "study.toml"))
+    assert ["a2" in log.channels for log in read_logs(study)] == [False, True]
+    assert ["gyro1" in log.channels for log in read_logs(study)] == [True, False]
+
+
 def test_text_and_nan_columns_are_left_out_and_told(tmp_path: Path) -> None:
     truth = motion()
     names = ["t", "u1", "u2", "theta_m1", "theta_m2", "omega_m1", "state"]

@@ -14,7 +14,7 @@ from pathlib import Path
 from strainwave.atomic_files import write_whole
 from strainwave.errors import InvalidInput
 from strainwave.study_draft.candidates import Mapping
-from strainwave.study_draft.channels import map_channels
+from strainwave.study_draft.channels import add_channels, map_channels
 from strainwave.study_draft.experiment_type import Proposed, propose, unchecked_joints
 from strainwave.study_draft.inspection import Record, in_common, look_at
 from strainwave.study_draft.written import is_elastic, study_text, todos
@@ -65,6 +65,8 @@ def start_study(logs: Sequence[Path], out: Path) -> Started:
     fullest = in_common(records)
     mapping = map_channels(fullest)
     _check_alike(records, fullest, mapping)
+    for record in records:
+        add_channels(mapping, record, fullest)
     elastic = any(facts.link_sensors for facts in mapping.joints)
     experiments = propose(records, mapping, elastic)
     if not elastic and any(each.prbs for each in experiments):

@@ -24,7 +24,11 @@ def map_channels(record: Record) -> Mapping:
     -------
     Mapping
     """
-    named, limit, notes = named_columns(record)
+    return _mapped(record, record)
+
+
+def _mapped(record: Record, fullest: Record) -> Mapping:
+    named, limit, notes = named_columns(record, fullest)
     count = max((each.number or 1 for each in named.values()), default=1)
     mapping = Mapping(limit=limit, notes=notes)
     for joint in range(1, count + 1):
@@ -35,6 +39,37 @@ def map_channels(record: Record) -> Mapping:
         if name not in used and name not in mapping.unused:
             mapping.unused[name] = _unknown(record, values, mapping)
     return mapping
+
+
+def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
+    """Add what only a further log has: its columns that the fullest lacks.
+
+    Parameters
+    ----------
+    mapping : Mapping
+        Of the fullest; channels, facts of joints and unused columns are added to it.
+    record : Record
+        With all motor angles of the fullest.
+    fullest : Record
+    """
+    known = {*fullest.columns, *mapping.unused, *(g.column for g in mapping.guesses.values())}
+    if known.issuperset(record.columns):
+        return
+    other = _mapped(record, fullest)
+    for channel, guess in other.guesses.items():
+        if channel not in mapping.guesses and guess.column not in known:
+            mapping.guesses[channel] = guess
+            mapping.missing.pop(channel, None)
+    for facts, more in zip(mapping.joints, other.joints, strict=False):
+        facts.link_sensors |= more.link_sensors
+        facts.gear_ratio = facts.gear_ratio or more.gear_ratio
+    used = {guess.column for guess in mapping.guesses.values()}
+    for column, why in other.unused.items():
+        if column not in known | used:
+            mapping.unused[column] = why
+    for column in record.columns:
+        if column not in known | used | set(mapping.unused):
+            mapping.unused[column] = f"its channel is another column's in {fullest.path.name}"
 
 
 def _unknown(record: Record, values: FloatArray, mapping: Mapping) -> str:

@@ -13,12 +13,16 @@ from strainwave.study_draft.signal_features import levels, relation
 _DERIVATIVE = 0.95  # correlation above which a column without a name is another's derivative
 
 
-def named_columns(record: Record) -> tuple[dict[str, Named], str, tuple[str, ...]]:
+def named_columns(
+    record: Record, fullest: Record | None = None
+) -> tuple[dict[str, Named], str, tuple[str, ...]]:
     """Every column with its quantity, and with its joint's number from 1.
 
     Parameters
     ----------
     record : Record
+    fullest : Record, optional
+        Of the same arm, which says what joints there are; the record itself if not given.
 
     Returns
     -------
@@ -36,7 +40,7 @@ def named_columns(record: Record) -> tuple[dict[str, Named], str, tuple[str, ...
         notes.append("no name gave an angle away: columns were assigned by their numbers alone")
     numbered = _numbered(named)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
-    moving = [j for j in joints if _moves(record, numbered, j)] or joints
+    moving = [j for j in joints if _moves(fullest or record, numbered, j)] or joints
     chosen = sorted(moving[:MOST_JOINTS])
     limit = ""
     if len(joints) > len(chosen):
@@ -94,6 +98,7 @@ def _moves(record: Record, named: Mapping[str, Named], joint: int) -> bool:
     return any(
         each.quantity == "angle"
         and (each.number or 1) == joint
+        and name in record.columns
         and float(_span(record, name)) > 0.0
         for name, each in named.items()
     )
