@@ -502,6 +502,20 @@ def test_nothing_is_ever_overwritten(tmp_path: Path) -> None:
     assert (tmp_path / "study.toml").read_text() == "mine"
 
 
+def test_six_axes_without_time_are_answered_with_a_column_to_add_and_the_limit(
+    tmp_path: Path, shared_data: Path
+) -> None:
+    """Measured logs of one quantity each, all columns named alike."""
+    path = shared_data / "real" / "staubli-tx40" / "pos_read_data.csv"
+    with pytest.raises(InvalidInput, match="no column of time among Joint_1") as refused:
+        start_study([path], tmp_path / "study.toml")
+    assert (
+        "add a column t [s]: the row's number divided by the sampling rate" in refused.value.remedy
+    )
+    assert "of 6 joints" in refused.value.remedy
+    assert not (tmp_path / "study.toml").exists()
+
+
 def test_tells_logs_that_cannot_be_started_from(tmp_path: Path) -> None:
     truth = motion()
     out = tmp_path / "study.toml"
