@@ -365,6 +365,19 @@ def test_a_parameter_at_the_end_of_its_range_is_told() -> None:
     assert model.values["gear_stiffness", 2] == pytest.approx(3.0 * start, rel=0.02)
 
 
+def test_inertias_that_rest_on_one_at_its_bound_are_at_it_as_well() -> None:
+    """beta may be at most 0.9 of the truth, which is then no inertia of any link."""
+    study, known, records = rig_records()
+    model = tune(
+        records[1:2],
+        rigid_model(study, known, 0.01),
+        joint_models(study, known, 0.0, FACTORS),
+        study,
+        TuningOptions(settling=False, ranges={"beta": (0.5, 0.9)}),
+    )
+    assert model.at_bounds == (("beta", None), ("link_inertia", 1), ("link_inertia", 2))
+
+
 def test_too_few_iterations_are_told() -> None:
     model = tuned(TuningOptions(max_iterations=2))
     assert model.status == "iteration-limit"

@@ -30,10 +30,29 @@ from strainwave.virtual import Simulator, derived
 EXACT_STEP = 4e-6
 """[s] Of a truth: at 300 Hz the sensors' filters are wrong by 5e-6, below any deviation told."""
 _NOMINAL = {"scale": 1.0}  # of link sensors; a delay is zero, and so is what was not drawn
+_KINDS = {
+    "inertia": "inertias",
+    "alpha": "inertias",
+    "beta": "inertias",
+    "gamma": "inertias",
+    "gear_stiffness": "stiffness",
+    "gear_knee": "knees",
+    "gear_damping": "gear damping",
+    "coulomb": "Coulomb friction",
+    "total_viscous": "total viscous friction",
+    "viscous": "split of viscous friction",
+    "offset": "friction offset",
+    "settling": "settling time",
+}
+"""What parameters are counted under, by what their names hold; the first that fits."""
+_OF_THE_ENGINE = "friction_settling_time"  # one or two of its steps, which no parameter says
 
 
-def tried(path: Path, values: Values) -> dict[str, Any]:
-    """Errors in deviations, relative deviations and coverage of every parameter."""
+def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]:
+    """Errors in deviations, relative deviations and coverage of every parameter.
+
+    How long an engine's friction takes to stop a motor is no parameter, and is left out.
+    """
     identification = identify(path)
     tuned = identification.tuned
     if tuned is None:
@@ -48,7 +67,9 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     decoupled = [p for joint in identification.joints for p in joint.parameters]
     return {
         "status": tuned.status,
-        "parameters": _rows(tuned.parameters, known),
+        "parameters": _rows(
+            [p for p in tuned.parameters if not (engine and p.name == _OF_THE_ENGINE)], known
+        ),
         "decoupled": _rows([p for p in decoupled if (p.name, p.joint) in known], known),
         "left_out": left_out,
     }
@@ -72,18 +93,27 @@ def _rows(parameters: Sequence[Parameter], known: Values) -> list[list[Any]]:
 
 
 def by_class(found: Sequence[dict[str, Any]], key: str) -> Table:
-    """Shares of intervals that hold the truth, by what the arms are counted under."""
+    """Shares of intervals that hold the truth, by kinds of parameters and classes of arms."""
     held: dict[tuple[str, str], list[bool]] = defaultdict(list)
     arms: dict[tuple[str, str], int] = defaultdict(int)
     for one in found:
         for place in [("all", ""), *one["classes"].items()]:
             held[place] += [row[4] for row in one[key] if row[4] is not None]
             arms[place] += 1
+        kinds = {_kind(row[0]) for row in one[key]}
+        for kind in kinds:
+            of_kind = [row for row in one[key] if _kind(row[0]) == kind]
+            held["parameter", kind] += [row[4] for row in of_kind if row[4] is not None]
+            arms["parameter", kind] += 1
     table = Table("class", "", "arms", "intervals", "inside %", box=None, title=key)
     for (kind, name), inside in sorted(held.items()):
         share = f"{100.0 * np.mean(inside):.1f}" if inside else ""
         table.add_row(kind, name, str(arms[kind, name]), str(len(inside)), share)
     return table
+
+
+def _kind(name: str) -> str:
+    return next((kind for part, kind in _KINDS.items() if part in name), "link sensors")
 
 
 def drawn_rig(seed: int, series: int, *, catalogue: bool) -> Rig:
@@ -106,7 +136,8 @@ def main() -> None:
     if chosen.engine:
         from benchmarks.studies.engine import in_mujoco as simulator
     arm = partial(drawn_rig, series=chosen.seed, catalogue=chosen.catalogue)
-    work = partial(with_logs, work=tried, arm=arm, simulator=simulator)
+    errors = partial(tried, engine=chosen.engine)
+    work = partial(with_logs, work=errors, arm=arm, simulator=simulator)
     answered = []
     for found in each(chosen.arms, work, chosen.out):
         if "failure" in found:

@@ -6,7 +6,7 @@ the earlier stages found.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -49,6 +49,8 @@ from strainwave.tuning.parametrisation import (
     SETTLING,
     Key,
     Search,
+    link_inertia,
+    rigid_inertia,
     search_of,
     with_curves,
 )
@@ -264,11 +266,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         ),
         criticism=criticism,
         carried=histograms_of(carried),
-        at_bounds=tuple(
-            key
-            for key, ended in zip(fit.misfit.search.keys, at_bounds(fit), strict=True)
-            if ended and key[0] != SETTLING
-        ),
+        at_bounds=tuple(_bounded(fit, study)),
         differences=differences,
         agreement=agreement,
     )
@@ -323,6 +321,24 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     fine = with_evident_sensors(fine, options, rough=False)
     fine = without_idle_sensors(fine, options)
     return fine if options.settling else without_idle_settling(fine, options)
+
+
+def _bounded(fit: Fit, study: Study) -> Iterator[Key]:
+    """Parameters that ended at the end of their range, and inertias that such ones are part of.
+
+    A joint's total viscous friction is known where its split is not, and is spared.
+    """
+    keys = fit.misfit.search.keys
+    ended = [key for key, at in zip(keys, at_bounds(fit), strict=True) if at and key[0] != SETTLING]
+    yield from ended
+    derived: dict[Key, Mapping[Key, float]] = {
+        (name, 1): parts for name, parts in rigid_inertia(study).items()
+    }
+    for number in range(1, study.n_joints + 1):
+        derived["link_inertia", number] = link_inertia(study, number)
+    for key, parts in derived.items():
+        if key not in ended and any(part in ended for part in parts):
+            yield key
 
 
 def at_bounds(fit: Fit) -> list[bool]:
