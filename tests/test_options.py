@@ -16,7 +16,6 @@ from elastic_runs import log_of, prbs_run, rig
 from joint_records import case
 from strainwave import frequency, links, physical, pipeline, result, rigid, signals, tuning
 from strainwave.logs import read_logs
-from strainwave.parameters import Values
 from strainwave.records import (
     Arm,
     Experiment,
@@ -34,7 +33,7 @@ from strainwave.records import (
 )
 from strainwave.simulation import SensorNoise
 from strainwave.virtual import simulate_study
-from virtual_arms import motion_log, rigid_two_link, values_of
+from virtual_arms import ELASTIC_JOINT, motion_log, rigid_two_link, values_of
 
 JOINT = Joint(
     spring="linear",
@@ -44,16 +43,7 @@ JOINT = Joint(
     accelerometer_distance=0.3,
     accelerometer_hz=300.0,
 )
-TRUE: Values = {
-    ("motor_inertia", 1): 1.5e-4,
-    ("motor_viscous_friction", 1): 2e-4,
-    ("motor_coulomb_friction", 1): 0.06,
-    ("friction_offset", 1): 0.0,
-    ("link_inertia", 1): 2.0,
-    ("link_viscous_friction", 1): 0.5,
-    ("gear_stiffness", 1): 25000.0,
-    ("gear_damping", 1): 20.0,
-}
+TRUE = ELASTIC_JOINT
 
 
 def excited(name: str, use: Any, amplitude: float) -> Experiment:

@@ -38,6 +38,7 @@ from tuning_runs import (
     truth,
     written_logs,
 )
+from virtual_arms import ELASTIC_JOINT
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 
@@ -280,17 +281,7 @@ def single_joint() -> tuple[Study, Values, tuple[Log, ...]]:
         servo=Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0),
         experiments=(Experiment("step", "step.parquet", "tuning", ("servo",), joint=1),),
     )
-    values: Values = {
-        ("motor_inertia", 1): 1.5e-4,
-        ("motor_viscous_friction", 1): 2e-4,
-        ("motor_coulomb_friction", 1): 0.06,
-        ("friction_offset", 1): 0.0,
-        ("link_inertia", 1): 2.0,
-        ("link_viscous_friction", 1): 0.5,
-        ("gear_stiffness", 1): 25000.0,
-        ("gear_damping", 1): 20.0,
-        ("gravity_torque_1", None): 15.0,
-    }
+    values: Values = ELASTIC_JOINT | {("gravity_torque_1", None): 15.0}
     written, records = written_logs(study, values)
     return written, values, records
 

@@ -22,6 +22,17 @@ from strainwave.records import (
 MOTION = Experiment("motion", "motion.csv", "motion", ("servo", "servo"))
 DRIVE = Experiment("drive", "drive.csv", "motion", ("servo",))
 CLOCK = 1e-3
+ELASTIC_JOINT: Values = {
+    ("motor_inertia", 1): 1.5e-4,
+    ("motor_viscous_friction", 1): 2e-4,
+    ("motor_coulomb_friction", 1): 0.06,
+    ("friction_offset", 1): 0.0,
+    ("link_inertia", 1): 2.0,
+    ("link_viscous_friction", 1): 0.5,
+    ("gear_stiffness", 1): 25000.0,
+    ("gear_damping", 1): 20.0,
+}
+"""One link on a linear gear."""
 
 
 def rigid_two_link(gravity: float | None = None) -> Study:

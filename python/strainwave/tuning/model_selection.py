@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.records import Study, TuningOptions
+from strainwave.records import FloatArray, Study, TuningOptions
 from strainwave.tuning.effects import Tried, idle, records_with, with_effects, without
 from strainwave.tuning.estimates import Fit
 from strainwave.tuning.gear_load import gear_torques
@@ -42,18 +42,23 @@ def bent(fit: Fit, options: TuningOptions) -> Fit:
             if fit.iterations >= options.max_iterations:
                 return replace(fit, converged=False)
             z = fit.misfit.search.coordinates(start)
-            other = search_from(
-                fit.misfit,
-                z,
-                fit.iterations,
-                options,
-                tolerance=SOON,
-                relative=ROUGHLY,
-                most=_TRIAL,
-            )
-            better = other if fit.cost - other.cost > _EVIDENT**2 else fit
-            fit = replace(better, iterations=other.iterations)
+            fit = _better(fit, _tried(fit, fit.misfit, z, options, _TRIAL))
     return fit
+
+
+def _tried(
+    fit: Fit, misfit: Misfit, z: FloatArray, options: TuningOptions, most: int | None
+) -> Fit:
+    """A rough search from elsewhere, in a few evaluations."""
+    return search_from(
+        misfit, z, fit.iterations, options, tolerance=SOON, relative=ROUGHLY, most=most
+    )
+
+
+def _better(fit: Fit, other: Fit) -> Fit:
+    """The other one where its gain is evident; its evaluations count in any case."""
+    evident = fit.cost - other.cost > _EVIDENT**2
+    return other if evident else replace(fit, iterations=other.iterations)
 
 
 def with_settling_times(fit: Fit, options: TuningOptions) -> Fit:
@@ -73,18 +78,8 @@ def with_settling_times(fit: Fit, options: TuningOptions) -> Fit:
     begin = search.coordinates(dict.fromkeys(search.keys, SETTLING_START) | values)
     misfit = fit.misfit.for_unknowns(search)
     most = None if options.settling else _TRIAL
-    score_tests = search_from(
-        misfit,
-        begin,
-        fit.iterations,
-        options,
-        tolerance=SOON,
-        relative=ROUGHLY,
-        most=most,
-    )
-    if options.settling is None and fit.cost - score_tests.cost < _EVIDENT**2:
-        return replace(fit, iterations=score_tests.iterations)
-    return score_tests
+    extended = _tried(fit, misfit, begin, options, most)
+    return _better(fit, extended) if options.settling is None else extended
 
 
 def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
@@ -133,7 +128,7 @@ def with_named_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     values = fit.misfit.search.values(fit.z)
     largest = gear_torques(fit.misfit.records, values).tolist()
     search, begin = with_effects(fit.misfit.search, study, values, largest)
-    score_tests = search_from(
+    extended = search_from(
         _on(fit.misfit, search, study),
         begin,
         fit.iterations,
@@ -141,9 +136,7 @@ def with_named_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
         tolerance=SOON,
         most=_TRIAL_OF_EFFECTS,
     )
-    if fit.cost - score_tests.cost < _EVIDENT**2:
-        return replace(fit, iterations=score_tests.iterations)
-    return score_tests
+    return _better(fit, extended)
 
 
 def without_idle_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:

@@ -20,7 +20,7 @@ from strainwave.link_sensors import (
 )
 from strainwave.records import Diagnostic, FloatArray, Parameter, TuningOptions
 from strainwave.tuning.estimates import Fit
-from strainwave.tuning.objective import Evaluated
+from strainwave.tuning.objective import Evaluated, Misfit
 from strainwave.tuning.parametrisation import Key, Search, Unknown
 from strainwave.tuning.restricted import is_held
 from strainwave.tuning.solver import SOON, again_roughly, refined, search_from
@@ -82,9 +82,14 @@ def with_evident_sensors(fit: Fit, options: TuningOptions, *, rough: bool) -> Fi
             first = search_from(misfit, begin, fit.iterations, options, tolerance=SOON)
             fit = again_roughly(replace(first, misfit=misfit.reweighted(first.z)), options)
         else:
-            near = replace(fit, misfit=misfit, z=begin, cost=np.inf, converged=False)
-            fit = refined(near, options)
+            fit = _refined_from(fit, misfit, begin, options)
     return fit
+
+
+def _refined_from(fit: Fit, misfit: Misfit, z: FloatArray, options: TuningOptions) -> Fit:
+    """The minimum near a point, by other unknowns than the fit's."""
+    near = replace(fit, misfit=misfit, z=z, cost=np.inf, converged=False)
+    return refined(near, options)
 
 
 def without_idle_sensors(fit: Fit, options: TuningOptions) -> Fit:
@@ -102,8 +107,9 @@ def without_idle_sensors(fit: Fit, options: TuningOptions) -> Fit:
     while idle := _idle(fit):
         values = fit.misfit.search.values(fit.z)
         search = fit.misfit.search.holding(idle)
-        near = replace(fit, misfit=fit.misfit.for_unknowns(search), z=search.coordinates(values))
-        fit = refined(replace(near, cost=np.inf, converged=False), options)
+        fit = _refined_from(
+            fit, fit.misfit.for_unknowns(search), search.coordinates(values), options
+        )
     return fit
 
 
