@@ -119,7 +119,7 @@ OF_STAGES: dict[str, Callable[[Any], Any]] = {
     "physical": physical_with,
 }
 CHANGES: dict[str, dict[str, Any]] = {
-    "rigid": {"bandwidth_hz": 3.0},
+    "rigid": {"bandwidth_hz": 3.0, "load_friction": True},
     "links": {"time_constant": 0.05, "order": 1, "bandwidth_hz": 100.0},
     "responses": {"inputs": 1, "segment": 0.3, "transient_periods": 0},
     "statespace": {

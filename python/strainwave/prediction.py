@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from strainwave.filters import low_pass
-from strainwave.records import BoolArray, FloatArray, Signals, Study
+from strainwave.records import BoolArray, FloatArray, Parameter, Signals, Study
 from strainwave.regressor import FRICTION_COLUMNS, body_regressor, gear_ratios, n_body
 
 _PIECE = 1 << 16  # samples predicted at once
@@ -44,9 +45,13 @@ def fit_percent(measured: FloatArray, predicted: FloatArray) -> FloatArray:
 
 
 def band_prediction(
-    study: Study, solution: FloatArray, signals: Signals, model_hz: float, *, filtered: bool = True
+    study: Study,
+    solution: FloatArray,
+    signals: Signals,
+    model_hz: float,
+    load_friction: Sequence[Parameter] = (),
 ) -> Band:
-    """Predict a record's torques from its motion.
+    """Predict a record's torques from its motion, within a model's bandwidth.
 
     Parameters
     ----------
@@ -56,31 +61,68 @@ def band_prediction(
     signals : Signals
     model_hz : float [Hz]
         Bandwidth in which the model was estimated.
-    filtered : bool
-        Both torques pass that band's filter; or else the measured one is as logged and the
-        predicted one as wide as the signals are.
+    load_friction : sequence of Parameter
+        Of the joints whose friction grows with the load.
 
     Returns
     -------
     Band
+        Both torques behind that band's filter.
     """
+    torque = predict_torque(study, solution, signals, _bridge(signals, model_hz), load_friction)
+    return _filtered(torque, signals, model_hz)
+
+
+def band_predictions(
+    study: Study,
+    solution: FloatArray,
+    signals: Signals,
+    model_hz: float,
+    load_friction: Sequence[Parameter] = (),
+) -> tuple[Band, Band]:
+    """The same, and without the filter: the measured torque as logged, the model's as the signals.
+
+    Parameters
+    ----------
+    study, solution, signals, model_hz, load_friction
+        As of `band_prediction`.
+
+    Returns
+    -------
+    Band, Band
+    """
+    torque = predict_torque(study, solution, signals, _bridge(signals, model_hz), load_friction)
+    within = _filtered(torque, signals, model_hz)
+    return within, _compared(signals.unfiltered_torque, torque, signals, model_hz)
+
+
+def _bridge(signals: Signals, model_hz: float) -> int:
+    """Samples up to which an uncertain direction is a reversal: half a period of the band."""
+    return int(0.5 / (model_hz * signals.sample_time))
+
+
+def _filtered(torque: FloatArray, signals: Signals, model_hz: float) -> Band:
+    """Predicted and measured torque through the band's filter."""
     T = signals.sample_time
-    bridge = int(0.5 / (model_hz * T))
-    torque = predict_torque(study, solution, signals, bridge)
-    if filtered:
-        torque = low_pass(torque, model_hz, T)
-        measured = low_pass(signals.motor_torque, model_hz, T)
-    else:
-        measured = signals.unfiltered_torque
-    edge = int(1.0 / (model_hz * T))
+    measured = low_pass(signals.motor_torque, model_hz, T)
+    return _compared(measured, low_pass(torque, model_hz, T), signals, model_hz)
+
+
+def _compared(measured: FloatArray, torque: FloatArray, signals: Signals, model_hz: float) -> Band:
+    """Measured and predicted torque without the filter's edges, and how well they agree."""
+    edge = int(1.0 / (model_hz * signals.sample_time))
     inside = slice(edge, len(signals.time) - edge)
-    stands = standing(signals.direction[inside], bridge).mean(axis=0)
+    stands = standing(signals.direction[inside], _bridge(signals, model_hz)).mean(axis=0)
     fit = np.where(stands > _MOSTLY, np.nan, fit_percent(measured[inside], torque[inside]))
     return Band(signals.time[inside], measured[inside], torque[inside], fit)
 
 
 def predict_torque(
-    study: Study, solution: FloatArray, signals: Signals, longest_bridge: int
+    study: Study,
+    solution: FloatArray,
+    signals: Signals,
+    longest_bridge: int,
+    load_friction: Sequence[Parameter] = (),
 ) -> FloatArray:
     """Motor torques of the rigid model for a motion.
 
@@ -96,23 +138,30 @@ def predict_torque(
     signals : Signals
     longest_bridge : int
         Samples up to which a stretch of uncertain direction is a reversal.
+    load_friction : sequence of Parameter
+        Of the joints whose friction grows with the load.
 
     Returns
     -------
     (n_samples, n_joints) [N m]
     """
+    share = np.zeros(study.n_joints)
+    for parameter in load_friction:
+        share[(parameter.joint or 1) - 1] = parameter.value or 0.0
     direction = np.column_stack([_bridged(d) for d in signals.direction.T])
     stands = standing(signals.direction, longest_bridge)
     torque = np.empty_like(signals.motor_torque)
     for start in range(0, len(torque), _PIECE):  # a regressor of all samples is many times as large
         piece = slice(start, start + _PIECE)
-        torque[piece] = _predicted(study, solution, signals, piece, direction[piece], stands[piece])
+        known = direction[piece], stands[piece]
+        torque[piece] = _predicted(study, solution, share, signals, piece, *known)
     return torque
 
 
 def _predicted(
     study: Study,
     solution: FloatArray,
+    load_friction: FloatArray,
     signals: Signals,
     piece: slice,
     direction: FloatArray,
@@ -131,9 +180,11 @@ def _predicted(
     )
     phi = body_regressor(study, angle * n, velocity * n, acceleration * n)
     viscous, coulomb, offset = solution[first:].reshape(study.n_joints, FRICTION_COLUMNS).T
-    rest = phi @ solution[:first] + viscous * velocity + offset
-    held = rest + np.clip(measured - rest, -abs(coulomb), abs(coulomb))
-    return np.where(stands, held, rest + coulomb * direction)
+    body = phi @ solution[:first]
+    rest = body + viscous * velocity + offset
+    dry = coulomb + load_friction * np.abs(body)
+    held = rest + np.clip(measured - rest, -np.abs(dry), np.abs(dry))
+    return np.where(stands, held, rest + dry * direction)
 
 
 def standing(direction: FloatArray, longest_bridge: int) -> BoolArray:

@@ -170,6 +170,7 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "bandwidth_hz": model.bandwidth_hz,
         "decimation": model.decimation,
         "n_rows": model.n_rows,
+        "load_friction": [_parameter(p) for p in model.load_friction],
         "torque_ratio": model.torque_ratio
         and dict(zip(("value", "std"), model.torque_ratio, strict=True)),
     }

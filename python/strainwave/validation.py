@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.closed_loop import predict_closed_loop
 from strainwave.errors import NotIdentifiable
 from strainwave.parameters import Values
-from strainwave.prediction import band_prediction
+from strainwave.prediction import band_predictions
 from strainwave.records import ArmModel, Diagnostic, Log, Prediction, RigidModel, Signals, Study
 
 _STIFFER = 1.2
@@ -44,8 +44,9 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
     """
     if model.status == "not-identifiable":
         raise NotIdentifiable("a rigid model without a single known parameter predicts nothing")
-    band = band_prediction(study, model.solution, signals, model.bandwidth_hz)
-    full = band_prediction(study, model.solution, signals, model.bandwidth_hz, filtered=False)
+    band, full = band_predictions(
+        study, model.solution, signals, model.bandwidth_hz, model.load_friction
+    )
     names = signals.torque_channel
     per_channel = np.array(
         [

@@ -24,6 +24,9 @@ class RigidOptions:
     """Of the rigid-joint model, (5) to (7): `rigid`."""
 
     bandwidth_hz: Positive | None = None  # of the equations' filter; None: chosen from the data
+    load_friction: bool | None = (
+        None  # of rigid joints, in proportion to the load; None: by the data
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,8 @@ class RigidModel(Shown):
     warnings: tuple[Diagnostic, ...] = ()
     torque_ratio: tuple[float, float] | None = None  # joint 1's torque over joint 2's, against what
     # the symmetry of M(q) allows, and its deviation; 1 where both torque constants are right
+    load_friction: tuple[Parameter, ...] = ()  # of joints whose friction grows with the load: share
+    # of the torque of the body, gravity included, that Coulomb friction is higher by
 
     def value(self, name: str, joint: int | None = None) -> float | None:
         """The value of one parameter; `None` where it is not identifiable.

@@ -76,6 +76,7 @@ REMEDIES = {
     ),
     "not-rigid": "Move more slowly, or trust the whole-arm fit instead.",
     "standing": "Move faster, and reverse less often.",
+    "load-friction": "None is needed; simulated and exported arms leave it out.",
     "not-settled": "Record a longer or livelier motion.",
     "sliding": "Raise the amplitude, so that the motor does not stick.",
     "constant-inertia": "Excite around one posture, with less swing.",

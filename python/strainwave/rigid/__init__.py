@@ -34,6 +34,7 @@ from strainwave.regressor import columns_of
 from strainwave.rigid.equations import (
     MOTOR_SHARE,
     Estimate,
+    Loads,
     Stretch,
     anti_resonances,
     assemble,
@@ -45,7 +46,7 @@ from strainwave.rigid.equations import (
     prepare,
 )
 from strainwave.rigid.repetition import period_of
-from strainwave.rigid.torque_constants import torque_ratio
+from strainwave.rigid.torque_constants import TorqueRatio, torque_ratio
 
 __all__ = ["OTHER_SHARE", "RigidOptions", "fit"]
 
@@ -56,6 +57,8 @@ _GAIN = np.log(1.1)  # a deviation's change that counts; the jackknife knows it 
 _UNSETTLED = 0.5  # of a deviation, by which the last round may have moved a parameter
 _VAGUE = 0.003  # of all torque; from 1e-4 to 1e-3 where there is motion enough in the band
 _FRUITLESS = 3  # bandwidths without gain that end the search
+_EVIDENT = 4.0  # deviations at which friction depends on the load: once in ten thousand by chance
+_LEAST_SHARE = 0.01  # of the load: less is nothing beside the torque constant's own error
 OTHER_SHARE = 0.3  # of the motor in the first inertia
 _MUCH_STANDING = 0.3  # share of a record
 _POOR = 300.0  # condition number; good motion gives 10 to 50
@@ -135,10 +138,80 @@ def _fit(signals: Sequence[Signals], study: Study, chosen: RigidOptions) -> Rigi
     else:
         trials = _search(motions, study)
     best = _choose(trials, study)
+    loaded = _loaded(study, best, chosen.load_friction)
+    if loaded:
+        near = [best, *_neighbours(trials, best)]
+        best, *near = trials = [_with_loads(study, trial, loaded) for trial in near]
     remainder = _scatter(trials, best) + _elastic_remainder(study, best)
     covariance = best.covariance + np.diag(remainder)
-    model = _model(study, best, covariance)
+    model = _model(study, best, covariance, _load_friction(trials, best, loaded))
     return replace(model, torque_ratio=_torque_ratio(study, trials, best))
+
+
+def _loaded(study: Study, best: _Trial, wanted: bool | None) -> list[int]:
+    """The joints whose friction grows with the load, from 0.
+
+    All that are wanted; otherwise those whose share stands far out of its deviation and leaves the
+    joint possible: a share beside negative friction explains something else. Behind an elastic gear
+    the load is not known well enough, and friction is the whole-arm fit's.
+    """
+    every = list(range(study.n_joints))
+    if n_compliances(study) or wanted is False or not best.determined.all():
+        return []
+    if wanted:
+        return every
+    loads = Loads.of(every, best.stretches)
+    once = ls.factorise(assemble(study, best.stretches, best.estimate, loads), best.factor.root)
+    if np.all(once.common <= _LEAST_SHARE):  # as of most arms; the rest takes many times as long
+        return []
+    trial = _with_loads(study, best, every)
+    share, deviation = trial.factor.common, trial.compliance_deviation
+    impossible = {columns_of(study)[k].joint for k in _impossible(study, trial)}
+    return [
+        k
+        for k in every
+        if share[k] > max(_LEAST_SHARE, _EVIDENT * deviation[k]) and k + 1 not in impossible
+    ]
+
+
+def _impossible(study: Study, trial: _Trial) -> list[int]:
+    """Parameters that are negative beyond their uncertainty, though nothing makes them so."""
+    return [
+        k
+        for k, column in enumerate(columns_of(study))
+        if trial.determined[k]
+        and not column.name.startswith(("gravity", "friction_offset"))
+        and trial.estimate.solution[k] + 2.0 * np.sqrt(trial.covariance[k, k]) < 0.0
+    ]
+
+
+def _with_loads(study: Study, trial: _Trial, joints: Sequence[int]) -> _Trial:
+    """A fit at the same bandwidth in which friction may grow with the load."""
+    loads = Loads.of(joints, trial.stretches)
+    return _trial(study, trial.stretches, trial.estimate, loads=loads)
+
+
+def _load_friction(
+    trials: Sequence[_Trial], best: _Trial, joints: Sequence[int]
+) -> tuple[Parameter, ...]:
+    """The shares of the load, with deviations that count what the bandwidths differ by."""
+    found = []
+    for k, joint in enumerate(joints):
+        share, variance = float(best.factor.common[k]), float(best.compliance_deviation[k]) ** 2
+        others = [(t.factor.common[k] - share) ** 2 for t in _neighbours(trials, best)]
+        std = float(np.sqrt(variance + (max(0.0, np.median(others) - variance) if others else 0.0)))
+        reach = _student(len(np.unique(best.equations.block)) - 1) * std
+        interval = (share - reach, share + reach)
+        found.append(Parameter("load_friction", joint + 1, share, std, "1", "rigid", interval))
+    return tuple(found)
+
+
+def _load_warning(share: Parameter) -> Diagnostic:
+    text = (
+        f"friction grows by {share.value:.3f} +- {share.std:.3f} of the load, and is predicted so;"
+    )
+    text += " simulate and export leave that out"
+    return Diagnostic("load-friction", f"joint {share.joint}", text)
 
 
 def _torque_ratio(
@@ -148,13 +221,9 @@ def _torque_ratio(
 
     The deviation counts what the neighbouring bandwidths differ by, like the parameters' own.
     """
-    found = torque_ratio(study, best.equations, best.factor.root, best.estimate.compliance)
+    found, *others = (_torque_ratio_at(study, t) for t in (best, *_neighbours(trials, best)))
     if found is None:
         return None
-    others = [
-        torque_ratio(study, t.equations, t.factor.root, t.estimate.compliance)
-        for t in _neighbours(trials, best)
-    ]
     excess = [
         max(0.0, (other.value - found.value) ** 2 - other.variance)
         for other in others
@@ -162,6 +231,13 @@ def _torque_ratio(
     ]
     variance = found.variance + (float(np.median(excess)) if excess else 0.0)
     return 1.0 / found.value, float(np.sqrt(variance)) / found.value**2
+
+
+def _torque_ratio_at(study: Study, trial: _Trial) -> TorqueRatio | None:
+    # behind the compliances, shares of the load: no equation is built around these
+    n, n_common = n_compliances(study), trial.equations.common.shape[1]
+    around = np.pad(trial.estimate.compliance[:n], (0, n_common - n))
+    return torque_ratio(study, trial.equations, trial.factor.root, around)
 
 
 def _search(motions: Sequence[_Motion], study: Study) -> list[_Trial]:
@@ -189,7 +265,7 @@ def _surely_elastic(study: Study, trial: _Trial) -> float:
 
     A trial that leaves a parameter vague, as low bandwidths do, may take anything for compliance.
     """
-    if not len(trial.compliance_deviation) or trial.vagueness > _VAGUE:
+    if not n_compliances(study) or trial.vagueness > _VAGUE:
         return np.inf
     certain = np.clip(trial.estimate.compliance - 2.0 * trial.compliance_deviation, 0.0, None)
     sure = replace(trial.estimate, compliance=certain)
@@ -231,9 +307,10 @@ def _trial(
     stretches: tuple[Stretch, ...],
     around: Estimate | None,
     motor_share: float = MOTOR_SHARE,
+    loads: Loads | None = None,
 ) -> _Trial:
     """Fit at one bandwidth: parameters, compliances and weights in turn until nothing moves."""
-    equations = assemble(study, stretches, around)
+    equations = assemble(study, stretches, around, loads)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.first_weights(equations.target, equations.group)
@@ -253,7 +330,7 @@ def _trial(
         if settled:
             break
         root = ls.root_weights(equations, factor)
-        equations = assemble(study, stretches, around)
+        equations = assemble(study, stretches, around, loads)
     covariance, compliance_variance = ls.jackknife(equations, factor)
     told = ls.determined(equations, factor, covariance) & _tells_friction(study, stretches)
     deviation = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
@@ -360,7 +437,9 @@ def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
     return np.median(excess, axis=0) if excess else np.zeros(len(best.covariance))
 
 
-def _model(study: Study, best: _Trial, covariance: FloatArray) -> RigidModel:
+def _model(
+    study: Study, best: _Trial, covariance: FloatArray, shares: tuple[Parameter, ...]
+) -> RigidModel:
     """The record of a fit: what was not told becomes None."""
     columns = columns_of(study)
     told = best.determined
@@ -390,14 +469,17 @@ def _model(study: Study, best: _Trial, covariance: FloatArray) -> RigidModel:
         solution=best.estimate.solution,
         covariance=covariance * np.outer(unknown, unknown),
         condition_number=best.factor.condition_number,
-        fit_percent={s.signals.experiment.name: _fits(study, best, s) for s in best.stretches},
+        fit_percent={
+            s.signals.experiment.name: _fits(study, best, s, shares) for s in best.stretches
+        },
         bandwidth_hz=best.bandwidth_hz,
         decimation=max(
             decimation(s.signals.sample_time, best.bandwidth_hz) for s in best.stretches
         ),
         n_rows=len(best.equations.target),
         status=status,
-        warnings=tuple(_warnings(study, best)),
+        warnings=(*_warnings(study, best), *(_load_warning(share) for share in shares)),
+        load_friction=shares,
     )
 
 
@@ -406,9 +488,17 @@ def _student(degrees: int) -> float:
     return student_quantile(0.975, max(1, degrees))
 
 
-def _fits(study: Study, best: _Trial, stretch: Stretch) -> dict[str, float]:
+def _fits(
+    study: Study, best: _Trial, stretch: Stretch, shares: tuple[Parameter, ...]
+) -> dict[str, float]:
     """Fit of each torque of a fitted record, within the model's band."""
-    fitted = band_prediction(study, best.estimate.solution, stretch.signals, best.bandwidth_hz)
+    fitted = band_prediction(
+        study,
+        best.estimate.solution,
+        stretch.signals,
+        best.bandwidth_hz,
+        shares,
+    )
     return dict(zip(stretch.signals.torque_channel, fitted.fit_percent.tolist(), strict=True))
 
 
@@ -433,13 +523,14 @@ def _warnings(study: Study, best: _Trial) -> Iterator[Diagnostic]:
         involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weak > 0.3))
         text = f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
         yield Diagnostic("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
-    for k, column in enumerate(columns):
-        positive = not column.name.startswith(("gravity", "friction_offset"))
-        value, std = best.estimate.solution[k], np.sqrt(best.covariance[k, k])
-        if best.determined[k] and positive and value + 2.0 * std < 0.0:
-            text = f"{value:.3g} {column.unit} is negative beyond its uncertainty: the records show"
-            text += " something that a rigid arm with Coulomb and viscous friction is not"
-            yield Diagnostic("implausible", str(column), text)
+    for k in _impossible(study, best):
+        text = (
+            f"{best.estimate.solution[k]:.3g} {columns[k].unit} is negative beyond its uncertainty:"
+        )
+        text += (
+            " the records show something that a rigid arm with Coulomb and viscous friction is not"
+        )
+        yield Diagnostic("implausible", str(columns[k]), text)
     if best.last_move > _UNSETTLED:
         text = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
         text += " deviations; record a longer or livelier motion"

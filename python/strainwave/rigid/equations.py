@@ -43,6 +43,7 @@ _REACH = 2.5
 _KNOTS_PER_PERIOD = 16.0  # of free friction, in periods of the cut-off: convergence is at 8
 _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
 _BLOCKS = 20
+_LOAD_SHARE = 0.5  # deviation of the prior of friction per load: gears have 0.03 to 0.3
 _STIFF = 0.25  # deviation of the prior of (bandwidth / anti-resonance)^2
 
 
@@ -215,7 +216,56 @@ def carried(estimate: Estimate, before: Sequence[Stretch], after: Sequence[Stret
     return replace(estimate, standing=tuple(standing))
 
 
-def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None) -> Equations:
+@dataclass(frozen=True, slots=True)
+class Loads:
+    """Joints whose friction may grow with the load, and which way all slide."""
+
+    joints: tuple[int, ...]  # from 0
+    direction: tuple[FloatArray, ...]  # per record (n_motion, n_joints)
+
+    @staticmethod
+    def of(joints: Sequence[int], stretches: Sequence[Stretch]) -> Loads:
+        """Some joints', in the records of a fit.
+
+        Parameters
+        ----------
+        joints : sequence of int
+            From 0.
+        stretches : sequence of Stretch
+
+        Returns
+        -------
+        Loads
+        """
+        directions = []
+        for one in stretches:
+            T, step = one.signals.sample_time, one.motion_step
+            kept = slice(_reach(T, one.bandwidth_hz) % step, None, step)
+            cutoff = _MOTION_CUTOFFS * one.bandwidth_hz
+            directions.append(low_pass(one.signals.direction, cutoff, T, kept=kept))
+        return Loads(tuple(joints), tuple(directions))
+
+    def columns(self, study: Study, stretch: Stretch, record: int, around: Estimate) -> FloatArray:
+        """What friction in proportion to the load is per share: (n_rows, n_joints, n_loads).
+
+        Its size is that of the body's torque as the estimate has it, which the friction itself
+        does not enter.
+        """
+        q, dq, ddq = (x * gear_ratios(study) for x in stretch.motion)
+        body = body_regressor(study, q, dq, ddq) @ around.solution[: n_body(study)]
+        dry = stretch.filtered(np.abs(body) * self.direction[record])
+        own = np.zeros((*dry.shape, len(self.joints)))
+        for k, joint in enumerate(self.joints):
+            own[:, joint, k] = dry[:, joint]
+        return own
+
+
+def assemble(
+    study: Study,
+    stretches: Sequence[Stretch],
+    around: Estimate | None,
+    loads: Loads | None = None,
+) -> Equations:
     """The equations of all records and joints in one.
 
     Nuisance unknowns are the compliances of elastic joints, common to all rows, and the free
@@ -227,7 +277,9 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
     study : Study
     stretches : sequence of Stretch
     around : Estimate or None
-        None: rigid, free friction as large as the torque.
+        None: rigid, free friction as large as the torque, and independent of the load.
+    loads : Loads, optional
+        Joints whose friction grows with the load: by a share of it, common to all rows as well.
 
     Returns
     -------
@@ -244,6 +296,9 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
         body, lags, torque = _body_equations(study, stretch, around, record, elastic)
         n_blocks = max(2, round(_BLOCKS * stretch.duration / total))
         label = first_block + stretch.blocks(n_blocks)
+        dry = np.zeros((len(lags), study.n_joints, 0))
+        if loads is not None and around is not None:
+            dry = loads.columns(study, stretch, record, around)
         first_block += n_blocks
         for i, free in enumerate(stretch.free):
             friction = n_of_body + FRICTION_COLUMNS * i
@@ -254,7 +309,7 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
             deviation += [max(_STANDING * abs(float(size)), 1e-300)] * free.n_columns
             keep = np.flatnonzero(stretch.keep[:, i])
             shared.append(X[keep])
-            common.append(lags[keep, i, :n_elastic])
+            common.append(np.concatenate([lags[keep, i, :n_elastic], dry[keep, i]], axis=1))
             columns = free if len(keep) == len(stretch.rows) else free.rows(keep)
             local.append(Local(at + np.arange(len(keep)), columns))
             at += len(keep)
@@ -266,8 +321,11 @@ def assemble(study: Study, stretches: Sequence[Stretch], around: Estimate | None
         shared=np.concatenate(shared),
         noise=np.sqrt(noise),
         common=np.concatenate(common),
-        common_deviation=(
-            _compliance_deviation(study, stretches, around) if n_elastic else np.zeros(0)
+        common_deviation=np.concatenate(
+            [
+                _compliance_deviation(study, stretches, around) if n_elastic else np.zeros(0),
+                np.full(dry.shape[2], _LOAD_SHARE),
+            ]
         ),
         local=tuple(local),
         local_deviation=np.array(deviation),
@@ -307,9 +365,11 @@ def estimate_of(
     Estimate
     """
     compliance = np.zeros(study.n_joints)
-    if len(factor.common):
+    n = n_compliances(study)
+    if n and len(factor.common):
         elastic = np.array([joint.spring != "rigid" for joint in study.joints])
-        compliance = np.clip(factor.common, 0.0, 3.0 * equations.common_deviation) * elastic
+        most = 3.0 * equations.common_deviation[:n]
+        compliance = np.clip(factor.common[:n], 0.0, most) * elastic
     standing, at = [], 0
     for stretch in stretches:
         friction = np.zeros_like(stretch.motion[0] if stretch.standing else stretch.torque[:0])
