@@ -287,7 +287,7 @@ def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.Mo
     assert seen["identify_record"].physical == chosen.physical
     assert seen["tune"] == chosen.tuning
     document = json.loads(result.to_json(found))
-    assert document["options"]["rigid"] == {"bandwidth_hz": 4.0}
+    assert document["options"]["rigid"] == {"bandwidth_hz": 4.0, "load_friction": None}
     assert document["options"]["tuning"]["max_iterations"] == 1
     assert document["stages"]["rigid"]["bandwidth_hz"] == 4.0
 
