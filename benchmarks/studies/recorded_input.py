@@ -1,7 +1,7 @@
 """Recorded voltages or the servo's loop: `python -m benchmarks.studies.recorded_input --arms 20`.
 
-Each arm's records are fitted twice. Servoed joints are driven by what their drives were told, or
-follow their references under the study's servo. Told are the errors of both, by parameter.
+Each arm's records are fitted twice. Servoed joints are driven by their recorded inputs, or
+follow their references under the study's servo. Printed are the errors of both, by parameter.
 """
 
 from __future__ import annotations
