@@ -19,10 +19,13 @@ from strainwave.records import Diagnostic, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, balanced, n_entries, rescale
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
 from strainwave.statespace._restricted import restricted
-from strainwave.statespace._riccati import reflected, stabilising_gain
+from strainwave.statespace._riccati import is_stable, reflected, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
 from strainwave.statespace.subspace import HIGHEST_ORDER, check_feedthrough, choose_horizon, realise
+
+# times what Schwarz's criterion allows: with that more cost at the plant's poles K is not zero
+_SURELY = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +88,31 @@ def pem(
             break
     best = min(fits, key=lambda fit: fit.cost)
     if options.disturbance == "innovations" and best.status == "converged":
-        best = _restricted(evaluator, best, through, options)
+        without = _without_gain(evaluator, best, through, options)
+        best = without or _restricted(evaluator, best, through, options)
     return _model(evaluator, best, through, options)
+
+
+def _without_gain(
+    evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
+) -> _Fit | None:
+    """The fit with K = 0 where the data ask for no more.
+
+    Where the disturbances are white K is zero and the predictor as slow as the plant. An estimate
+    of K is then all noise, far from normal on so short a record as the plant's own memory, and its
+    scatter is in every other entry.
+    """
+    plain = replace(best.matrices, K=np.zeros_like(best.matrices.K))
+    if best.covariance is None or not is_stable(plain.A):
+        return None
+    # Schwarz's criterion, as for the order: the ratio of likelihoods has no chi-square tail here
+    most = best.cost + 0.5 * plain.K.size * np.log(evaluator.data.n_samples)
+    start = evaluator.linear(plain, feedthrough, gain=False, solutions=1)
+    if evaluator.cost(start.pack()) > best.cost + _SURELY * (most - best.cost):
+        return None
+    found = _fit(evaluator, start, feedthrough, replace(options, disturbance="none"))
+    sound = found.status == "converged" and found.covariance is not None
+    return found if sound and found.cost < most else None
 
 
 def _restricted(
