@@ -23,6 +23,7 @@ RETIRED = {
     r"replay(?:s|ed|ing)?": "apply the recorded input",
     r"richer": "score test, further effect",
     r"manieth": "every k-th",
+    r"one a joint": "one per joint",
     r"misfits?": "objective",
     r"at rest": "at standstill",
     r"where (?:a|the|its|their) (?:joints?|links?) rings?": "resonance, anti-resonance",

@@ -193,7 +193,7 @@ def excite(
         str, typer.Option("--limit-angle", help="Of the links, either side of zero [rad].")
     ],
     limit_velocity: Annotated[
-        str, typer.Option("--limit-velocity", help="Of the motors [rad/s]; one a joint: 180,150.")
+        str, typer.Option("--limit-velocity", help="Of the motors [rad/s]; one per joint: 180,150.")
     ],
     parameters: Annotated[
         Path | None,

@@ -68,7 +68,7 @@ def decouple(
     Returns
     -------
     tuple of Decoupled
-        One a joint, from the base. A single joint without gravity has the one input u.
+        One per joint, from the base. A single joint without gravity has the one input u.
 
     Raises
     ------

@@ -41,7 +41,7 @@ def prbs(sequence: Prbs) -> FloatArray:
     Returns
     -------
     (periods * (2**order - 1),) [V]
-        Values +-amplitude, one a clock.
+        Values +-amplitude, one per clock.
 
     Raises
     ------

@@ -321,7 +321,7 @@ def simulate_arms(
     ----------
     study : Study
     arms : sequence of dict
-        (name, joint) -> value, one an arm.
+        (name, joint) -> value, one per arm.
     drive : Drive
     sample_time : float [s]
         Between recorded samples.

@@ -14,7 +14,7 @@ FREE: Control = "open"
 HELD: Control = "servo"
 ADD_SERVO = (
     'add [servo] to the study, as the drives have it: kind = "pi-velocity", period [s], '
-    "kp [V s/rad] and ki [V/rad] one a joint, limit [V]"
+    "kp [V s/rad] and ki [V/rad] one per joint, limit [V]"
 )
 _WHOLE_TURN = 2.0 * np.pi  # [rad] of a link: more to either side are degrees, most likely
 _FASTEST = 2000.0  # [rad/s], 19,000 rpm: beyond the servo motors of robots
@@ -110,7 +110,7 @@ def limits_of(
     study : Study
         Its servo's limit holds as well.
     angle, velocity : str
-        One number, or one a joint with commas between.
+        One number, or one per joint with commas between.
     voltage : str, optional
         The servo's limit without; required where there is no servo.
     gear_torque : str, optional
@@ -183,6 +183,6 @@ def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
         raise InvalidInput(
             f"{text!r} is neither one positive number nor {count} with commas between",
             where=option,
-            remedy="give one limit for all joints, or one a joint, such as 1.2,0.9",
+            remedy="give one limit for all joints, or one per joint, such as 1.2,0.9",
         )
     return tuple(values * count if len(values) == 1 else values)

@@ -67,7 +67,7 @@ def both_sides(
     -------
     list of LinkSignals
     tuple of Delay
-        One a joint, as taken off; of the value zero where nothing was.
+        One per joint, as taken off; of the value zero where nothing was.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def link_side(
     study : Study
     options : LinkOptions, optional
     delays : sequence of float [s], optional
-        One a joint, by which its link sensor is known to be late: its channel is moved back.
+        One per joint, by which its link sensor is known to be late: its channel is moved back.
 
     Returns
     -------

@@ -25,7 +25,7 @@ def late_sensors(records: Sequence[LinkSignals], n_joints: int) -> tuple[Delay, 
     Returns
     -------
     tuple of Delay
-        One a joint.
+        One per joint.
     """
     found = []
     for i in range(n_joints):
@@ -81,7 +81,7 @@ def constants_of(
     ----------
     records : sequence of LinkSignals
     delays : sequence of Delay
-        One a joint.
+        One per joint.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def corrected(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
     Parameters
     ----------
     delays : sequence of Delay
-        One a joint, as taken off.
+        One per joint, as taken off.
 
     Yields
     ------

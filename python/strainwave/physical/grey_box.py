@@ -75,7 +75,7 @@ _TAKEN = 0.058
 class RigidError:
     """What one standard deviation along one direction of the rigid model's scatter changes."""
 
-    tau: tuple[FloatArray, ...]  # one a record, (n_samples,) [N m] at the link
+    tau: tuple[FloatArray, ...]  # one per record, (n_samples,) [N m] at the link
     total_inertia: float  # [kg m^2]
     total_viscous_friction: float  # [N m s/rad]
     coulomb_friction: float  # [N m]

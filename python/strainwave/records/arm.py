@@ -108,7 +108,7 @@ class ArmModel(Shown):
     status: Literal["converged", "iteration-limit", "at-bounds"]
     warnings: tuple[Diagnostic, ...] = ()
     criticism: Criticism | None = None
-    carried: tuple[TorqueHistogram, ...] = ()  # one a joint with an elastic gear
+    carried: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
     at_bounds: tuple[tuple[str, int | None], ...] = ()  # ended at a range's end, or rest on such
     differences: tuple[StageDifference, ...] = ()  # from the rigid model, value by value
     agreement: tuple[AgreementTest, ...] = ()  # with it, of all these differences and of groups

@@ -137,21 +137,21 @@ class LinkSignals:
     link_velocity: FloatArray  # (n_samples, n_joints) [rad/s]
     link_acceleration: FloatArray  # (n_samples, n_joints) [rad/s^2]
     valid: BoolArray  # (n_samples, n_joints): False at edges and where the drive saturates
-    sources: tuple[LinkSource, ...]  # one a joint
-    held: tuple[bool, ...]  # one a joint: the torque stays constant until the next sample
+    sources: tuple[LinkSource, ...]  # one per joint
+    held: tuple[bool, ...]  # one per joint: the torque stays constant until the next sample
     shared: tuple[Lag, ...]  # low-passes that every signal has behind it
     bandwidth_hz: float | None  # of a zero-phase filter over everything; None: there is none
-    fusion: tuple[Fusion | None, ...]  # one a joint; None: the velocity is a sensor's own
+    fusion: tuple[Fusion | None, ...]  # one per joint; None: the velocity is a sensor's own
     fusion_error: FloatArray  # (n_joints,) [rad/s] rms that (10) is wrong by, estimated
     bias: FloatArray  # (n_joints,) [rad/s^2] taken off the link acceleration
     sensor_delay: tuple[Delay | None, ...]  # link sensor behind encoder; None: not to be told
     drive_delay: tuple[Delay | None, ...]  # torque behind the log's; None: not to be told
     warnings: tuple[Diagnostic, ...] = ()
-    removed_delay: tuple[Delay, ...] = ()  # of link sensors, one a joint; (): none was taken off
+    removed_delay: tuple[Delay, ...] = ()  # of link sensors, one per joint; (): none was taken off
 
     @property
     def summaries(self) -> tuple[LinkSummary, ...]:
-        """What there is to say of each link's motion, one a joint."""
+        """What there is to say of each link's motion, one per joint."""
         return tuple(
             LinkSummary(
                 experiment=self.experiment.name,

@@ -53,8 +53,8 @@ class Servo:
 
     kind: Literal["pi-velocity"]
     period: Positive  # [s]
-    kp: tuple[NonNegative, ...]  # [V s/rad], one a joint
-    ki: tuple[NonNegative, ...]  # [V/rad], one a joint
+    kp: tuple[NonNegative, ...]  # [V s/rad], one per joint
+    ki: tuple[NonNegative, ...]  # [V/rad], one per joint
     limit: Positive  # [V]
 
 
@@ -101,7 +101,7 @@ class Experiment:
     name: Annotated[str, MinLen(1)]
     file: Annotated[str, MinLen(1)]  # beside the study file
     use: Use
-    control: tuple[Control, ...]  # one a joint
+    control: tuple[Control, ...]  # one per joint
     joint: Annotated[int, Ge(1)] | None = None  # the excited joint, from 1
     prbs: Prbs | None = None
     start: float | None = None  # [s]

@@ -39,7 +39,14 @@ def criticised(criticism: Criticism, plots: dict[str, Figure]) -> str:
     parts.append(
         table(
             "What further effects would explain of them",
-            ("effect", "joint", "of the size", "#deviations", "#share of the cost", "in the data"),
+            (
+                "effect",
+                "joint",
+                "of the size",
+                "#standard deviations",
+                "#share of the cost",
+                "in the data",
+            ),
             "".join(_richer(one) for one in criticism.score_tests),
         )
     )

@@ -73,7 +73,7 @@ _Motion = tuple[Signals, float]  # with the period that it repeats
 class _Trial:
     """A fit at one bandwidth."""
 
-    stretches: tuple[Stretch, ...]  # one a record
+    stretches: tuple[Stretch, ...]  # one per record
     estimate: Estimate
     compliance_deviation: FloatArray
     equations: ls.Equations
@@ -109,7 +109,7 @@ def fit(
     Parameters
     ----------
     signals : sequence of Signals
-        One a record, from `signals.motor_side`.
+        One per record, from `signals.motor_side`.
     study : Study
     options : RigidOptions, optional
 

@@ -336,7 +336,7 @@ def assemble(
 
 
 def n_compliances(study: Study) -> int:
-    """How many compliances all rows may have: one a joint if any gear is elastic."""
+    """How many compliances all rows may have: one per joint if any gear is elastic."""
     return study.n_joints if any(joint.spring != "rigid" for joint in study.joints) else 0
 
 

@@ -26,7 +26,7 @@ _SERVO_OPTIONAL = "only for `strainwave simulate` and `strainwave excite`"
 _SERVO = (  # key, value, comment
     ("kind", '"pi-velocity"', "u = kp e + ki integral(e), e = reference - motor velocity"),
     ("period", "{period:.6g}", "[s] of its clock"),
-    ("kp", "{gains}", "[V s/rad] at the motor, one a joint: the drive's set-up"),
+    ("kp", "{gains}", "[V s/rad] at the motor, one per joint: the drive's set-up"),
     ("ki", "{gains}", "[V/rad]"),
     ("limit", "TODO", "[V] the drive's largest output"),
 )

@@ -102,7 +102,7 @@ def tune(
     model : RigidModel or None
         None will do for a single joint without gravity.
     joints : sequence of JointModel
-        One a joint, to start from.
+        One per joint, to start from.
     study : Study
     options : TuningOptions, optional
     start : dict, optional

@@ -292,7 +292,7 @@ def search_of(
     model : RigidModel or None
         Dispensable for a single joint without gravity.
     joints : sequence of JointModel
-        One a joint.
+        One per joint.
     study : Study
     largest_voltage : sequence of float [V]
         Applied to each joint, for the scale of its friction.

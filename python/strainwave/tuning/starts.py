@@ -46,7 +46,7 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], study: Stu
     model : RigidModel or None
         Dispensable for a single joint without gravity.
     joints : sequence of JointModel
-        One a joint.
+        One per joint.
     study : Study
 
     Returns
