@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.studies.arms import drawn
 from scipy.signal import lfilter
 
 from strainwave import rigid, scara, signals, simulation
@@ -366,3 +367,18 @@ def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
     written = read_study(tmp_path / "study.toml")
     model = rigid.fit([signals.motor_side(log, written) for log in read_logs(written)], written)
     assert not warned(model, "not-settled")
+
+
+def test_too_few_rows_do_not_end_the_search(tmp_path: Path) -> None:
+    """A drawn arm whose first band, 0.9 Hz, takes 60 times the compliance for certain."""
+    study, values = drawn(12)
+    motion = tuple(e for e in study.experiments if e.use == "motion")
+    simulate_study(
+        replace(study, experiments=motion), values, tmp_path, seed=12, noise=None, replay=False
+    )
+    written = read_study(tmp_path / "study.toml")
+    model = rigid.fit([signals.motor_side(log, written) for log in read_logs(written)], written)
+    assert model.bandwidth_hz > 2.0
+    for joint in (1, 2):
+        true = values["motor_coulomb_friction", joint]
+        assert model.value("motor_coulomb_friction", joint) == pytest.approx(true, rel=5e-4)

@@ -44,14 +44,43 @@ def fit_percent(measured: FloatArray, predicted: FloatArray) -> FloatArray:
     )
 
 
-def band_prediction(
+def band_fit(
     study: Study,
     solution: FloatArray,
     signals: Signals,
     model_hz: float,
     load_friction: Sequence[Parameter] = (),
-) -> Band:
-    """Predict a record's torques from its motion, within a model's bandwidth.
+) -> FloatArray:
+    """How well a model predicts a record's torques within its bandwidth, joint by joint.
+
+    Parameters
+    ----------
+    study, solution, signals, model_hz, load_friction
+        As of `band_predictions`, whose first fit it is, in less memory.
+
+    Returns
+    -------
+    (n_joints,) [%]
+    """
+    torque = predict_torque(study, solution, signals, _bridge(signals, model_hz), load_friction)
+    T = signals.sample_time
+    fits = []
+    for i in range(torque.shape[1]):
+        own = slice(i, i + 1)
+        measured = low_pass(signals.motor_torque[:, own], model_hz, T)
+        predicted = low_pass(torque[:, own], model_hz, T)
+        fits.append(_fit(measured, predicted, signals.direction[:, own], model_hz, T))
+    return np.concatenate(fits)
+
+
+def band_predictions(
+    study: Study,
+    solution: FloatArray,
+    signals: Signals,
+    model_hz: float,
+    load_friction: Sequence[Parameter] = (),
+) -> tuple[Band, Band]:
+    """Predict a record's torques from its motion, within a model's bandwidth and as logged.
 
     Parameters
     ----------
@@ -68,32 +97,15 @@ def band_prediction(
     -------
     Band
         Both torques behind that band's filter.
+    Band
+        The measured torque as logged, the predicted one as wide as the signals are.
     """
     torque = predict_torque(study, solution, signals, _bridge(signals, model_hz), load_friction)
-    return _filtered(torque, signals, model_hz)
-
-
-def band_predictions(
-    study: Study,
-    solution: FloatArray,
-    signals: Signals,
-    model_hz: float,
-    load_friction: Sequence[Parameter] = (),
-) -> tuple[Band, Band]:
-    """The same, and without the filter: the measured torque as logged, the model's as the signals.
-
-    Parameters
-    ----------
-    study, solution, signals, model_hz, load_friction
-        As of `band_prediction`.
-
-    Returns
-    -------
-    Band, Band
-    """
-    torque = predict_torque(study, solution, signals, _bridge(signals, model_hz), load_friction)
-    within = _filtered(torque, signals, model_hz)
-    return within, _compared(signals.unfiltered_torque, torque, signals, model_hz)
+    T = signals.sample_time
+    within = low_pass(signals.motor_torque, model_hz, T), low_pass(torque, model_hz, T)
+    logged = signals.unfiltered_torque, torque
+    first, second = (_compared(*pair, signals, model_hz) for pair in (within, logged))
+    return first, second
 
 
 def _bridge(signals: Signals, model_hz: float) -> int:
@@ -101,20 +113,27 @@ def _bridge(signals: Signals, model_hz: float) -> int:
     return int(0.5 / (model_hz * signals.sample_time))
 
 
-def _filtered(torque: FloatArray, signals: Signals, model_hz: float) -> Band:
-    """Predicted and measured torque through the band's filter."""
-    T = signals.sample_time
-    measured = low_pass(signals.motor_torque, model_hz, T)
-    return _compared(measured, low_pass(torque, model_hz, T), signals, model_hz)
-
-
 def _compared(measured: FloatArray, torque: FloatArray, signals: Signals, model_hz: float) -> Band:
     """Measured and predicted torque without the filter's edges, and how well they agree."""
-    edge = int(1.0 / (model_hz * signals.sample_time))
-    inside = slice(edge, len(signals.time) - edge)
-    stands = standing(signals.direction[inside], _bridge(signals, model_hz)).mean(axis=0)
-    fit = np.where(stands > _MOSTLY, np.nan, fit_percent(measured[inside], torque[inside]))
+    T = signals.sample_time
+    inside = _inside(measured, model_hz, T)
+    fit = _fit(measured, torque, signals.direction, model_hz, T)
     return Band(signals.time[inside], measured[inside], torque[inside], fit)
+
+
+def _fit(
+    measured: FloatArray, torque: FloatArray, direction: FloatArray, model_hz: float, T: float
+) -> FloatArray:
+    """The fit inside the filter's edges, column by column; NaN for a motor that mostly stands."""
+    inside = _inside(measured, model_hz, T)
+    stands = standing(direction[inside], int(0.5 / (model_hz * T))).mean(axis=0)
+    return np.where(stands > _MOSTLY, np.nan, fit_percent(measured[inside], torque[inside]))
+
+
+def _inside(signal: FloatArray, model_hz: float, T: float) -> slice:
+    """Clear of the transients of the band's filter."""
+    edge = int(1.0 / (model_hz * T))
+    return slice(edge, len(signal) - edge)
 
 
 def predict_torque(

@@ -19,7 +19,7 @@ from strainwave import least_squares as ls
 from strainwave.distributions import student_quantile
 from strainwave.errors import NotIdentifiable
 from strainwave.parallel import one_blas_thread, side_by_side
-from strainwave.prediction import band_prediction
+from strainwave.prediction import band_fit
 from strainwave.records import (
     BoolArray,
     Diagnostic,
@@ -56,6 +56,7 @@ _STEP = 2.0**0.5  # between bandwidths tried; twice as wide where nothing is ela
 _GAIN = np.log(1.1)  # a deviation's change that counts; the jackknife knows it no better
 _UNSETTLED = 0.5  # of a deviation, by which the last round may have moved a parameter
 _VAGUE = 0.003  # of all torque; from 1e-4 to 1e-3 where there is motion enough in the band
+_ROWS_A_BLOCK = 2.0  # of one joint: half a period of the cut-off, over which errors are alike
 _FRUITLESS = 3  # bandwidths without gain that end the search
 _EVIDENT = 4.0  # deviations at which friction depends on the load: once in ten thousand by chance
 _LEAST_SHARE = 0.01  # of the load: less is nothing beside the torque constant's own error
@@ -221,9 +222,10 @@ def _torque_ratio(
 
     The deviation counts what the neighbouring bandwidths differ by, like the parameters' own.
     """
-    found, *others = (_torque_ratio_at(study, t) for t in (best, *_neighbours(trials, best)))
-    if found is None:
+    found = _torque_ratio_at(study, best)
+    if found is None:  # where the motion cannot say, neither can it in another band
         return None
+    others = [_torque_ratio_at(study, t) for t in _neighbours(trials, best)]
     excess = [
         max(0.0, (other.value - found.value) ** 2 - other.variance)
         for other in others
@@ -263,9 +265,12 @@ def _search(motions: Sequence[_Motion], study: Study) -> list[_Trial]:
 def _surely_elastic(study: Study, trial: _Trial) -> float:
     """Bandwidth above which the arm's elasticity is certainly more than first order.
 
-    A trial that leaves a parameter vague, as low bandwidths do, may take anything for compliance.
+    A trial that leaves a parameter vague, as low bandwidths do, may take anything for compliance;
+    and one whose blocks are shorter than its errors are alike does not know how vague it is.
     """
-    if not n_compliances(study) or trial.vagueness > _VAGUE:
+    blocks = len(np.unique(trial.equations.block)) * study.n_joints
+    unsure = trial.vagueness > _VAGUE or len(trial.equations.target) < _ROWS_A_BLOCK * blocks
+    if not n_compliances(study) or unsure:
         return np.inf
     certain = np.clip(trial.estimate.compliance - 2.0 * trial.compliance_deviation, 0.0, None)
     sure = replace(trial.estimate, compliance=certain)
@@ -492,14 +497,9 @@ def _fits(
     study: Study, best: _Trial, stretch: Stretch, shares: tuple[Parameter, ...]
 ) -> dict[str, float]:
     """Fit of each torque of a fitted record, within the model's band."""
-    fitted = band_prediction(
-        study,
-        best.estimate.solution,
-        stretch.signals,
-        best.bandwidth_hz,
-        shares,
-    )
-    return dict(zip(stretch.signals.torque_channel, fitted.fit_percent.tolist(), strict=True))
+    solution, band = best.estimate.solution, best.bandwidth_hz
+    fits = band_fit(study, solution, stretch.signals, band, shares)
+    return dict(zip(stretch.signals.torque_channel, fits.tolist(), strict=True))
 
 
 def _warnings(study: Study, best: _Trial) -> Iterator[Diagnostic]:
