@@ -109,9 +109,13 @@ def _slope(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) -> 
     values, slope = matrices.pack(), np.zeros(len(covariance))
     for entry in range(first, states):
         size = _STEP * float(np.sqrt(max(covariance[entry, entry], 0.0)))
-        if size > 0.0:
+        for _ in range(_HALVINGS if size > 0.0 else 0):
             rise = information.half_log(values, entry, size)
-            slope[entry] = 0.5 * (rise - information.half_log(values, entry, -size)) / size
+            fall = information.half_log(values, entry, -size)
+            if np.isfinite(rise - fall):
+                slope[entry] = 0.5 * (rise - fall) / size
+                break
+            size *= 0.5  # a predictor at the edge of stability diverges on one side
     # A change of coordinates moves K as well; what that adds, A, B and C take back.
     rows = np.vstack([Q.T, turned.T])
     right = np.concatenate([np.zeros(Q.shape[1]), -along[first:].T @ slope[first:states]])
@@ -160,10 +164,12 @@ class _Information:
         return _Information(Evaluator(part, matrices.order), whitener, basis, states, n_values)
 
     def half_log(self, values: FloatArray, entry: int, step: float) -> float:
-        """(1/2) log det I_m with one entry moved."""
+        """(1/2) log det I_m with one entry moved; infinite where the predictor diverges."""
         near = values[: self.n_values].copy()
         near[entry] += step
         hessian, _ = self.evaluator.core.normal_equations(near, self.whitener)
+        if not np.isfinite(hessian).all():
+            return float("inf")
         own = self.basis.T @ hessian[: len(self.basis)]
         through, of_states = own[:, self.states :], hessian[self.states :, self.states :]
         left = own[:, : len(self.basis)] @ self.basis
