@@ -58,10 +58,14 @@ def _left() -> str:
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    if (
-        not atomic_files.writing.locked()
-    ):  # what is being written appears whole; the watch ends the rest
+    signal.signal(signal.SIGINT, _again)
+    # what is being written appears whole; the watch ends the rest
+    if not atomic_files.writing.locked():
         raise Interrupted
+
+
+def _again(_number: int, _frame: FrameType | None) -> None:
+    """The watch hears it as well, and ends the process; here it would only spoil the ending."""
 
 
 def _watch(ears: socket.socket, _mouth: socket.socket) -> None:
