@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import virtual_arms
-from strainwave import rigid, signals, simulation
+from strainwave import rigid, signals
 from strainwave.parameters import Values
 from strainwave.records import FloatArray, Log, Signals, Study
 from strainwave.rigid.repetition import period_of
@@ -35,27 +35,7 @@ def repeated_log(study: Study, values: Values, seed: int, periods: int) -> Log:
     """Servoed motion, the same period again and again."""
     reference = np.tile(multisine(PERIOD, seed), (periods, 1))
     reference[:200] *= np.linspace(0.0, 1.0, 200)[:, None]
-    drive = simulation.Drive(
-        tick=CLOCK,
-        voltage=np.zeros_like(reference),
-        reference=reference,
-        servo=(True, True),
-        motor_angle=(0.0, 0.0),
-        initial_voltage=(0.0, 0.0),
-    )
-    run = simulation.simulate(
-        study,
-        values,
-        drive,
-        sample_time=CLOCK,
-        samples=len(reference),
-        record=["voltage", "encoder"],
-    )
-    channels = {}
-    for i in range(2):
-        channels[f"u{i + 1}"] = np.ascontiguousarray(run["voltage"][:, i])
-        channels[f"theta_m{i + 1}"] = np.ascontiguousarray(run["encoder"][:, i])
-    return Log(virtual_arms.MOTION, run.time, CLOCK, channels)
+    return virtual_arms.servoed_log(study, values, reference)
 
 
 def moving(velocity: FloatArray) -> Signals:

@@ -102,6 +102,17 @@ def motion_log(study: Study, values: Values, seed: int, duration: float = 10.0) 
             joint.gear_ratio * g / (joint.torque_per_volt or 1.0)
             for joint, g in zip(study.joints, (g1, g2), strict=True)
         )
+    return servoed_log(study, values, reference, start, held)
+
+
+def servoed_log(
+    study: Study,
+    values: Values,
+    reference: FloatArray,
+    start: tuple[float, ...] = (0.0, 0.0),
+    held: tuple[float, ...] = (0.0, 0.0),
+) -> Log:
+    """Motion by references, from motor angles that voltages hold: voltages and encoders logged."""
     drive = simulation.Drive(
         tick=CLOCK,
         voltage=np.tile(held, (len(reference), 1)),

@@ -7,7 +7,7 @@ import numpy as np
 from strainwave.errors import NotIdentifiable
 from strainwave.records import FloatArray, RigidModel, Study
 from strainwave.regressor import gear_ratios
-from strainwave.simulation import build_arm
+from strainwave.simulation import base_names, build_arm, inertia_matrix
 
 
 def base_parameters(model: RigidModel, study: Study) -> FloatArray:
@@ -31,11 +31,8 @@ def base_parameters(model: RigidModel, study: Study) -> FloatArray:
     NotIdentifiable
         One of them is not known.
     """
-    arm = build_arm(study)
-    still = np.zeros((1, study.n_joints))
-    count = arm.base_regressor(still, still, still).shape[2]
     values = []
-    for name, joint in arm.parameter_names[:count]:
+    for name, joint in base_names(study):
         if name.startswith("gravity") and study.arm.gravity is None:
             values.append(0.0)
         elif name == "alpha":
@@ -117,14 +114,7 @@ def own_inertias(study: Study, base: FloatArray) -> FloatArray:
     -------
     (n_joints,) [kg m^2]
     """
-    arm = build_arm(study)
-    n_joints = study.n_joints
-    still = np.zeros((n_joints, n_joints))
-    unit: FloatArray = np.eye(n_joints)
-    # row k: torques of a unit acceleration of joint k, less what gravity asks for at rest
-    torque = arm.base_regressor(still, still, unit) @ base
-    held = arm.base_regressor(still, still, still) @ base
-    return np.asarray(np.diagonal(torque - held))
+    return np.diagonal(inertia_matrix(study, base, np.zeros(study.n_joints))).copy()
 
 
 def total_inertias(model: RigidModel, study: Study) -> FloatArray:

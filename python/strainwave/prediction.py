@@ -62,7 +62,9 @@ def band_fit(
     -------
     (n_joints,) [%]
     """
-    torque = predict_torque(study, solution, signals, _bridge(signals, model_hz), load_friction)
+    torque = predict_torque(
+        study, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
+    )
     T = signals.sample_time
     fits = []
     for i in range(torque.shape[1]):
@@ -100,7 +102,9 @@ def band_predictions(
     Band
         The measured torque as logged, the predicted one as wide as the signals are.
     """
-    torque = predict_torque(study, solution, signals, _bridge(signals, model_hz), load_friction)
+    torque = predict_torque(
+        study, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
+    )
     T = signals.sample_time
     within = low_pass(signals.motor_torque, model_hz, T), low_pass(torque, model_hz, T)
     logged = signals.unfiltered_torque, torque
@@ -108,9 +112,9 @@ def band_predictions(
     return first, second
 
 
-def _bridge(signals: Signals, model_hz: float) -> int:
+def _bridge(model_hz: float, T: float) -> int:
     """Samples up to which an uncertain direction is a reversal: half a period of the band."""
-    return int(0.5 / (model_hz * signals.sample_time))
+    return int(0.5 / (model_hz * T))
 
 
 def _compared(measured: FloatArray, torque: FloatArray, signals: Signals, model_hz: float) -> Band:
@@ -126,7 +130,7 @@ def _fit(
 ) -> FloatArray:
     """The fit inside the filter's edges, column by column; NaN for a motor that mostly stands."""
     inside = _inside(measured, model_hz, T)
-    stands = standing(direction[inside], int(0.5 / (model_hz * T))).mean(axis=0)
+    stands = standing(direction[inside], _bridge(model_hz, T)).mean(axis=0)
     return np.where(stands > _MOSTLY, np.nan, fit_percent(measured[inside], torque[inside]))
 
 

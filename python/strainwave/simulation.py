@@ -281,7 +281,7 @@ def fastest_resonance(study: Study, values: Values) -> float:
         k = np.diag([one or known["gear_stiffness_k3", i] for one, i in own])
         ratios = [joint.gear_ratio for joint in study.joints]
         motor = np.diag([known["motor_inertia", i] / r**2 for i, r in enumerate(ratios, start=1)])
-        links = [_link_inertias(known, n, cosine) for cosine in (-1.0, 1.0)]
+        links = [_link_inertias(study, known, elbow) for elbow in (np.pi, 0.0)]
     except KeyError:
         return 0.0
     stiffness, fastest = np.block([[k, -k], [-k, k]]), 0.0
@@ -296,13 +296,51 @@ def fastest_resonance(study: Study, values: Values) -> float:
     return fastest
 
 
-def _link_inertias(known: Values, n_joints: int, cosine: float) -> FloatArray:
-    """M of the links alone, (n_joints, n_joints), with the cosine of the elbow's angle."""
-    if n_joints == 1:
-        return np.array([[known["link_inertia", 1]]])
-    alpha, beta, gamma = (known[name, None] for name in ("alpha", "beta", "gamma"))
-    coupled = beta + gamma * cosine
-    return np.array([[alpha + beta + 2.0 * gamma * cosine, coupled], [coupled, beta]])
+def _link_inertias(study: Study, known: Values, elbow: float) -> FloatArray:
+    """M of the links alone, (n_joints, n_joints), with the elbow at an angle."""
+    keys = base_names(study)
+    base = [0.0 if key[0].startswith("gravity") else known[key] for key in keys]
+    angle = np.zeros(study.n_joints)
+    angle[1:] = elbow
+    return inertia_matrix(study, np.array(base), angle)
+
+
+def base_names(study: Study) -> list[tuple[str, int | None]]:
+    """The parameters in which the inverse dynamics are linear, in the core's order.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    list of (name, joint)
+    """
+    arm, still = build_arm(study), np.zeros((1, study.n_joints))
+    return arm.parameter_names[: arm.base_regressor(still, still, still).shape[2]]
+
+
+def inertia_matrix(study: Study, base: FloatArray, angle: FloatArray) -> FloatArray:
+    """M(q) of the links, out of the core's regressor.
+
+    Column k is the torques of a unit acceleration of joint k, less what gravity asks for at rest.
+
+    Parameters
+    ----------
+    study : Study
+    base : (n_base,)
+    angle : (n_joints,) [rad]
+        Of the links.
+
+    Returns
+    -------
+    (n_joints, n_joints) [kg m^2], or [kg] of a prismatic joint
+    """
+    arm, unit = build_arm(study), np.eye(study.n_joints)
+    at, still = np.tile(angle, (study.n_joints, 1)), np.zeros_like(unit)
+    torque = arm.base_regressor(at, still, unit) @ base
+    held = arm.base_regressor(at, still, still) @ base
+    return np.asarray(torque - held).T
 
 
 def simulate_arms(

@@ -21,9 +21,25 @@ OUTSIDE = 3.0
 
 _COHERENT = 0.8  # below that a line is doubtful
 _BLURRED = 0.3  # and so it is above this relative deviation
-_REACH = 1.96  # of a 95 % band, in deviations
+REACH = 1.96
+"""Of a 95 % band, in deviations."""
+
 _APART = 2.0  # [dB], a quarter: what nobody overlooks in the figure
 _MANY = 0.2  # of the lines; fewer may be leakage or a harmonic
+
+
+def vector_of(joint: JointModel) -> FloatArray:
+    """A joint's parameters in the order of `TwoInertia`.
+
+    Parameters
+    ----------
+    joint : JointModel
+
+    Returns
+    -------
+    (6,)
+    """
+    return np.array(list(joint.values.values())[:6])
 
 
 def motor_response(vector: FloatArray, gear_ratio: float, f: FloatArray) -> ComplexArray:
@@ -116,7 +132,7 @@ def _difference(joint: JointModel, gear_ratio: float, measured: FrequencyRespons
     low, high = joint.band_hz[0] / OUTSIDE, joint.band_hz[1] * OUTSIDE
     f = measured.frequencies_hz
     at = (f >= low) & (f <= high) & trusted(measured)
-    vector = np.array(list(joint.values.values())[:6])
+    vector = vector_of(joint)
     if not at.any() or not np.isfinite(vector).all():
         return None
     G, H = measured.response[at, 0, 0], motor_response(vector, gear_ratio, f[at])
@@ -126,7 +142,7 @@ def _difference(joint: JointModel, gear_ratio: float, measured: FrequencyRespons
     J = response_jacobian(vector, gear_ratio, f[at])
     variance = np.einsum("fi,ij,fj->f", J, joint.covariance[:6, :6], J.conj()).real
     own = np.sqrt(np.clip(variance, 0.0, None))
-    beyond = np.abs(G - H) > _REACH * (spread + own)
+    beyond = np.abs(G - H) > REACH * (spread + own)
     apart = np.abs(20.0 * np.log10(np.abs(G) / np.abs(H)))
     differs = beyond & (apart > _APART)
     if np.mean(differs) <= _MANY:

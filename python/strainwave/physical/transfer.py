@@ -159,9 +159,7 @@ def _propagated(model: StateSpace, nominal: _Pairs) -> tuple[FloatArray, FloatAr
         pole = nearest(np.array([nominal.pole]), poles)[:, 0]
         return _vector(zero, pole, np.stack(_lag(found, zero, pole)))
 
-    if without_alternating(model) is model:
-        return propagate(model, at_once, stacked=True)
-    return propagate(model, lambda near: _pairs(near, nominal).vector)
+    return propagate(without_alternating(model), at_once, stacked=True)
 
 
 def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:

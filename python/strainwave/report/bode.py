@@ -7,7 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from strainwave.formatting import plus_minus
-from strainwave.physical.agreement import OUTSIDE, motor_response, response_jacobian, trusted
+from strainwave.physical.agreement import (
+    OUTSIDE,
+    REACH,
+    motor_response,
+    response_jacobian,
+    trusted,
+    vector_of,
+)
 from strainwave.records import (
     ComplexArray,
     FloatArray,
@@ -38,7 +45,6 @@ from strainwave.statespace import frequency_response
 _POINTS = 300  # of a model's curve
 _MOST_LINES = 500  # measured; of more, those evenly spread over the logarithm of frequency
 _NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
-_REACH = 1.96  # of a 95 % band, in deviations
 _DASHES = ("6px,3px", "2px,2px", "8px,3px,2px,3px")  # of sampled models
 _DOT, _PALE = 5, 0.4  # size and opacity of measured points
 _BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
@@ -170,17 +176,16 @@ def _coherence(f: FloatArray, coherence: FloatArray) -> list[Figure]:
 
 def _physical(joint: JointModel, gear_ratio: float, f: FloatArray) -> list[Figure]:
     """The curve of the physical model and its 95 % band, by the delta method."""
-    vector = _vector(joint)
+    vector = vector_of(joint)
     G = motor_response(vector, gear_ratio, f)
     name = "physical model"
     data = _curve(f, G, name, MODEL, "solid")
-    relative = (
-        response_jacobian(vector, gear_ratio, f) / G[:, None]
-    )  # dG/G: of the modulus, and i times the phase
+    # dG/G: of the modulus, and i times the phase
+    relative = response_jacobian(vector, gear_ratio, f) / G[:, None]
     J = np.concatenate([relative.real, relative.imag])
     variance = np.einsum("fi,ij,fj->f", J, joint.covariance[:6, :6], J)
     if np.isfinite(variance).all():
-        size, turn = np.split(_REACH * np.sqrt(np.clip(variance, 0.0, None)), 2)
+        size, turn = np.split(REACH * np.sqrt(np.clip(variance, 0.0, None)), 2)
         phase = np.rad2deg(np.angle(G))
         reach = np.minimum(np.rad2deg(turn), 180.0)
         modulus = np.abs(G)
@@ -189,10 +194,6 @@ def _physical(joint: JointModel, gear_ratio: float, f: FloatArray) -> list[Figur
         data.append(band(at, decibel(low), decibel(high), MODEL) | place(0, name, first=False))
         data.append(band(at, phase - reach, phase + reach, MODEL) | place(1, name, first=False))
     return data
-
-
-def _vector(joint: JointModel) -> FloatArray:
-    return np.array(list(joint.values.values())[:6])
 
 
 def _curve(f: FloatArray, G: ComplexArray, name: str, colour: str, dash: str) -> list[Figure]:

@@ -7,7 +7,6 @@ near such a record, one that may begin as it likes does.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -15,7 +14,7 @@ from strainwave.parallel import side_by_side
 from strainwave.records import FloatArray, TuningOptions
 from strainwave.tuning.estimates import Fit
 from strainwave.tuning.objective import Misfit
-from strainwave.tuning.solver import SOON, again_roughly, search_from
+from strainwave.tuning.solver import again_roughly
 
 _EVIDENT = 28.0  # chi-square of six initial states that chance exceeds once in ten thousand
 _SHARE = 0.5  # of the record's cost that they must take: model errors go on after the beginning
@@ -39,8 +38,7 @@ def with_evident_beginnings(fit: Fit, options: TuningOptions) -> Fit:
     misfit = in_motion(fit.misfit, fit.z)
     if misfit is fit.misfit:
         return fit
-    first = search_from(misfit, fit.z, fit.iterations, options, tolerance=SOON)
-    return again_roughly(replace(first, misfit=misfit.reweighted(first.z)), options)
+    return again_roughly(misfit, fit.z, fit.iterations, options)
 
 
 def in_motion(misfit: Misfit, z: FloatArray) -> Misfit:

@@ -23,7 +23,7 @@ from strainwave.tuning.estimates import Fit
 from strainwave.tuning.objective import Evaluated, Misfit
 from strainwave.tuning.parametrisation import Key, Search, Unknown
 from strainwave.tuning.restricted import is_held
-from strainwave.tuning.solver import SOON, again_roughly, refined, search_from
+from strainwave.tuning.solver import again_roughly, refined
 
 _EVIDENT = 4.0  # deviations at which a constant joins: of eight candidates none by chance
 _MATTERS_ROUGHLY = 0.1  # and share of the cost far from the minimum, where long steps err as well
@@ -79,8 +79,7 @@ def with_evident_sensors(fit: Fit, options: TuningOptions, *, rough: bool) -> Fi
         begin = search.coordinates(values | sizes)
         misfit = fit.misfit.for_unknowns(search)
         if rough:
-            first = search_from(misfit, begin, fit.iterations, options, tolerance=SOON)
-            fit = again_roughly(replace(first, misfit=misfit.reweighted(first.z)), options)
+            fit = again_roughly(misfit, begin, fit.iterations, options)
         else:
             fit = _refined_from(fit, misfit, begin, options)
     return fit

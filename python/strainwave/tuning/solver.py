@@ -66,21 +66,30 @@ def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
     first = search_from(misfit, start, 0, options, tolerance=SOON, relative=_GUESSED)
     if not first.converged or first.iterations >= options.max_iterations:
         return replace(first, converged=False)
-    return again_roughly(replace(first, misfit=misfit.reweighted(first.z)), options)
+    return _reweighted(first, options)
 
 
-def again_roughly(fit: Fit, options: TuningOptions) -> Fit:
-    """On from a rough fit, by new weights for as long as they become much smaller.
+def again_roughly(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
+    """On from a rough fit whose records or unknowns have become others.
 
     Parameters
     ----------
-    fit : Fit
+    misfit : Misfit
+    z : (n_unknowns,)
+    spent : int
+        Evaluations so far.
     options : TuningOptions
 
     Returns
     -------
     Fit
     """
+    return _reweighted(search_from(misfit, z, spent, options, tolerance=SOON), options)
+
+
+def _reweighted(fit: Fit, options: TuningOptions) -> Fit:
+    """On from a rough fit, by new weights for as long as they become much smaller."""
+    fit = replace(fit, misfit=fit.misfit.reweighted(fit.z))
     search = partial(search_from, options=options, tolerance=SOON, relative=ROUGHLY)
     for _ in range(_ROUGH_ROUNDS):
         fit = search(fit.misfit, fit.z, fit.iterations)
