@@ -323,7 +323,7 @@ def base_names(study: Study) -> list[tuple[str, int | None]]:
 def inertia_matrix(study: Study, base: FloatArray, angle: FloatArray) -> FloatArray:
     """M(q) of the links, out of the core's regressor.
 
-    Column k is the torques of a unit acceleration of joint k, less what gravity asks for at rest.
+    Column k is the torques of a unit acceleration of joint k, less those of gravity.
 
     Parameters
     ----------
