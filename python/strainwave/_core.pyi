@@ -37,6 +37,8 @@ class Arm:
         accelerometer_distance: Sequence[float] | None = None,
         accelerometer_hz: Sequence[float | None] | None = None,
         gyro_hz: Sequence[float | None] | None = None,
+        imu_accelerometer_hz: Sequence[float | None] | None = None,
+        imu_gyro_hz: Sequence[float | None] | None = None,
         effects: Sequence[Sequence[str]] | None = None,
         gear_corner: float = ...,
     ) -> Arm: ...

@@ -63,6 +63,18 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     ) -> (Slopes<R, N>, [[R; N]; N]);
     /// Rate of each link in space [rad/s], as a gyro on it reads.
     fn absolute_rates<R: Real>(dq: &[R; N]) -> [R; N];
+    /// How the links are turned.
+    fn turns<R: Real>(at: &Self::Posture<R>) -> Turns<R, N>;
+}
+
+/// Sines and cosines of each link's angle in space, which count under gravity only, and of each
+/// joint's angle, which count from the second on.
+#[derive(Clone, Copy, Debug)]
+pub struct Turns<R, const N: usize> {
+    /// From the base's x axis.
+    pub space: [(R, R); N],
+    /// From the link before.
+    pub joint: [(R, R); N],
 }
 
 /// Most base parameters that an arm has.
@@ -339,6 +351,15 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     fn absolute_rates<R: Real>(dq: &[R; 2]) -> [R; 2] {
         [dq[0], dq[0] + dq[1]]
     }
+
+    #[inline(always)]
+    fn turns<R: Real>(at: &TwoLinkPosture<R>) -> Turns<R, 2> {
+        let both = at.first.plus(at.second);
+        Turns {
+            space: [(at.first.sin, at.first.cos), (both.sin, both.cos)],
+            joint: [(at.first.sin, at.first.cos), (at.second.sin, at.second.cos)],
+        }
+    }
 }
 
 /// One link on one joint, revolute or prismatic, with or without gravity in the plane of motion.
@@ -474,5 +495,14 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
     #[inline(always)]
     fn absolute_rates<R: Real>(dq: &[R; 1]) -> [R; 1] {
         *dq
+    }
+
+    #[inline(always)]
+    fn turns<R: Real>(at: &Turn<R>) -> Turns<R, 1> {
+        let own = [(at.sin, at.cos)];
+        Turns {
+            space: own,
+            joint: own,
+        }
     }
 }

@@ -40,6 +40,10 @@ pub struct JointConfig {
     pub accelerometer_hz: Option<f64>,
     /// Bandwidth [Hz]; `None`: the rate itself.
     pub gyro_hz: Option<f64>,
+    /// Bandwidth [Hz] of the accelerometers of the link's IMU; `None`: the signals themselves.
+    pub imu_accelerometer_hz: Option<f64>,
+    /// Bandwidth [Hz] of its gyros.
+    pub imu_gyro_hz: Option<f64>,
     /// What the joint has beyond spring and dry friction; a rigid gear has Stribeck's friction at
     /// most.
     pub effects: EffectKinds,

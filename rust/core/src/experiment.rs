@@ -29,8 +29,37 @@ pub enum Quantity {
     Accelerometer,
     /// Gyro reading [rad/s], after its bandwidth.
     Gyro,
+    /// Specific force [m/s^2] at the link's own axis along the link, after the bandwidth of the
+    /// IMU's accelerometers.
+    SpecificForceX,
+    /// The same across the link.
+    SpecificForceY,
+    /// Angular acceleration [rad/s^2] of the link in space, after that bandwidth.
+    AngularAcceleration,
+    /// Square [rad^2/s^2] of its rate in space, after that bandwidth.
+    SquaredRate,
+    /// Its rate in space [rad/s], after the bandwidth of the IMU's gyros.
+    AngularRate,
     /// 0 where the motor stands still by friction, else the sign of its motion.
     Sliding,
+}
+
+/// What [`Quantity::mounted`] counts.
+pub(crate) const MOUNTED: usize = 5;
+
+impl Quantity {
+    /// The place among what the sensors of an IMU read combinations of; `None` of all others.
+    #[inline(always)]
+    pub(crate) fn mounted(self) -> Option<usize> {
+        match self {
+            Self::SpecificForceX => Some(0),
+            Self::SpecificForceY => Some(1),
+            Self::AngularAcceleration => Some(2),
+            Self::SquaredRate => Some(3),
+            Self::AngularRate => Some(4),
+            _ => None,
+        }
+    }
 }
 
 /// How time is cut: everything happens at multiples of the integrator's step.

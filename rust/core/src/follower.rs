@@ -12,6 +12,7 @@ use crate::dual::Dual;
 use crate::experiment::{Member, Quantity, Source, Task};
 use crate::friction::Motion;
 use crate::margin::MarginSlopes;
+use crate::mounted::MountedSensed;
 use crate::plant::{Modes, State, StepTorque};
 use crate::real::{Lanes, Real};
 use crate::sensing::{Sensed, Sensing};
@@ -103,7 +104,12 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
                 first[0][i] = accelerometer.map_or(zero[i], |filter| filter.output().tangent);
                 first[1][i] = gyro.map_or(zero[i], |filter| filter.output().tangent);
             }
-            own.sensed = Some(Sensed::at_rest(sensing, first));
+            let mut sensed = Sensed::at_rest(sensing, first);
+            if let (Some(all), Some(mounted)) = (&sensing.mounted, &sensors.mounted) {
+                let first = mounted.readings.map(|row| row.map(|one| one.tangent));
+                sensed.mounted = Some(Box::new(MountedSensed::at_rest(all, first)));
+            }
+            own.sensed = Some(sensed);
         }
         own
     }
@@ -213,6 +219,18 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
         }
     }
 
+    #[inline(always)]
+    fn mounted(&self, quantity: Quantity) -> [V; N] {
+        let sensed = self.sensed.as_ref();
+        match (
+            quantity.mounted(),
+            sensed.and_then(|all| all.mounted.as_ref()),
+        ) {
+            (Some(place), Some(mounted)) => mounted.readings[place],
+            _ => [V::splat(0.0); N],
+        }
+    }
+
     /// Puts this column's lanes into a sample: for each quantity and joint, all columns' numbers.
     #[inline(always)]
     pub(crate) fn record(
@@ -238,6 +256,11 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
                 Quantity::GearTorque => response.gear,
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
+                Quantity::SpecificForceX
+                | Quantity::SpecificForceY
+                | Quantity::AngularAcceleration
+                | Quantity::SquaredRate
+                | Quantity::AngularRate => self.mounted(*quantity),
                 Quantity::Sliding => continue,
             };
             for i in 0..N {

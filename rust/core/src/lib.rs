@@ -10,6 +10,7 @@
 
 mod aligned;
 pub mod arm;
+pub mod basis;
 mod collected;
 mod column;
 pub mod config;
@@ -27,6 +28,7 @@ pub mod gear;
 mod lanes;
 mod lengthening;
 mod margin;
+mod mounted;
 mod onset;
 pub mod plant;
 pub mod real;

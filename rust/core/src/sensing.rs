@@ -3,6 +3,7 @@
 use crate::arm::Arm;
 use crate::column::{Response, Tangent};
 use crate::experiment::{Quantity, Task};
+use crate::mounted::{MountedSensed, MountedSensing};
 use crate::plant::{Instant, State};
 use crate::real::Real;
 use crate::sensors::Feedthrough;
@@ -17,16 +18,19 @@ pub(crate) struct Sensing<V, const N: usize> {
     rate: f64,
     accelerometers: Option<Filters<V, N, 2>>,
     gyros: Option<Filters<V, N, 1>>,
+    pub(crate) mounted: Option<MountedSensing<V, N>>,
     slopes: ReadingSlopes<N>,
 }
 
 /// One column's sensors: the states of their filters, and what they read now.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub(crate) struct Sensed<V, const N: usize> {
     accelerometers: [[V; 2]; N],
     gyros: [[V; 1]; N],
     /// Of the accelerometers and of the gyros.
     pub(crate) readings: [[V; N]; 2],
+    /// Boxed: where no IMU is recorded, it is not in the way.
+    pub(crate) mounted: Option<Box<MountedSensed<V, N>>>,
 }
 
 /// How the accelerometers' readings depend on the motion at an instant.
@@ -51,6 +55,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
                 .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
             gyros: reads(Quantity::Gyro)
                 .then(|| gyros.map(|one| Some(one.as_ref()?.feedthrough()))),
+            mounted: sensors.mounted.as_ref().map(MountedSensing::new),
             slopes: ReadingSlopes {
                 angle: [[0.0; N]; N],
                 velocity: [[0.0; N]; N],
@@ -67,6 +72,9 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         x: &State<S, N>,
         now: &Instant<A, S, N>,
     ) {
+        if let Some(mounted) = &mut self.mounted {
+            mounted.take(&task.config.accelerometers(), self.rate, x, now);
+        }
         if self.accelerometers.is_none() {
             return;
         }
@@ -91,6 +99,7 @@ impl<V: Real, const N: usize> Sensed<V, N> {
             accelerometers: [[V::splat(0.0); 2]; N],
             gyros: [[V::splat(0.0)]; N],
             readings: first,
+            mounted: None,
         };
         for i in 0..N {
             if let Some(Some(filter)) = sensing.accelerometers.as_ref().map(|all| &all[i]) {
@@ -119,6 +128,9 @@ impl<V: Real, const N: usize> Sensed<V, N> {
                     self.readings[0][i] = filter.update(&mut self.accelerometers[i], ideal[i]);
                 }
             }
+        }
+        if let (Some(all), Some(own)) = (&sensing.mounted, &mut self.mounted) {
+            own.sense::<A>(all, sensing.rate, x, response);
         }
         if let Some(filters) = &sensing.gyros {
             let ideal = A::absolute_rates(&x.link.map(|one| V::splat(sensing.rate) * one));

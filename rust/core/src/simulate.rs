@@ -5,8 +5,9 @@ use std::marker::PhantomData;
 use crate::arm::Arm;
 use crate::config::gather;
 use crate::drive::{CurrentLoop, ServoState, encoder_angle};
-use crate::experiment::{Diverged, Event, Member, Quantity, RecordOf, Source, Task};
+use crate::experiment::{Diverged, Event, MOUNTED, Member, Quantity, RecordOf, Source, Task};
 use crate::friction::{Motion, Stretch, sign};
+use crate::mounted::{self, Mounted};
 use crate::plant::{Instant, Plant, State, Watch};
 use crate::real::{Real, Work};
 use crate::sensors::LowPass;
@@ -96,6 +97,8 @@ pub(crate) struct Group<
 pub(crate) struct Sensors<R, const N: usize> {
     pub(crate) accelerometer: [Option<LowPass<R, 2>>; N],
     pub(crate) gyro: [Option<LowPass<R, 1>>; N],
+    /// What an IMU's sensors read combinations of, where any of it is recorded.
+    pub(crate) mounted: Option<Mounted<R, N>>,
     readings: [[R; N]; 2],
 }
 
@@ -148,7 +151,8 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
             diverged: vec![None; R::LANES],
         };
         let senses = |quantity| task.record.contains(&quantity);
-        if senses(Quantity::Accelerometer) || senses(Quantity::Gyro) {
+        let mounted = task.record.iter().any(|one| one.mounted().is_some());
+        if senses(Quantity::Accelerometer) || senses(Quantity::Gyro) || mounted {
             group.sensors = Some(group.sensors_at_rest());
         }
         group
@@ -309,6 +313,12 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
                 let hz = joints[i].gyro_hz?;
                 Some(LowPass::first_order(hz, h, readings[1][i]))
             }),
+            mounted: self
+                .task
+                .record
+                .iter()
+                .any(|one| one.mounted().is_some())
+                .then(|| Mounted::at_rest(&self.task.config, h, self.signals(&now))),
             readings,
         }
     }
@@ -325,15 +335,27 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
         ]
     }
 
+    /// What an IMU's sensors read combinations of, before any low-pass.
+    #[inline(always)]
+    fn signals(&self, now: &Instant<A, R, N>) -> [[R; N]; MOUNTED] {
+        let places = self.task.config.accelerometers();
+        let velocity = &self.motion.state.link_velocity;
+        mounted::ideal::<A, R, N>(&places, &now.posture, velocity, &now.acceleration.link)
+    }
+
     #[inline(always)]
     pub(crate) fn sense(&mut self, now: &Instant<A, R, N>) {
-        if self.sensors.is_none() {
+        let Some(sensors) = &self.sensors else {
             return;
-        }
+        };
+        let signals = sensors.mounted.is_some().then(|| self.signals(now));
         let readings = self.readings(now);
         let Some(sensors) = &mut self.sensors else {
             return;
         };
+        if let (Some(mounted), Some(signals)) = (&mut sensors.mounted, signals) {
+            mounted.update(signals);
+        }
         sensors.readings = readings;
         for i in 0..N {
             if let Some(filter) = &mut sensors.accelerometer[i] {
@@ -374,6 +396,11 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
                 }),
                 Quantity::Accelerometer => self.put_all(k, &self.sensed(0)),
                 Quantity::Gyro => self.put_all(k, &self.sensed(1)),
+                Quantity::SpecificForceX
+                | Quantity::SpecificForceY
+                | Quantity::AngularAcceleration
+                | Quantity::SquaredRate
+                | Quantity::AngularRate => self.put_all(k, &self.mounted(self.task.record[k])),
                 Quantity::Sliding => self.put(k, |group, lane, i| {
                     let velocity = group.motion.state.motor_velocity[i].lane(lane);
                     sign(velocity)
@@ -403,6 +430,18 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
         match &self.sensors {
             Some(sensors) => sensors.readings[kind],
             None => [R::splat(0.0); N],
+        }
+    }
+
+    #[inline(always)]
+    fn mounted(&self, quantity: Quantity) -> [R; N] {
+        let sensors = self.sensors.as_ref();
+        match (
+            quantity.mounted(),
+            sensors.and_then(|all| all.mounted.as_ref()),
+        ) {
+            (Some(place), Some(mounted)) => mounted.readings[place],
+            _ => [R::splat(0.0); N],
         }
     }
 

@@ -15,7 +15,7 @@ use strainwave_core::effects::EffectKinds;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::sensitivity::Sensitivities;
 
-const RECORDED: [Quantity; 12] = [
+const RECORDED: [Quantity; 17] = [
     Quantity::MotorAngle,
     Quantity::MotorVelocity,
     Quantity::LinkAngle,
@@ -27,9 +27,14 @@ const RECORDED: [Quantity; 12] = [
     Quantity::Gyro,
     Quantity::Voltage,
     Quantity::MotorTorque,
+    Quantity::SpecificForceX,
+    Quantity::SpecificForceY,
+    Quantity::AngularAcceleration,
+    Quantity::SquaredRate,
+    Quantity::AngularRate,
     Quantity::Sliding,
 ];
-const SLIDING: usize = 11;
+const SLIDING: usize = 16;
 
 /// An experiment that a test draws.
 struct Case<A, const N: usize> {
@@ -69,6 +74,8 @@ impl<A: Arm<N>, const N: usize> Case<A, N> {
             joint.current_loop_hz = Some(800.0 + 200.0 * draw.next());
             joint.accelerometer_hz = Some(300.0);
             joint.gyro_hz = Some(5.0);
+            joint.imu_accelerometer_hz = Some(250.0);
+            joint.imu_gyro_hz = Some(40.0);
         }
         let parameters = drawn_parameters(&config, &mut draw);
         let clock = Clock {

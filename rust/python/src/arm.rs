@@ -73,7 +73,8 @@ impl Arm {
     #[new]
     #[pyo3(signature = (kind, springs, gear_ratio, *, torque_per_volt=None, link_length=0.0,
         gravity=0.0, current_loop_hz=None, encoder_counts=None, accelerometer_distance=None,
-        accelerometer_hz=None, gyro_hz=None, effects=None, gear_corner=gear::CORNER))]
+        accelerometer_hz=None, gyro_hz=None, imu_accelerometer_hz=None, imu_gyro_hz=None,
+        effects=None, gear_corner=gear::CORNER))]
     fn new(
         kind: &str,
         springs: Vec<String>,
@@ -86,6 +87,8 @@ impl Arm {
         accelerometer_distance: Option<Vec<f64>>,
         accelerometer_hz: Option<Vec<Option<f64>>>,
         gyro_hz: Option<Vec<Option<f64>>>,
+        imu_accelerometer_hz: Option<Vec<Option<f64>>>,
+        imu_gyro_hz: Option<Vec<Option<f64>>>,
         effects: Option<Vec<Vec<String>>>,
         gear_corner: f64,
     ) -> PyResult<Self> {
@@ -96,6 +99,9 @@ impl Arm {
         let encoder_counts = given(encoder_counts, None, count, "encoder_counts")?;
         let accelerometer_hz = given(accelerometer_hz, None, count, "accelerometer_hz")?;
         let gyro_hz = given(gyro_hz, None, count, "gyro_hz")?;
+        let imu_accelerometer_hz =
+            given(imu_accelerometer_hz, None, count, "imu_accelerometer_hz")?;
+        let imu_gyro_hz = given(imu_gyro_hz, None, count, "imu_gyro_hz")?;
         let effects = given(effects, Vec::new(), count, "effects")?;
         let gear_ratio = given(Some(gear_ratio), 1.0, count, "gear_ratio")?;
         let mut joints = Vec::new();
@@ -110,6 +116,8 @@ impl Arm {
                 accelerometer_distance: distance[i],
                 accelerometer_hz: accelerometer_hz[i],
                 gyro_hz: gyro_hz[i],
+                imu_accelerometer_hz: imu_accelerometer_hz[i],
+                imu_gyro_hz: imu_gyro_hz[i],
                 effects: effect_kinds(&effects[i], gear)?,
             });
         }
@@ -580,6 +588,11 @@ fn quantity(name: &str) -> PyResult<Quantity> {
         "encoder" => Quantity::Encoder,
         "accelerometer" => Quantity::Accelerometer,
         "gyro" => Quantity::Gyro,
+        "specific_force_x" => Quantity::SpecificForceX,
+        "specific_force_y" => Quantity::SpecificForceY,
+        "angular_acceleration" => Quantity::AngularAcceleration,
+        "squared_rate" => Quantity::SquaredRate,
+        "angular_rate" => Quantity::AngularRate,
         "sliding" => Quantity::Sliding,
         _ => {
             return Err(PyValueError::new_err(format!(

@@ -31,6 +31,8 @@ pub fn task(steps: usize, record: Vec<Quantity>) -> Task<TwoLink<false>, 2> {
         accelerometer_distance,
         accelerometer_hz: Some(300.0),
         gyro_hz: Some(5.0),
+        imu_accelerometer_hz: None,
+        imu_gyro_hz: None,
         effects: EffectKinds::default(),
     };
     Task {

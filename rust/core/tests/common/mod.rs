@@ -21,6 +21,8 @@ pub fn joint(gear: GearKind) -> JointConfig {
         accelerometer_distance: 0.3,
         accelerometer_hz: None,
         gyro_hz: None,
+        imu_accelerometer_hz: None,
+        imu_gyro_hz: None,
         effects: EffectKinds::default(),
     }
 }
