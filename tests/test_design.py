@@ -329,6 +329,44 @@ def test_what_gears_bear_is_said_where_no_limit_was_given() -> None:
 
 
 @pytest.mark.usefixtures("quick")
+def test_intervals_are_those_of_the_sensors_that_the_study_declares(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bare, values = drive()
+    bare = replace(bare, joints=(replace(bare.joints[0], encoder_counts=1000),))
+    sensed = replace(
+        bare,
+        joints=(replace(bare.joints[0], accelerometer_distance=0.3, accelerometer_hz=300.0),),
+    )
+    limits = Limits((1.5,), (200.0,), (10.0,), ANY[:1])
+    widths, printed = [], []
+    for study in (bare, sensed):
+        found = design.design(study, values, limits)
+        widths.append({p.name: p.std for p in found.precision})
+        print_design(found, Path("designed"))
+        printed.append(" ".join(capsys.readouterr().out.split()))
+    for name in ("gear_stiffness", "gear_damping"):
+        alone, more = (found[name] for found in widths)
+        assert alone is not None
+        assert more is not None
+        assert alone > 1.3 * more
+    assert "planned for joint 1's encoder of 1000 counts and no link sensor" in printed[0]
+    assert "planned for joint 1's encoder of 1000 counts and accelerometer" in printed[1]
+
+
+def test_a_virtual_arm_has_the_sensors_that_are_declared(tmp_path: Path) -> None:
+    first, second = STUDY.joints
+    first = replace(first, accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None)
+    one = tuple(e for e in STUDY.experiments if e.name == "step-j1")
+    study = replace(STUDY, joints=(first, second), experiments=one)
+    virtual.simulate_study(study, GUESS, tmp_path)
+    written = read_study(tmp_path / "study.toml")
+    channels = set(logs.read_log(written, written.experiments[0]).channels)
+    assert {"a2", "gyro2"} <= channels
+    assert not {"a1", "gyro1"} & channels
+
+
+@pytest.mark.usefixtures("quick")
 def test_narrow_limits_are_warned_of() -> None:
     study, values = drive()
     study = replace(study, joints=(replace(study.joints[0], spring="three-slope"),))

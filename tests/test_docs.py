@@ -162,7 +162,7 @@ def test_every_key_of_a_result_is_documented(demo: Path) -> None:
 
 
 def test_notebooks_are_committed_without_what_running_them_gives() -> None:
-    assert len(NOTEBOOKS) == 3
+    assert len(NOTEBOOKS) == 4
     for path in NOTEBOOKS:
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         code = [cell for cell in cells if cell["cell_type"] == "code"]

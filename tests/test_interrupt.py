@@ -119,12 +119,13 @@ def test_a_command_is_stopped_while_it_starts(tmp_path: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
-        maps = Path(f"/proc/{process.pid}/maps")
-        while maps.exists() and "_socket" not in maps.read_text():  # it listens soon after that
-            time.sleep(0.001)
-        if not maps.exists():
+        threads = Path(f"/proc/{process.pid}/task")
+        if threads.exists():  # the thread that watches for the signal is the first to be started
+            while process.poll() is None and len(list(threads.iterdir())) < 2:
+                time.sleep(0.001)
+            time.sleep(0.05)
+        else:
             time.sleep(1.0)
-        time.sleep(0.2)
         process.send_signal(signal.SIGINT)
         _, said = communicate(process)
     assert (process.returncode, said) == (130, NOTHING)

@@ -7,16 +7,18 @@ import pytest
 
 from strainwave.link_sensors import (
     as_read,
+    bandwidth_of,
     constants_of,
     delay_of,
+    is_optional,
     is_sensor_constant,
     moved,
     nominal,
     scale_of,
     slope_of_rows,
 )
+from strainwave.mounting import DISTANCE, TILT
 from strainwave.parameters import SENSOR_PARAMETERS, Values
-from strainwave.simulation import Quantity
 
 T = 1e-3
 TIME = T * np.arange(2000)
@@ -57,8 +59,16 @@ def test_a_late_sensor_out_of_scale_reads_that() -> None:
 
 
 def test_names() -> None:
-    every: list[tuple[Quantity, int]] = [("accelerometer", 1), ("gyro", 1), ("link_angle", 1)]
-    assert sorted(name for name, _ in constants_of(every)) == sorted(SENSOR_PARAMETERS)
+    every = [(name, 1) for name in ("accelerometer", "gyro", "link_angle")]
+    every += [("imu_accelerometer", 1), ("imu_gyro", 1)]
+    names = {name for name, _ in constants_of(every)} | {TILT}
+    names |= {key[0] for each in every if (key := bandwidth_of(*each)) is not None}
+    of_axes = [scale_of(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]
+    names |= {key[0] for key in of_axes if key is not None}
+    assert names == set(SENSOR_PARAMETERS)
+    assert all(is_optional((name, 1)) and is_sensor_constant((name, 1)) for name in names)
+    assert not is_optional((DISTANCE, 1))
+    assert is_sensor_constant((DISTANCE, 1))
     keys = list(constants_of([("motor_angle", 1), ("accelerometer", 1), ("link_angle", 2)]))
     assert keys == [
         ("accelerometer_delay", 1),

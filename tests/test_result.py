@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from elastic_results import elastic_identification, joint_model
 from results import arm_model, identification
 from strainwave import pipeline, report, result
 from strainwave.errors import InvalidInput
@@ -50,6 +51,18 @@ def test_the_contract_s_keys() -> None:
     assert document["verdict"]["not_identified"][:2] == ["friction_offset 1", "beta"]
     assert document["verdict"]["validated"] == {"rigid": True, "elastic": False}
     assert document["verdict"]["rejected"] == document["verdict"]["suspected"] == []
+
+
+def test_joints_modelled_by_their_motors_have_an_entry_a_record() -> None:
+    joint = replace(joint_model(), method="motor-response", experiments=("a", "b"))
+    found = replace(elastic_identification(), records=(), sweeps=(), joints=(joint,))
+    document = result.to_document(found)
+    entries = document["stages"]["decoupled"]
+    assert [entry["experiment"] for entry in entries] == ["a", "b"]
+    assert all(entry["state_space"] is None for entry in entries)
+    assert joint.anti_resonance is not None
+    assert entries[0]["anti_resonance_hz"] == joint.anti_resonance.frequency_hz
+    assert entries[0]["fit_percent"] == list(joint.fit_percent.values())
 
 
 def test_what_is_not_finite_is_null() -> None:

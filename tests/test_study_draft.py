@@ -622,6 +622,7 @@ WORDS = st.sampled_from(
 )
 @example(names=["", "q", "dq", "U", "q_q", "0", "ref"], seed=1179)  # a servoed step
 @example(names=["\x7f"], seed=0)  # DEL is free in JSON, not in TOML
+@example(names=["", "/\x1f"], seed=35)  # a table's column may begin as a bag's topic does
 def test_any_table_is_started_from_or_refused(
     tmp_path_factory: pytest.TempPathFactory, names: list[str], seed: int
 ) -> None:
@@ -650,3 +651,19 @@ def test_any_table_is_started_from_or_refused(
     servoed = any("servo" in step["control"] for step in steps)
     servo = {"servo"} if elastic and servoed else set()  # needed to compare them with a simulation
     assert set(drafted) == {"arm", "joint", "channels", "experiment"} | servo
+
+
+def test_axes_of_an_imu_under_their_own_names(tmp_path: Path) -> None:
+    """They say that the arm is elastic; where the sensor sits is left to the fit."""
+    truth = motion()
+    columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
+    imu = {"ax2": truth["a2"], "gz2": truth["gyro2"], "ay9": truth["a2"]}
+    write_log(tmp_path / "a.csv", columns | imu)
+    begun = start_study([tmp_path / "a.csv"], tmp_path / "study.toml")
+    assert {"ax2", "gz2"} <= set(begun.channels)
+    assert "ay9" not in begun.channels
+    text = (tmp_path / "study.toml").read_text()
+    assert "# imu = {" in text
+    study = read_study(filled_in(tmp_path / "study.toml"))
+    assert [joint.spring for joint in study.joints] == ["linear", "linear"]
+    assert {"ax2", "gz2"} <= set(read_logs(study)[0].channels)

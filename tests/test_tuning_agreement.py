@@ -165,3 +165,10 @@ def test_a_clock_that_is_fast_is_named(tmp_path: Path) -> None:
     found = altered(tmp_path, fast_clock)
     assert [one.code for one in found.suspected] == ["clock-drift"]
     assert found.verdict.status == "inconsistent-input"
+
+
+def test_a_sure_difference_that_nobody_would_mind_is_no_finding() -> None:
+    """Both fits may know a friction to a thousandth, and differ by as little with certainty."""
+    sure = AgreementTest("friction", 1, 80.0, 3, 8.0, largest=0.003)
+    assert not list(disagreement((), [sure]))
+    assert list(disagreement((), [replace(sure, largest=0.03)]))

@@ -187,10 +187,12 @@ def test_what_is_compared() -> None:
     accelerometers = [(f"a{i}", "accelerometer", False, True) for i in (1, 2)]
     assert {"a1", "gyro1", "theta_m1"} <= set(log.channels)
     assert named(log, study) == motors + accelerometers
-    # one that nobody knows the place of is not compared; the gyro is
+    # one that nobody knows the place of is compared wherever it sits, beside the gyro
     first, second = study.joints
     lost = replace(study, joints=(replace(first, accelerometer_distance=None), second))
-    assert named(log, lost) == [*motors, ("gyro1", "gyro", False, True), accelerometers[1]]
+    anywhere = ("a1", "specific_force_x", False, True)
+    gyro = ("gyro1", "gyro", False, True)
+    assert named(log, lost) == [*motors, gyro, anywhere, accelerometers[1]]
     # a link's own encoder before a gyro
     angle = {**log.channels, "theta_l1": 0.01 * log.channels["theta_m1"]}
     del angle["a1"]

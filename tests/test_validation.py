@@ -97,3 +97,13 @@ def test_an_unknown_model_predicts_nothing() -> None:
     study, model, exact = fitted()
     with pytest.raises(NotIdentifiable):
         validation.predict_rigid(replace(model, status="not-identifiable"), exact, study)
+
+
+def test_a_record_shorter_than_the_low_pass_is_refused() -> None:
+    study, model, exact = fitted()
+    lasts = len(exact.time) * exact.sample_time
+    slow = replace(model, bandwidth_hz=2.0 / lasts)
+    with pytest.raises(NotIdentifiable, match="too short to be predicted"):
+        validation.predict_rigid(slow, exact, study)
+    enough = validation.predict_rigid(replace(model, bandwidth_hz=3.0 / lasts), exact, study)
+    assert len(enough.time) > 0

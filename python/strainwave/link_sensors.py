@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
+from strainwave.mounting import TILT, is_mounting
 from strainwave.records import FloatArray
-from strainwave.simulation import Quantity
 
 Key = tuple[str, int | None]
 
@@ -22,23 +22,28 @@ LONGEST_DELAY = 5e-3
 LARGEST_SCALE_ERROR = 0.1
 """Of a sensor of the right unit: data sheets promise 1 to 3 %, a distance is known to a few."""
 
-_SENSORS: Mapping[Quantity, str] = {
+_SENSORS: Mapping[str, str] = {
     "accelerometer": "accelerometer",
     "gyro": "gyro",
     "link_angle": "link_encoder",
+    "imu_accelerometer": "imu_accelerometer",
+    "imu_gyro": "imu_gyro",
 }
 _COUNTED = ("link_encoder",)  # an encoder's scale is the number of its lines
+_BY_AXIS = ("imu_accelerometer", "imu_gyro")  # have one of each axis
+_AXES = ("imu_ax", "imu_ay", "imu_az", "imu_gx", "imu_gy", "imu_gz")
 _TAPS = 16  # samples to either side that make one between them
 _SHAPE = 9.0  # of the Kaiser window over them
 _DIFFERENCES = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)  # central, of eighth order
 
 
-def delay_of(quantity: Quantity, joint: int) -> Key | None:
+def delay_of(quantity: str, joint: int) -> Key | None:
     """The delay's name of the sensor that reads a quantity, None where none does.
 
     Parameters
     ----------
     quantity : str
+        That is read, or the name of an IMU's sensor.
     joint : int
         From 1.
 
@@ -50,12 +55,32 @@ def delay_of(quantity: Quantity, joint: int) -> Key | None:
     return None if sensor is None else (f"{sensor}_delay", joint)
 
 
-def scale_of(quantity: Quantity, joint: int) -> Key | None:
+def scale_of(quantity: str, joint: int) -> Key | None:
     """The scale's name of the sensor that reads a quantity, None where it has none.
 
     Parameters
     ----------
     quantity : str
+        That is read, or the name of an IMU's sensor.
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    (name, joint) or None
+    """
+    sensor = quantity if quantity in _AXES else _SENSORS.get(quantity)
+    none = sensor is None or sensor in (*_COUNTED, *_BY_AXIS)
+    return None if none else (f"{sensor}_scale", joint)
+
+
+def bandwidth_of(quantity: str, joint: int) -> Key | None:
+    """The bandwidth's name of the sensor that reads a quantity, None where it has none.
+
+    Parameters
+    ----------
+    quantity : str
+        That is read, or the name of an IMU's sensor.
     joint : int
         From 1.
 
@@ -64,7 +89,7 @@ def scale_of(quantity: Quantity, joint: int) -> Key | None:
     (name, joint) or None
     """
     sensor = _SENSORS.get(quantity)
-    return None if sensor is None or sensor in _COUNTED else (f"{sensor}_scale", joint)
+    return None if sensor is None or sensor in _COUNTED else (f"{sensor}_bandwidth", joint)
 
 
 def is_sensor_constant(key: Key) -> bool:
@@ -78,12 +103,43 @@ def is_sensor_constant(key: Key) -> bool:
     -------
     bool
     """
-    name = key[0]
-    return name.endswith(("_delay", "_scale")) and name.rsplit("_", 1)[0] in _SENSORS.values()
+    return is_mounting(key) or is_optional(key)
+
+
+def is_optional(key: Key) -> bool:
+    """Whether it is a sensor constant that is there by evidence only.
+
+    Parameters
+    ----------
+    key : (name, joint)
+
+    Returns
+    -------
+    bool
+    """
+    sensor, _, what = key[0].rpartition("_")
+    single = what in ("delay", "scale", "bandwidth") and sensor in _SENSORS.values()
+    return key[0] == TILT or single or (what == "scale" and sensor in _AXES)
+
+
+def is_bandwidth(key: Key) -> bool:
+    """Whether it is a sensor's bandwidth.
+
+    Parameters
+    ----------
+    key : (name, joint)
+
+    Returns
+    -------
+    bool
+    """
+    return key[0].endswith("_bandwidth") and is_optional(key)
 
 
 def nominal(key: Key) -> float:
-    """The value of a sensor constant where nothing is wrong: no delay, a scale of one.
+    """The value of an optional sensor constant where nothing is wrong.
+
+    No delay, no tilt, a scale of one, a bandwidth beyond all that moves.
 
     Parameters
     ----------
@@ -93,10 +149,12 @@ def nominal(key: Key) -> float:
     -------
     float
     """
-    return 0.0 if key[0].endswith("_delay") else 1.0
+    if key[0].endswith("_scale"):
+        return 1.0
+    return np.inf if is_bandwidth(key) else 0.0
 
 
-def constants_of(channels: Iterable[tuple[Quantity, int]]) -> Iterator[Key]:
+def constants_of(channels: Iterable[tuple[str, int]]) -> Iterator[Key]:
     """The sensor constants of channels, each once.
 
     Parameters

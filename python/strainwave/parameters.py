@@ -29,6 +29,14 @@ SENSOR_PARAMETERS = (
     "gyro_delay",
     "gyro_scale",
     "link_encoder_delay",
+    "accelerometer_bandwidth",
+    "accelerometer_tilt",
+    "gyro_bandwidth",
+    "imu_accelerometer_delay",
+    "imu_accelerometer_bandwidth",
+    "imu_gyro_delay",
+    *(f"imu_{axis}_scale" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),
+    "imu_gyro_bandwidth",
 )
 """Constants of link sensors that the whole-arm fit estimates where the records show them."""
 

@@ -38,8 +38,11 @@ from strainwave.atomic_files import write_whole
 from strainwave.diagnostics import published_warnings
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.matplotlib_backend import images
+from strainwave.motor_responses import motor_response
+from strainwave.mounting import with_places
+from strainwave.mounting_start import with_stand_ins
 from strainwave.parallel import one_blas_thread, side_by_side
-from strainwave.recorded_input import missing_for_replay
+from strainwave.recorded_input import missing_for_replay, missing_motor_signal
 from strainwave.records import (
     ArmModel,
     Consistency,
@@ -52,6 +55,7 @@ from strainwave.records import (
     LinkSignals,
     LinkSummary,
     Log,
+    MotorResponse,
     Options,
     Prediction,
     RecordModel,
@@ -157,12 +161,17 @@ def _identify(the_study: Study, run: _Run) -> Identification:
     joints: tuple[JointModel, ...] = ()
     responses: dict[int, FrequencyResponse] = {}
     if elastic:
-        records, joints, responses = _decoupled(run, the_study, excited, model)
-    tuned = None
-    if "tuned" in run.stages and len(joints) == the_study.n_joints:
-        tuned = _tuned(run, the_study, all_logs, model, joints)
+        records, joints, responses = _decoupled(run, the_study, all_logs, model)
+    tuned: ArmModel | None = None
+    motors: tuple[MotorResponse, ...] = ()
+    starts = joints
+    if elastic and "tuned" in run.stages and not excited:
+        starts = _from_catalogue(run, the_study, all_logs, model)
+    if "tuned" in run.stages and len(starts) == the_study.n_joints:
+        tuned = _tuned(run, the_study, all_logs, model, starts)
     if tuned is not None:
         checks = _with_elastic(run, the_study, all_logs, tuned, checks)
+        motors = _motor_responses(run, the_study, all_logs, tuned, starts)
     found = Identification(
         study=the_study,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -180,6 +189,7 @@ def _identify(the_study: Study, run: _Run) -> Identification:
         sweeps=sweep.sweeps(records),
         tuned=tuned,
         suspected=input_check.suspected,
+        motor_responses=motors,
         failures=tuple(run.failures),
         activity=activity_of(all_logs, the_study),
     )
@@ -224,9 +234,11 @@ def _rigid(
     with run.timed("checks", "predicting the check records"):
         predictions = {
             use: tuple(
-                side_by_side(
-                    [partial(validation.predict_rigid, model, each, the_study) for each in chosen]
+                made
+                for made in side_by_side(
+                    [partial(_predicted, run, model, each, the_study) for each in chosen]
                 )
+                if made is not None
             )
             for use, chosen in seen.items()
         }
@@ -234,27 +246,43 @@ def _rigid(
     return model, predictions["motion"], predictions["check"]
 
 
+def _predicted(run: _Run, model: RigidModel, each: Signals, the_study: Study) -> Prediction | None:
+    """A record's torques by the rigid model; None, with a warning, of one that is too short."""
+    try:
+        return validation.predict_rigid(model, each, the_study)
+    except NotIdentifiable as failure:
+        name = each.experiment.name
+        run.warnings.append(Diagnostic("nothing-to-predict", name, f"{name} {failure}"))
+        return None
+
+
 def _decoupled(
     run: _Run,
     the_study: Study,
-    excited: Sequence[Log],
+    all_logs: Sequence[Log],
     model: RigidModel | None,
 ) -> tuple[tuple[RecordModel, ...], tuple[JointModel, ...], dict[int, FrequencyResponse]]:
     """Each excited record on its own, then all full-amplitude records of a joint at once."""
+    excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     if not excited:
-        text = 'elastic gears show in fast records only: add experiments with use = "frequency"'
+        text = 'no record excites the gears on purpose (use = "frequency"): where there are steps,'
+        text += " the whole-arm fit starts from gears that such arms have"
         run.warnings.append(Diagnostic("no-frequency-record", str(the_study.path), text))
         return (), (), {}
     if model is None and not _alone(the_study):
         return (), (), {}  # why there is none has been said
 
     with run.timed("decoupled", "decoupling the joints"):
-        sides, delays = links.both_sides(excited, the_study, the_study.options.links)
+        # where it is not known how a sensor sits, something like it stands in until the whole fit
+        placed_logs, placed = with_stand_ins(excited, the_study, all_logs)
+        sides, delays = links.both_sides(placed_logs, placed, the_study.options.links)
         run.warnings.extend(links.corrected(delays))
         run.sensors = links.constants_of(sides, delays)
+        if any("motor" in side.sources for side in sides):
+            return (), _from_motors(run, the_study, model, sides), {}
         try:
             decoupled = side_by_side(
-                [partial(decoupling.decouple, side, model, the_study) for side in sides]
+                [partial(decoupling.decouple, side, model, placed) for side in sides]
             )
         except NotIdentifiable as failure:
             run.failures.append(str(failure))
@@ -268,6 +296,37 @@ def _decoupled(
     for found in joints:
         run.warnings.extend(found.warnings)
     return tuple(records), tuple(joints), responses
+
+
+def _from_motors(
+    run: _Run, the_study: Study, model: RigidModel | None, sides: Sequence[LinkSignals]
+) -> tuple[JointModel, ...]:
+    """Models of the joints where not every link has a sensor: interaction is not measured then."""
+    for side in sides:
+        run.warnings.extend(side.warnings)
+        run.links += side.summaries
+    full = [side for side in sides if side.experiment.use == "frequency"]
+    try:
+        joints, *run.others = physical.models_from_motors(full or sides, model, the_study)
+    except NotIdentifiable as failure:
+        run.warnings.append(Diagnostic("not-identifiable", str(the_study.path), str(failure)))
+        return ()
+    run.warnings.extend(w for joint in joints for w in joint.warnings)
+    return joints
+
+
+def _from_catalogue(
+    run: _Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
+) -> tuple[JointModel, ...]:
+    """Gears to start from where no record excites them on purpose, but steps may show them."""
+    if not _used_for(all_logs, "tuning"):
+        return ()
+    try:
+        joints, *run.others = physical.models_from_catalogue(model, the_study)
+    except NotIdentifiable as failure:
+        run.warnings.append(Diagnostic("not-identifiable", str(the_study.path), str(failure)))
+        return ()
+    return joints
 
 
 def _physical(
@@ -367,7 +426,14 @@ def _tuned(
             options = the_study.options.tuning
             start = run.sensors
             found = tuning.tune(
-                all_logs, model, joints, the_study, options, start=start, progress=count
+                all_logs,
+                model,
+                joints,
+                the_study,
+                options,
+                start=start,
+                others=run.others,
+                progress=count,
             )
         except NotIdentifiable as failure:
             run.warnings.append(Diagnostic("not-tuned", str(the_study.path), str(failure)))
@@ -394,12 +460,31 @@ def _with_elastic(
             for log in _used_for(all_logs, "check")
             if missing_for_replay(the_study, log) is None
         ]
+        placed = with_places(the_study, tuned.values)
         found = side_by_side(
-            [partial(validation.predict_elastic, tuned, log, the_study) for log in told]
+            [partial(validation.predict_elastic, tuned, log, placed) for log in told]
         )
     run.warnings.extend(caution for each in found for caution in each.warnings)
     made.extend(found)
     return tuple(made)
+
+
+def _motor_responses(
+    run: _Run,
+    the_study: Study,
+    all_logs: Sequence[Log],
+    tuned: ArmModel,
+    joints: Sequence[JointModel],
+) -> tuple[MotorResponse, ...]:
+    """How each motor answers in the records at full amplitude, of rig and fitted arm."""
+    with run.timed("checks", "comparing the motors' responses"):
+        seen = [
+            log
+            for log in _used_for(all_logs, "frequency")
+            if log.experiment.joint is not None and missing_motor_signal(the_study, log) is None
+        ]
+        made = [partial(motor_response, log, tuned, joints, the_study) for log in seen]
+        return tuple(side_by_side(made))
 
 
 def _used_for(all_logs: Sequence[Log], use: str) -> list[Log]:
@@ -480,6 +565,7 @@ class _Run:
     failures: list[str] = field(default_factory=list)
     sensors: dict[tuple[str, int | None], float] = field(default_factory=dict)  # delays found
     links: tuple[LinkSummary, ...] = ()
+    others: list[tuple[JointModel, ...]] = field(default_factory=list)  # more starts of the fit
     timing_s: dict[str, float] = field(default_factory=dict)
 
     @contextmanager

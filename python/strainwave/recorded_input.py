@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from strainwave import excitation
@@ -47,6 +49,32 @@ def replay(study: Study, log: Log) -> Drive:
         motor_angle=tuple(float(log.channels[f"theta_m{i}"][0]) for i in numbers),
         initial_voltage=tuple(float(v) for v in before),
     )
+
+
+def driven_by_voltage(study: Study, log: Log) -> tuple[Study, Drive]:
+    """An arm under the recorded voltages, held from sample to sample, in place of any servo.
+
+    Parameters
+    ----------
+    study : Study
+    log : Log
+
+    Returns
+    -------
+    study : Study
+        Its encoders without counts.
+    drive : Drive
+    """
+    joints = tuple(replace(joint, encoder_counts=None) for joint in study.joints)
+    voltage, recorded = driving_voltages(study, log), replay(study, log)
+    before = list(recorded.initial_voltage)
+    for i, joint in enumerate(study.joints):
+        if input_channel(log, i + 1) == f"torque{i + 1}":  # which the current loop begins with
+            torque = float(log.channels[f"torque{i + 1}"][0])
+            before[i] = torque / (joint.torque_per_volt or 1.0)
+    free = (False,) * study.n_joints
+    drive = replace(recorded, voltage=voltage, servo=free, initial_voltage=tuple(before))
+    return replace(study, joints=joints), drive
 
 
 def missing_for_replay(study: Study, log: Log) -> str | None:
@@ -137,6 +165,10 @@ def input_channel(log: Log, joint: int) -> str | None:
 def driving_voltages(study: Study, log: Log) -> FloatArray:
     """The voltages that drove the joints; of a logged torque the one that commands it.
 
+    A logged torque is what the motor has at the stamps. Where the current loop is known, with a =
+    exp(-2 pi f T), u_k = (tau_(k+1) - a tau_k) / (1 - a) makes it that again; without, what is held
+    from stamp to stamp is the mean of both.
+
     Parameters
     ----------
     study : Study
@@ -151,9 +183,20 @@ def driving_voltages(study: Study, log: Log) -> FloatArray:
     for i, joint in enumerate(study.joints, start=1):
         name = input_channel(log, i) or f"u{i}"
         torque_per_volt = joint.torque_per_volt or 1.0
-        scale = 1.0 if name == f"u{i}" else 1.0 / torque_per_volt
-        columns.append(scale * log.channels[name])
+        values = log.channels[name]
+        if name != f"u{i}":
+            values = _commanded(values, joint.current_loop_hz, log.sample_time) / torque_per_volt
+        columns.append(values)
     return np.column_stack(columns)
+
+
+def _commanded(torque: FloatArray, loop_hz: float | None, sample_time: float) -> FloatArray:
+    """What, held from sample to sample, makes a torque that the motor has at the samples."""
+    following = np.append(torque[1:], torque[-1])
+    if loop_hz is None:
+        return np.asarray(0.5 * (torque + following))
+    left = np.exp(-2.0 * np.pi * loop_hz * sample_time)
+    return np.asarray((following - left * torque) / (1.0 - left))
 
 
 def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:

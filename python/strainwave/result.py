@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -21,6 +22,7 @@ from strainwave.records import (
     Mode,
     ModelCheck,
     Modes,
+    MotorResponse,
     Parameter,
     RecordModel,
     RigidModel,
@@ -55,12 +57,16 @@ def to_document(identification: Identification) -> dict[str, Any]:
         stages["rigid"] = _rigid(identification.rigid)
     if "decoupled" in identification.stages:
         stages["decoupled"] = [_record(record) for record in identification.records]
+        stages["decoupled"] += _of_motors(identification.joints)
         stages["joints"] = [_joint(joint) for joint in identification.joints]
         stages["sweeps"] = [asdict(sweep) for sweep in identification.sweeps]
         stages["links"] = [asdict(link) for link in identification.links]
         stages["responses"] = _responses(identification)
     if identification.tuned is not None:
         stages["tuned"] = _tuned(identification.tuned)
+        stages["tuned"]["motor_responses"] = [
+            _motor_response(each) for each in identification.motor_responses
+        ]
     verdict = identification.verdict
     document = {
         "schema": SCHEMA,
@@ -142,6 +148,22 @@ def _response(
     }
 
 
+def _motor_response(seen: MotorResponse) -> dict[str, Any]:
+    return {
+        "experiment": seen.experiment,
+        "joint": seen.joint,
+        "condition": seen.condition,
+        "frequency_hz": _short(seen.frequencies_hz),
+        "measured_re": _short(seen.measured.real),
+        "measured_im": _short(seen.measured.imag),
+        "fitted_re": _short(seen.fitted.real),
+        "fitted_im": _short(seen.fitted.imag),
+        "coherence": _short(seen.coherence),
+        "anti_resonance_hz": list(seen.anti_resonances_hz),
+        "resonance_hz": list(seen.resonances_hz),
+    }
+
+
 def _short(values: FloatArray) -> list[float]:
     """Enough digits for what noise leaves of a response."""
     return [float(f"{value:.{_DIGITS}g}") for value in values.tolist()]
@@ -208,6 +230,19 @@ def _check(check: ModelCheck) -> dict[str, Any]:
         "prediction_fit_percent": check.prediction_fit_percent,
         "tests": [asdict(test) for test in check.tests],
     }
+
+
+def _of_motors(joints: Sequence[JointModel]) -> list[dict[str, Any]]:
+    """One entry a record of joints modelled by their motors, all by the model of all records."""
+    found = []
+    for joint in joints:
+        for name in joint.experiments if joint.method == "motor-response" else ():
+            own = _joint(joint)
+            own["experiment"] = name
+            own["fit_percent"] = list(joint.fit_percent.values())
+            own["state_space"] = own["transfer_function"] = None
+            found.append(own)
+    return found
 
 
 def _nothing(record: RecordModel) -> dict[str, Any]:
@@ -289,6 +324,7 @@ def _tuned(model: ArmModel) -> dict[str, Any]:
         "initial_fit_percent": {
             name: dict(fits) for name, fits in model.initial_fit_percent.items()
         },
+        "sensor_gains": [asdict(gain) for gain in model.sensor_gains],
         "criticism": model.criticism and _criticism(model.criticism),
         "warnings": [_warning(w) for w in model.warnings],
     }

@@ -27,6 +27,11 @@ Quantity = Literal[
     "encoder",
     "accelerometer",
     "gyro",
+    "specific_force_x",
+    "specific_force_y",
+    "angular_acceleration",
+    "squared_rate",
+    "angular_rate",
     "sliding",
 ]
 """What a run can record."""
@@ -121,7 +126,19 @@ def build_arm(study: Study) -> _core.Arm:
         accelerometer_hz=[joint.accelerometer_hz for joint in joints],
         gyro_hz=[joint.gyro_hz for joint in joints],
         effects=[joint.effects for joint in joints],
+        **_imu_bandwidths(study),
     )
+
+
+def _imu_bandwidths(study: Study) -> dict[str, Any]:
+    """What an arm needs to know of its IMUs' low-passes; nothing where it has no IMU."""
+    imus = [joint.imu for joint in study.joints]
+    if not any(imus):
+        return {}
+    return {
+        "imu_accelerometer_hz": [imu.accelerometer_hz if imu else None for imu in imus],
+        "imu_gyro_hz": [imu.gyro_hz if imu else None for imu in imus],
+    }
 
 
 def parameter_vector(arm: _core.Arm, values: Values, study: Study) -> FloatArray:

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from strainwave.formatting import percent, plus_minus
 from strainwave.records import (
+    CONDITIONS,
     Decision,
     Diagnostic,
     Identification,
@@ -20,7 +21,7 @@ from strainwave.records import (
     Tally,
     Verdict,
 )
-from strainwave.report import by_weight
+from strainwave.report import by_weight, gain_sentences
 
 Truth = Mapping[tuple[str, int | None], float]
 """Known values of a virtual arm, by name and joint."""
@@ -52,8 +53,8 @@ def print_summary(
     decisions = identification.decisions
     if decisions:
         console.print(_parameters(decisions, truth))
-    for joint in identification.joints:
-        console.print(Text(_frequencies(joint)))
+    for line in _resonances(identification):
+        console.print(Text(line))
     for sweep in identification.sweeps:
         console.print(Text(_trend(sweep)))
     for line in _fits(identification):
@@ -62,6 +63,8 @@ def print_summary(
         console.print(_warning(warning), style="yellow")
     for line, style in _verdict(identification.verdict):
         console.print(Text(line), style=style)
+    for sentence in gain_sentences(identification):
+        console.print(Text(sentence))
     total = sum(identification.timing_s.values())
     for name in ("report.html", "result.json", *(["figures"] if figures else [])):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
@@ -123,6 +126,24 @@ def print_comparisons(
             console.print(Text(f"         {reason}"), style="yellow", soft_wrap=True)
     for name in ("comparisons.html", "comparisons.json", "comparisons.md"):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
+
+
+def _resonances(identification: Identification) -> Iterator[str]:
+    """Of the joints alone; where only motors were measured, of what these respond to."""
+    seen = identification.motor_responses
+    by_motor = {joint.joint for joint in identification.joints if joint.method == "motor-response"}
+    for joint in identification.joints:
+        if not seen or joint.joint not in by_motor:
+            yield _frequencies(joint)
+    for each in seen:
+        if each.joint in by_motor:
+            kinds = (each.anti_resonances_hz, each.resonances_hz)
+            told = [" and ".join(f"{value:.4g}" for value in values) for values in kinds]
+            condition = CONDITIONS[each.condition]
+            yield (
+                f"motor {each.joint} in {each.experiment}, {condition}: by the fitted arm"
+                f" anti-resonance {told[0]} Hz, resonance {told[1]} Hz"
+            )
 
 
 def _frequencies(joint: JointModel) -> str:

@@ -12,6 +12,9 @@ from strainwave.parameters import Values
 from strainwave.prediction import band_predictions
 from strainwave.records import ArmModel, Diagnostic, Log, Prediction, RigidModel, Signals, Study
 
+_FEWEST_PERIODS = 2.5
+"""Of the low-pass in a record: its edges take one at either end."""
+
 _STIFFER = 1.2
 """Stiffness for the question whether a record shows any: an error that validation should see."""
 
@@ -40,10 +43,15 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
     Raises
     ------
     NotIdentifiable
-        The model has no determined parameter at all.
+        The model has no determined parameter at all, or the record is shorter than its filter.
     """
     if model.status == "not-identifiable":
         raise NotIdentifiable("a rigid model without a single known parameter predicts nothing")
+    if len(signals.time) * signals.sample_time * model.bandwidth_hz < _FEWEST_PERIODS:
+        raise NotIdentifiable(
+            f"lasts {len(signals.time) * signals.sample_time:.3g} s, too short to be predicted"
+            f" behind the rigid model's low-pass of {model.bandwidth_hz:.2g} Hz"
+        )
     band, full = band_predictions(
         study, model.solution, signals, model.bandwidth_hz, model.load_friction
     )

@@ -7,7 +7,7 @@ its use.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,9 +18,10 @@ from strainwave import study as studies
 from strainwave.atomic_files import write_whole
 from strainwave.command_table import read_applied
 from strainwave.errors import InvalidInput
+from strainwave.mounting import Axis, axes_of, factors
 from strainwave.parameters import Values, link_inertia, read_parameters
 from strainwave.recorded_input import replay as replay_log
-from strainwave.records import Experiment, FloatArray, Identification, Prbs, Study, Tally
+from strainwave.records import Experiment, FloatArray, Identification, Joint, Prbs, Study, Tally
 from strainwave.report import render_comparisons
 from strainwave.simulation import (
     Drive,
@@ -362,6 +363,8 @@ def _columns(
     if any(joint.gyro_hz for joint in study.joints):
         quantities["gyro"] = "gyro"
     record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
+    glued = [axis for i in range(1, study.n_joints + 1) for axis in _glued(study, i)]
+    record += dict.fromkeys(name for axis in glued for name in axis.quantities)
     trajectory = simulator(
         study, values, plan.drive, sample_time=plan.sample_time, samples=plan.samples, record=record
     )
@@ -371,8 +374,10 @@ def _columns(
         name = f"u{i + 1}" if joint.torque_per_volt else f"torque{i + 1}"
         columns[name] = measured["voltage"][:, i]
     for channel, quantity in quantities.items():
-        for i in range(study.n_joints):
-            columns[f"{channel}{i + 1}"] = measured[quantity][:, i]
+        for i, joint in enumerate(study.joints):
+            if _declares(joint, quantity):
+                columns[f"{channel}{i + 1}"] = measured[quantity][:, i]
+    columns |= _imus(study, glued, trajectory, noise, rng)
     for i, joint in enumerate(study.joints):
         link = measured["link_angle"][:, i]
         if f"theta_l{i + 1}" in study.channels:
@@ -383,4 +388,53 @@ def _columns(
         at = np.floor(trajectory.time / plan.drive.tick + 1e-9).astype(int)
         for i in range(study.n_joints):
             columns[f"ref{i + 1}"] = plan.drive.reference[at, i]
+    return columns
+
+
+def _declares(joint: Joint, quantity: Quantity) -> bool:
+    """Whether a joint has the sensor that reads a quantity."""
+    if quantity == "accelerometer":
+        return joint.motion == "prismatic" or joint.accelerometer_distance is not None
+    return quantity != "gyro" or joint.gyro_hz is not None
+
+
+def _glued(study: Study, joint: int) -> list[Axis]:
+    """Every axis of a link's IMU."""
+    imu = study.joints[joint - 1].imu
+    if imu is None:
+        return []
+    if imu.xyz is None or imu.rpy is None:
+        raise InvalidInput(
+            f"the IMU on link {joint} has no place to be simulated at",
+            where=str(study.path),
+            remedy="give its xyz and rpy; they may be left out again for identification",
+        )
+    kinds = ("ax", "ay", "az", "gx", "gy", "gz")
+    return list(axes_of([f"{kind}{joint}" for kind in kinds], study, joint))
+
+
+def _imus(
+    study: Study,
+    axes: Sequence[Axis],
+    trajectory: Trajectory,
+    noise: SensorNoise | None,
+    rng: np.random.Generator,
+) -> dict[str, FloatArray]:
+    """What the axes of IMUs write down, by channel; gravity across the plane is in their biases."""
+    columns: dict[str, FloatArray] = {}
+    kinds: tuple[tuple[str, Quantity], ...] = (("accelerometer", "accelerometer"), ("gyro", "gyro"))
+    for kind, quantity in kinds:
+        own = [axis for axis in axes if axis.kind == kind]
+        if not own:
+            continue
+        ideal = [
+            sum(
+                count * trajectory[name][:, axis.joint - 1]
+                for count, name in zip(factors(axis, study, {}), axis.quantities, strict=True)
+            )
+            for axis in own
+        ]
+        readings = Trajectory(trajectory.time, {quantity: np.column_stack(ideal)})
+        for axis, column in zip(own, measure(readings, noise, rng)[quantity].T, strict=True):
+            columns[axis.channel] = column
     return columns

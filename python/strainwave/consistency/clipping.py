@@ -12,6 +12,7 @@ _KINDS = ("a", "gyro", "theta_l", "deflection", "torque", "omega_m")
 _NOISY = ("a", "gyro")  # never three times the same, but at the end of the range
 _RUN = 3  # equal samples at the extreme that make a flat top
 _SHARE = 1e-2  # of a record at the end of the range; robust weights cope with less
+_LONGER = 6.0  # times as often as one count inside; a turning angle is there 2.4 times as often
 _FEWEST_VALUES = 50  # different ones, below which a coarse channel has flat tops of its own
 
 
@@ -71,7 +72,16 @@ def _share(values: FloatArray, *, rests: bool) -> float:
         if at_rest or abs(extreme) < 1e-9 * size:
             continue
         at = np.abs(values - extreme) <= 1e-9 * size
+        if rests and at.sum() < _LONGER * _next_to(values, extreme, 1e-9 * size):
+            continue
         edges = np.flatnonzero(np.diff(np.r_[0, at.astype(np.int8), 0]))
         runs = edges[1::2] - edges[::2]
         share += float(runs[runs >= _RUN].sum()) / len(values)
     return share
+
+
+def _next_to(values: FloatArray, extreme: float, alike: float) -> int:
+    """How many samples are at the value that lies next to an extreme: an encoder's next count."""
+    inside = np.abs(values - extreme)
+    inside = inside[inside > alike]
+    return int(np.count_nonzero(inside <= inside.min() + alike))

@@ -140,6 +140,7 @@ def torques(seen: Evidence) -> list[Torque]:
     found = []
     for i in range(seen.study.n_joints):
         own = slow or [r for r in seen.records if r.experiment.joint in (None, i + 1)]
+        own = [r for r in own if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
         fit, names = _torque(own, seen.study, i)
         if fit is None:
             continue

@@ -2,7 +2,8 @@
 
 `band` says where a joint's resonances are, `voltages` plans what excites them, `rigid_motion`
 searches the motion that separates the rigid parameters and `motions` makes a record of it;
-`predicted_motion` runs every plan on the guessed arm, `written` makes files of it and `summary` the
+`predicted_motion` runs every plan on the guessed arm, `precision` says which intervals the declared
+sensors would give, `written` makes files of it and `summary` the
 table for the terminal.
 """
 
@@ -24,6 +25,7 @@ from strainwave.design.plan import (
     Planned,
     limits_of,
 )
+from strainwave.design.precision import predicted_precision
 from strainwave.design.steps import step_records
 from strainwave.design.voltages import Kind, sweep_records, voltage_record
 from strainwave.design.written import write
@@ -193,7 +195,9 @@ def design(
             warnings += (Diagnostic("slow-clock", of_it[0].experiment.name, text),)
     warnings += _torques_without_limit(study, limits, records)
     experiments = tuple(record.experiment for record in records)
-    return Design(replace(study, experiments=experiments), limits, records, warnings)
+    progress("predicting the intervals")
+    precision = predicted_precision(study, values, records, seed=seed)
+    return Design(replace(study, experiments=experiments), limits, records, warnings, precision)
 
 
 def _torques_without_limit(

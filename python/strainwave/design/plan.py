@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.errors import InvalidInput
-from strainwave.records import Control, Diagnostic, Experiment, FloatArray, Study
+from strainwave.records import Control, Diagnostic, Experiment, FloatArray, Parameter, Study
 from strainwave.simulation import Drive
 
 FREE: Control = "open"
@@ -98,6 +98,7 @@ class Design:
     limits: Limits
     records: tuple[Planned, ...]
     warnings: tuple[Diagnostic, ...]
+    precision: tuple[Parameter, ...] = ()  # that the whole-arm fit would have, at the guess
 
 
 def limits_of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from rich.text import Text
 from strainwave.command_table import table_name
 from strainwave.design.plan import Design, Planned, clock_of
 from strainwave.design.written import HEADER
+from strainwave.records import Study
+
+_NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 
 
 def print_design(design: Design, folder: Path, *, console: Console | None = None) -> None:
@@ -31,6 +35,8 @@ def print_design(design: Design, folder: Path, *, console: Console | None = None
         why = "; ".join(record.reasons)
         console.print(Text(f"{record.experiment.name}: {record.duration:.1f} s. {why}."))
     console.print(Text(f"log every {1e3 * clock_of(design.study):g} ms or faster"))
+    for line in _precision(design):
+        console.print(Text(line))
     for warning in design.warnings:
         text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
         console.print(text, style="yellow")
@@ -38,6 +44,37 @@ def print_design(design: Design, folder: Path, *, console: Console | None = None
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     logs = ", ".join(record.experiment.file for record in design.records)
     console.print(Text(f"still to be recorded, beside study.toml: {logs}"), soft_wrap=True)
+
+
+def _precision(design: Design) -> Iterator[str]:
+    """The sensors that are planned for, and the intervals they would give of gears and inertias."""
+    own = [p for p in design.precision if p.name.startswith(_NAMES) and p.value and p.std]
+    if not own:
+        return
+    yield (
+        f"planned for {', '.join(_sensors(design.study))}; on the guessed arm their noise alone"
+        " would leave these 95 % half-widths:"
+    )
+    for number in range(1, design.study.n_joints + 1):
+        parts = [
+            f"{p.name} {196.0 * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
+            for p in own
+            if p.joint == number
+        ]
+        yield f"joint {number}: {', '.join(parts)}"
+
+
+def _sensors(study: Study) -> Iterator[str]:
+    """What each joint declares."""
+    for number, joint in enumerate(study.joints, start=1):
+        named = [
+            f"encoder of {joint.encoder_counts:g} counts" if joint.encoder_counts else "encoder"
+        ]
+        named += ["accelerometer"] if joint.accelerometer_distance else []
+        named += ["gyro"] if joint.gyro_hz else []
+        named += ["link encoder"] if f"theta_l{number}" in study.channels else []
+        named += [] if len(named) > 1 else ["no link sensor"]
+        yield f"joint {number}'s {' and '.join(named)}"
 
 
 def _table(design: Design) -> Table:

@@ -385,8 +385,8 @@ def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
     warnings = list(cautions)
     for i, source in enumerate(view.sources, start=1):
         if source == "motor":
-            text = f"link {i} has no sensor: its motion is taken as the motor's, which hides the"
-            text += " gear's spring; log an accelerometer, a link encoder or the deflection"
+            text = f"link {i} has no sensor: its gear shows only in the motor's own response; an"
+            text += " accelerometer, a link encoder or the deflection would make intervals narrower"
             warnings.append(Diagnostic("no-link-sensor", view.log.name, text))
     prbs = view.log.experiment.prbs
     if prbs and prbs.clock < 0.999 * view.log.sample_time:

@@ -1,6 +1,7 @@
 """Both sides of a joint, decoupled -> JointModel: its physical parameters, with deviations.
 
-Two ways lead there: straight from the equations of motion (`identify_joint`), and through a
+Without link sensors the motors' own responses lead there (`models_from_motors`). With them there
+are two ways: straight from the equations of motion (`identify_joint`), and through a
 state-space model and its transfer functions (`state_space_of`, `from_state_space`), the paper's.
 `identify_record` goes both, or only the second where the options ask for it.
 """
@@ -27,6 +28,7 @@ from strainwave.physical.linear import (
     physical_order,
     state_space_of,
 )
+from strainwave.physical.motor_side import models_from_catalogue, models_from_motors
 from strainwave.physical.rigid_knowledge import rigid_knowledge
 from strainwave.physical.transfer import from_state_space
 from strainwave.physical.two_inertia import NAMES, anti_resonance, resonance
@@ -57,6 +59,8 @@ __all__ = [
     "identify_record",
     "joint_by_transfer",
     "judge",
+    "models_from_catalogue",
+    "models_from_motors",
     "modes_of",
     "rigid_knowledge",
     "state_space_of",

@@ -8,11 +8,16 @@ from __future__ import annotations
 
 from strainwave.records.answers import Consistency, Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.records.arm import (
+    CONDITIONS,
     AgreementTest,
     ArmModel,
+    Condition,
     Criticism,
+    LinkSensor,
+    MotorResponse,
     ResidualTest,
     ScoreTest,
+    SensorGain,
     StageDifference,
     TorqueHistogram,
 )
@@ -80,6 +85,7 @@ from strainwave.records.study import (
     Control,
     Effect,
     Experiment,
+    Imu,
     Joint,
     Motion,
     NonNegative,
@@ -96,6 +102,7 @@ from strainwave.records.verdict import Status, Validated, Verdict
 
 __all__ = [
     "CHANNELS",
+    "CONDITIONS",
     "OUTCOMES",
     "Activity",
     "AgreementTest",
@@ -107,6 +114,7 @@ __all__ = [
     "Check",
     "Comparison",
     "ComplexArray",
+    "Condition",
     "Consistency",
     "ContinuousStateSpace",
     "Control",
@@ -126,6 +134,7 @@ __all__ = [
     "Hold",
     "HypothesisTest",
     "Identification",
+    "Imu",
     "InputOutput",
     "IntArray",
     "Joint",
@@ -133,6 +142,7 @@ __all__ = [
     "Lag",
     "LinearOptions",
     "LinkOptions",
+    "LinkSensor",
     "LinkSignals",
     "LinkSource",
     "LinkSummary",
@@ -141,6 +151,7 @@ __all__ = [
     "ModelCheck",
     "Modes",
     "Motion",
+    "MotorResponse",
     "NonNegative",
     "Options",
     "OrderSelection",
@@ -157,6 +168,7 @@ __all__ = [
     "RigidModel",
     "RigidOptions",
     "ScoreTest",
+    "SensorGain",
     "Servo",
     "Signals",
     "Spring",

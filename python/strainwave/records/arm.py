@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from strainwave.display import Shown
 from strainwave.records.answers import Diagnostic, Parameter, Prediction
-from strainwave.records.arrays import FloatArray
+from strainwave.records.arrays import ComplexArray, FloatArray
 from strainwave.records.study import Effect
 
 
@@ -82,6 +83,9 @@ class StageDifference:
         return (self.whole_arm - self.rigid) / self.std
 
 
+_NEGLIGIBLE = 0.01  # relative difference of stages that no use of a model would show
+
+
 @dataclass(frozen=True, slots=True)
 class AgreementTest:
     """Whether the rigid and the whole-arm fit agree on several values at once, by chi-square."""
@@ -91,6 +95,70 @@ class AgreementTest:
     chi_square: float
     degrees: int
     deviations: float  # of a normal variable that is as unlikely on both sides
+    largest: float = math.inf  # relative difference of the value that differs most
+
+    @property
+    def matters(self) -> bool:
+        """Whether a value differs by so much that somebody would mind, however sure both are."""
+        return self.largest >= _NEGLIGIBLE
+
+
+Condition = Literal["alone", "others-free", "others-servoed"]
+"""What the other joints do while one is driven: there are none, they are free, or servoed."""
+
+CONDITIONS: Mapping[Condition, str] = {
+    "alone": "on its own",
+    "others-free": "the other joint free",
+    "others-servoed": "the other joint servoed",
+}
+"""The same in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorResponse:
+    """Motor torque to motor velocity in one record, of the rig and of the fitted arm."""
+
+    experiment: str
+    joint: int  # that is driven, from 1
+    condition: Condition
+    frequencies_hz: FloatArray  # (n_frequencies,)
+    measured: ComplexArray  # (n_frequencies,) [rad/s per N m]
+    fitted: ComplexArray  # (n_frequencies,) by the same estimate, of the simulated arm
+    coherence: FloatArray  # (n_frequencies,) of the measured one
+    anti_resonances_hz: tuple[float, ...]  # of the fitted arm, ascending
+    resonances_hz: tuple[float, ...]
+
+
+LinkSensor = Literal["accelerometer", "link-encoder", "gyro"]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorGain:
+    """What a link sensor that no record has would make of one parameter's interval."""
+
+    sensor: LinkSensor
+    link: int  # from 1, that it would sit on
+    assumed: str  # its data sheet and place
+    name: str
+    joint: int | None  # from 1; None for the arm's own
+    value: float
+    std: float  # as it is
+    predicted_std: float  # with the sensor in the same records
+
+    @property
+    def label(self) -> str:
+        """Name with joint, as in the verdict."""
+        return self.name if self.joint is None else f"{self.name} {self.joint}"
+
+    @property
+    def percent(self) -> float:
+        """Half-width of the 95 % interval as it is, of the value."""
+        return 196.0 * self.std / abs(self.value)
+
+    @property
+    def predicted_percent(self) -> float:
+        """The same with the sensor."""
+        return 196.0 * self.predicted_std / abs(self.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,3 +180,4 @@ class ArmModel(Shown):
     at_bounds: tuple[tuple[str, int | None], ...] = ()  # ended at a range's end, or rest on such
     differences: tuple[StageDifference, ...] = ()  # from the rigid model, value by value
     agreement: tuple[AgreementTest, ...] = ()  # with it, of all these differences and of groups
+    sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that are not there

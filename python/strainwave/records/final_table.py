@@ -202,7 +202,7 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
     for p in tuned.parameters:
         at_end = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
         table[_key(p)] = _Entry(p, at_end if _key(p) in bounded else "")
-    far = [test for test in tuned.agreement if test.deviations > CONTRADICTION]
+    far = [test for test in tuned.agreement if test.deviations > CONTRADICTION and test.matters]
     rubbing = {test.joint for test in far if test.scope == "friction"}
     torques = any(test.scope == "inertias" for test in far)
     for key, entry in table.items():

@@ -75,7 +75,7 @@ class JointModel(Shown):
 
     joint: int  # from 1
     experiments: tuple[str, ...]
-    method: Literal["grey-box", "transfer-function"]
+    method: Literal["grey-box", "transfer-function", "motor-response", "catalogue"]
     parameters: tuple[Parameter, ...]
     values: Mapping[str, float]  # of all parameters, also of those that the data hardly tell
     covariance: FloatArray  # (n_values, n_values), in the order of `values`

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from strainwave.display import Shown
 from strainwave.records.answers import Diagnostic, Parameter, Prediction, Suspicion
-from strainwave.records.arm import ArmModel
+from strainwave.records.arm import ArmModel, MotorResponse
 from strainwave.records.final_table import Decision, decide
 from strainwave.records.joints import JointModel, RecordModel, Sweep
 from strainwave.records.rigid import RigidModel
@@ -39,6 +39,7 @@ class Identification(Shown):
     tuned: ArmModel | None = None
     suspected: tuple[Suspicion, ...] = ()  # causes of contradictions in the input
     failures: tuple[str, ...] = ()  # why stages could not answer, each in one sentence
+    motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, where the arm was fitted
     activity: tuple[Activity, ...] = ()  # of each joint in the fitted records
 
     @property
@@ -136,8 +137,10 @@ def _called_for(found: Identification) -> _Called:
         viscous = "motor_viscous_friction" if lumped else "total_viscous_friction"
         names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
     whole = "tuned" in found.stages and len(elastic) == study.n_joints
-    if fast:
+    excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
+    if fast and (excited or not whole):
         stages.append("decoupled")
+    if fast:
         for number in elastic:
             inertias = [f"motor_inertia {number}", f"link_inertia {number}"]
             curve = whole and springs[number - 1] == "three-slope"

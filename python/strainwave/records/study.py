@@ -32,6 +32,16 @@ class Arm:
 
 
 @dataclass(frozen=True, slots=True)
+class Imu:
+    """Accelerometers and gyros in one case on a joint's link, placed anywhere."""
+
+    xyz: tuple[float, float, float] | None = None  # [m] in the link's frame
+    rpy: tuple[float, float, float] | None = None  # [rad] roll, pitch and yaw, as in URDF
+    accelerometer_hz: Positive | None = None  # second-order Butterworth
+    gyro_hz: Positive | None = None  # second-order Butterworth
+
+
+@dataclass(frozen=True, slots=True)
 class Joint:
     """One joint's drive and sensors: `[[joint]]`."""
 
@@ -41,9 +51,10 @@ class Joint:
     torque_per_volt: Positive | None = None  # e [N m/V] at the motor
     current_loop_hz: Positive | None = None
     encoder_counts: Positive | None = None  # per motor turn
-    accelerometer_distance: Positive | None = None  # l_a [m]
+    accelerometer_distance: Positive | None = None  # l_a [m]; left out: estimated
     accelerometer_hz: Positive | None = None  # second-order Butterworth
     gyro_hz: Positive | None = None  # first order
+    imu: Imu | None = None
     effects: tuple[Effect, ...] = ()  # that its friction and gear may have
 
 
@@ -132,7 +143,10 @@ class Study:
         return self.path.parent / experiment.file
 
 
-CHANNELS = ("u", "torque", "theta_m", "omega_m", "a", "theta_l", "deflection", "gyro", "ref")
+CHANNELS = (
+    *("u", "torque", "theta_m", "omega_m", "a", "theta_l", "deflection", "gyro", "ref"),
+    *("ax", "ay", "az", "gx", "gy", "gz"),  # of an IMU
+)
 """Channels there is one of per joint; `t` stands alone."""
 
 

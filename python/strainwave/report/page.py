@@ -7,15 +7,16 @@ from html import escape
 
 from strainwave.formatting import percent
 from strainwave.parameters import link_inertia
-from strainwave.records import ArmModel, Identification, JointModel, Prediction
+from strainwave.records import CONDITIONS, ArmModel, Identification, JointModel, Prediction
 from strainwave.records.options import chosen_options
-from strainwave.report import amplitudes, bode, correlations, elastic, gears, torques
+from strainwave.report import amplitudes, bode, correlations, elastic, gears, motors, torques
 from strainwave.report.criticism import criticised
 from strainwave.report.figures import MOST_POINTS, Figure
 from strainwave.report.html import Cell, Section, document, figure, number, prose, row, table
 from strainwave.report.parameters import meanings_table, parameter_table
 from strainwave.report.predictions import of_prediction
 from strainwave.report.remedies import warnings_table
+from strainwave.report.sensor_gains import gain_sentences
 from strainwave.report.verdict import verdict
 
 _ALL_POINTS = 150_000  # in all lines over time: more would make a page of many megabytes
@@ -62,7 +63,7 @@ def _content(identification: Identification) -> tuple[list[Section], dict[str, F
         Section(
             "parameters",
             "Parameters",
-            parameter_table(found.decisions) + meanings_table(found.decisions),
+            parameter_table(found.decisions) + _gains(found) + meanings_table(found.decisions),
         ),
         Section("responses", "Frequency responses", _responses(found, plots)),
         Section("predictions", "Predicted and measured", _predictions(found, plots)),
@@ -74,6 +75,12 @@ def _content(identification: Identification) -> tuple[list[Section], dict[str, F
         Section("making", "How it was made", _making(found)),
     ]
     return sections, plots
+
+
+def _gains(found: Identification) -> str:
+    """What link sensors that are not there would buy."""
+    said = (f"{one[0].upper()}{one[1:]}." for one in gain_sentences(found))
+    return "".join(f"<p>{escape(one)}</p>" for one in said)
 
 
 def _name(identification: Identification) -> str:
@@ -116,6 +123,13 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
         label = f"Joint {joint.joint} alone: motor torque to motor velocity"
         name = f"bode joint {joint.joint}"
         words = bode.words(joint, measured)
+        parts.append(figure(name, label, drawn, plots, words=words))
+    for seen in found.motor_responses:
+        own = found.study.joints[seen.joint - 1]
+        drawn = motors.figure_of(seen, straight=own.motion == "prismatic")
+        label = f"Motor {seen.joint} in {seen.experiment}, {CONDITIONS[seen.condition]}:"
+        label += " torque to velocity"
+        name, words = f"motor {seen.experiment}", motors.words_of(seen)
         parts.append(figure(name, label, drawn, plots, words=words))
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = "".join(row(cells) for cells in elastic.resonance_rows(found))

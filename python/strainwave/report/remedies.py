@@ -49,6 +49,9 @@ REMEDIES = {
     "only-together": (
         "Add an experiment that moves one without the other, or hold one at its data-sheet value."
     ),
+    "motor-side-limit": (
+        "Add an accelerometer or an encoder to that link; more such records hardly help."
+    ),
     "residual-not-noise": (
         "Read the tests of what the fit leaves: they name the frequency and what might explain it."
     ),
@@ -66,7 +69,7 @@ REMEDIES = {
     "sensor-delay": "Give the sensor's bandwidth in the study, or mend the latency of its bus.",
     "sensor-scale": "Check the sensor's calibration, its direction and its distance in the study.",
     "start-rejected": "Check the signs, units and assignment of the channels.",
-    "no-link-sensor": "Log an accelerometer, a link encoder or the deflection of that link.",
+    "no-link-sensor": "None is needed; with a sensor on that link intervals would be narrower.",
     "silent-command": "Check that the drive held its last command, and that its node lived.",
     "recorder-stamps": "Publish those messages with a header stamp of their own.",
     "sub-sampled": "Log at least at the clock of the excitation.",

@@ -248,7 +248,8 @@ def _search(motions: Sequence[_Motion], study: Study) -> list[_Trial]:
     least, since = np.full(len(columns_of(study)), np.inf), 0
     stiff = n_compliances(study) == 0
     for bandwidth in _bandwidths(motions, _STEP ** (2 if stiff else 1)):
-        if trials and bandwidth > _surely_elastic(study, trials[-1]):
+        limits = [_surely_elastic(study, trial) for trial in trials[-2:]]
+        if len(limits) > 1 and bandwidth > max(limits):  # one trial alone may mistake its band
             break
         stretches = _prepared(study, motions, bandwidth)
         around = carried(trials[-1].estimate, trials[-1].stretches, stretches) if trials else None

@@ -63,6 +63,13 @@ def check_fit(study: Study, reader: Reader) -> None:
             where=reader.place("arm", None, "gravity"),
             remedy="leave gravity out; a constant force shows as friction_offset",
         )
+    for index, joint in enumerate(study.joints):
+        if joint.imu is not None and joint.motion == "prismatic":
+            raise InvalidInput(
+                "an IMU on a prismatic joint is not supported",
+                where=reader.place("joint", index, "imu"),
+                remedy="map the axis along the joint to the channel a1, and leave the others out",
+            )
     if study.servo is not None:
         for key in ("kp", "ki"):
             _check_count(getattr(study.servo, key), count, reader.place("servo", None, key), key)
@@ -236,6 +243,10 @@ _JOINT_SIZES = (
     ("accelerometer_hz", 1.0, 1e6, "Hz", 1e3, "kHz"),
     ("gyro_hz", 0.05, 1e6, "Hz", 1e3, "kHz"),
 )
+_IMU_SIZES = (
+    ("accelerometer_hz", 1.0, 1e6, "Hz", 1e3, "kHz"),
+    ("gyro_hz", 0.05, 1e6, "Hz", 1e3, "kHz"),
+)
 _ARM_SIZES = (
     ("link_length", 5e-3, 10.0, "m", 1e-3, "mm"),
     ("gravity", 0.0, 30.0, "m/s^2", 1e-3, "mm/s^2"),
@@ -261,6 +272,8 @@ def check_sizes(study: Study, reader: Reader) -> None:
     _sizes(study.arm, _ARM_SIZES, lambda key: reader.place("arm", None, key))
     for index, joint in enumerate(study.joints):
         _sizes(joint, _JOINT_SIZES, lambda key, i=index: reader.place("joint", i, key))
+        if joint.imu is not None:
+            _sizes(joint.imu, _IMU_SIZES, lambda _, i=index: reader.place("joint", i, "imu"))
     if study.servo is not None:
         _sizes(study.servo, _SERVO_SIZES, lambda key: reader.place("servo", None, key))
     for index, experiment in enumerate(study.experiments):

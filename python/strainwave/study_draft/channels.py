@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from strainwave.records import FloatArray
-from strainwave.study_draft.candidates import AGREES, Mapping
+from strainwave.study_draft.candidates import AGREES, Guess, Mapping
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.joint_columns import JointColumns
 from strainwave.study_draft.joints import named_columns
 from strainwave.study_draft.signal_features import proportion, relation
+
+_IMU_AXIS = re.compile(r"[ag][xyz][1-9]")
 
 
 def map_channels(record: Record) -> Mapping:
@@ -34,11 +38,22 @@ def _mapped(record: Record, fullest: Record) -> Mapping:
     for joint in range(1, count + 1):
         of_it = {n: e for n, e in named.items() if (e.number or 1) == joint}
         JointColumns(record, of_it, joint, mapping).map()
+    _map_imus(record, mapping)
     used = {guess.column for guess in mapping.guesses.values()}
     for name, values in record.columns.items():
         if name not in used and name not in mapping.unused:
             mapping.unused[name] = _unknown(record, values, mapping)
     return mapping
+
+
+def _map_imus(record: Record, mapping: Mapping) -> None:
+    """Axes of IMUs under their own names: which frame they are in no numbers say."""
+    used = {guess.column for guess in mapping.guesses.values()}
+    for name, values in record.columns.items():
+        number = int(name[2]) if _IMU_AXIS.fullmatch(name) else 0
+        if 0 < number <= len(mapping.joints) and name not in used and np.ptp(values) > 0.0:
+            mapping.guesses[name] = Guess(name, name, "an axis of an IMU, by its name", "sure")
+            mapping.joints[number - 1].link_sensors.add("imu")
 
 
 def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:

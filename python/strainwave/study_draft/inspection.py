@@ -38,6 +38,11 @@ class Record:
         return float(np.median(np.diff(self.time)))
 
     @property
+    def is_bag(self) -> bool:
+        """Whether its columns are fields of topics."""
+        return self.time_column is None
+
+    @property
     def name(self) -> str:
         """The file's, without its endings."""
         return self.path.name.split(".")[0] or self.path.name

@@ -40,7 +40,8 @@ _WHERE = {
     "1 where torque and angle are both logged behind the gear",
     "torque_per_volt": "[N m/V] at the motor: amplifier gain [A/V] times the motor's torque "
     "constant [N m/A], from their data sheets",
-    "accelerometer_distance": "[m] from this link's own axis to the sensor: measure it",
+    "accelerometer_distance": "[m] from this link's own axis to the sensor: measure it, or take "
+    "the line out, and it is estimated",
 }
 
 
@@ -48,6 +49,7 @@ _BANDWIDTH = (
     "bandwidth [Hz] of the sensor with its filter, from the data sheet or the set-up. Without it "
     "the lag counts as delay or damping; take the line out only where it exceeds the sampling rate"
 )
+_IMU = "and xyz [m], rpy [rad], if known"
 _CURRENT_LOOP = (
     "bandwidth [Hz] from voltage to torque, from the drive's data sheet; take the line out only "
     "where it exceeds the sampling rate"
@@ -173,6 +175,8 @@ def _joint(number: int, facts: JointFacts, elastic: bool) -> str:
         lines.append(_line("accelerometer_hz", TODO, _BANDWIDTH))
     if "gyro" in facts.link_sensors:
         lines.append(_line("gyro_hz", TODO, _BANDWIDTH))
+    if "imu" in facts.link_sensors:
+        lines.append(_off("imu", "{ accelerometer_hz = 300.0, gyro_hz = 100.0 }", _IMU))
     if facts.voltage and elastic:
         lines.append(_line("current_loop_hz", TODO, _CURRENT_LOOP))
     return "\n".join(lines)
@@ -210,7 +214,7 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
         if record.time_column == "t" and record.time_scale == 1.0:
             lines += _wrapped(f"t: {why}")
         else:
-            lines.append(_line("t", _entry(record.time_column, record.time_scale), why))
+            lines.append(_line("t", _entry(record.time_column, record.time_scale, of_bag=False), why))
     if own:
         lines += _wrapped(f"sure: under their own names, in SI units: {', '.join(own)}")
     for guess in mapping.guesses.values():
@@ -230,28 +234,29 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
 def _guess(guess: Guess, records: Sequence[Record]) -> str:
     """One channel; in logs that lack its column it is absent."""
     comment = f"{guess.sure}: {guess.why}"
+    of_bag = any(record.is_bag for record in records if guess.column in record.columns)
     lacking = [record.path.name for record in records if guess.column not in record.columns]
     if lacking:
         comment += f"; not in {', '.join(lacking)}: absent there"
     if guess.scale is None:
         comment = f"{TODO}: {guess.todo}. {comment}"
-    return _line(guess.channel, _entry(guess.column, guess.scale), comment)
+    return _line(guess.channel, _entry(guess.column, guess.scale, of_bag), comment)
 
 
-def _entry(column: str, scale: float | None) -> str:
-    """A channel as [channels] has it."""
+def _entry(column: str, scale: float | None, of_bag: bool) -> str:
+    """A channel as [channels] has it; a bag's column is /topic.field[joint or index]."""
     value = TODO if scale is None else repr(float(scale))
     scaled = "" if scale == 1.0 else f", scale = {value}"
-    if not column.startswith("/"):
+    if not of_bag:
         name = _quoted(column)
         return f"{{ column = {name}{scaled} }}" if scaled else name
     topic, _, rest = column.partition(".")
-    text = f'{{ topic = "{topic}", '
+    text = f"{{ topic = {_quoted(topic)}, "
     if rest.endswith("]") and not rest[rest.rindex("[") + 1 : -1].isdecimal():
         at = rest.rindex("[")
         name = _quoted(rest[at + 1 : -1])
-        return text + f'field = "{rest[:at]}", name = {name}{scaled} }}'
-    return text + f'field = "{rest}"{scaled} }}'
+        return text + f"field = {_quoted(rest[:at])}, name = {name}{scaled} }}"
+    return text + f"field = {_quoted(rest)}{scaled} }}"
 
 
 def _experiment(each: Proposed, out: Path) -> str:

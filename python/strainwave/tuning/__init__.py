@@ -14,8 +14,10 @@ from typing import Literal
 import numpy as np
 
 from strainwave.closed_loop import predict_closed_loop, velocity_band, with_known_effects
-from strainwave.errors import NotIdentifiable
-from strainwave.link_sensors import is_sensor_constant, nominal
+from strainwave.errors import NotIdentifiable, NumericalFailure
+from strainwave.link_sensors import is_optional, nominal
+from strainwave.mounting import START, is_hidden
+from strainwave.mounting_start import mounting_starts
 from strainwave.parallel import one_blas_thread, side_by_side
 from strainwave.recorded_input import missing_for_replay
 from strainwave.records import (
@@ -31,6 +33,7 @@ from strainwave.records import (
 )
 from strainwave.tuning.agreement import agreement_tests, disagreement, stage_differences
 from strainwave.tuning.beginnings import with_evident_beginnings
+from strainwave.tuning.candidates import best_candidate
 from strainwave.tuning.dataset import Replayed, coarser, replayed, usable
 from strainwave.tuning.effects import left_out, records_with, tried
 from strainwave.tuning.estimates import Fit, parameters_of, warnings_of
@@ -42,6 +45,8 @@ from strainwave.tuning.model_selection import (
     without_idle_effects,
     without_idle_settling,
 )
+from strainwave.tuning.motor_side_limits import motor_side_limits
+from strainwave.tuning.mountings import best_placed, placed_again, with_evident_tilts
 from strainwave.tuning.objective import Misfit
 from strainwave.tuning.parametrisation import (
     CURVE,
@@ -54,11 +59,14 @@ from strainwave.tuning.parametrisation import (
     search_of,
     with_curves,
 )
+from strainwave.tuning.predicted import BAND, LEAST_BAND, predicted_parameters
 from strainwave.tuning.residuals import residual_cautions, residual_tests
 from strainwave.tuning.restricted import as_published, published_records, restricted
 from strainwave.tuning.score_tests import effect_cautions, score_tests_of
+from strainwave.tuning.sensor_gains import sensor_gains
 from strainwave.tuning.sensors import (
     sensor_cautions,
+    with_bandwidths_apart,
     with_evident_sensors,
     with_sensors,
     without_idle_sensors,
@@ -66,12 +74,15 @@ from strainwave.tuning.sensors import (
 from strainwave.tuning.solver import Progress, finely, reported, roughly
 from strainwave.tuning.starts import rejected_starts, starts_of
 
-__all__ = ["Fit", "TuningOptions", "fitted", "tune"]
+__all__ = ["Fit", "TuningOptions", "fitted", "predicted_parameters", "tune"]
 
-_BAND = 5.0  # times the highest resonance: beyond, little is left of what the gears do
-_LEAST_BAND = 0.1  # of the sampling frequency, to which the low-pass may go up
+
 _STEPS = 8.0  # in a period of the cut-off, of the first search; the fit itself takes more
 _LOOKS = 31  # along a stiffness of which nothing is known, over a factor of nine
+_UNLIKELY = (
+    "the arm that the steps before found cannot be simulated. Check the signs, units and assignment"
+    " of the channels, gear_ratio and torque_per_volt"
+)
 _EDGE = 0.01  # of half its range, so near to which a parameter counts as at its bound
 
 
@@ -83,6 +94,7 @@ def tune(
     options: TuningOptions | None = None,
     *,
     start: Mapping[Key, float] | None = None,
+    others: Sequence[Sequence[JointModel]] = (),
     progress: Progress | None = None,
 ) -> ArmModel:
     """Every parameter of the arm from all `frequency`, `sweep` and `tuning` records at once.
@@ -108,6 +120,8 @@ def tune(
     start : dict, optional
         (name, joint) -> value, in place of those of the stages before; delays and scales of link
         sensors among them are fitted from the beginning.
+    others : sequence of sequence of JointModel
+        More sets of joints to start from: the records decide.
     progress : callable, optional
         Called with the number of each evaluation, and the most there may be.
 
@@ -126,7 +140,7 @@ def tune(
     """
     with one_blas_thread(), reported(progress):  # thousands of small factorisations
         chosen = as_published(options or TuningOptions())
-        return _tuned(_begun(logs, model, joints, study, chosen, start), study, chosen)
+        return _tuned(_begun(logs, model, (joints, *others), study, chosen, start), study, chosen)
 
 
 def fitted(
@@ -146,7 +160,7 @@ def fitted(
     """
     chosen = as_published(options or TuningOptions())
     with one_blas_thread():
-        return _whole_fit(_begun(logs, model, joints, study, chosen, start), study, chosen)
+        return _whole_fit(_begun(logs, model, (joints,), study, chosen, start), study, chosen)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,14 +170,15 @@ class _Begun:
     logs: list[Log]
     records: tuple[Replayed, ...]
     coarse: Misfit  # the same records in long steps
-    start: FloatArray  # (n_unknowns,)
+    initial: FloatArray  # (n_unknowns,) by the steps before
+    start: FloatArray  # (n_unknowns,) the same, or where it led to while starts were compared
     rejected: tuple[Diagnostic, ...]  # starts that were impossible
 
 
 def _begun(
     logs: Sequence[Log],
     model: RigidModel | None,
-    joints: Sequence[JointModel],
+    candidates: Sequence[Sequence[JointModel]],
     study: Study,
     chosen: TuningOptions,
     given: Mapping[Key, float] | None,
@@ -176,29 +191,57 @@ def _begun(
             'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
             " angle and the voltage of every motor"
         )
-    cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
-    plain = with_known_effects(study, ())
-    records = tuple(replayed(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
-    search = _search(records, model, joints, study, chosen)
-    given = {} if given is None else dict(given)
+    every = [joint for joints in candidates for joint in joints]
+    records, long_steps = _records(used, every, study, chosen)
+
+    placed = mounting_starts(logs, study, used)
+    given = placed | ({} if given is None else dict(given))
+
+    def search_by(joints: Sequence[JointModel]) -> Search:
+        found = _search(records, model, joints, study, chosen)
+        return with_sensors(found, [key for key in placed if key[0] not in START], given)
+
+    def misfit_of(joints: Sequence[JointModel]) -> Misfit:
+        return Misfit.of(search_by(joints), long_steps)
+
+    best = best_candidate(candidates, misfit_of, chosen)
+    joints = best.joints
+    if len(candidates) > 1:  # the band is now known better
+        records, long_steps = _records(used, joints, study, chosen)
+    search = search_by(joints)
     own = {key for record in records for key in record.sensor_constants()}
     search = with_sensors(search, [key for key in given if key in own])
-    nothing = {key: nominal(key) for key in search.keys if is_sensor_constant(key)}
+    nothing = {key: nominal(key) for key in search.keys if is_optional(key)}
     start = search.coordinates(search.values(np.zeros(len(search.unknowns))) | nothing | given)
+    initial = start
+    if best.reached is not None:
+        start = search.coordinates(search.values(start) | best.reached | given)
     keys = search.keys
     search = restricted(search, chosen, start)
-    start = start[[key in search.keys for key in keys]]
-    coarse = Misfit.of(search, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records])
+    kept = [key in search.keys for key in keys]
+    start, initial = start[kept], initial[kept]
+    coarse = Misfit.of(search, long_steps)
     if coarse.linearise(start) is None:
-        raise NotIdentifiable(
-            "the arm that the steps before found cannot be simulated. Check the signs, units and"
-            " assignment of the channels, gear_ratio and torque_per_volt"
-        )
+        raise NotIdentifiable(_UNLIKELY)
+    if placed:
+        coarse, start = best_placed(coarse, start, study, chosen)
     starts = starts_of(model, joints, study)
     for name, joint in starts.rejected:
         if name in LINEAR:
             start = _best_along(coarse, start, joint)
-    return _Begun(used, records, coarse, start, tuple(rejected_starts(starts, study)))
+    if best.reached is None or placed:
+        initial = start
+    return _Begun(used, records, coarse, initial, start, tuple(rejected_starts(starts, study)))
+
+
+def _records(
+    used: Sequence[Log], joints: Sequence[JointModel], study: Study, chosen: TuningOptions
+) -> tuple[tuple[Replayed, ...], list[Replayed]]:
+    """Records in a band that such joints need, and the same in long steps."""
+    cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
+    plain = with_known_effects(study, ())
+    records = tuple(replayed(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
+    return records, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records]
 
 
 def _best_along(coarse: Misfit, start: FloatArray, joint: int | None) -> FloatArray:
@@ -221,8 +264,8 @@ def _best_along(coarse: Misfit, start: FloatArray, joint: int | None) -> FloatAr
 
 def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
     """What `tune` promises, however many threads BLAS may have."""
-    before = begun.coarse.fits(begun.start)
-    first = begun.coarse.search.values(begun.start)
+    before = begun.coarse.fits(begun.initial)
+    first = begun.coarse.search.values(begun.initial)
     fit = _whole_fit(begun, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
@@ -234,6 +277,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         status = "at-bounds"
     if not fit.converged:
         status = "iteration-limit"
+    ended = tuple(_bounded(fit, study))
     differences, agreement = stage_differences(fit, study), agreement_tests(fit)
     criticism = Criticism(residual_tests(fit.misfit, fit.z), tuple(score_tests_of(fit, study)))
     repeated = [
@@ -245,10 +289,11 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
     repeats = side_by_side(
         [partial(predict_closed_loop, arm, log, study) for arm in arms for log in repeated]
     )
+    public = [k for k, p in enumerate(parameters) if not is_hidden((p.name, p.joint))]
     return ArmModel(
-        parameters=parameters,
+        parameters=tuple(parameters[k] for k in public),
         values=values,
-        covariance=covariance,
+        covariance=covariance[np.ix_(public, public)],
         fit_percent=fit.misfit.fits(fit.z),
         initial_fit_percent=before,
         simulated=tuple(repeats[: len(repeated)]),
@@ -258,6 +303,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         warnings=(
             *begun.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
+            *motor_side_limits(fit, study, parameters, ended),
             *disagreement(differences, agreement),
             *left_out(fit.misfit.search, study),
             *sensor_cautions(parameters),
@@ -266,9 +312,10 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         ),
         criticism=criticism,
         carried=histograms_of(carried),
-        at_bounds=tuple(_bounded(fit, study)),
+        at_bounds=ended,
         differences=differences,
         agreement=agreement,
+        sensor_gains=tuple(sensor_gains(fit, study, parameters)) if fit.converged else (),
     )
 
 
@@ -276,8 +323,8 @@ def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], study: Study) -> 
     """Some way above the highest resonance, but no higher than the motors show motion."""
     shown = min(velocity_band(log, study) for log in used)
     resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
-    limit = _LEAST_BAND / max(log.sample_time for log in used)
-    return min([shown, limit] + ([_BAND * max(resonances)] if resonances else []))
+    limit = LEAST_BAND / max(log.sample_time for log in used)
+    return min([shown, limit] + ([BAND * max(resonances)] if resonances else []))
 
 
 def _search(
@@ -293,7 +340,10 @@ def _search(
     )
     if any(joint.spring == "three-slope" for joint in study.joints):
         values = search.values(np.zeros(len(search.unknowns)))
-        search = with_curves(search, study, gear_torques(records, values).tolist())
+        try:
+            search = with_curves(search, study, gear_torques(records, values).tolist())
+        except NumericalFailure as failure:
+            raise NotIdentifiable(_UNLIKELY) from failure
     return search
 
 
@@ -304,8 +354,10 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     effects that the study names and the records show.
     """
     rough = with_evident_beginnings(roughly(begun.coarse, begun.start, options), options)
+    rough = placed_again(rough, study, options)
     rough = bent(rough, options)
     rough = with_evident_sensors(rough, options, rough=True)
+    rough = with_bandwidths_apart(rough, study, options, rough=True)
     if options.settling is not False and rough.iterations < options.max_iterations:
         rough = with_settling_times(rough, options)
     if tried(study):
@@ -316,11 +368,28 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     records = [replace(record, moving=coarse.moving) for record, coarse in pairs]
     misfit = rough.misfit.seen_by(records_with(records, study, rough.misfit.search.keys))
     fine = finely(misfit.reweighted(rough.z), rough.z, rough.iterations, options)
+    fine, options = _bent_finely(fine, options)
     if tried(study):
         fine = without_idle_effects(fine, study, options)
     fine = with_evident_sensors(fine, options, rough=False)
+    fine = with_bandwidths_apart(fine, study, options, rough=False)
+    fine = with_evident_tilts(fine, study, options)
     fine = without_idle_sensors(fine, options)
     return fine if options.settling else without_idle_settling(fine, options)
+
+
+def _bent_finely(fine: Fit, options: TuningOptions) -> tuple[Fit, TuningOptions]:
+    """Again from other curves, where one lost a bend that does not show in long steps.
+
+    These have evaluations of their own, as many as the fit without them.
+    """
+    more = replace(options, max_iterations=fine.iterations + options.max_iterations)
+    again = bent(fine, more)
+    if again.iterations == fine.iterations:
+        return fine, options
+    if again.cost < fine.cost:
+        return finely(again.misfit.reweighted(again.z), again.z, again.iterations, more), more
+    return replace(again, converged=fine.converged), more
 
 
 def _bounded(fit: Fit, study: Study) -> Iterator[Key]:

@@ -12,7 +12,7 @@ from strainwave.distributions import chi_square_tail
 from strainwave.parameters import unit_of
 from strainwave.records import AgreementTest, Diagnostic, FloatArray, StageDifference, Study
 from strainwave.tuning.estimates import Fit
-from strainwave.tuning.parametrisation import unit_of_arm
+from strainwave.tuning.parametrisation import COULOMB, OFFSET, Key, unit_of_arm
 
 Scope = Literal["all", "inertias", "friction"]
 
@@ -90,6 +90,7 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     raised = np.divide(std, own, out=np.ones_like(std), where=own > 0.0)
     covariance = steady * np.outer(raised, raised)
     rigid, difference = F @ prior.errors @ F.T, F @ sure.prior_residual
+    relative = np.abs(difference) / _sizes(prior.names, prior.mean)
     groups: dict[tuple[Scope, int | None], list[int]] = {}
     for k, (name, joint) in enumerate(prior.names):
         own_group: tuple[Scope, int | None] = ("inertias", None)
@@ -102,8 +103,17 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
         own_part = np.ix_(at, at)
         q, degrees = _chi_square(difference[at], covariance[own_part], rigid[own_part])
         if degrees:
-            found.append(AgreementTest(scope, joint, q, degrees, _as_normal(q, degrees)))
+            largest = float(np.max(relative[at]))
+            found.append(AgreementTest(scope, joint, q, degrees, _as_normal(q, degrees), largest))
     return tuple(found)
+
+
+def _sizes(names: Sequence[Key], values: FloatArray) -> FloatArray:
+    """What differences are relative to: the values, of an offset the joint's Coulomb friction."""
+    at = {key: abs(float(value)) for key, value in zip(names, values, strict=True)}
+    own = [(COULOMB, joint) if name == OFFSET else (name, joint) for name, joint in names]
+    sizes = [at.get(key, at[name]) for key, name in zip(own, names, strict=True)]
+    return np.asarray(np.maximum(np.array(sizes), 1e-300))
 
 
 def _chi_square(
@@ -141,7 +151,8 @@ def disagreement(
     Diagnostic
         At most one, with the likely causes, the likeliest first.
     """
-    worst = max(tests, key=lambda test: test.deviations, default=None)
+    mattering = [test for test in tests if test.matters]
+    worst = max(mattering, key=lambda test: test.deviations, default=None)
     if worst is None or worst.deviations <= DISAGREES:
         return
     shown = ", ".join(

@@ -39,8 +39,10 @@ from strainwave.parallel import side_by_side
 from strainwave.records import FloatArray, IntArray
 from strainwave.tuning.objective import BLOCKS, Misfit, Rows, lagged_products
 
+LEAST_SHARE = 1e-3
+"""Of the local variance: what no record identifies shows no errors either."""
+
 _NOTHING = 1e-30  # information of what no record tells of
-_LEAST_SHARE = 1e-3  # of the local variance: what no record tells of shows no errors either
 _LEAST_KEPT = 1e-6  # of a variance that is left in the prior's residuals
 _UNSURE = 0.2  # share of a variance by which the noise behind it may be misjudged
 _FEWEST = 3  # records that can scatter
@@ -101,9 +103,9 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     slope = search.slope(z)
     rows = prior.rows @ slope
     known = rows.T @ rows
-    inverse = _inverse(sum((record.product for record in records), known))
+    inverse = inverse_information(sum((record.product for record in records), known))
     bread = sum((record.curvature for record in records), known)
-    unbread = _inverse(bread)
+    unbread = inverse_information(bread)
     blocks = np.concatenate([record.gradients for record in records])
     n = len(blocks)
     loud = n / (n - 1.0) * blocks.T @ blocks
@@ -112,7 +114,7 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     told = larger * rows.T @ prior.errors @ rows
     sandwich = unbread @ (loud + told) @ unbread
     steady = unbread @ sum((record.steady for record in records), told) @ unbread
-    steady = steady + _LEAST_SHARE * inverse
+    steady = steady + LEAST_SHARE * inverse
     scatter, pooled = _scatter(bread, known, records)
     local, sandwich, steady, scatter = (
         slope @ part @ slope.T for part in (inverse, sandwich, steady, scatter)
@@ -194,22 +196,40 @@ def _steady(columns: FloatArray, residual: FloatArray, noise: FloatArray) -> Flo
     Autocovariances up to a stretch's length, tapered (Newey and West, 1987), make a power spectrum,
     which weighs the columns' own.
     """
-    n, n_channels, n_unknowns = columns.shape
+    found = np.zeros((columns.shape[2], columns.shape[2]))
+    for k in range(columns.shape[1]):
+        found += gradient_covariance(
+            columns[:, k], _autocovariance(residual[:, k], float(noise[k]))
+        )
+    return found
+
+
+def gradient_covariance(columns: FloatArray, autocovariance: FloatArray) -> FloatArray:
+    """Covariance of columns' products with stationary errors, whose spectrum weighs the columns'.
+
+    Parameters
+    ----------
+    columns : (n_rows, n_unknowns)
+    autocovariance : (n_rows,)
+        Of the errors, from lag zero on; tapered beyond a stretch's length.
+
+    Returns
+    -------
+    (n_unknowns, n_unknowns)
+    """
+    n = len(columns)
     reach = max(1, n // BLOCKS)
     around = 2 * ((n + reach + 1) // 2)
     taper = 1.0 - np.arange(reach) / reach
     twice = np.full(around // 2 + 1, 2.0)  # lines above and below zero
     twice[[0, -1]] = 1.0
-    found = np.zeros((n_unknowns, n_unknowns))
-    for k in range(n_channels):
-        lags = np.zeros(around)
-        lags[:reach] = taper * _autocovariance(residual[:, k], float(noise[k]))[:reach]
-        lags[around - reach + 1 :] = lags[1:reach][::-1]
-        power = np.maximum(np.fft.rfft(lags).real, 0.0)
-        lines = np.fft.rfft(columns[:, k], around, axis=0)
-        lines *= np.sqrt(twice * power / around)[:, None]
-        found += lines.real.T @ lines.real + lines.imag.T @ lines.imag
-    return found
+    lags = np.zeros(around)
+    lags[:reach] = taper * autocovariance[:reach]
+    lags[around - reach + 1 :] = lags[1:reach][::-1]
+    power = np.maximum(np.fft.rfft(lags).real, 0.0)
+    lines = np.fft.rfft(columns, around, axis=0)
+    lines *= np.sqrt(twice * power / around)[:, None]
+    return np.asarray(lines.real.T @ lines.real + lines.imag.T @ lines.imag)
 
 
 def _autocovariance(residual: FloatArray, noise: float) -> FloatArray:
@@ -292,7 +312,7 @@ def _scatter(
     """
     if len(records) < _FEWEST:
         return np.full_like(whole, np.nan), 1.0
-    unscale = _root_of(_inverse(whole))  # L^-T, whose square is the inverse
+    unscale = _root_of(inverse_information(whole))  # L^-T, whose square is the inverse
     meat = unscale.T @ known @ unscale
     squares = expected = 0.0
     for record in records:
@@ -313,8 +333,17 @@ def _root_of(covariance: FloatArray) -> FloatArray:
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _inverse(information: FloatArray) -> FloatArray:
-    """Inverse by the eigenvalues of the scaled matrix; what nothing tells of is very uncertain."""
+def inverse_information(information: FloatArray) -> FloatArray:
+    """Inverse by the eigenvalues of the scaled matrix; what is not identified is very uncertain.
+
+    Parameters
+    ----------
+    information : (n_unknowns, n_unknowns)
+
+    Returns
+    -------
+    (n_unknowns, n_unknowns)
+    """
     scale = np.sqrt(np.diag(information))
     scale[scale == 0.0] = _NOTHING
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))

@@ -16,19 +16,30 @@ from strainwave.closed_loop import has_accelerometer
 from strainwave.errors import InvalidInput
 from strainwave.filters import noise_deviation
 from strainwave.link_sensors import (
+    bandwidth_of,
     constants_of,
     delay_of,
+    is_bandwidth,
     is_sensor_constant,
     scale_of,
     slope_of_rows,
 )
+from strainwave.mounting import (
+    TILT,
+    Axis,
+    axes_of,
+    factors,
+    is_mounting,
+    scale_is_apart,
+    slopes,
+)
 from strainwave.recorded_input import (
-    driving_voltages,
+    driven_by_voltage,
     missing_for_replay,
     missing_motor_signal,
     replay,
 )
-from strainwave.records import FloatArray, Joint, Log, Study
+from strainwave.records import FloatArray, Imu, Joint, Log, Study
 from strainwave.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
 
 INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
@@ -43,6 +54,8 @@ _BAND = 8  # rows of the low-pass that share a matrix product
 _SHAPE = 5.0  # of its Kaiser window: 50 dB outside its band
 _REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at rest
 _BEGINNING = 0.02  # [s] that are looked at for it
+_WIDER = 1e-3  # share by which a bandwidth is varied for its slope
+_SENSORS = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")  # that have a bandwidth
 _TURN = 0.002  # [s] over which accelerations are seen
 
 
@@ -55,6 +68,22 @@ class Channel:
     quantity: Quantity
     rate: bool  # whether it is an angle, compared as a velocity
     shifted: bool  # whether an unknown constant is added to it
+    axis: Axis | None = None  # of a sensor that may sit anywhere
+
+    @property
+    def sensor(self) -> str:
+        """By what its sensor's constants are named."""
+        return self.quantity if self.axis is None else self.axis.sensor
+
+    @property
+    def scaled(self) -> str:
+        """By what its scale is named."""
+        return self.quantity if self.axis is None else self.axis.scaled
+
+    @property
+    def reads(self) -> tuple[Quantity, ...]:
+        """What has to be simulated for it."""
+        return (self.quantity,) if self.axis is None else self.axis.quantities
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +168,7 @@ class Replayed:
     ) -> dict[Quantity, FloatArray]:
         """What an arm does in this experiment: (n_samples, n_joints) of each quantity."""
         runs = simulate_arms(
-            self.study,
+            self._study_at(values),
             [dict(values)],
             self._begun(local),
             sample_time=self.log.sample_time,
@@ -166,7 +195,7 @@ class Replayed:
         """
         simulated = [key for key in directions if not is_sensor_constant(key)]
         runs = sensitivities(
-            self.study,
+            self._study_at(values),
             dict(values),
             self._begun(local),
             [*simulated, *self.local],
@@ -176,16 +205,26 @@ class Replayed:
             longest_step=self.longest_step,
             low_pass=self.low_pass(),
         )
-        seen, tangent = (
-            self._by_channel({name: run[k] for name, run in runs.items()}) for k in (0, 1)
-        )
-        seen = seen + self.lacking
+        rows = {name: run[0] for name, run in runs.items()}
+        seen = self._by_channel(rows, values) + self.lacking
+        tangent = self._by_channel({name: run[1] for name, run in runs.items()}, values)
         scales = self.sensor_scales(values)
         if np.any(scales != 1.0):
             tangent = tangent * scales[:, None]
         if len(simulated) < len(directions):
-            tangent = self._with_sensors(seen, tangent, values, directions)
+            own = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
+            keys = [directions[k] for k in own]
+            by_sensors = self._sensor_tangent(seen, rows, values, local, keys)
+            whole = np.empty((*seen.shape, tangent.shape[2] + len(own)))
+            whole[..., np.delete(np.arange(whole.shape[2]), own)] = tangent
+            whole[..., own] = by_sensors
+            tangent = whole
         return seen * scales, tangent
+
+    def _study_at(self, values: Mapping[tuple[str, int | None], float]) -> Study:
+        """The study with those bandwidths of sensors that are among the values."""
+        found = {k: hz for k, hz in values.items() if is_bandwidth(k) and np.isfinite(hz)}
+        return with_bandwidths(self.study, found) if found else self.study
 
     def observed(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
         """The measured channels, those of late sensors moved back by their delays.
@@ -193,7 +232,7 @@ class Replayed:
         (n_rows, n_channels). Before its first and after its last sample a record goes on as it was.
         """
         delays = [
-            values.get(key, 0.0) if (key := delay_of(c.quantity, c.joint)) else 0.0
+            values.get(key, 0.0) if (key := delay_of(c.sensor, c.joint)) else 0.0
             for c in self.channels
         ]
         if not any(delays):
@@ -213,6 +252,7 @@ class Replayed:
         self,
         seen: FloatArray,
         values: Mapping[tuple[str, int | None], float],
+        local: FloatArray,
         keys: Sequence[tuple[str, int | None]],
     ) -> FloatArray:
         """Derivatives of simulated less measured channels by sensor constants.
@@ -224,6 +264,7 @@ class Replayed:
         seen : (n_rows, n_channels)
             x, without scales.
         values : dict
+        local : (n_local,)
         keys : sequence of (name, joint)
             Sensor constants.
 
@@ -231,38 +272,87 @@ class Replayed:
         -------
         (n_rows, n_channels, n_keys)
         """
+        rows: Mapping[Quantity, FloatArray] = {}
+        if any(map(is_mounting, keys)):
+            rows = self._rows(self.run(values, local, self.quantities()))
+        return self._sensor_tangent(seen, rows, values, local, keys)
+
+    def _sensor_tangent(
+        self,
+        seen: FloatArray,
+        rows: Mapping[Quantity, FloatArray],
+        values: Mapping[tuple[str, int | None], float],
+        local: FloatArray,
+        keys: Sequence[tuple[str, int | None]],
+    ) -> FloatArray:
+        """The same, of rows (n_rows, n_joints) of each quantity."""
         found, scales = np.zeros((*seen.shape, len(keys))), self.sensor_scales(values)
         row_time = self.kernels.step * self.log.sample_time
+        mounting = [k for k, key in enumerate(keys) if is_mounting(key)]
         for k, channel in enumerate(self.channels):
             for at, key in enumerate(keys):
-                if key == scale_of(channel.quantity, channel.joint):
+                if key == scale_of(channel.scaled, channel.joint):
                     found[:, k, at] = seen[:, k]
-                elif key == delay_of(channel.quantity, channel.joint):
+                elif key == delay_of(channel.sensor, channel.joint):
                     found[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
+            if channel.axis is not None and mounting:
+                each = np.stack([rows[name][:, channel.joint - 1] for name in channel.reads], 1)
+                by = slopes(channel.axis, self.study, values, [keys[at] for at in mounting])
+                found[:, k, mounting] += scales[k] * each @ by
+        bandwidths = [k for k, key in enumerate(keys) if is_bandwidth(key)]
+        if bandwidths:
+            wider = {keys[k]: (1.0 + _WIDER) * values[keys[k]] for k in bandwidths}
+            runs = (self.run(at, local, self.quantities()) for at in ({**values, **wider}, values))
+            wide, own = (self._by_channel(self._rows(run), values) for run in runs)
+            for k, channel in enumerate(self.channels):
+                for at in bandwidths:
+                    if keys[at] == bandwidth_of(channel.sensor, channel.joint):
+                        by = (wide[:, k] - own[:, k]) / (_WIDER * values[keys[at]])
+                        found[:, k, at] = scales[k] * by
         return found
 
     def sensor_constants(self) -> list[tuple[str, int | None]]:
-        """Delays and scales of the link sensors among the channels."""
-        return list(constants_of((c.quantity, c.joint) for c in self.channels))
+        """What may be wrong with the link sensors among the channels: delays, scales, tilts."""
+        found = list(constants_of((c.sensor, c.joint) for c in self.channels))
+        axes = self._axes()
+        for axis in axes:
+            own = [one for one in axes if one.joint == axis.joint]
+            scale = scale_of(axis.scaled, axis.joint)
+            apart = scale_is_apart(axis, own, self.study)
+            if scale is not None and apart and scale not in found:
+                found.append(scale)
+            if scale in found and not apart:
+                found.remove(scale)
+            if axis.kind == "tangential":
+                found.append((TILT, axis.joint))
+        return found
 
-    def _with_sensors(
-        self,
-        seen: FloatArray,
-        tangent: FloatArray,
-        values: Mapping[tuple[str, int | None], float],
-        directions: Sequence[tuple[str, int | None]],
-    ) -> FloatArray:
-        """Simulated derivatives with those by sensor constants at their places among directions."""
-        own = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
-        whole = np.empty((*seen.shape, tangent.shape[2] + len(own)))
-        rest = np.delete(np.arange(whole.shape[2]), own)
-        whole[..., rest] = tangent
-        whole[..., own] = self.sensor_tangent(seen, values, [directions[k] for k in own])
-        return whole
+    def tables(
+        self, values: Mapping[tuple[str, int | None], float], axes: Sequence[Axis]
+    ) -> list[FloatArray]:
+        """Of each axis, rows of what it reads a combination of and, last, of what it reads.
+
+        (n_rows, n_quantities + 1) without means, from an arm that begins at its first guess; no
+        rows of axes that the record lacks.
+        """
+        rows = self._rows(self.run(values, self.start(), self.quantities()))
+        at = {channel.axis: k for k, channel in enumerate(self.channels)}
+        found = []
+        for axis in axes:
+            parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
+            whole = np.zeros((0, len(axis.quantities) + 1))
+            if axis in at:
+                whole = np.column_stack([*parts, self.measured[:, at[axis]]])
+                whole = whole - whole.mean(axis=0)
+            found.append(whole)
+        return found
+
+    def _axes(self) -> list[Axis]:
+        return [channel.axis for channel in self.channels if channel.axis is not None]
 
     def sensor_scales(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
         """(n_channels,) one where a sensor has none."""
-        keys = (scale_of(channel.quantity, channel.joint) for channel in self.channels)
+        keys = (scale_of(channel.scaled, channel.joint) for channel in self.channels)
         return np.array([1.0 if key is None else values.get(key, 1.0) for key in keys])
 
     def corrected(
@@ -278,7 +368,8 @@ class Replayed:
         runs = (one.run(values, local, self.quantities()) for one in (short, self))
         exact, own = runs
         noise = np.minimum(self.noise, self._noise_beside(exact, values))
-        return replace(self, lacking=self.seen(exact) - self.seen(own), noise=noise)
+        lacking = self.seen(exact, values) - self.seen(own, values)
+        return replace(self, lacking=lacking, noise=noise)
 
     def _noise_beside(
         self, runs: Mapping[Quantity, FloatArray], values: Mapping[tuple[str, int | None], float]
@@ -290,7 +381,7 @@ class Replayed:
         """
         scales = self.sensor_scales(values)
         left = [
-            self.log.channels[c.name] - scale * runs[c.quantity][:, c.joint - 1]
+            self.log.channels[c.name] - scale * self._reading(c, runs, values)
             for c, scale in zip(self.channels, scales, strict=True)
         ]
         return _noise(self.channels, left, self.kernels, self.counts)
@@ -306,21 +397,50 @@ class Replayed:
 
     def quantities(self) -> list[Quantity]:
         """What has to be simulated for the channels."""
-        return list(dict.fromkeys(channel.quantity for channel in self.channels))
+        return list(dict.fromkeys(name for channel in self.channels for name in channel.reads))
 
     def low_pass(self) -> LowPass:
         """What each quantity's samples pass through."""
-        taps = {c.quantity: self.kernels.taps(rate=c.rate) for c in self.channels}
+        taps = {name: self.kernels.taps(rate=c.rate) for c in self.channels for name in c.reads}
         return LowPass(taps, self.kernels.step)
 
-    def seen(self, runs: Mapping[Quantity, FloatArray]) -> FloatArray:
-        """Rows of each channel from samples (n_samples, n_joints, ...) of each quantity."""
-        kinds = dict.fromkeys((channel.quantity, channel.rate) for channel in self.channels)
-        return self._by_channel({name: self.kernels.rows(runs[name], rate=r) for name, r in kinds})
+    def seen(
+        self,
+        runs: Mapping[Quantity, FloatArray],
+        values: Mapping[tuple[str, int | None], float] | None = None,
+    ) -> FloatArray:
+        """Rows of each channel from samples (n_samples, n_joints, ...) of each quantity.
 
-    def _by_channel(self, rows: Mapping[Quantity, FloatArray]) -> FloatArray:
+        Of sensors whose place is unknown the values have the mounting.
+        """
+        return self._by_channel(self._rows(runs), values or {})
+
+    def _rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
+        """Rows (n_rows, n_joints, ...) of each quantity from its samples."""
+        kinds = dict.fromkeys((name, c.rate) for c in self.channels for name in c.reads)
+        return {name: self.kernels.rows(runs[name], rate=rate) for name, rate in kinds}
+
+    def _by_channel(
+        self,
+        rows: Mapping[Quantity, FloatArray],
+        values: Mapping[tuple[str, int | None], float],
+    ) -> FloatArray:
         """(n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
-        return np.stack([rows[c.quantity][:, c.joint - 1] for c in self.channels], axis=1)
+        return np.stack([self._reading(c, rows, values) for c in self.channels], axis=1)
+
+    def _reading(
+        self,
+        channel: Channel,
+        of: Mapping[Quantity, FloatArray],
+        values: Mapping[tuple[str, int | None], float],
+    ) -> FloatArray:
+        """(n, ...) of one channel from (n, n_joints, ...) of each quantity."""
+        at = channel.joint - 1
+        if channel.axis is None:
+            return of[channel.quantity][:, at]
+        counts = factors(channel.axis, self.study, values)
+        parts = zip(counts, channel.reads, strict=True)
+        return np.asarray(sum(count * of[name][:, at] for count, name in parts))
 
 
 def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = False) -> Replayed:
@@ -348,6 +468,7 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
     missing = missing_motor_signal(study, log)
     if missing:
         raise InvalidInput(missing, where=log.name, remedy="log every motor's angle and voltage")
+    log = _with_link_angles(log, study)
     T = log.sample_time
     kernels = low_pass_kernels(cutoff_hz, T)
     reach = len(kernels.smooth)
@@ -444,6 +565,16 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -
     return Kernels(smooth, slope, step)
 
 
+def _with_link_angles(log: Log, study: Study) -> Log:
+    """With theta_l = n theta_m + deflection of joints whose torsion is what was measured."""
+    channels = dict(log.channels)
+    for i, joint in enumerate(study.joints, start=1):
+        if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
+            motor = channels[f"theta_m{i}"]
+            channels[f"theta_l{i}"] = joint.gear_ratio * motor + channels[f"deflection{i}"]
+    return replace(log, channels=channels)
+
+
 def _noise(
     channels: Sequence[Channel],
     samples: Sequence[FloatArray],
@@ -466,14 +597,15 @@ def _channels(log: Log, study: Study) -> Iterator[Channel]:
             yield Channel(f"theta_l{i}", i, "link_angle", rate=True, shifted=False)
         elif f"gyro{i}" in log.channels:
             yield Channel(f"gyro{i}", i, "gyro", rate=False, shifted=True)
+        for axis in axes_of(log.channels, study, i):
+            yield Channel(axis.channel, i, axis.quantities[0], False, True, axis)
 
 
 def _drive(log: Log, study: Study, *, closed_loop: bool) -> Drive:
     """The recorded voltages, held from sample to sample, in place of servos and references."""
     if closed_loop and missing_for_replay(study, log) is None:
         return replay(study, log)
-    free = (False,) * study.n_joints
-    return replace(replay(study, log), voltage=driving_voltages(study, log), servo=free)
+    return driven_by_voltage(study, log)[1]
 
 
 def _begins_in_motion(log: Log, study: Study) -> bool:
@@ -501,16 +633,50 @@ def _count(joint: Joint) -> float:
 
 
 def _as_driven(log: Log, study: Study) -> Study:
-    """Encoders without counts; where the torque itself was logged, no current loop before it."""
+    """Encoders without counts; an accelerometer of unknown place is simulated as an IMU."""
     joints = tuple(
-        replace(
-            joint,
-            encoder_counts=None,
-            current_loop_hz=joint.current_loop_hz if f"u{i}" in log.channels else None,
-        )
+        replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, study, i), joint))
         for i, joint in enumerate(study.joints, start=1)
     )
     return replace(study, joints=joints)
+
+
+def _imu(axes: Sequence[Axis], joint: Joint) -> Imu | None:
+    """What the axes that may sit anywhere need to be simulated."""
+    if not axes:
+        return None
+    if axes[0].kind == "tangential":
+        return Imu(accelerometer_hz=joint.accelerometer_hz)
+    return joint.imu or Imu()
+
+
+def with_bandwidths(study: Study, values: Mapping[tuple[str, int | None], float]) -> Study:
+    """A study, as it is simulated, with some sensors' bandwidths.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        Bandwidths [Hz] among others.
+
+    Returns
+    -------
+    Study
+    """
+    joints = []
+    for i, joint in enumerate(study.joints, start=1):
+        own = {f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS}
+        given = {key: hz for key, hz in own.items() if hz is not None}
+        tangential = joint.accelerometer_distance is None
+        imu = joint.imu
+        if imu is not None:
+            inner = {k[len("imu_") :]: hz for k, hz in given.items() if k.startswith("imu_")}
+            if tangential and "accelerometer_hz" in given:
+                inner.setdefault("accelerometer_hz", given["accelerometer_hz"])
+            imu = replace(imu, **inner)  # type: ignore[arg-type]
+        outer = {k: hz for k, hz in given.items() if not k.startswith("imu_")}
+        joints.append(replace(joint, imu=imu, **outer))  # type: ignore[arg-type]
+    return replace(study, joints=tuple(joints))
 
 
 def usable(logs: Sequence[Log], study: Study) -> list[Log]:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from strainwave.mounting import is_hidden, is_mounting, reported
 from strainwave.parameters import unit_of
 from strainwave.records import Diagnostic, FloatArray, Parameter, Study
 from strainwave.tuning.confidence import Confidence, confidence_of, only_together
@@ -27,6 +28,7 @@ from strainwave.tuning.parametrisation import (
 _BENDS = 0.01  # share by which two slopes differ at least
 _EVIDENT = 3.0  # and deviations
 _TOLD = 0.3  # relative deviation up to which a parameter is worth printing
+_OFF = 1e-6  # by which a mounting's unknowns are varied for slopes
 _REACH = 1.96  # of a 95 % interval, in deviations
 
 
@@ -84,6 +86,12 @@ def parameters_of(
             held.append(sum(w * search.fixed.get(key, 0.0) for key, w in parts.items()))
     W = np.array(weight)
     values = W @ search.parameters(fit.z) + np.array(held)
+    mounted = mountings_of(fit)
+    if mounted.names:
+        names += mounted.names
+        units += mounted.units
+        W = np.vstack([W, mounted.slopes])
+        values = np.concatenate([values, mounted.values])
     covariance = W @ fit.confidence.combined @ W.T
     deviation = np.sqrt(np.diag(covariance))
     deviation[[told.get(name, name) is None for name in names]] = np.inf
@@ -92,6 +100,58 @@ def parameters_of(
         for (name, joint), unit, value, std in zip(names, units, values, deviation, strict=True)
     )
     return found, covariance
+
+
+@dataclass(frozen=True, slots=True)
+class Mountings:
+    """Places and attitudes of IMUs, as functions of the unknowns."""
+
+    names: list[Key]
+    units: list[str]
+    values: FloatArray  # (n,)
+    slopes: FloatArray  # (n, n_unknowns)
+
+
+def mountings_of(fit: Fit) -> Mountings:
+    """What a reader wants to know of IMUs whose mounting is unknown, linearised at the minimum.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Mountings
+        Empty where there is none.
+    """
+    search = fit.misfit.search
+    keys, at = search.keys, search.values(fit.z)
+    study = fit.misfit.records[0].study
+    axes = dict.fromkeys(
+        c.axis for r in fit.misfit.records for c in r.channels if c.axis is not None
+    )
+    hidden = [k for k, key in enumerate(keys) if is_mounting(key)]
+    found = Mountings([], [], np.zeros(0), np.zeros((0, len(keys))))
+    for joint in dict.fromkeys(axis.joint for axis in axes):
+        own = [axis for axis in axes if axis.joint == joint]
+        here = reported(own, study, at)
+        slopes = np.zeros((len(here), len(keys)))
+        for k in hidden:
+            ends = [
+                reported(own, study, {**at, keys[k]: at[keys[k]] + off}) for off in (_OFF, -_OFF)
+            ]
+            for row, (name, (_, unit)) in enumerate(here.items()):
+                gap = ends[0][name][0] - ends[1][name][0]
+                if unit == "rad":
+                    gap = float(np.arctan2(np.sin(gap), np.cos(gap)))
+                slopes[row, k] = gap / (2.0 * _OFF)
+        found = Mountings(
+            [*found.names, *((name, joint) for name in here)],
+            [*found.units, *(unit for _, unit in here.values())],
+            np.concatenate([found.values, [value for value, _ in here.values()]]),
+            np.vstack([found.slopes, slopes]),
+        )
+    return found
 
 
 def _curves_told(
@@ -180,8 +240,10 @@ def warnings_of(
             text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
             text += " it changes sides that much before the motor does"
             yield Diagnostic("friction-settles", str(unknown), text)
-    names = [str(unknown) for unknown in search.unknowns]
-    for group, spread in only_together(names, values, fit.confidence.combined):
+    shown = [k for k, key in enumerate(search.keys) if not is_hidden(key)]
+    names = [str(search.unknowns[k]) for k in shown]
+    covariance = fit.confidence.combined[np.ix_(shown, shown)]
+    for group, spread in only_together(names, values[shown], covariance):
         text = "only the combination is identified: the values trade off by"
         text += f" {100.0 * spread:.2g} %; trust it, not each value"
         yield Diagnostic("only-together", " and ".join(group), text)

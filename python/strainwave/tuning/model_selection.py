@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from strainwave.errors import NotIdentifiable
 from strainwave.records import FloatArray, Study, TuningOptions
 from strainwave.tuning.effects import Tried, idle, records_with, with_effects, without
 from strainwave.tuning.estimates import Fit
@@ -42,7 +43,14 @@ def bent(fit: Fit, options: TuningOptions) -> Fit:
             if fit.iterations >= options.max_iterations:
                 return replace(fit, converged=False)
             z = fit.misfit.search.coordinates(start)
-            fit = _better(fit, _tried(fit, fit.misfit, z, options, _TRIAL))
+            try:
+                other = _tried(fit, fit.misfit, z, options, _TRIAL)
+            except NotIdentifiable:
+                continue  # such a curve cannot be simulated
+            fit = _better(fit, other)
+            found = fit.misfit.search.values(fit.z)
+            if found != values and not any(other_starts(found, unknown.joint, largest)):
+                break  # it bends twice again
     return fit
 
 

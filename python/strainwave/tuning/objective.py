@@ -22,12 +22,14 @@ from strainwave.tuning.dataset import Replayed
 from strainwave.tuning.parametrisation import Search
 from strainwave.tuning.trust_region import Flat, Linearised, minimise
 
+LEAST_ERROR = 1e-3
+"""Of a channel's spread: no model is better than that."""
+
 BLOCKS = 10
 """Stretches of a record whose errors count as independent of one another."""
 
 _MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
 _FIRST = 0.1  # of a channel's own spread: its errors' deviation before any is known
-_LEAST = 1e-3  # of it: no model is better than that
 _ROBUST = 1.4826  # standard deviation of normal errors over their median magnitude
 
 _ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
@@ -203,6 +205,8 @@ class Misfit:
         prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
         slope = self.search.prior.rows @ self.search.slope(z)
         stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
+        if not np.isfinite(stacked).all():  # a candidate so stiff that its derivatives overflow
+            return None
         return Linearised(float(cost + np.sum(prior**2)), triangular_factor(stacked))
 
     def rows(self, z: FloatArray) -> list[Rows]:
@@ -223,7 +227,7 @@ class Misfit:
         weights = []
         for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
             errors = rows.residual * old.deviation
-            least = np.maximum(record.noise, _LEAST * np.std(record.measured, axis=0))
+            least = np.maximum(record.noise, LEAST_ERROR * np.std(record.measured, axis=0))
             size = np.maximum(_size(errors), least)
             weights.append(Weights(size, np.array([_repeats(column) for column in errors.T])))
         return replace(self, weights=tuple(weights), guessed=False)
@@ -281,8 +285,7 @@ class Misfit:
         every = zip(self.records, self.weights, self.rows(z), strict=True)
         for record, weights, rows in every:
             size = np.maximum(_size(rows.residual * weights.deviation), record.noise)
-            kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
-            repeats = np.array([repetitions(_lagged(k, record.kernels.step)) for k in kernels])
+            repeats = repetitions_of(record)
             share = np.divide(record.noise, size, out=np.ones_like(size), where=size > 0.0) ** 2
             share = np.minimum(1.0, share * repeats / weights.repeats)
             found.append(float(np.mean(share)))
@@ -461,9 +464,36 @@ def lagged_products(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
     return spectrum, np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n]
 
 
-def _lagged(taps: FloatArray, step: int) -> FloatArray:
-    """Autocovariances, row by row, of white noise behind a filter."""
+def lagged(taps: FloatArray, step: int) -> FloatArray:
+    """Autocovariances, row by row, of white noise of deviation one behind a filter.
+
+    Parameters
+    ----------
+    taps : (n_taps,)
+    step : int
+        Samples from row to row.
+
+    Returns
+    -------
+    (n_lags,)
+        From lag zero on.
+    """
     return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
+
+
+def repetitions_of(record: Replayed) -> FloatArray:
+    """How many rows in succession say the same thing of white noise behind each channel's low-pass.
+
+    Parameters
+    ----------
+    record : Replayed
+
+    Returns
+    -------
+    (n_channels,)
+    """
+    kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
+    return np.array([repetitions(lagged(k, record.kernels.step)) for k in kernels])
 
 
 def repetitions(covariance: FloatArray) -> float:

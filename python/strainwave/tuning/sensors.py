@@ -1,8 +1,10 @@
-"""Delays and scales of link sensors in the whole-arm fit: there by evidence only.
+"""Constants of link sensors in the whole-arm fit: delays, scales and the like by evidence only.
 
-A score test says whether the residuals follow what a sensor's delay or scale would make of its
-channel. A sensor without either costs nothing, and a clean rig's intervals stay as narrow as they
-are: beside a free delay gear damping would be known less well.
+A score test says whether the residuals follow what a sensor's delay, scale or tilt would make of
+its channel. A sensor without any costs nothing, and a clean rig's intervals stay as narrow as they
+are: beside a free delay gear damping would be known less well. A late sensor whose bandwidth the
+study does not have gets that as an unknown beside its delay: up to its own frequency a low-pass is
+little else than a delay. Where a sensor sits, if that is not known, is an unknown from the start.
 """
 
 from __future__ import annotations
@@ -15,10 +17,24 @@ import numpy as np
 from strainwave.link_sensors import (
     LARGEST_SCALE_ERROR,
     LONGEST_DELAY,
-    is_sensor_constant,
+    bandwidth_of,
+    delay_of,
+    is_bandwidth,
+    is_optional,
     nominal,
 )
-from strainwave.records import Diagnostic, FloatArray, Parameter, TuningOptions
+from strainwave.mounting import (
+    DISTANCE,
+    FROM_AXIS,
+    PLACE,
+    START,
+    TILT,
+    TURN,
+    is_hidden,
+    is_mounting,
+)
+from strainwave.parameters import Values
+from strainwave.records import Diagnostic, FloatArray, Parameter, Study, TuningOptions
 from strainwave.tuning.estimates import Fit
 from strainwave.tuning.objective import Evaluated, Misfit
 from strainwave.tuning.parametrisation import Key, Search, Unknown
@@ -30,30 +46,102 @@ _MATTERS_ROUGHLY = 0.1  # and share of the cost far from the minimum, where long
 _STAYS = 3.0  # and that it must keep, by the more cautious covariance
 
 _AT_END = 0.99  # share of its range from which a constant is at its end
+_SIZE = 0.1  # [m, or 1] of the parts of a mounting, at least
+_NEAREST = 1e-3  # [m] from the axis, where a search for a distance may start
+_FAR = 30.0  # of it, as far as they may go
+_WIDE = float(np.log(30.0))  # and a bandwidth
+_LARGEST_TILT = 0.5  # [rad] of an accelerometer that is called tangential
+_SHORTEST = 3e-5  # [s] of a delay that may be a low-pass: 7.5 kHz
+_SHARE = 0.5  # of a delay that is first taken for a low-pass
 _WORTH_DELAY = 1e-4  # [s] from which a rig is worth a look: half a sample of a usual logger
 _WORTH_SCALE = 0.01  # what data sheets promise
 
 
-def with_sensors(search: Search, keys: Sequence[Key]) -> Search:
+def with_sensors(search: Search, keys: Sequence[Key], starts: Values | None = None) -> Search:
     """The unknowns of some sensors' constants beside those there are.
 
     Parameters
     ----------
     search : Search
     keys : sequence of (name, joint)
+    starts : dict, optional
+        Of a mounting and of bandwidths, which have no nominal value.
 
     Returns
     -------
     Search
     """
-    more = []
-    for name, joint in keys:
-        unit, scale = (
-            ("s", LONGEST_DELAY) if name.endswith("_delay") else ("1", LARGEST_SCALE_ERROR)
-        )
-        more.append(Unknown(name, joint, unit, nominal((name, joint)), scale, True, 1.0))
+    starts = starts or {}
+    fixed = {key: value for key, value in starts.items() if key[0] in START}
+    more = [_unknown(key, starts) for key in keys]
     rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
-    return Search((*search.unknowns, *more), search.fixed, replace(search.prior, rows=rows))
+    known = {**search.fixed, **fixed}
+    return Search((*search.unknowns, *more), known, replace(search.prior, rows=rows))
+
+
+def _unknown(key: Key, starts: Values) -> Unknown:
+    name, joint = key
+    if is_mounting(key) and not is_optional(key):
+        start = starts[key]
+        if name == FROM_AXIS:
+            start = max(start, _NEAREST)
+            return Unknown(name, joint, "m", start, start, False, _WIDE)
+        unit = "m" if name in (DISTANCE, FROM_AXIS, *PLACE) else "1" if is_hidden(key) else "rad"
+        return Unknown(name, joint, unit, start, max(abs(start), _SIZE), True, _FAR)
+    if is_bandwidth(key):
+        return Unknown(name, joint, "Hz", starts[key], starts[key], False, _WIDE)
+    if name == TILT:
+        return Unknown(name, joint, "rad", 0.0, _LARGEST_TILT, True, 1.0)
+    unit, scale = ("s", LONGEST_DELAY) if name.endswith("_delay") else ("1", LARGEST_SCALE_ERROR)
+    return Unknown(name, joint, unit, nominal(key), scale, True, 1.0)
+
+
+def with_bandwidths_apart(fit: Fit, study: Study, options: TuningOptions, *, rough: bool) -> Fit:
+    """A fit with the bandwidths of late sensors beside their delays, where none is given.
+
+    Parameters
+    ----------
+    fit : Fit
+    study : Study
+    options : TuningOptions
+    rough : bool
+        Whether the fit is only near the minimum, and may stay so.
+
+    Returns
+    -------
+    Fit
+    """
+    search = fit.misfit.search
+    values, starts = search.values(fit.z), {}
+    for delay, bandwidth in _late(fit, study):
+        late = values[delay]
+        if late > _SHORTEST and bandwidth not in values and not is_held(bandwidth, options):
+            starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _SHARE * late)
+            values[delay] = (1.0 - _SHARE) * late
+    if not starts or fit.iterations >= options.max_iterations:
+        return fit
+    wider = with_sensors(search, list(starts), starts)
+    misfit, begin = fit.misfit.for_unknowns(wider), wider.coordinates(values | starts)
+    if rough:
+        return again_roughly(misfit, begin, fit.iterations, options)
+    return _refined_from(fit, misfit, begin, options)
+
+
+def _late(fit: Fit, study: Study) -> Iterator[tuple[Key, Key]]:
+    """Sensors whose delay is an unknown and whose bandwidth the study does not have."""
+    keys, seen = fit.misfit.search.keys, set()
+    for channel in (c for record in fit.misfit.records for c in record.channels):
+        delay, bandwidth = (of(channel.sensor, channel.joint) for of in (delay_of, bandwidth_of))
+        if delay is None or bandwidth is None or delay not in keys or delay in seen:
+            continue
+        seen.add(delay)
+        drive = study.joints[channel.joint - 1]
+        sensor = channel.sensor
+        given = getattr(drive, f"{sensor}_hz", None)
+        if sensor.startswith("imu_"):
+            given = getattr(drive.imu, f"{sensor[len('imu_') :]}_hz", None)
+        if given is None:
+            yield delay, bandwidth
 
 
 def with_evident_sensors(fit: Fit, options: TuningOptions, *, rough: bool) -> Fit:
@@ -118,18 +206,36 @@ def _idle(fit: Fit) -> dict[Key, float]:
     One at the end of its range is wrong, whatever its deviation by a fit that it spoils.
     """
     search = fit.misfit.search
-    if not any(is_sensor_constant(key) for key in search.keys):
+    if not any(is_optional(key) for key in search.keys):
         return {}
     deviation = np.sqrt(np.diag(fit.confidence.cautious))
     inside = (fit.z > _AT_END * search.lower) & (fit.z < _AT_END * search.upper)
     rows = zip(search.keys, search.parameters(fit.z), deviation, inside, strict=True)
     apart = {
-        key: abs(value - nominal(key)) / std
+        key: (value if is_bandwidth(key) else abs(value - nominal(key))) / std
         for key, value, std, within in rows
-        if is_sensor_constant(key) and within
+        if is_optional(key) and (within or is_bandwidth(key))
     }
+    for key in [key for key in apart if _twin(key) in apart]:
+        # a delay and a low-pass that cannot be told apart both stay, and say so
+        if apart[key] < _STAYS and apart[_twin(key)] < _STAYS and not _ended(fit, key):
+            del apart[key]
     least = min(apart, key=lambda key: apart[key], default=None)
     return {least: nominal(least)} if least is not None and apart[least] < _STAYS else {}
+
+
+def _twin(key: Key) -> Key:
+    """A sensor's delay by its bandwidth, and the other way round."""
+    name, joint = key
+    sensor, _, what = name.rpartition("_")
+    other = {"delay": "bandwidth", "bandwidth": "delay"}.get(what, what)
+    return f"{sensor}_{other}", joint
+
+
+def _ended(fit: Fit, key: Key) -> bool:
+    """Whether a bandwidth is as wide as it may be: there is no low-pass."""
+    k = fit.misfit.search.keys.index(key)
+    return is_bandwidth(key) and bool(fit.z[k] > _AT_END * fit.misfit.search.upper[k])
 
 
 def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]:
@@ -141,7 +247,7 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
     candidates = [
         key
         for key in dict.fromkeys(k for r in fit.misfit.records for k in r.sensor_constants())
-        if key not in known and not is_held(key, options)
+        if key not in known and not is_held(key, options) and not _imitated(key, fit)
     ]
     if not candidates:
         return {}
@@ -165,12 +271,24 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
     }
 
 
+def _imitated(key: Key, fit: Fit) -> bool:
+    """Whether a scale is what a tilt makes of two accelerometers."""
+    name, joint = key
+    if not name.startswith("imu_a") or not name.endswith("_scale"):
+        return False
+    axes = {c.axis for record in fit.misfit.records for c in record.channels}
+    count = sum(a.kind == "accelerometer" and a.joint == joint for a in axes if a is not None)
+    return count == 2 and (TURN[0], joint) in fit.misfit.search.keys
+
+
 def _scores(fit: Fit, keys: Sequence[Key]) -> FloatArray:
     misfit = fit.misfit
     values, simulated = misfit.search.values(fit.z), misfit.simulated(fit.z)
 
     def tangent(k: int, _: Evaluated) -> FloatArray:
-        return misfit.records[k].sensor_tangent(simulated[k], values, keys)
+        record = misfit.records[k]
+        local = misfit.memory.own[k][: len(record.local)]
+        return record.sensor_tangent(simulated[k], values, local, keys)
 
     return misfit.bordered(fit.z, len(keys), tangent)
 
@@ -194,7 +312,9 @@ def sensor_cautions(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     """
     for found in parameters:
         key = found.name, found.joint
-        if not is_sensor_constant(key) or found.value is None:
+        if not found.name.endswith(("_delay", "_scale")) or found.value is None:
+            continue
+        if not is_optional(key):
             continue
         least = _WORTH_DELAY if found.name.endswith("_delay") else _WORTH_SCALE
         if abs(found.value - nominal(key)) < least:

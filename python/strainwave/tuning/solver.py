@@ -121,8 +121,15 @@ def finely(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) ->
     fit = Fit(misfit, z, np.inf, spent, False)
     if spent < options.max_iterations:
         fit = search(misfit, z, spent, relative=_GUESSED)
-        fit = replace(fit, misfit=fit.misfit.corrected(fit.z).reweighted(fit.z))
-    return refined(fit, options)
+        fit = refined(_corrected(fit), options)
+    if not fit.converged or fit.iterations >= options.max_iterations:
+        return replace(fit, converged=False)
+    return refined(_corrected(fit), options)  # where the step's errors are now those of the end
+
+
+def _corrected(fit: Fit) -> Fit:
+    """With the step's errors, and weights, of where the fit is."""
+    return replace(fit, misfit=fit.misfit.corrected(fit.z).reweighted(fit.z))
 
 
 def refined(fit: Fit, options: TuningOptions) -> Fit:

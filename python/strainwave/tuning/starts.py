@@ -26,6 +26,7 @@ _LEAST_SHARE = 0.05  # of the total viscous friction, where a start would be neg
 _MOTOR_SHARE = 0.3  # of a joint's inertia: motors are chosen to match their load, about
 _ANTI_RESONANCE_HZ = 15.0  # of arms with strain-wave gears: 10 to 30, small ones up to 60
 _DAMPING = 0.03  # damping ratio of such gears
+_RATIOS = (0.01, 0.5)  # damping ratios to start within: ranges lie about the start
 _PROPER = 1.05  # times gamma^2 / beta, which alpha must exceed for a positive definite inertia
 _CHOSEN = 1.5  # and where it is chosen
 
@@ -70,9 +71,11 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], study: Stu
         if not _positive(stiffness):
             rejected["gear_stiffness", number] = stiffness
             stiffness = (2.0 * np.pi * _ANTI_RESONANCE_HZ) ** 2 * load
+        critical = 2.0 * float(np.sqrt(stiffness * load))
         if not _positive(damping):
             rejected["gear_damping", number] = damping
-            damping = 2.0 * _DAMPING * float(np.sqrt(stiffness * load))
+            damping = _DAMPING * critical
+        damping = min(max(damping, _RATIOS[0] * critical), _RATIOS[1] * critical)
         friction = _friction(model, models[number], study, number)
         for name, value in friction.items():
             start[name, number] = value
