@@ -33,6 +33,8 @@ class Rig:
 
 
 Work = Callable[[Path, Values], dict[str, Any]]
+Change = Callable[[Path, Rig], None]
+"""Made of a folder with logs and study before work sees it."""
 
 SPREAD = 0.3  # of the logarithms of a drawn arm's parameters, up and down
 SETTLES = 2.0  # one arm in as many has friction that takes its time
@@ -86,6 +88,7 @@ def with_logs(
     work: Work,
     arm: Callable[[int], Rig] = rig,
     simulator: Simulator = simulate,
+    change: Change = lambda folder, rig: None,
 ) -> dict[str, Any]:
     """What `work` finds of a drawn arm's study file and its truth; failures are found as well."""
     own = arm(seed)
@@ -101,6 +104,7 @@ def with_logs(
             sample_time=own.sample_time,
             simulator=simulator,
         )
+        change(Path(folder), own)
         try:
             found = work(Path(folder) / "study.toml", values)
         except Exception as failure:  # a study reports, it does not stop

@@ -45,7 +45,7 @@ _KINDS = {
     "settling": "settling time",
 }
 """What parameters are counted under, by what their names hold; the first that fits."""
-_OF_THE_ENGINE = "friction_settling_time"  # one or two of its steps, which no parameter says
+OF_THE_ENGINE = "friction_settling_time"  # one or two of its steps, which no parameter says
 
 
 def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]:
@@ -67,16 +67,16 @@ def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]
     decoupled = [p for joint in identification.joints for p in joint.parameters]
     return {
         "status": tuned.status,
-        "parameters": _rows(
-            [p for p in tuned.parameters if not (engine and p.name == _OF_THE_ENGINE)], known
+        "parameters": rows_of(
+            [p for p in tuned.parameters if not (engine and p.name == OF_THE_ENGINE)], known
         ),
-        "decoupled": _rows([p for p in decoupled if (p.name, p.joint) in known], known),
+        "decoupled": rows_of([p for p in decoupled if (p.name, p.joint) in known], known),
         "left_out": left_out,
     }
 
 
-def _rows(parameters: Sequence[Parameter], known: Values) -> list[list[Any]]:
-    """Name, joint, error and deviation, and whether the interval holds the truth.
+def rows_of(parameters: Sequence[Parameter], known: Values) -> list[list[Any]]:
+    """Name, joint, error and deviation, and whether the interval holds the truth, of each.
 
     One stiffness for a curve has no truth.
     """
@@ -87,7 +87,7 @@ def _rows(parameters: Sequence[Parameter], known: Values) -> list[list[Any]]:
             rows.append([p.name, p.joint, None, None, None])
             continue
         size = abs(true) or 1.0
-        inside = p.ci95[0] <= true <= p.ci95[1]
+        inside = bool(p.ci95[0] <= true <= p.ci95[1])
         rows.append([p.name, p.joint, (p.value - true) / p.std, p.std / size, inside])
     return rows
 
@@ -100,9 +100,9 @@ def by_class(found: Sequence[dict[str, Any]], key: str) -> Table:
         for place in [("all", ""), *one["classes"].items()]:
             held[place] += [row[4] for row in one[key] if row[4] is not None]
             arms[place] += 1
-        kinds = {_kind(row[0]) for row in one[key]}
+        kinds = {kind_of(row[0]) for row in one[key]}
         for kind in kinds:
-            of_kind = [row for row in one[key] if _kind(row[0]) == kind]
+            of_kind = [row for row in one[key] if kind_of(row[0]) == kind]
             held["parameter", kind] += [row[4] for row in of_kind if row[4] is not None]
             arms["parameter", kind] += 1
     table = Table("class", "", "arms", "intervals", "inside %", box=None, title=key)
@@ -112,7 +112,8 @@ def by_class(found: Sequence[dict[str, Any]], key: str) -> Table:
     return table
 
 
-def _kind(name: str) -> str:
+def kind_of(name: str) -> str:
+    """What a parameter is counted under."""
     return next((kind for part, kind in _KINDS.items() if part in name), "link sensors")
 
 

@@ -2,7 +2,8 @@
 
 A folder holds a study.toml, its logs and truth.json, as `strainwave simulate` takes parameters.
 Printed are the largest relative errors by kind of parameter, stage by stage, and how many values
-lie inside their 95 % intervals: the tables of the README.
+lie inside their 95 % intervals: the tables of the README. With `--without-link-sensors` the logs
+are copied first, without any channel of a link.
 """
 
 from __future__ import annotations
@@ -10,15 +11,18 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from rich.console import Console
 from rich.table import Table
 
+from strainwave import logs
 from strainwave.parameters import Values, read_parameters
 from strainwave.pipeline import identify
 from strainwave.records import Identification, Parameter
-from strainwave.study import read_study
+from strainwave.study import read_study, write_study
 from strainwave.virtual import derived
 
 KINDS = {
@@ -30,6 +34,7 @@ KINDS = {
     "Coulomb": ("motor_coulomb_friction",),
     "total viscous": ("total_viscous_friction",),
 }
+_OF_LINKS = ("a", "gyro", "theta_l", "deflection")
 _OWN = (*(name for names in KINDS.values() for name in names), "friction_offset")
 
 
@@ -65,18 +70,54 @@ def cells(parameters: Iterable[Parameter], truth: Values) -> list[str]:
     return [*found, f"{inside}/{counted}" if counted else ""]
 
 
+def without_link_sensors(folder: Path, copy: Path) -> None:
+    """Copy logs and study to another folder, with motor angles and voltages only.
+
+    Parameters
+    ----------
+    folder, copy : Path
+    """
+    study = read_study(folder / "study.toml")
+    gone = {f"{name}{i}" for name in _OF_LINKS for i in range(1, study.n_joints + 1)}
+    experiments = []
+    for experiment in study.experiments:
+        log = logs.read_log(study, experiment)
+        kept = {name: x for name, x in log.channels.items() if name not in gone}
+        file = f"{experiment.name}.parquet"
+        logs.write_log(copy / file, {"t": log.time, **kept})
+        experiments.append(replace(experiment, file=file, start=None, stop=None, add={}))
+    joints = tuple(
+        replace(joint, accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None)
+        for joint in study.joints
+    )
+    own = replace(study, joints=joints, experiments=tuple(experiments), channels={})
+    write_study(own, copy / "study.toml")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument(
+        "--without-link-sensors", action="store_true", help="drop the links' channels first"
+    )
+    chosen = parser.parse_args()
     console = Console(width=160)
-    for folder in parser.parse_args().folders:
-        found = identify(folder / "study.toml")
+    for folder in chosen.folders:
+        found = _identified(folder, bare=chosen.without_link_sensors)
         truth = derived(read_parameters(folder / "truth.json"), read_study(folder / "study.toml"))
         table = Table("stage", *(f"{kind} %" for kind in KINDS), "inside", box=None)
         for stage, parameters in stages(found).items():
             table.add_row(stage, *cells(parameters, truth))
         console.print(f"{folder.name}: {found.verdict.status}")
         console.print(table)
+
+
+def _identified(folder: Path, *, bare: bool) -> Identification:
+    if not bare:
+        return identify(folder / "study.toml")
+    with TemporaryDirectory() as copy:
+        without_link_sensors(folder, Path(copy))
+        return identify(Path(copy) / "study.toml")
 
 
 if __name__ == "__main__":
