@@ -18,11 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import Row, best_of
-from strainwave import excitation, scara
+from strainwave.domain import FloatArray, Parameter, Prbs
+from strainwave.dynamics import excitation
+from strainwave.dynamics.simulation import build_arm, parameter_vector
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
-from strainwave.records import FloatArray, Parameter, Prbs
-from strainwave.simulation import build_arm, parameter_vector
+from strainwave.virtual import scara
 
 STEP = 1.25e-4
 SECONDS = 1.023

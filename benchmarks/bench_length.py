@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import Row
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 
 SIZES = (50_000, 500_000)
 SAMPLE_TIME = 1e-3
@@ -138,8 +138,10 @@ def _channels(t: FloatArray, phase: FloatArray, rng: np.random.Generator) -> lis
 
 
 def _fit(folder: Path) -> None:
-    from strainwave import logs, rigid, signals
-    from strainwave.study import read_study
+    from strainwave.identification import rigid
+    from strainwave.io import logs
+    from strainwave.io.study import read_study
+    from strainwave.signals import motor as signals
 
     begun, cpu = time.perf_counter(), time.process_time()
     study = read_study(folder / "study.toml")

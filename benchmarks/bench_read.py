@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import Row, best_of
-from strainwave import logs, scara, virtual
-from strainwave.study import read_study
+from strainwave.io import logs
+from strainwave.io.study import read_study
+from strainwave.virtual import experiments as virtual
+from strainwave.virtual import scara
 
 
 def rows() -> list[Row]:

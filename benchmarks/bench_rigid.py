@@ -12,13 +12,15 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.peers.rigid import pinocchio
 from benchmarks.timing import Row, best_of
-from strainwave import rigid, scara, signals
-from strainwave.logs import read_log
-from strainwave.parameters import Values
-from strainwave.records import Log, Study
-from strainwave.simulation import SensorNoise
-from strainwave.study import read_study
-from strainwave.virtual import derived, simulate_study
+from strainwave.domain import Log, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.identification import rigid
+from strainwave.io.logs import read_log
+from strainwave.io.study import read_study
+from strainwave.signals import motor as signals
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import derived, simulate_study
 
 COMPARED = ("rigid_inertia", "beta", "gamma", "motor_inertia", "motor_coulomb_friction")
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.peers.state_space import Matrices, jax_sysid, nfoursid, sippy, slicot
 from benchmarks.timing import Row, best_of
-from strainwave.records import FloatArray, InputOutput
+from strainwave.domain import FloatArray, InputOutput
 from strainwave.statespace import PemOptions, pem, subspace
 from strainwave.statespace.subspace import Method
 

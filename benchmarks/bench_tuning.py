@@ -21,11 +21,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.peers.whole_arm import NAMES, Problem, casadi, generated, mujoco_sysid
 from benchmarks.timing import Row, best_of
-from strainwave import scara
-from strainwave.logs import read_logs
-from strainwave.parallel import one_blas_thread
-from strainwave.parameters import Values
-from strainwave.records import (
+from strainwave.domain import (
     Control,
     Experiment,
     FloatArray,
@@ -38,13 +34,17 @@ from strainwave.records import (
     Study,
     TuningOptions,
 )
-from strainwave.simulation import SensorNoise
-from strainwave.study import read_study
-from strainwave.tuning import tune
-from strainwave.tuning.dataset import replayed
-from strainwave.tuning.objective import Misfit
-from strainwave.tuning.parametrisation import CURVE, KNEES, search_of, with_curves
-from strainwave.virtual import simulate_study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm.dataset import replayed
+from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, search_of, with_curves
+from strainwave.io.logs import read_logs
+from strainwave.io.study import read_study
+from strainwave.numerics.parallel import one_blas_thread
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import simulate_study
 
 CUTOFF = 120.0  # [Hz]
 CASES: tuple[tuple[Spring, int], ...] = (("linear", 4), ("three-slope", 6))

@@ -18,10 +18,10 @@ from tempfile import TemporaryDirectory
 from rich.console import Console
 from rich.table import Table
 
-from strainwave import scara
-from strainwave.records import Experiment, Prbs, Study
-from strainwave.simulation import SensorNoise
-from strainwave.virtual import simulate_study
+from strainwave.domain import Experiment, Prbs, Study
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import simulate_study
 
 PERIODS = (4, 16, 64)  # of 1.023 s at 4 kHz
 

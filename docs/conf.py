@@ -38,7 +38,7 @@ napoleon_use_ivar = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_type_aliases = {
-    name: f"strainwave.records.{name}"
+    name: f"strainwave.domain.{name}"
     for name in ("FloatArray", "BoolArray", "IntArray", "ComplexArray")
 }
 python_use_unqualified_type_names = True

@@ -11,8 +11,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-from strainwave import decoupling, frequency, links, logs, physical, rigid, scara, signals, virtual
-from strainwave.study import read_study
+from strainwave.identification import decoupling, frequency, rigid
+from strainwave.identification import joint_model as physical
+from strainwave.io import logs
+from strainwave.io.study import read_study
+from strainwave.signals import link_motion as links
+from strainwave.signals import motor as signals
+from strainwave.virtual import experiments as virtual
+from strainwave.virtual import scara
 
 
 def main(study_path: Path) -> None:

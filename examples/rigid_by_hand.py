@@ -11,8 +11,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from strainwave import logs, rigid, scara, signals, validation, virtual
-from strainwave.study import read_study
+from strainwave.identification import rigid, validation
+from strainwave.io import logs
+from strainwave.io.study import read_study
+from strainwave.signals import motor as signals
+from strainwave.virtual import experiments as virtual
+from strainwave.virtual import scara
 
 
 def main(study_path: Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.records import Log, Study
+from strainwave.domain import Log, Study
 
 Input = tuple[tuple[Log, ...], Study]
 

@@ -9,16 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from results import arm_model, identification, prediction
-from strainwave import scara
-from strainwave.parameters import unit_of
-from strainwave.physical.two_inertia import (
-    NAMES,
-    TwoInertia,
-    anti_resonance,
-    resonance,
-    state_space,
-)
-from strainwave.records import (
+from strainwave.domain import (
     ComplexArray,
     Decoupled,
     Experiment,
@@ -32,6 +23,15 @@ from strainwave.records import (
     Study,
     TorqueHistogram,
 )
+from strainwave.domain.parameters import unit_of
+from strainwave.dynamics.two_inertia import (
+    NAMES,
+    TwoInertia,
+    anti_resonance,
+    resonance,
+    state_space,
+)
+from strainwave.virtual import scara
 
 JOINT = TwoInertia(1.5e-4, 2e-4, 3.8, 0.5, 25000.0, 20.0, 0.01)
 SPREAD = 0.02

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave import excitation, scara, simulation
-from strainwave.parameters import Values
-from strainwave.records import Experiment, FloatArray, Log, Parameter, Prbs, RigidModel, Study
-from strainwave.regressor import columns_of
-from strainwave.simulation import Drive, SensorNoise, Trajectory
+from strainwave.domain import Experiment, FloatArray, Log, Parameter, Prbs, RigidModel, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics import excitation, simulation
+from strainwave.dynamics.rigid_regressor import columns_of
+from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory
+from strainwave.virtual import scara
 
 SAMPLE = 2.5e-4
 PRBS = Prbs(order=10, clock=1e-3, periods=3, amplitude=10.0)

@@ -7,11 +7,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from strainwave import scara
+from strainwave.domain import Arm, Experiment, Joint, Motion, Spring, Study
+from strainwave.domain.parameters import Values, unit_of
 from strainwave.export import IdentifiedArm, read_result
-from strainwave.parameters import Values, unit_of
-from strainwave.records import Arm, Experiment, Joint, Motion, Spring, Study
-from strainwave.study import write_study
+from strainwave.io.study import write_study
+from strainwave.virtual import scara
 
 MOTION = Experiment("motion", "motion.csv", "motion", ("servo",))
 

@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
-from strainwave import decoupling, links
-from strainwave.parameters import Values
-from strainwave.physical.two_inertia import TwoInertia
-from strainwave.records import Decoupled, LinkSignals, RigidModel, Study
+from strainwave.domain import Decoupled, LinkSignals, RigidModel, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.two_inertia import TwoInertia
+from strainwave.identification import decoupling
+from strainwave.signals import link_motion as links
 
 RIGID_ERROR = 1e-3
 """Relative, of every parameter of the rigid model: that of a good motion record."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.records import (
+from strainwave.domain import (
     ArmModel,
     Criticism,
     Diagnostic,

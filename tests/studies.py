@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 
 STUDY = """\
 [arm]

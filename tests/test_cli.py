@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 import studies
-from strainwave import scara, virtual
-from strainwave.study import write_study
+from strainwave.io.study import write_study
+from strainwave.virtual import experiments as virtual
+from strainwave.virtual import scara
 
 FINISHED = ["result.json", "report.html"]
 

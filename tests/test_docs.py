@@ -18,9 +18,12 @@ from typing import get_args
 
 import pytest
 
-from strainwave import cli, records, scara, virtual
-from strainwave.parameters import read_parameters
-from strainwave.study import read_study
+from strainwave import cli
+from strainwave import domain as records
+from strainwave.io.parameters import read_parameters
+from strainwave.io.study import read_study
+from strainwave.virtual import experiments as virtual
+from strainwave.virtual import scara
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -144,7 +147,7 @@ def test_examples_run(example: Path, demo: Path) -> None:
 def test_every_key_of_a_study_is_documented() -> None:
     from dataclasses import fields
 
-    from strainwave.records import Arm, Experiment, Joint, Servo
+    from strainwave.domain import Arm, Experiment, Joint, Servo
 
     page = (ROOT / "docs" / "study.md").read_text(encoding="utf-8")
     for record in (Arm, Joint, Servo, Experiment):

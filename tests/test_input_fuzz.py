@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 import studies
 from strainwave.errors import InvalidInput
-from strainwave.logs import read_logs
-from strainwave.study import read_study
+from strainwave.io.logs import read_logs
+from strainwave.io.study import read_study
 
 FEW = settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 

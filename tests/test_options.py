@@ -14,9 +14,8 @@ import pytest
 
 from elastic_runs import log_of, prbs_run, rig
 from joint_records import case
-from strainwave import frequency, links, physical, pipeline, result, rigid, signals, tuning
-from strainwave.logs import read_logs
-from strainwave.records import (
+from strainwave import pipeline
+from strainwave.domain import (
     Arm,
     Experiment,
     FrequencyOptions,
@@ -31,8 +30,15 @@ from strainwave.records import (
     Study,
     TuningOptions,
 )
-from strainwave.simulation import SensorNoise
-from strainwave.virtual import simulate_study
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.identification import frequency, rigid
+from strainwave.identification import joint_model as physical
+from strainwave.identification import whole_arm as tuning
+from strainwave.io import results as result
+from strainwave.io.logs import read_logs
+from strainwave.signals import link_motion as links
+from strainwave.signals import motor as signals
+from strainwave.virtual.experiments import simulate_study
 from virtual_arms import ELASTIC_JOINT, motion_log, rigid_two_link, values_of
 
 JOINT = Joint(

@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
-from strainwave import pipeline, scara, virtual
-from strainwave.records import Identification, JointModel, Prbs
+from strainwave import pipeline
+from strainwave.domain import Identification, JointModel, Prbs
+from strainwave.virtual import experiments as virtual
+from strainwave.virtual import scara
 
 
 @pytest.fixture(scope="session")

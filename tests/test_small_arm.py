@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strainwave.parameters import read_parameters
+from strainwave.domain import Identification, Parameter
+from strainwave.io.parameters import read_parameters
+from strainwave.io.results import to_document
 from strainwave.pipeline import identify
-from strainwave.records import Identification, Parameter
-from strainwave.result import to_document
 
 FOLDER = Path(__file__).parent / "data" / "small-arm"
 LIMITS = {
@@ -103,7 +103,7 @@ def test_the_measured_response_is_the_models() -> None:
 def test_the_logs_are_as_small_as_they_say() -> None:
     """A clone carries them: under a megabyte, and none of the built-in arm's parameters."""
     assert sum(file.stat().st_size for file in FOLDER.iterdir()) < 1_000_000
-    from strainwave import scara
+    from strainwave.virtual import scara
 
     ours = scara.parameters()
     truth = json.loads((FOLDER / "truth.json").read_text())["parameters"]

@@ -10,11 +10,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from strainwave import scara
-from strainwave.logs import read_log
-from strainwave.parameters import Values
-from strainwave.recorded_input import replay
-from strainwave.records import (
+from strainwave.domain import (
     Control,
     Experiment,
     FloatArray,
@@ -25,12 +21,16 @@ from strainwave.records import (
     RigidModel,
     Study,
 )
-from strainwave.regressor import columns_of
-from strainwave.simulation import Drive, Quantity, SensorNoise, simulate
-from strainwave.study import read_study
-from strainwave.tuning.dataset import Channel, Kernels, Replayed
-from strainwave.tuning.parametrisation import Prior, Search, Unknown
-from strainwave.virtual import derived, simulate_study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.rigid_regressor import columns_of
+from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, simulate
+from strainwave.identification.whole_arm.dataset import Channel, Kernels, Replayed
+from strainwave.identification.whole_arm.parametrisation import Prior, Search, Unknown
+from strainwave.io.logs import read_log
+from strainwave.io.study import read_study
+from strainwave.signals.recorded_input import replay
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import derived, simulate_study
 
 JOINT_NAMES = (
     "motor_inertia",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from strainwave.records import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
+from strainwave.domain import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
 
 SAMPLE_TIME = 1e-3
 HOLD = ("zero", "first")

@@ -7,17 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave import excitation, scara, simulation
-from strainwave.parameters import Values
-from strainwave.records import (
-    Arm,
-    Experiment,
-    FloatArray,
-    Joint,
-    Log,
-    Signals,
-    Study,
-)
+from strainwave.domain import Arm, Experiment, FloatArray, Joint, Log, Signals, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics import excitation, simulation
+from strainwave.virtual import scara
 
 MOTION = Experiment("motion", "motion.csv", "motion", ("servo", "servo"))
 DRIVE = Experiment("drive", "drive.csv", "motion", ("servo",))

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from strainwave.parameters import Values
-from strainwave.records import FloatArray, Log, Study
+from strainwave.domain import FloatArray, Log, Study
+from strainwave.domain.parameters import Values
 
 CUTOFF = 5.0  # [Hz] the best of 5, 10 and 20: five times what moves, far below the resonances
 SLOW = 5.0  # [rad/s] of a motor, below which its friction is not certain to be Coulomb's

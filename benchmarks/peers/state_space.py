@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 

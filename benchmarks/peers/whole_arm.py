@@ -20,10 +20,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import butter, lfilter, sosfiltfilt
 
+from strainwave.domain import FloatArray, Log, Parameter, Study
+from strainwave.domain.parameters import Values
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
-from strainwave.parameters import Values
-from strainwave.records import FloatArray, Log, Parameter, Study
 
 NAMES = ("alpha", "beta", "gamma")
 JOINT_NAMES = (

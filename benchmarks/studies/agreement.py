@@ -18,13 +18,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from strainwave import scara
-from strainwave.logs import read_logs, write_log
+from strainwave.domain import FloatArray, Identification, Prbs, Study
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.io.logs import read_logs, write_log
+from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
-from strainwave.records import FloatArray, Identification, Prbs, Study
-from strainwave.simulation import SensorNoise
-from strainwave.study import read_study, write_study
-from strainwave.virtual import simulate_study
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import simulate_study
 
 Change = Callable[[str, str, FloatArray], FloatArray]
 """Of an experiment's use, a channel and its samples, what stands in the altered log."""

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from strainwave import scara
-from strainwave.parameters import Values
-from strainwave.records import Experiment, Prbs, Spring, Study
-from strainwave.simulation import SensorNoise, simulate
-from strainwave.virtual import Simulator, simulate_study
+from strainwave.domain import Experiment, Prbs, Spring, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import SensorNoise, simulate
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import Simulator, simulate_study
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.studies.arms import Rig
-from strainwave.parameters import Values
-from strainwave.records import Arm, Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
-from strainwave.simulation import SensorNoise
+from strainwave.domain import Arm, Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import SensorNoise
 
 GEARS = {
     # size: T1, T2 [N m], then K1, K2, K3 [10^4 N m/rad] at ratios of 80 and above, and at 50

@@ -15,10 +15,11 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.studies.arms import each, with_logs
-from strainwave import logs, pipeline
-from strainwave.parameters import Values
-from strainwave.study import read_study
-from strainwave.tuning import tune
+from strainwave import pipeline
+from strainwave.domain.parameters import Values
+from strainwave.identification.whole_arm import tune
+from strainwave.io import logs
+from strainwave.io.study import read_study
 
 OFF, FAR_OFF = 0.3, 3.0
 SAME = 0.5  # of a standard deviation

@@ -20,12 +20,12 @@ from rich.table import Table
 
 from benchmarks.studies.arms import Rig, each, rig, with_logs
 from benchmarks.studies.catalogue import drawn as of_catalogue
-from strainwave.parameters import Values
+from strainwave.domain import Parameter
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import simulate
+from strainwave.io.study import read_study
 from strainwave.pipeline import identify
-from strainwave.records import Parameter
-from strainwave.simulation import simulate
-from strainwave.study import read_study
-from strainwave.virtual import Simulator, derived
+from strainwave.virtual.experiments import Simulator, derived
 
 EXACT_STEP = 4e-6
 """[s] Of a truth: at 300 Hz the sensors' filters are wrong by 5e-6, below any deviation told."""

@@ -22,15 +22,15 @@ from rich.table import Table
 from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
 from benchmarks.studies.arms import Rig, drawn, each, with_logs
-from strainwave import scara
+from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import Drive, Quantity, Trajectory
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
-from strainwave.parameters import Values
+from strainwave.io.study import read_study
 from strainwave.pipeline import identify
-from strainwave.records import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
-from strainwave.simulation import Drive, Quantity, Trajectory
-from strainwave.study import read_study
-from strainwave.virtual import derived
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import derived
 
 STEP = 5e-5  # [s] of the engine
 
@@ -44,7 +44,7 @@ def in_mujoco(
     samples: int,
     record: Sequence[Quantity],
 ) -> Trajectory:
-    """One experiment, as `strainwave.simulation.simulate` runs it."""
+    """One experiment, as `strainwave.dynamics.simulation.simulate` runs it."""
     model = _model(study, values)
     data = mujoco.MjData(model)
     joints = range(1, study.n_joints + 1)

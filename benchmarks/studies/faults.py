@@ -21,13 +21,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.studies import arms, catalogue
+from strainwave.domain import FloatArray, Log, Study
+from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
-from strainwave.logs import read_logs, write_log
-from strainwave.parameters import Values
+from strainwave.io.logs import read_logs, write_log
+from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import STAGES, identify
-from strainwave.records import FloatArray, Log, Study
-from strainwave.study import read_study, write_study
-from strainwave.virtual import derived
+from strainwave.virtual.experiments import derived
 
 _HARMLESS = 0.03  # of a value
 _SOURCES = {"rig": arms.rig, "catalogue": catalogue.drawn}

@@ -18,12 +18,13 @@ from tempfile import TemporaryDirectory
 from rich.console import Console
 from rich.table import Table
 
-from strainwave import logs
-from strainwave.parameters import Values, read_parameters
+from strainwave.domain import Identification, Parameter
+from strainwave.domain.parameters import Values
+from strainwave.io import logs
+from strainwave.io.parameters import read_parameters
+from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
-from strainwave.records import Identification, Parameter
-from strainwave.study import read_study, write_study
-from strainwave.virtual import derived
+from strainwave.virtual.experiments import derived
 
 KINDS = {
     "inertias": ("alpha", "beta", "gamma", "rigid_inertia", "motor_inertia", "link_inertia"),

@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from strainwave.records import ContinuousStateSpace, FloatArray, Hold, InputOutput, StateSpace
+from strainwave.domain import ContinuousStateSpace, FloatArray, Hold, InputOutput, StateSpace
 from strainwave.statespace import modes, pem, propagate, to_continuous
 from strainwave.statespace._entries import Matrices, rescale
 from strainwave.statespace._evaluate import Evaluator

@@ -21,12 +21,13 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
 from benchmarks.studies.arms import each, with_logs
-from strainwave import logs, pipeline
-from strainwave.parameters import Values
-from strainwave.records import FloatArray
-from strainwave.study import read_study
-from strainwave.tuning import Fit, fitted
-from strainwave.tuning.objective import Rows
+from strainwave import pipeline
+from strainwave.domain import FloatArray
+from strainwave.domain.parameters import Values
+from strainwave.identification.whole_arm import Fit, fitted
+from strainwave.identification.whole_arm.objective import Rows
+from strainwave.io import logs
+from strainwave.io.study import read_study
 
 ORDER = 12  # of the noise models
 WAYS = ("rows", "predictor")

@@ -17,11 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.studies.arms import each, with_logs
-from strainwave import logs, pipeline
-from strainwave.parameters import Values
-from strainwave.study import read_study
-from strainwave.tuning import TuningOptions, tune
-from strainwave.virtual import derived
+from strainwave import pipeline
+from strainwave.domain.parameters import Values
+from strainwave.identification.whole_arm import TuningOptions, tune
+from strainwave.io import logs
+from strainwave.io.study import read_study
+from strainwave.virtual.experiments import derived
 
 WAYS = {"recorded voltages": False, "closed loop": True}
 

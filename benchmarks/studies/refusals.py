@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.logs import write_log
+from strainwave.io.logs import write_log
 
 STUDY = """\
 [arm]

@@ -25,14 +25,15 @@ from rich.table import Table
 from benchmarks.studies.arms import Rig, each, with_logs
 from benchmarks.studies.convergence import SAME
 from benchmarks.studies.coverage import EXACT_STEP, OF_THE_ENGINE, drawn_rig, kind_of, rows_of
-from strainwave import logs, physical
-from strainwave.parameters import Values
+from strainwave.domain import Channel, FloatArray, Identification, JointModel, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import simulate
+from strainwave.identification import joint_model as physical
+from strainwave.identification.whole_arm import tune
+from strainwave.io import logs
+from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
-from strainwave.records import Channel, FloatArray, Identification, JointModel, Study
-from strainwave.simulation import simulate
-from strainwave.study import read_study, write_study
-from strainwave.tuning import tune
-from strainwave.virtual import Simulator, derived
+from strainwave.virtual.experiments import Simulator, derived
 
 LINKS: Mapping[str, tuple[str, ...]] = {
     "none": (),

@@ -19,8 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from benchmarks.studies.engine import in_mujoco
-from strainwave.parameters import Values
-from strainwave.records import (
+from strainwave.domain import (
     Arm,
     Channel,
     Control,
@@ -32,9 +31,10 @@ from strainwave.records import (
     Study,
     Use,
 )
-from strainwave.simulation import SensorNoise
-from strainwave.study import read_study, write_study
-from strainwave.virtual import derived, simulate_study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.io.study import read_study, write_study
+from strainwave.virtual.experiments import derived, simulate_study
 
 SEED = 7
 COUNTS = 4096  # of an encoder per turn

@@ -7,7 +7,7 @@ import sys
 
 def main() -> None:
     """Listen for Ctrl-C before anything heavy is imported, then run the command line."""
-    from strainwave import interrupt
+    from strainwave.io import interrupt
 
     interrupt.listen()
     try:

@@ -101,7 +101,7 @@ def identify(
 ) -> None:
     """Identify the arm: logs in, DIR/result.json and DIR/report.html out."""
     from strainwave import pipeline
-    from strainwave.matplotlib_backend import require_matplotlib
+    from strainwave.presentation.matplotlib_backend import require_matplotlib
 
     if figures:
         require_matplotlib()  # before the work, not after it
@@ -112,7 +112,7 @@ def identify(
         )
         pipeline.write(identification, out, figures=figures, progress=tell)
     if not quiet:
-        from strainwave.summary import print_summary
+        from strainwave.presentation.terminal import print_summary
 
         print_summary(identification, out, figures=figures)
     raise typer.Exit(identification.verdict.exit_code)
@@ -136,12 +136,10 @@ def simulate(
     quiet: Quiet = False,
 ) -> None:
     """Run the study's experiments on a virtual arm: logs and a study.toml that identify reads."""
-    from strainwave import virtual
+    from strainwave.virtual.experiments import simulate_study_file
 
     with _progress(quiet) as tell:
-        written = virtual.simulate_study_file(
-            study, parameters, out, seed=seed, ideal=ideal, progress=tell
-        )
+        written = simulate_study_file(study, parameters, out, seed=seed, ideal=ideal, progress=tell)
     if not quiet:
         typer.echo(f"{written} logs and study.toml are in {out}")
 
@@ -216,7 +214,7 @@ def excite(
     quiet: Quiet = False,
 ) -> None:
     """Design the experiments to record: what to apply, for how long, and what the arm will do."""
-    from strainwave import design
+    from strainwave import experiment_design as design
 
     with _progress(quiet) as tell:
         planned = design.excite_study_file(
@@ -232,7 +230,7 @@ def excite(
             progress=tell,
         )
     if not quiet:
-        from strainwave.design.summary import print_design
+        from strainwave.experiment_design.summary import print_design
 
         print_design(planned, out)
 
@@ -261,19 +259,20 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Simulate the built-in SCARA-type arm, identify it, and compare with the truth."""
-    from strainwave import virtual
-    from strainwave.matplotlib_backend import require_matplotlib
-    from strainwave.summary import print_comparisons, print_summary
+    from strainwave.paper.run import write_comparisons
+    from strainwave.presentation.matplotlib_backend import require_matplotlib
+    from strainwave.presentation.terminal import print_comparisons, print_summary
+    from strainwave.virtual.experiments import demonstrate
 
     if figures:
         require_matplotlib()
     with _progress(quiet) as tell:
-        identification, truth = virtual.demonstrate(out, seed=seed, progress=tell, figures=figures)
+        identification, truth = demonstrate(out, seed=seed, progress=tell, figures=figures)
     if not quiet:
         print_summary(identification, out, truth=truth, figures=figures)
     if not quick:
         with _progress(quiet) as tell:
-            found = virtual.compare(
+            found = write_comparisons(
                 identification,
                 out,
                 seed=seed,
@@ -300,7 +299,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 def main() -> None:
     """Run the command line; the errors that a user can mend are one sentence, without traceback."""
-    from strainwave.parallel import own_process
+    from strainwave.numerics.parallel import own_process
 
     own_process()
     try:

@@ -17,33 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from strainwave import (
-    __version__,
-    consistency,
-    decoupling,
-    frequency,
-    links,
-    logs,
-    physical,
-    result,
-    rigid,
-    signals,
-    study,
-    sweep,
-    tuning,
-    validation,
-)
-from strainwave.activity import activity_of
-from strainwave.atomic_files import write_whole
-from strainwave.diagnostics import published_warnings
-from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.matplotlib_backend import images
-from strainwave.motor_responses import motor_response
-from strainwave.mounting import with_places
-from strainwave.mounting_start import with_stand_ins
-from strainwave.parallel import one_blas_thread, side_by_side
-from strainwave.recorded_input import missing_for_replay, missing_motor_signal
-from strainwave.records import (
+from strainwave import __version__
+from strainwave.domain import (
     ArmModel,
     Consistency,
     Decoupled,
@@ -64,6 +39,25 @@ from strainwave.records import (
     StateSpace,
     Study,
 )
+from strainwave.domain.diagnostics import published_warnings
+from strainwave.dynamics.mounting import with_places
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.identification import amplitude_sweep as sweep
+from strainwave.identification import decoupling, frequency, rigid, validation
+from strainwave.identification import joint_model as physical
+from strainwave.identification import whole_arm as tuning
+from strainwave.identification.motor_responses import motor_response
+from strainwave.io import logs, study
+from strainwave.io import results as result
+from strainwave.io.atomic_files import write_whole
+from strainwave.numerics.parallel import one_blas_thread, side_by_side
+from strainwave.presentation.matplotlib_backend import images
+from strainwave.signals import consistency
+from strainwave.signals import link_motion as links
+from strainwave.signals import motor as signals
+from strainwave.signals.activity import activity_of
+from strainwave.signals.mounting_start import with_stand_ins
+from strainwave.signals.recorded_input import missing_for_replay, missing_motor_signal
 
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
@@ -538,7 +532,7 @@ def write(
     InvalidInput
         The folder cannot be written to, or there is no Matplotlib to draw the figures.
     """
-    from strainwave.report import figures_of, render
+    from strainwave.presentation.report import figures_of, render
 
     parts = len(_planned(identification.stages))
     progress(f"{parts} of {parts}: writing the report")

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import exports
-from strainwave import excitation
+from strainwave.domain import FloatArray, Motion, Prbs, Spring, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics import excitation
+from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.export.mjcf import to_mjcf
-from strainwave.parameters import Values
-from strainwave.records import FloatArray, Motion, Prbs, Spring, Study
-from strainwave.simulation import Drive, Quantity, simulate
 
 TICK = 1e-3
 RECORDED: list[Quantity] = ["motor_velocity", "link_velocity", "link_angle"]

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 import exports
+from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm, read_result
 from strainwave.export.flat import to_json
 from strainwave.export.mjcf import to_mjcf
-from strainwave.parameters import Values
 
 Change = Callable[[dict[str, Any]], Any]
 

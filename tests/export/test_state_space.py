@@ -10,14 +10,14 @@ import pytest
 from scipy import signal
 
 import exports
-from strainwave import excitation
+from strainwave.domain import ComplexArray, FloatArray, Prbs
+from strainwave.domain.parameters import Values
+from strainwave.dynamics import excitation
+from strainwave.dynamics.simulation import Drive, simulate
+from strainwave.dynamics.two_inertia import NAMES, TwoInertia, coefficients, joint_of
 from strainwave.errors import InvalidInput
 from strainwave.export import state_space
 from strainwave.export.state_space import to_state_space
-from strainwave.parameters import Values
-from strainwave.physical.two_inertia import NAMES, TwoInertia, coefficients, joint_of
-from strainwave.records import ComplexArray, FloatArray, Prbs
-from strainwave.simulation import Drive, simulate
 
 OMEGA: FloatArray = np.geomspace(1.0, 1e3, 40)
 

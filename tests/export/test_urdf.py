@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import exports
+from strainwave.domain import Parameter
+from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm
 from strainwave.export.bodies import Body, about_axis, link_bodies
 from strainwave.export.urdf import to_urdf
-from strainwave.parameters import Values
-from strainwave.records import Parameter
 
 LENGTH, GRAVITY = 0.35, 9.81
 

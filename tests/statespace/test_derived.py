@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from strainwave.domain import FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.records import FloatArray, StateSpace
 from strainwave.statespace import frequency_response, modes, pem, propagate, to_continuous
 from strainwave.statespace._entries import Matrices
 from two_inertia import SAMPLE_TIME, TwoInertia, excitation, simulate, state_space

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from strainwave.domain import InputOutput, StateSpace
 from strainwave.errors import InvalidInput
-from strainwave.records import InputOutput, StateSpace
 from strainwave.statespace import check_model, pem, select_order, subspace
 from two_inertia import TwoInertia, excitation, simulate
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from strainwave.domain import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
 from strainwave.errors import InvalidInput
-from strainwave.records import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
 from strainwave.statespace import PemOptions, modes, pem, propagate, subspace, to_continuous
 from strainwave.statespace._entries import Matrices, balanced, rescale
 from strainwave.statespace._evaluate import Evaluator

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 from strainwave.statespace._evaluate import Evaluator
 from strainwave.statespace._stack import stack
 from strainwave.statespace.subspace import realise

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from strainwave.domain import InputOutput, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.records import InputOutput, StateSpace
 from strainwave.statespace import frequency_response, subspace, without_means
 from two_inertia import SAMPLE_TIME, TwoInertia, excitation, simulate, state_space
 

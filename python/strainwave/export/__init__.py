@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from strainwave.atomic_files import nearest, write_whole
+from strainwave.domain import Diagnostic
 from strainwave.errors import InvalidInput
 from strainwave.export.flat import to_c_header, to_json
 from strainwave.export.matlab import to_mat, to_script
@@ -13,7 +13,7 @@ from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import Export, IdentifiedArm, read_result
 from strainwave.export.state_space import state_space, to_state_space
 from strainwave.export.urdf import to_urdf
-from strainwave.records import Diagnostic
+from strainwave.io.atomic_files import nearest, write_whole
 
 __all__ = ["FORMATS", "Export", "IdentifiedArm", "export_file", "read_result", "state_space"]
 

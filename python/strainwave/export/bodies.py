@@ -14,9 +14,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from strainwave.domain import Diagnostic
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
-from strainwave.records import Diagnostic
 
 _WORTH_TELLING = 0.01  # of a gravity torque
 _ASSUMED_LENGTH = 1.0  # [m] of a single link whose study names none

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from strainwave.domain import FloatArray
+from strainwave.dynamics.two_inertia import NAMES
 from strainwave.export.flat import entries
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.state_space import (
@@ -17,8 +19,6 @@ from strainwave.export.state_space import (
     linearised,
     state_space,
 )
-from strainwave.physical.two_inertia import NAMES
-from strainwave.records import FloatArray
 
 _UNKNOWN = float("nan")  # MATLAB's missing number
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from xml.etree import ElementTree as ET
 
+from strainwave.domain import Diagnostic, Joint
 from strainwave.export.bodies import (
     Body,
     effective_gravity,
@@ -20,7 +21,6 @@ from strainwave.export.bodies import (
 )
 from strainwave.export.markup import numbers, remark, root, to_bytes
 from strainwave.export.source import Export, IdentifiedArm
-from strainwave.records import Diagnostic, Joint
 
 _STEP = 1e-4  # [s] the motors' friction, a constraint, takes two steps to bring them to rest
 _THIN = 0.02  # [m] radius of the drawn links

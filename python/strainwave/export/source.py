@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from strainwave.atomic_files import decode, read_bytes
+from strainwave.domain import Diagnostic, Joint, Parameter, Study, is_physical, physical_range
+from strainwave.domain.parameters import Values, completed
 from strainwave.errors import InvalidInput
-from strainwave.parameters import Values, completed
-from strainwave.records import Diagnostic, Joint, Parameter, Study, is_physical, physical_range
-from strainwave.study import read_study
+from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.io.study import read_study
 
 _SCHEMA = "strainwave/result/1"
 _NOT_A_RESULT = "give the result.json that strainwave identify wrote"

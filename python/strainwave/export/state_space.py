@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from strainwave.domain import Diagnostic, FloatArray
+from strainwave.dynamics import two_inertia
+from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import InvalidInput
 from strainwave.export.source import Export, IdentifiedArm
-from strainwave.physical import two_inertia
-from strainwave.physical.two_inertia import TwoInertia
-from strainwave.records import Diagnostic, FloatArray
 
 STATES = ("torsion", "motor_velocity", "link_velocity")
 INPUTS = ("motor_torque", "interaction_torque")

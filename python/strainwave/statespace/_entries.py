@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 from strainwave.statespace._stack import Stack
 
 

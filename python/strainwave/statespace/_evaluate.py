@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from strainwave import _core
-from strainwave.records import Diagnostic, FloatArray, StateSpace
+from strainwave.domain import Diagnostic, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, unpack, unscale
 from strainwave.statespace._riccati import is_stable
 from strainwave.statespace._stack import Stack

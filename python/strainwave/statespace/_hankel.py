@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave import _core
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 from strainwave.statespace._stack import Stack
 
 # Squaring the data loses the square of a pivot against one. Down to this ratio what rounding

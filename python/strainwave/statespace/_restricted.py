@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 from strainwave.statespace._entries import Matrices, balancing
 from strainwave.statespace._evaluate import Evaluator
 from strainwave.statespace._riccati import is_stable

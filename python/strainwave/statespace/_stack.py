@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from strainwave.domain import FloatArray, Hold, InputOutput
 from strainwave.errors import InvalidInput
-from strainwave.records import FloatArray, Hold, InputOutput
 
 Data = InputOutput | Sequence[InputOutput]
 

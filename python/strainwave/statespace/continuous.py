@@ -7,9 +7,9 @@ from math import factorial
 
 import numpy as np
 
+from strainwave.domain import ContinuousStateSpace, Diagnostic, FloatArray, StateSpace
 from strainwave.errors import NotIdentifiable
-from strainwave.linalg import exponential
-from strainwave.records import ContinuousStateSpace, Diagnostic, FloatArray, StateSpace
+from strainwave.numerics.linalg import exponential
 from strainwave.statespace.propagation import propagate
 
 # Share of the Nyquist frequency beyond which a pole may be the alias of a faster one.

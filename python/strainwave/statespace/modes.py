@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from strainwave.domain import ContinuousStateSpace, FloatArray, Mode, Modes, StateSpace
 from strainwave.errors import InvalidInput
-from strainwave.records import ContinuousStateSpace, FloatArray, Mode, Modes, StateSpace
 from strainwave.statespace.continuous import to_continuous
 from strainwave.statespace.propagation import propagate
 

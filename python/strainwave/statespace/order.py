@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
+from strainwave.domain import InputOutput, OrderSelection, StateSpace
 from strainwave.errors import InvalidInput
-from strainwave.records import InputOutput, OrderSelection, StateSpace
 from strainwave.statespace._evaluate import fit_percent
 from strainwave.statespace._stack import Data, records_of, stack
 from strainwave.statespace.pem import PemOptions, pem

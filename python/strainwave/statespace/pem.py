@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave.domain import Diagnostic, FloatArray, StateSpace
 from strainwave.errors import InvalidInput
-from strainwave.parallel import stop_if_asked
-from strainwave.records import Diagnostic, FloatArray, StateSpace
+from strainwave.numerics.parallel import stop_if_asked
 from strainwave.statespace._entries import Matrices, balanced, n_entries, rescale
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
 from strainwave.statespace._restricted import restricted

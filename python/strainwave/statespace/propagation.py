@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from strainwave.records import ContinuousStateSpace, FloatArray, StateSpace
+from strainwave.domain import ContinuousStateSpace, FloatArray, StateSpace
 
 Model = TypeVar("Model", StateSpace, ContinuousStateSpace)
 

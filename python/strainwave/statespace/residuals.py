@@ -6,14 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.distributions import chi_square_tail
+from strainwave.domain import FloatArray, HypothesisTest, ModelCheck, StateSpace
 from strainwave.errors import InvalidInput
-from strainwave.records import (
-    FloatArray,
-    HypothesisTest,
-    ModelCheck,
-    StateSpace,
-)
+from strainwave.numerics.distributions import chi_square_tail
 from strainwave.statespace._entries import Matrices, rescale
 from strainwave.statespace._evaluate import Evaluator, fit_percent
 from strainwave.statespace._stack import Data, Stack, stack

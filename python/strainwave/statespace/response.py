@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from strainwave.domain import ContinuousStateSpace, FloatArray, FrequencyResponse, StateSpace
 from strainwave.errors import InvalidInput
-from strainwave.records import ContinuousStateSpace, FloatArray, FrequencyResponse, StateSpace
 
 ComplexArray = NDArray[np.complex128]
 

@@ -18,8 +18,8 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave.domain import Diagnostic, FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.records import Diagnostic, FloatArray, StateSpace
 from strainwave.statespace._entries import Matrices, balanced
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
 from strainwave.statespace._hankel import solve_upper, triangular_factor

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from strainwave.atomic_files import write_whole
 from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import write_whole
 from strainwave.study_draft.candidates import Mapping
 from strainwave.study_draft.channels import add_channels, map_channels
 from strainwave.study_draft.experiment_type import Proposed, propose, unchecked_joints

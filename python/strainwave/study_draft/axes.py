@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 from strainwave.study_draft.names import UNITS, Named
 from strainwave.study_draft.signal_features import relation
 

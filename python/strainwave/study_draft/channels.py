@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 from strainwave.study_draft.candidates import AGREES, Guess, Mapping
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.joint_columns import JointColumns

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.records import Control, FloatArray, Prbs, Use
+from strainwave.domain import Control, FloatArray, Prbs, Use
 from strainwave.study_draft.candidates import Mapping
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.signal_features import (

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from strainwave.domain import Experiment, FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.logs.bags import Bag, is_bag
-from strainwave.logs.clocks import FEWEST_ROWS, Track, one_clock
-from strainwave.logs.tables import LARGEST, first_impossible, open_table
-from strainwave.records import Experiment, FloatArray
+from strainwave.io.logs.bags import Bag, is_bag
+from strainwave.io.logs.clocks import FEWEST_ROWS, Track, one_clock
+from strainwave.io.logs.tables import LARGEST, first_impossible, open_table
 from strainwave.study_draft.names import MOST_JOINTS, UNITS, parse
 from strainwave.study_draft.signal_features import is_clock, time_unit
 

@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 from strainwave.study_draft.axes import chosen_axis, scale_and_reason
 from strainwave.study_draft.candidates import AGREES, Guess, JointFacts, Mapping, Sure
 from strainwave.study_draft.inspection import Record

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from strainwave.records import FloatArray
+from strainwave.domain import FloatArray
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.names import MOST_JOINTS, Named, parse
 from strainwave.study_draft.signal_features import levels, relation

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Literal
 
-from strainwave.records import CHANNELS
+from strainwave.domain import CHANNELS
 
 Quantity = Literal[
     "time",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.records import BoolArray, FloatArray, Prbs
+from strainwave.domain import BoolArray, FloatArray, Prbs
 
 _UNEVEN = 10.0  # longest over usual step of a clock; a counter or an angle has others
 _FEW = 5  # levels

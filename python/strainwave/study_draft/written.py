@@ -214,7 +214,9 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
         if record.time_column == "t" and record.time_scale == 1.0:
             lines += _wrapped(f"t: {why}")
         else:
-            lines.append(_line("t", _entry(record.time_column, record.time_scale, of_bag=False), why))
+            lines.append(
+                _line("t", _entry(record.time_column, record.time_scale, of_bag=False), why)
+            )
     if own:
         lines += _wrapped(f"sure: under their own names, in SI units: {', '.join(own)}")
     for guess in mapping.guesses.values():

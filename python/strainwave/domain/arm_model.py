@@ -1,0 +1,183 @@
+"""The whole arm with elastic gears, and what criticism finds in its fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from strainwave.domain.arrays import ComplexArray, FloatArray
+from strainwave.domain.display import Shown
+from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
+from strainwave.domain.study import Effect
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualTest:
+    """What a fit left of one channel of one record, beside its sensor's own noise."""
+
+    experiment: str
+    channel: str
+    deviation: float  # of what is left, in the channel's unit
+    noise: float  # of the sensor's noise behind the same low-pass
+    frequency_hz: FloatArray  # (n_frequencies,)
+    density: FloatArray  # (n_frequencies,) of what is left, one-sided [unit^2/Hz]
+    noise_density: FloatArray  # (n_frequencies,)
+    worst_hz: float  # where the one exceeds the other most
+    whiteness: float  # probability that noise of the sensor's colour looks no more like it
+    input_joint: int  # whose input it follows most, from 1
+    input_correlation: float  # with that input
+    input_delay: float  # [s] behind it
+    input_probability: float  # that an independent input correlates as much
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreTest:
+    """What an effect that is not in the model would explain of a fit's residuals."""
+
+    joint: int  # from 1
+    effect: Effect
+    sizes: Mapping[str, float]  # parameter -> value, by one linear step
+    stds: Mapping[str, float]
+    gain: float  # of the cost, given the effects before it in the list: 9 is three deviations
+    share: float  # of the cost
+    evident: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Criticism:
+    """What a fit does not explain, and what might."""
+
+    residuals: tuple[ResidualTest, ...]
+    score_tests: tuple[ScoreTest, ...]  # the most significant first
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueHistogram:
+    """How often a gear carried which torque in the records, by the model, whatever its sign."""
+
+    joint: int  # from 1
+    edges: FloatArray  # (n_bins + 1,) [N m] at the link, from zero
+    share: FloatArray  # (n_bins,) of all samples
+
+
+@dataclass(frozen=True, slots=True)
+class StageDifference:
+    """One value as the rigid and as the whole-arm fit give it.
+
+    The whole-arm fit takes the rigid model as a prior, so that its value has moved towards the
+    rigid one already; the standard deviation of the difference counts that.
+    """
+
+    name: str
+    joint: int | None  # from 1; None for the arm's own
+    rigid: float
+    whole_arm: float
+    std: float  # of the difference
+    unit: str
+
+    @property
+    def deviations(self) -> float:
+        """The difference in standard deviations."""
+        return (self.whole_arm - self.rigid) / self.std
+
+
+_NEGLIGIBLE = 0.01  # relative difference of stages that no use of a model would show
+
+
+@dataclass(frozen=True, slots=True)
+class AgreementTest:
+    """Whether the rigid and the whole-arm fit agree on several values at once, by chi-square."""
+
+    scope: Literal["all", "inertias", "friction"]  # "inertias": gravity torques as well
+    joint: int | None  # from 1, whose friction; None: of the other scopes
+    chi_square: float
+    degrees: int
+    deviations: float  # of a normal variable that is as unlikely on both sides
+    largest: float = math.inf  # relative difference of the value that differs most
+
+    @property
+    def matters(self) -> bool:
+        """Whether a value differs by so much that somebody would mind, however sure both are."""
+        return self.largest >= _NEGLIGIBLE
+
+
+Condition = Literal["alone", "others-free", "others-servoed"]
+"""What the other joints do while one is driven: there are none, they are free, or servoed."""
+
+CONDITIONS: Mapping[Condition, str] = {
+    "alone": "on its own",
+    "others-free": "the other joint free",
+    "others-servoed": "the other joint servoed",
+}
+"""The same in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorResponse:
+    """Motor torque to motor velocity in one record, of the rig and of the fitted arm."""
+
+    experiment: str
+    joint: int  # that is driven, from 1
+    condition: Condition
+    frequencies_hz: FloatArray  # (n_frequencies,)
+    measured: ComplexArray  # (n_frequencies,) [rad/s per N m]
+    fitted: ComplexArray  # (n_frequencies,) by the same estimate, of the simulated arm
+    coherence: FloatArray  # (n_frequencies,) of the measured one
+    anti_resonances_hz: tuple[float, ...]  # of the fitted arm, ascending
+    resonances_hz: tuple[float, ...]
+
+
+LinkSensor = Literal["accelerometer", "link-encoder", "gyro"]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorGain:
+    """What a link sensor that no record has would make of one parameter's interval."""
+
+    sensor: LinkSensor
+    link: int  # from 1, that it would sit on
+    assumed: str  # its data sheet and place
+    name: str
+    joint: int | None  # from 1; None for the arm's own
+    value: float
+    std: float  # as it is
+    predicted_std: float  # with the sensor in the same records
+
+    @property
+    def label(self) -> str:
+        """Name with joint, as in the verdict."""
+        return self.name if self.joint is None else f"{self.name} {self.joint}"
+
+    @property
+    def percent(self) -> float:
+        """Half-width of the 95 % interval as it is, of the value."""
+        return 196.0 * self.std / abs(self.value)
+
+    @property
+    def predicted_percent(self) -> float:
+        """The same with the sensor."""
+        return 196.0 * self.predicted_std / abs(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class ArmModel(Shown):
+    """All parameters of the arm, fitted at once to all records that excite its gears."""
+
+    parameters: tuple[Parameter, ...]
+    values: Mapping[tuple[str, int | None], float]  # all that simulating the arm needs
+    covariance: FloatArray  # (n_parameters, n_parameters), of `parameters`
+    fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
+    initial_fit_percent: Mapping[str, Mapping[str, float]]  # before tuning
+    simulated: tuple[Prediction, ...]  # the tuned model on the records it was fitted to
+    initial: tuple[Prediction, ...]  # the same before tuning
+    iterations: int
+    status: Literal["converged", "iteration-limit", "at-bounds"]
+    warnings: tuple[Diagnostic, ...] = ()
+    criticism: Criticism | None = None
+    carried: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
+    at_bounds: tuple[tuple[str, int | None], ...] = ()  # ended at a range's end, or rest on such
+    differences: tuple[StageDifference, ...] = ()  # from the rigid model, value by value
+    agreement: tuple[AgreementTest, ...] = ()  # with it, of all these differences and of groups
+    sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that are not there

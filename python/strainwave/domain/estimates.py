@@ -1,0 +1,87 @@
+"""What any stage may answer: parameters, predictions, and what is said beside the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from strainwave.domain.arrays import FloatArray
+from strainwave.domain.display import Shown
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """Something the reader must know to trust, or not trust, an answer."""
+
+    code: str  # kebab-case, stable: the troubleshooting page is indexed by it
+    where: str  # file, experiment, joint or parameter
+    message: str  # what, and what to do about it
+    experiments: tuple[str, ...] = ()  # the records, where one cause shows in several
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Suspicion:
+    """One cause that would explain why the channels contradict one another or the study."""
+
+    code: str  # one of the input faults of docs/troubleshooting.md: "wrong-unit", "wrong-sign", ...
+    where: str  # channel, experiment or key of the study that is at fault: "a1", "joint 2"
+    message: str  # in one sentence, with the number found
+    remedy: str  # the line of study.toml, or the step at the rig, that would mend it
+    factor: float | None = None  # by which the data differ from what the study implies
+    delay_s: float | None = None  # by which the channel lags [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Whether a study's channels agree with one another and with the study, before any estimate."""
+
+    suspected: tuple[Suspicion, ...] = ()
+
+    @property
+    def motors_agree(self) -> bool:
+        """Whether nothing is suspected of the motors' signals: only link sensors are."""
+        link = ("a", "gyro", "theta_l", "deflection")
+        return all(
+            each.strip().startswith(link) or each.endswith(("accelerometer_distance", "length"))
+            for found in self.suspected
+            for each in found.where.split(",")
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One physical parameter with its uncertainty; `None` is what was not identified."""
+
+    name: str  # as in docs/notation.md
+    joint: int | None  # from 1; None for the arm's own
+    value: float | None
+    std: float | None
+    unit: str
+    stage: str
+    ci95: tuple[float, float] | None = None
+
+    @property
+    def label(self) -> str:
+        """Name with joint, as in the verdict: "gear_stiffness 1"; "beta" of the arm."""
+        return self.name if self.joint is None else f"{self.name} {self.joint}"
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction(Shown):
+    """What a model says a record's channels should have been."""
+
+    experiment: str
+    time: FloatArray  # (n_samples,) [s]
+    channels: tuple[str, ...]
+    measured: FloatArray  # (n_samples, n_channels)
+    predicted: FloatArray  # (n_samples, n_channels)
+    fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
+    unfiltered_fit_percent: Mapping[str, float] = field(default_factory=dict)  # with y as logged
+    stiffness_effect: Mapping[int, float] = field(default_factory=dict)
+    """Joint -> largest change that a fifth more gear stiffness makes, in spreads of a channel."""
+    warnings: tuple[Diagnostic, ...] = ()
+
+    @property
+    def of_drive(self) -> bool:
+        """Whether drive signals are predicted from the motion, by the rigid model."""
+        return self.channels[0].startswith(("u", "torque"))

@@ -1,0 +1,213 @@
+"""What comes of it all: everything that one run learnt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from strainwave.domain.arm_model import ArmModel, MotorResponse
+from strainwave.domain.display import Shown
+from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
+from strainwave.domain.final_table import Decision, decide
+from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
+from strainwave.domain.linear_models import FrequencyResponse
+from strainwave.domain.rigid_model import RigidModel
+from strainwave.domain.signals import Activity, LinkSummary
+from strainwave.domain.study import Study
+from strainwave.domain.verdict import Status, Validated, Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Identification(Shown):
+    """Everything one run learnt: what result.json and the report are made of."""
+
+    study: Study
+    created: str  # ISO 8601, UTC
+    version: str
+    stages: tuple[str, ...]  # those that were asked for
+    rigid: RigidModel | None
+    fitted: tuple[Prediction, ...]  # the model on the records it was fitted to
+    checks: tuple[Prediction, ...]  # and on those kept for validation
+    warnings: tuple[Diagnostic, ...]
+    timing_s: Mapping[str, float]
+    links: tuple[LinkSummary, ...] = ()  # of every joint in every record that excites a gear
+    records: tuple[RecordModel, ...] = ()  # of the joints excited, record by record
+    joints: tuple[JointModel, ...] = ()  # all records of a joint at once
+    responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint
+    sweeps: tuple[Sweep, ...] = ()
+    tuned: ArmModel | None = None
+    suspected: tuple[Suspicion, ...] = ()  # causes of contradictions in the input
+    failures: tuple[str, ...] = ()  # why stages could not answer, each in one sentence
+    motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, where the arm was fitted
+    activity: tuple[Activity, ...] = ()  # of each joint in the fitted records
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        """The final table with what was decided of each parameter, and why."""
+        return decide(
+            self.study, self.rigid, self.joints, self.tuned, self.suspected, self.activity
+        )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The final table: each parameter once, the arm's own first, then joint by joint.
+
+        A later stage's value, and its refusal, win over an earlier stage's.
+        """
+        return tuple(decision.parameter for decision in self.decisions)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict by docs/result.md: exit code, status, and why."""
+        return verdict_of(self)
+
+    @property
+    def determined(self) -> bool:
+        """Whether every parameter asked for was identified and nothing speaks against it."""
+        return self.verdict.status == "determined"
+
+    @property
+    def reason(self) -> str | None:
+        """Why the run is not determined, in one sentence; None where it is."""
+        return "; ".join(self.verdict.reasons) or None
+
+
+@dataclass(frozen=True, slots=True)
+class _Called:
+    """What the requested stages and the study's springs call for."""
+
+    stages: tuple[str, ...]
+    primary: tuple[str, ...]  # labels, as in the verdict
+
+
+def verdict_of(found: Identification) -> Verdict:
+    """The verdict on a run, by docs/result.md.
+
+    Parameters
+    ----------
+    found : Identification
+
+    Returns
+    -------
+    Verdict
+    """
+    decisions = found.decisions
+    called = _called_for(found)
+    known = {d.parameter.label for d in decisions}
+    identified = tuple(d.parameter.label for d in decisions if d.identified)
+    rejected = tuple(d.parameter.label for d in decisions if d.rejected)
+    open_ones = [d.parameter.label for d in decisions if not d.identified and not d.rejected]
+    not_identified = (*open_ones, *(label for label in called.primary if label not in known))
+    reasons = tuple(_reasons(found, called, identified, rejected))
+    primary = [label for label in called.primary if label in identified]
+    status: Status = "partly-determined" if reasons else "determined"
+    if not primary:
+        status = "not-determined"
+    if found.suspected:
+        status = "inconsistent-input"
+    return Verdict(
+        status=status,
+        identified=identified,
+        not_identified=not_identified,
+        rejected=rejected,
+        validated=_validated(found),
+        suspected=found.suspected,
+        reasons=reasons,
+    )
+
+
+def _called_for(found: Identification) -> _Called:
+    """Stages that the study needs of those requested, and the primary parameters these answer."""
+    study = found.study
+    springs = [joint.spring for joint in study.joints]
+    two = study.arm.kind == "planar-two-link"
+    elastic = [number for number, spring in enumerate(springs, start=1) if spring != "rigid"]
+    motion = any(e.use == "motion" for e in study.experiments)
+    alone = not two and study.arm.gravity is None and bool(elastic)
+    fast = bool(elastic) and "decoupled" in found.stages
+    stages = ["rigid"] if motion or not (alone and fast) else []
+    names: list[str] = []
+    if stages:
+        names += ["beta", "gamma", "rigid_inertia 1", "motor_inertia 2"] if two else ["inertia 1"]
+        if study.arm.gravity is not None:
+            names += [f"gravity_torque_{i}" for i in range(1, study.n_joints + 1)]
+    for number, spring in enumerate(springs, start=1):
+        lumped = not two and spring == "rigid"  # motor and link are one, and so is their friction
+        viscous = "motor_viscous_friction" if lumped else "total_viscous_friction"
+        names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
+    whole = "tuned" in found.stages and len(elastic) == study.n_joints
+    excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
+    if fast and (excited or not whole):
+        stages.append("decoupled")
+    if fast:
+        for number in elastic:
+            inertias = [f"motor_inertia {number}", f"link_inertia {number}"]
+            curve = whole and springs[number - 1] == "three-slope"
+            names += inertias + [f"{name} {number}" for name in _spring_names(curve=curve)]
+    if whole:
+        stages.append("tuned")
+        names += ["alpha"] if two else []
+    return _Called(tuple(stages), tuple(dict.fromkeys(names)))
+
+
+def _spring_names(*, curve: bool) -> list[str]:
+    if not curve:
+        return ["gear_stiffness", "gear_damping"]
+    slopes = [f"gear_stiffness_k{k}" for k in (1, 2, 3)]
+    return [*slopes, "gear_knee_t1", "gear_knee_t2", "gear_damping"]
+
+
+def _reasons(
+    found: Identification, called: _Called, identified: Sequence[str], rejected: Sequence[str]
+) -> Iterator[str]:
+    """Why a run is not determined, the most important first."""
+    if found.suspected:  # whatever else is missing follows from these
+        yield from (suspicion.message for suspicion in found.suspected)
+        return
+    yield from found.failures
+    yield from _stages_missing(found, called)
+    wrong = [label for label in called.primary if label in rejected]
+    if wrong:
+        yield f"rejected: {', '.join(wrong)}"
+    missing = [name for name in called.primary if name not in identified and name not in wrong]
+    if missing:
+        yield f"not identified: {', '.join(missing)}"
+
+
+def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
+    elastic = [n for n, j in enumerate(found.study.joints, start=1) if j.spring != "rigid"]
+    fitted = {joint.joint for joint in found.joints}
+    if found.failures:
+        return  # a stage that failed has said so, and those after it follow
+    if "rigid" in called.stages and found.rigid is None:
+        yield "the rigid stage was not reached"
+    if "decoupled" in called.stages and not fitted.issuperset(elastic):
+        names = ", ".join(str(n) for n in elastic if n not in fitted)
+        yield f"the decoupled stage gave no model of joint {names}"
+    if "tuned" in called.stages and found.tuned is None:
+        yield "the whole-arm fit was not reached"
+    if "tuned" in called.stages and found.tuned and found.tuned.status == "iteration-limit":
+        yield "the whole-arm fit did not converge"
+
+
+EXERCISED = 0.05
+"""Change of a channel, in its spreads, that a fifth more stiffness must make in validation data.
+
+A prediction that passes for very good leaves as much, a fit of 95 %: with less, a stiffness far off
+would pass as well.
+"""
+
+
+def _validated(found: Identification) -> Validated:
+    """Whether check records exercised each model."""
+    elastic = {n for n, joint in enumerate(found.study.joints, start=1) if joint.spring != "rigid"}
+    drives = [check for check in found.checks if check.of_drive]
+    shown = {
+        number
+        for check in found.checks
+        for number, effect in check.stiffness_effect.items()
+        if effect >= EXERCISED
+    }
+    moving = any(math.isfinite(fit) for check in drives for fit in check.fit_percent.values())
+    return Validated(rigid=moving, elastic=bool(elastic) and shown >= elastic)

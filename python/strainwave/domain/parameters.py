@@ -1,0 +1,175 @@
+"""Values of an arm's parameters: units, names in options, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from strainwave.domain.study import Effect, Joint, Study
+
+Values = dict[tuple[str, int | None], float]
+"""Parameter values by (name, joint), joint from 1 or None for the arm's own."""
+
+EFFECT_PARAMETERS: Mapping[Effect, tuple[str, str]] = {
+    "stribeck": ("stribeck_friction", "stribeck_velocity"),
+    "hysteresis": ("hysteresis_torque", "hysteresis_twist"),
+    "kinematic-error": ("kinematic_error_cos", "kinematic_error_sin"),
+}
+"""The two parameters of each effect, its size first."""
+
+
+SENSOR_PARAMETERS = (
+    "accelerometer_delay",
+    "accelerometer_scale",
+    "gyro_delay",
+    "gyro_scale",
+    "link_encoder_delay",
+    "accelerometer_bandwidth",
+    "accelerometer_tilt",
+    "gyro_bandwidth",
+    "imu_accelerometer_delay",
+    "imu_accelerometer_bandwidth",
+    "imu_gyro_delay",
+    *(f"imu_{axis}_scale" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),
+    "imu_gyro_bandwidth",
+)
+"""Constants of link sensors that the whole-arm fit estimates where the records show them."""
+
+
+def unit_of(name: str, joint: Joint) -> str:
+    """The SI unit of a joint's parameter.
+
+    Parameters
+    ----------
+    name : str
+        As in docs/notation.md.
+    joint : Joint
+
+    Returns
+    -------
+    str
+    """
+    if name.endswith("time"):
+        return "s"
+    units = ("N m s/rad", "N s/m")
+    if "inertia" in name:
+        units = ("kg m^2", "kg")
+    elif name == "stribeck_velocity":
+        units = ("rad/s", "m/s")
+    elif name == "hysteresis_twist" or name.startswith("kinematic_error"):
+        units = ("rad", "m")
+    elif any(part in name for part in ("coulomb", "offset", "knee", "stribeck", "hysteresis")):
+        units = ("N m", "N")
+    elif "stiffness" in name:
+        units = ("N m/rad", "N/m")
+    return units[joint.motion == "prismatic"]
+
+
+def whole_arm_parameters(study: Study) -> tuple[str, ...]:
+    """Names that the options of the whole-arm fit may use: of all joints, and of each on its own.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    tuple of str
+        "beta", "gear_stiffness", "gear_stiffness 1", ...
+    """
+    names = ["alpha", "beta", "gamma"] if study.n_joints > 1 else []
+    if study.arm.gravity is not None:
+        names += [f"gravity_torque_{i}" for i in range(1, study.n_joints + 1)]
+    of_joints: dict[str, list[int]] = {}
+    for number, joint in enumerate(study.joints, start=1):
+        own = ["motor_inertia", "motor_viscous_friction", "motor_coulomb_friction"]
+        own += ["friction_offset", "link_viscous_friction", "gear_stiffness", "gear_damping"]
+        if study.n_joints == 1:
+            own.append("link_inertia")
+        if joint.spring == "three-slope":
+            own += [f"gear_stiffness_k{k}" for k in (1, 2, 3)]
+            own += [f"gear_knee_t{k}" for k in (1, 2)]
+        for name in own:
+            of_joints.setdefault(name, []).append(number)
+    for name, numbers in of_joints.items():
+        names += [name, *(f"{name} {number}" for number in numbers)]
+    return tuple(names)
+
+
+def link_inertia(values: Values, study: Study, joint: int) -> float:
+    """m_L of a joint: its own, or of two links alpha + beta + 2 gamma, or beta (3).
+
+    Parameters
+    ----------
+    values : dict
+        (name, joint) -> value.
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    float [kg m^2], or [kg] of a prismatic joint
+    """
+    if study.n_joints == 1:
+        return values["link_inertia", 1]
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    return alpha + beta + 2.0 * gamma if joint == 1 else beta
+
+
+def completed(values: Values, study: Study) -> Values:
+    """What an arm needs for being simulated, made of what an identification found.
+
+    A sum stands for its parts where they hardly matter apart: `total_viscous_friction` for the
+    motor's, where that is not known; one `gear_stiffness` for the three slopes of a gear; and
+    where motor and link only ever move together, `inertia` or `rigid_inertia` for both. `alpha`
+    follows from `link_inertia` of joint 1, or from `rigid_inertia` and the motor's inertia.
+
+    Parameters
+    ----------
+    values : dict
+        (name, joint) -> value.
+    study : Study
+
+    Returns
+    -------
+    dict
+        With what follows added; nothing that was there is changed.
+    """
+    known = dict(values)
+    for number, joint in enumerate(study.joints, start=1):
+        _complete_joint(known, number, joint)
+    first, n2 = study.joints[0], study.joints[0].gear_ratio ** 2
+    if study.n_joints == 1 or ("alpha", None) in known:
+        return known
+    beta, gamma = known.get(("beta", None)), known.get(("gamma", None))
+    if beta is None or gamma is None:
+        return known
+    rigid, motor = known.get(("rigid_inertia", 1)), known.get(("motor_inertia", 1))
+    if ("link_inertia", 1) in known:
+        known["alpha", None] = known["link_inertia", 1] - beta - 2.0 * gamma
+    elif rigid is not None and motor is not None:
+        known["alpha", None] = rigid - motor / n2
+    elif rigid is not None and first.spring == "rigid":
+        # all of it counted as the motor's but what alpha needs for a proper link: gamma^2/beta
+        known["alpha", None] = min(1.5 * gamma**2 / beta, rigid)
+    if motor is None and rigid is not None and ("alpha", None) in known:
+        known["motor_inertia", 1] = (rigid - known["alpha", None]) * n2
+    return known
+
+
+def _complete_joint(known: Values, number: int, joint: Joint) -> None:
+    n2 = joint.gear_ratio**2
+    total = known.get(("total_viscous_friction", number))
+    if total is not None:
+        link = known.setdefault(("link_viscous_friction", number), 0.0)
+        known.setdefault(("motor_viscous_friction", number), total - n2 * link)
+    if joint.spring == "rigid":
+        known.setdefault(("link_viscous_friction", number), 0.0)
+        if ("inertia", number) in known:
+            known.setdefault(("motor_inertia", number), known["inertia", number])
+            known.setdefault(("link_inertia", number), 0.0)
+    if joint.spring == "three-slope" and ("gear_stiffness", number) in known:
+        for slope in ("k1", "k2", "k3"):
+            known.setdefault((f"gear_stiffness_{slope}", number), known["gear_stiffness", number])
+        for knee, torque in (("t1", 1.0), ("t2", 2.0)):  # where nothing bends
+            known.setdefault((f"gear_knee_{knee}", number), torque)

@@ -1,0 +1,426 @@
+"""Sensors glued anywhere on a link: what their axes read, and where they sit by what they read.
+
+At (x, y) in the frame of its link, along the direction c in that plane, an accelerometer of a
+planar arm reads
+
+    c_x f_x + c_y f_y + (c_y x - c_x y) alpha - (c_x x + c_y y) w^2 + bias,
+
+f the specific force at the link's own axis, alpha and w the link's angular acceleration and rate in
+space. A gyro reads c_z w + bias. A link's frame has its origin on the link's own axis, x along the
+link, and z along the axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Imu, Study
+from strainwave.dynamics.simulation import Quantity
+
+Key = tuple[str, int | None]
+
+BASIS: tuple[Quantity, ...] = (
+    "specific_force_x",
+    "specific_force_y",
+    "angular_acceleration",
+    "squared_rate",
+)
+"""What every accelerometer on a link reads a combination of."""
+
+RATE: Quantity = "angular_rate"
+"""What every gyro on it reads a share of."""
+
+DISTANCE, TILT = "accelerometer_distance", "accelerometer_tilt"
+PLACE = ("imu_x", "imu_y")
+FROM_AXIS, BEARING = "imu_distance", "imu_bearing"
+TURN = ("imu_turn_x", "imu_turn_y", "imu_turn_z")
+START = ("imu_start_roll", "imu_start_pitch", "imu_start_yaw")
+_LETTERS = "xyz"
+_STEP = 1e-6  # by which slopes are taken; factors are products of few sines and numbers
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One axis of a sensor whose place is not taken for known."""
+
+    channel: str
+    joint: int  # from 1
+    kind: str  # "tangential": a{i} without accelerometer_distance; "accelerometer", "gyro"
+    number: int = 0  # of the IMU's axes, from 0
+
+    @property
+    def sensor(self) -> str:
+        """The sensor that it is part of, as its constants are named."""
+        return "accelerometer" if self.kind == "tangential" else f"imu_{self.kind}"
+
+    @property
+    def scaled(self) -> str:
+        """By what its scale is named: each axis of an IMU has its own."""
+        if self.kind == "tangential":
+            return "accelerometer"
+        return f"imu_{self.kind[0]}{_LETTERS[self.number]}"
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What it reads a combination of."""
+        return (RATE,) if self.kind == "gyro" else BASIS
+
+
+def axes_of(channels: Collection[str], study: Study, joint: int) -> tuple[Axis, ...]:
+    """The axes on a link that need a mounting: all of its IMU, or `a{i}` of unknown distance.
+
+    Beside an IMU such an `a{i}` is left out: it has little to add.
+
+    Parameters
+    ----------
+    channels : collection of str
+        That were logged.
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    tuple of Axis
+    """
+    own = study.joints[joint - 1]
+    if own.motion == "prismatic":
+        return ()
+    found = tuple(
+        Axis(f"{kind[0]}{letter}{joint}", joint, kind, number)
+        for kind in ("accelerometer", "gyro")
+        for number, letter in enumerate(_LETTERS)
+        if f"{kind[0]}{letter}{joint}" in channels
+    )
+    if found or own.accelerometer_distance is not None or f"a{joint}" not in channels:
+        return found
+    return (Axis(f"a{joint}", joint, "tangential"),)
+
+
+def unknowns_of(axes: Sequence[Axis], study: Study) -> list[Key]:
+    """What of the mounting of a link's axes is unknown, in the terms that a fit searches in.
+
+    An attitude is a start, `START`, which stays, and a turn from there, which has no singular
+    point. On the first link, whose axis stands still, the place is a distance from it and, under
+    gravity, a bearing, and the attitude is relative to that: what records of short motions identify
+    is apart from what they do not. One accelerometer alone lies in the plane of motion, and what
+    gyros read of the rate is then unknown axis by axis.
+
+    Parameters
+    ----------
+    axes : sequence of Axis
+        Of one link.
+    study : Study
+
+    Returns
+    -------
+    list of (name, joint)
+    """
+    if not axes:
+        return []
+    joint = axes[0].joint
+    imu = study.joints[joint - 1].imu or Imu()
+    if axes[0].kind == "tangential":
+        return [(DISTANCE, joint)]
+    names: list[str] = []
+    count = sum(axis.kind == "accelerometer" for axis in axes)
+    if count and imu.xyz is None:
+        polar = is_polar(study, joint)
+        names += (FROM_AXIS, *((BEARING,) if study.arm.gravity else ())) if polar else PLACE
+    if count and imu.rpy is None:
+        names += TURN if count > 1 else TURN[2:]
+    if imu.rpy is None and count < 2:
+        names += [_share(axis) for axis in axes if axis.kind == "gyro"]
+    return [(name, joint) for name in names]
+
+
+def is_polar(study: Study, joint: int) -> bool:
+    """Whether the place of a link's IMU is unknown together with its attitude, on a fixed axis.
+
+    Parameters
+    ----------
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    bool
+    """
+    imu = study.joints[joint - 1].imu or Imu()
+    return joint == 1 and imu.xyz is None and imu.rpy is None
+
+
+def scale_is_apart(axis: Axis, axes: Sequence[Axis], study: Study) -> bool:
+    """Whether an axis's scale is identifiable beside its mounting.
+
+    Parameters
+    ----------
+    axis : Axis
+    axes : sequence of Axis
+        All of its sensor, itself among them.
+    study : Study
+
+    Returns
+    -------
+    bool
+    """
+    imu = study.joints[axis.joint - 1].imu or Imu()
+    moves = axis.joint > 1 or bool(study.arm.gravity)
+    count = sum(one.kind == "accelerometer" for one in axes)
+    if axis.kind == "gyro":
+        return imu.rpy is not None or count > 1
+    return moves or count > 1 or (axis.kind == "accelerometer" and imu.xyz is not None)
+
+
+def is_hidden(key: Key) -> bool:
+    """Whether an unknown is a fit's own, of which place and attitude are made for the reader.
+
+    Parameters
+    ----------
+    key : (name, joint)
+
+    Returns
+    -------
+    bool
+    """
+    name = key[0]
+    return name in (BEARING, *TURN) or (name.startswith("imu_g") and name[-2:] == "_z")
+
+
+def is_mounting(key: Key) -> bool:
+    """Whether a parameter says where or how a sensor is mounted.
+
+    Parameters
+    ----------
+    key : (name, joint)
+
+    Returns
+    -------
+    bool
+    """
+    return key[0] in (DISTANCE, TILT, FROM_AXIS, *PLACE) or is_hidden(key)
+
+
+def factors(axis: Axis, study: Study, values: Mapping[Key, float]) -> FloatArray:
+    """What each of an axis's `quantities` counts in its reading.
+
+    Parameters
+    ----------
+    axis : Axis
+    study : Study
+    values : dict
+        Of the mounting's unknowns.
+
+    Returns
+    -------
+    (n_quantities,)
+    """
+    joint = axis.joint
+    imu = study.joints[joint - 1].imu or Imu()
+    if axis.kind == "tangential":
+        tilt = values.get((TILT, joint), 0.0)
+        return _at(-np.sin(tilt), np.cos(tilt), values[DISTANCE, joint], 0.0)
+    if axis.kind == "gyro":
+        share = values.get((_share(axis), joint))
+        return np.array([_turned(study, joint, values)[2, axis.number] if share is None else share])
+    turned = _turned(study, joint, values)[:2]
+    along = turned[:, axis.number]
+    if not is_polar(study, joint):
+        place = imu.xyz[:2] if imu.xyz is not None else [values[name, joint] for name in PLACE]
+        return _at(along[0], along[1], place[0], place[1])
+    bearing = values.get((BEARING, joint), 0.0)
+    away, across = along.tolist()
+    c = complex(away, across) * complex(np.cos(bearing), np.sin(bearing))
+    distance = values[FROM_AXIS, joint]
+    return np.array([c.real, c.imag, distance * across, -distance * away])
+
+
+def _turned(study: Study, joint: int, values: Mapping[Key, float]) -> FloatArray:
+    """The attitude of a link's IMU: (3, 3), its columns the sensor's axes in the link's frame."""
+    imu = study.joints[joint - 1].imu or Imu()
+    return attitude_of(values, joint) if imu.rpy is None else attitude(imu.rpy)
+
+
+def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
+    """The attitude by a mounting's unknowns: that of the start, and a turn from there.
+
+    Parameters
+    ----------
+    values : dict
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    (3, 3)
+        Its columns are the sensor's axes in the link's frame.
+    """
+    turn = np.array([values.get((name, joint), 0.0) for name in TURN])
+    start = attitude([values.get((name, joint), 0.0) for name in START])
+    return np.asarray(start @ rotation(turn))
+
+
+def rotation(vector: FloatArray) -> FloatArray:
+    """The rotation matrix of a rotation vector (Rodrigues).
+
+    Parameters
+    ----------
+    vector : (3,) [rad]
+
+    Returns
+    -------
+    (3, 3)
+    """
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
+
+def slopes(
+    axis: Axis, study: Study, values: Mapping[Key, float], keys: Sequence[Key]
+) -> FloatArray:
+    """How an axis's factors depend on unknowns: (n_quantities, n_keys).
+
+    Parameters
+    ----------
+    axis : Axis
+    study : Study
+    values : dict
+    keys : sequence of (name, joint)
+
+    Returns
+    -------
+    (n_quantities, n_keys)
+    """
+    found = np.zeros((len(axis.quantities), len(keys)))
+    for k, key in enumerate(keys):
+        if key[1] != axis.joint or not is_mounting(key):
+            continue
+        at = values.get(key, 0.0)
+        ends = [factors(axis, study, {**values, key: at + off}) for off in (_STEP, -_STEP)]
+        found[:, k] = (ends[0] - ends[1]) / (2.0 * _STEP)
+    return found
+
+
+def with_places(study: Study, values: Mapping[Key, float]) -> Study:
+    """The study with the distances of accelerometers that are among the values.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+
+    Returns
+    -------
+    Study
+        With bandwidths that were found, too.
+    """
+    joints = []
+    for i, joint in enumerate(study.joints, start=1):
+        hz = values.get(("accelerometer_bandwidth", i), np.inf)
+        wide = joint.accelerometer_hz is None and np.isfinite(hz)
+        joints.append(
+            replace(
+                joint,
+                accelerometer_distance=joint.accelerometer_distance or values.get((DISTANCE, i)),
+                accelerometer_hz=hz if wide else joint.accelerometer_hz,
+            )
+        )
+    return replace(study, joints=tuple(joints))
+
+
+def attitude(rpy: Sequence[float]) -> FloatArray:
+    """The rotation matrix of roll, pitch and yaw, as in URDF: Rz(yaw) Ry(pitch) Rx(roll).
+
+    Parameters
+    ----------
+    rpy : (3,) [rad]
+
+    Returns
+    -------
+    (3, 3)
+        Its columns are the sensor's axes in the link's frame.
+    """
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def angles(matrix: FloatArray) -> FloatArray:
+    """Roll, pitch and yaw of a rotation matrix: (3,) [rad].
+
+    Parameters
+    ----------
+    matrix : (3, 3)
+
+    Returns
+    -------
+    (3,) [rad]
+    """
+    roll = np.arctan2(matrix[2, 1], matrix[2, 2])
+    pitch = -np.arcsin(np.clip(matrix[2, 0], -1.0, 1.0))
+    return np.array([roll, pitch, np.arctan2(matrix[1, 0], matrix[0, 0])])
+
+
+def reported(
+    axes: Sequence[Axis], study: Study, values: Mapping[Key, float]
+) -> dict[str, tuple[float, str]]:
+    """Place and attitude of a link's IMU for the reader, as far as they are made of unknowns.
+
+    Roll and pitch need three accelerometers, or gyros beside two, which are alike in a mirror: of
+    those the yaw is all that is reported, if the x axis is among them. On the first link without
+    gravity it counts from the direction in which the sensor lies.
+
+    Parameters
+    ----------
+    axes : sequence of Axis
+        Of one link.
+    study : Study
+    values : dict
+        Those of unknowns, held ones left out.
+
+    Returns
+    -------
+    dict
+        name -> value and unit; what is an unknown of the fit already is not among them.
+    """
+    if not axes or (TURN[2], axes[0].joint) not in values:
+        return {}
+    joint = axes[0].joint
+    found: dict[str, tuple[float, str]] = {}
+    turned = _turned(study, joint, values)
+    if (BEARING, joint) in values:
+        bearing, distance = values[BEARING, joint], values[FROM_AXIS, joint]
+        found["imu_x"] = distance * float(np.cos(bearing)), "m"
+        found["imu_y"] = distance * float(np.sin(bearing)), "m"
+        turned = rotation(np.array([0.0, 0.0, bearing])) @ turned
+    roll, pitch, yaw = angles(turned).tolist()
+    accelerometers = {axis.number for axis in axes if axis.kind == "accelerometer"}
+    gyros = any(axis.kind == "gyro" for axis in axes)
+    if len(accelerometers) == 2 and not gyros and 0 not in accelerometers:
+        return found
+    if len(accelerometers) == 3 or (len(accelerometers) == 2 and gyros):
+        found |= {"imu_roll": (roll, "rad"), "imu_pitch": (pitch, "rad")}
+    found["imu_yaw"] = yaw, "rad"
+    return found
+
+
+def _share(axis: Axis) -> str:
+    """The name of what a gyro's axis reads of the rate."""
+    return f"{axis.scaled}_z"
+
+
+def _at(c_x: float, c_y: float, x: float, y: float) -> FloatArray:
+    return np.array([c_x, c_y, c_y * x - c_x * y, -(c_x * x + c_y * y)])

@@ -1,0 +1,232 @@
+"""One joint on its own: motor, gear and link, linear; (11), (12), (17), (18) and their inverse.
+
+    m_M dw_M + d_M w_M = u - n (k delta + d_G ddelta)
+    m_L dw_L + d_L w_L = k delta + d_G ddelta + tau,     ddelta = n w_M - w_L
+
+u is the motor's torque, so e = 1 in the equations of the source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Mode
+
+_RELATIVE_STEP = 1e-6  # of the central differences: rounding and curvature both near 1e-11
+
+
+@dataclass(frozen=True, slots=True)
+class TwoInertia:
+    """The six physical parameters, and the gear ratio."""
+
+    motor_inertia: float  # m_M [kg m^2]
+    motor_viscous_friction: float  # d_M [N m s/rad]
+    link_inertia: float  # m_L [kg m^2]
+    link_viscous_friction: float  # d_L [N m s/rad]
+    gear_stiffness: float  # k [N m/rad]
+    gear_damping: float  # d_G [N m s/rad]
+    gear_ratio: float  # n
+
+    @property
+    def vector(self) -> FloatArray:
+        """The six parameters in the order of the fields."""
+        return np.array([getattr(self, name) for name in NAMES])
+
+    def with_vector(self, vector: FloatArray) -> TwoInertia:
+        """The same joint with other parameters."""
+        return joint_of(vector, self.gear_ratio)
+
+
+def joint_of(vector: FloatArray, gear_ratio: float) -> TwoInertia:
+    """A joint from its six parameters in order.
+
+    Parameters
+    ----------
+    vector : (6,)
+    gear_ratio : float
+
+    Returns
+    -------
+    TwoInertia
+    """
+    motor, d_motor, link, d_link, k, d = (float(value) for value in vector)
+    return TwoInertia(motor, d_motor, link, d_link, k, d, gear_ratio)
+
+
+NAMES = tuple(field.name for field in fields(TwoInertia))[:6]
+"""Of the physical parameters, in order."""
+
+
+def state_space(p: TwoInertia) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A, B, C of the minimal model: states delta, w_M, w_L; inputs u, tau; outputs w_M, w_L.
+
+    The four-state form (11) has a state that velocities do not show, a common turn of both sides.
+
+    Parameters
+    ----------
+    p : TwoInertia
+
+    Returns
+    -------
+    A : (3, 3)
+    B : (3, 2)
+    C : (2, 3)
+    """
+    n, k, d = p.gear_ratio, p.gear_stiffness, p.gear_damping
+    motor, link = p.motor_inertia, p.link_inertia
+    A = np.array(
+        [
+            [0.0, n, -1.0],
+            [-n * k / motor, -(p.motor_viscous_friction + n * n * d) / motor, n * d / motor],
+            [k / link, n * d / link, -(p.link_viscous_friction + d) / link],
+        ]
+    )
+    B = np.array([[0.0, 0.0], [1.0 / motor, 0.0], [0.0, 1.0 / link]])
+    C = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    return A, B, C
+
+
+def coefficients(p: TwoInertia) -> tuple[FloatArray, FloatArray]:
+    """(b0, b1, b2) and (a0, a1, a2, a3) of (17).
+
+    G11 = (b0 + b1 s + b2 s^2) / (a0 + a1 s + a2 s^2 + a3 s^3)
+
+    Parameters
+    ----------
+    p : TwoInertia
+
+    Returns
+    -------
+    (3,), (4,)
+    """
+    n2, k, d = p.gear_ratio**2, p.gear_stiffness, p.gear_damping
+    motor, d_motor = p.motor_inertia, p.motor_viscous_friction
+    link, d_link = p.link_inertia, p.link_viscous_friction
+    b = np.array([1.0, (d_link + d) / k, link / k])
+    a = np.array(
+        [
+            d_motor + n2 * d_link,
+            motor + n2 * link + (n2 * d * d_link + d_motor * d_link + d_motor * d) / k,
+            (motor * d_link + motor * d + link * d_motor + n2 * link * d) / k,
+            motor * link / k,
+        ]
+    )
+    return b, a
+
+
+def from_coefficients(b: FloatArray, d: FloatArray, c: FloatArray, gear_ratio: float) -> TwoInertia:
+    """The physical parameters from (18), in closed form.
+
+    G11 = (1 + b1 s + b2 s^2) / ((c0 + c1 s)(1 + d1 s + d2 s^2)) against (17): m_M = c1 d2 / b2,
+    m_L = (c1 - m_M) / n^2, k = m_L / b2, and three linear equations for the dampings.
+
+    Parameters
+    ----------
+    b : (2,)
+        b1 [s], b2 [s^2], of the zeros.
+    d : (2,)
+        d1 [s], d2 [s^2], of the pole pair.
+    c : (2,)
+        c0 = d_M + n^2 d_L, c1 = m_M + n^2 m_L, of the rigid model.
+    gear_ratio : float
+
+    Returns
+    -------
+    TwoInertia
+        As they come: a negative one says that the model is not such a joint's.
+    """
+    (b1, b2), (d1, d2), (c0, c1), n2 = b, d, c, gear_ratio**2
+    motor = c1 * d2 / b2
+    link = (c1 - motor) / n2
+    k = link / b2
+    A = b1 * k
+    B = ((c1 * d1 + c0 * d2) * k - motor * A) / link
+    return TwoInertia(
+        motor_inertia=motor,
+        motor_viscous_friction=(B + c0 - n2 * A) / 2.0,
+        link_inertia=link,
+        link_viscous_friction=(n2 * A - B + c0) / (2.0 * n2),
+        gear_stiffness=k,
+        gear_damping=(n2 * A + B - c0) / (2.0 * n2),
+        gear_ratio=gear_ratio,
+    )
+
+
+def anti_resonance(p: TwoInertia, covariance: FloatArray | None = None) -> Mode:
+    """The zero pair of motor torque to motor velocity, with its deviations.
+
+    Parameters
+    ----------
+    p : TwoInertia
+    covariance : (6, 6), optional
+        Of the parameters.
+
+    Returns
+    -------
+    Mode
+    """
+    return _mode(p, covariance, lambda q: coefficients(q)[0])
+
+
+def resonance(p: TwoInertia, covariance: FloatArray | None = None) -> Mode:
+    """The pole pair, with its deviations.
+
+    Parameters
+    ----------
+    p : TwoInertia
+    covariance : (6, 6), optional
+        Of the parameters.
+
+    Returns
+    -------
+    Mode
+    """
+    return _mode(p, covariance, lambda q: coefficients(q)[1])
+
+
+def _mode(
+    p: TwoInertia, covariance: FloatArray | None, polynomial: Callable[[TwoInertia], FloatArray]
+) -> Mode:
+    def of(vector: FloatArray) -> FloatArray:
+        root = _least_damped(polynomial(p.with_vector(vector)))
+        return np.array([abs(root) / (2.0 * np.pi), -root.real / abs(root)])
+
+    root = _least_damped(polynomial(p))
+    frequency, damping = of(p.vector)
+    deviation: list[float | None] = [None, None]
+    if covariance is not None:
+        J = jacobian(of, p.vector)
+        deviation = np.sqrt(np.clip(np.diag(J @ covariance @ J.T), 0.0, None)).tolist()
+    return Mode(root, float(frequency), float(damping), deviation[0], deviation[1])
+
+
+def _least_damped(ascending: FloatArray) -> complex:
+    """The oscillating root of a polynomial with the least damping ratio; without one, any."""
+    roots = np.roots(ascending[::-1]).astype(np.complex128)
+    candidates = roots[roots.imag > 0.0] if (roots.imag > 0.0).any() else roots
+    moduli = np.maximum(np.abs(candidates), np.finfo(float).tiny)
+    return complex(candidates[np.argmax(candidates.real / moduli)])
+
+
+def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """Central differences with steps relative to each entry: (n_results, n_entries).
+
+    Parameters
+    ----------
+    function : callable
+        (n_entries,) -> (n_results,).
+    at : (n_entries,)
+
+    Returns
+    -------
+    (n_results, n_entries)
+    """
+    columns = []
+    for k in range(len(at)):
+        step = np.zeros(len(at))
+        step[k] = _RELATIVE_STEP * (abs(at[k]) or 1.0)
+        columns.append((function(at + step) - function(at - step)) / (2.0 * step[k]))
+    return np.column_stack(columns)

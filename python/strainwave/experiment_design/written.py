@@ -1,0 +1,78 @@
+"""A design as files: tables, a C header with the same arrays, and the study to identify from."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from strainwave.domain import FloatArray, Study
+from strainwave.experiment_design.command_table import applied_columns, table_name
+from strainwave.experiment_design.plan import Design, Planned
+from strainwave.io.atomic_files import write_whole
+from strainwave.io.study import write_study
+
+HEADER = "excitation.h"
+_PER_LINE = 8
+
+
+def write(design: Design, folder: Path) -> None:
+    """Write one table a record, the header, and then study.toml, whose logs are to be recorded.
+
+    Parameters
+    ----------
+    design : Design
+    folder : Path
+        Made where it does not exist.
+
+    Raises
+    ------
+    InvalidInput
+        The folder cannot be written to.
+    """
+    contents = {
+        table_name(record.experiment): _csv(_columns(design.study, record)).encode()
+        for record in design.records
+    }
+    contents[HEADER] = _c_header(design).encode()
+    write_whole(folder, contents)
+    study = replace(design.study, path=folder / "study.toml")
+    write_study(study, study.path)
+
+
+def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
+    return applied_columns(study, record.experiment, record.drive, record.motor_angle)
+
+
+def _csv(columns: dict[str, FloatArray]) -> str:
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns), *(",".join(f"{value:.9g}" for value in row) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _c_header(design: Design) -> str:
+    """The tables' columns but time as C arrays, and each record's tick."""
+    parts = [
+        "/* Experiments by strainwave, SI units, one value a tick. A joint without an array gets",
+        "   no voltage of its own; under a servo its velocity reference is zero. */",
+        "#ifndef STRAINWAVE_EXCITATION_H",
+        "#define STRAINWAVE_EXCITATION_H",
+    ]
+    for record in design.records:
+        name = re.sub(r"\W", "_", record.experiment.name)
+        columns = _columns(design.study, record)
+        time, *values = columns.items()
+        parts += [
+            "",
+            f"#define {name.upper()}_TICKS {len(time[1])}",
+            f"#define {name.upper()}_TICK_SECONDS {record.drive.tick:.9g}",
+        ]
+        for column, array in values:
+            channel, unit = column.split(" ", 1)
+            parts.append(f"static const double {name}_{channel}[{len(array)}] = {{ /* {unit} */")
+            texts = [f"{value:.9g}" for value in array]
+            parts += [
+                ",".join(texts[k : k + _PER_LINE]) + "," for k in range(0, len(texts), _PER_LINE)
+            ]
+            parts.append("};")
+    return "\n".join([*parts, "", "#endif", ""])

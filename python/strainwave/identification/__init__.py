@@ -1,0 +1,1 @@
+"""The stages: rigid arm, decoupled joints, joint models, the whole arm, validation."""

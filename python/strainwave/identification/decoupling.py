@@ -1,0 +1,274 @@
+"""LinkSignals, RigidModel -> one Decoupled record a joint: interaction torques (13), (14)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import (
+    Check,
+    ComplexArray,
+    Decoupled,
+    Diagnostic,
+    FloatArray,
+    JointModel,
+    LinkSignals,
+    RigidModel,
+    Study,
+)
+from strainwave.dynamics.interaction_torque import (
+    base_parameters,
+    interaction_torques,
+    known,
+    own_inertias,
+    total_inertias,
+)
+from strainwave.dynamics.simulation import build_arm
+from strainwave.errors import NotIdentifiable
+from strainwave.numerics.filters import spectra
+
+_SHARE = 0.95  # of the motor velocity's power that lies below the band's top
+_LOWEST = 1.0  # [Hz]
+_SEGMENTS = 8  # Welch segments in a record
+_CONSTANT = 0.1  # largest relative change of the element (1,1)
+_FULL = 0.8  # share of the band in which tau must stand out of its noise
+_ABOVE = 4.0  # times the noise: a Welch estimate of 8 averages stays below that
+_RICH = 1e-3  # least over largest eigenvalue: deviations are then 16 times those of lone inputs
+_SEEN = 0.02  # of n tau over u
+_SLIDING = 0.85  # share of the record in which the motor must slide
+
+
+@dataclass(frozen=True, slots=True)
+class DecouplingOptions:
+    """What may be set by hand."""
+
+    band_hz: tuple[float, float] | None = None  # of the checks; None: where the motor moves
+
+
+def decouple(
+    signals: LinkSignals,
+    model: RigidModel | None,
+    study: Study,
+    options: DecouplingOptions | None = None,
+) -> tuple[Decoupled, ...]:
+    """Each joint as a two-inertia system of its own, driven by u and by the other links.
+
+    u_i = e_i v_i - f_i sgn(dtheta_Mi) - f_0i at the motor, tau_i from `interaction_torques`.
+
+    Parameters
+    ----------
+    signals : LinkSignals
+    model : RigidModel or None
+        None will do for a single joint without gravity; its friction then stays in u.
+    study : Study
+    options : DecouplingOptions, optional
+
+    Returns
+    -------
+    tuple of Decoupled
+        One per joint, from the base. A single joint without gravity has the one input u.
+
+    Raises
+    ------
+    NotIdentifiable
+        The rigid model is missing, or lacks a parameter that the torques need.
+    """
+    chosen = options or DecouplingOptions()
+    base, tau = _interaction(signals, model, study)
+    found = []
+    for i in range(study.n_joints):
+        u = signals.motor_torque[:, i]
+        if model is not None:
+            u = u - _dry_friction(signals, model, i)
+        inputs = u[:, None] if tau is None else np.column_stack([u, tau[:, i]])
+        band = chosen.band_hz or _band(signals, i)
+        densities = _spectra(inputs, signals.sample_time)
+        frequency, richness = _richness(densities, band)
+        checks = tuple(_checks(signals, study, base, i, inputs, band, densities, richness))
+        found.append(
+            Decoupled(
+                experiment=signals.experiment,
+                joint=i + 1,
+                time=signals.time,
+                sample_time=signals.sample_time,
+                inputs=inputs,
+                outputs=np.column_stack(
+                    [signals.motor_velocity[:, i], signals.link_velocity[:, i]]
+                ),
+                valid=np.asarray(signals.valid.all(axis=1)),
+                held=signals.held[i],
+                gear_ratio=study.joints[i].gear_ratio,
+                total_inertia=float(total_inertias(model, study)[i]) if model else None,
+                total_viscous_friction=_viscous(model, study, i + 1) if model else None,
+                bandwidth_hz=signals.bandwidth_hz,
+                shared=signals.shared,
+                fusion=signals.fusion[i],
+                richness_hz=frequency,
+                richness=richness,
+                checks=checks,
+                warnings=tuple(_warnings(signals, study, i, checks)),
+            )
+        )
+    return tuple(found)
+
+
+def _interaction(
+    signals: LinkSignals, model: RigidModel | None, study: Study
+) -> tuple[FloatArray, FloatArray | None]:
+    """Base parameters and torques; no torques where nothing acts on the joint but its motor."""
+    if study.n_joints == 1 and study.arm.gravity is None:
+        return np.zeros(0), None
+    if model is None:
+        raise NotIdentifiable(
+            "what gravity or the other links do to a joint takes a rigid model: add a motion record"
+        )
+    base = base_parameters(model, study)
+    motion = (signals.link_angle, signals.link_velocity, signals.link_acceleration)
+    return base, interaction_torques(study, base, *motion)
+
+
+def _viscous(model: RigidModel, study: Study, joint: int) -> float | None:
+    alone = study.arm.kind == "single-joint" and study.joints[0].spring == "rigid"
+    return model.value("motor_viscous_friction" if alone else "total_viscous_friction", joint)
+
+
+def without_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:
+    """A joint decoupled without a rigid model, its dry friction taken out of u once it is known.
+
+    u - f sgn(dtheta_M) - f_0, as `decouple` does with a rigid model: what linear models describe.
+
+    Parameters
+    ----------
+    signals : LinkSignals
+    part : Decoupled
+        Whose friction is still in u.
+    joint : JointModel
+        With `motor_coulomb_friction` and `friction_offset`, where it has them.
+
+    Returns
+    -------
+    Decoupled
+    """
+    i = part.joint - 1
+    dry = joint.values.get("motor_coulomb_friction", 0.0) * signals.direction[:, i]
+    inputs = part.inputs.copy()
+    inputs[:, 0] -= dry + joint.values.get("friction_offset", 0.0)
+    return replace(part, inputs=inputs)
+
+
+def _dry_friction(signals: LinkSignals, model: RigidModel, i: int) -> FloatArray:
+    coulomb = known(model, "motor_coulomb_friction", i + 1)
+    offset = model.value("friction_offset", i + 1) or 0.0
+    return np.asarray(coulomb * signals.direction[:, i] + offset)
+
+
+def _band(signals: LinkSignals, i: int) -> tuple[float, float]:
+    """Where a motor moves."""
+    frequency, power = _spectra(signals.motor_velocity[:, i : i + 1], signals.sample_time)
+    share = np.cumsum(power[:, 0, 0].real)
+    lowest = max(_LOWEST, frequency[1])
+    if share[-1] == 0.0:
+        return lowest, frequency[-1]
+    return lowest, max(4.0 * lowest, float(frequency[np.searchsorted(share, _SHARE * share[-1])]))
+
+
+def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
+    """Cross-spectral density matrices by Welch's method: (n_frequencies, n, n), complex."""
+    segment = max(16, 2 * len(columns) // (_SEGMENTS + 1))
+    return spectra(columns, sample_time, min(segment, len(columns)))
+
+
+def _richness(
+    densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Least over largest eigenvalue of the inputs' coherency matrix, by frequency.
+
+    Two inputs with the coherence gamma^2 have (1 - gamma)/(1 + gamma): zero where one is a linear
+    function of the other, so that their effects cannot be told apart. At the ratio r the
+    deviations are 1 / sqrt(4 r) times those of inputs without coherence, for small r.
+    """
+    frequency, density = densities
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    power = np.sqrt(np.einsum("fii->fi", density[inside]).real)
+    floor = 1e-12 * power.max() if power.size else 1.0
+    scale = np.maximum(power, max(floor, 1e-300))
+    values = np.linalg.eigvalsh(density[inside] / (scale[:, :, None] * scale[:, None, :]))
+    return frequency[inside], np.clip(values[:, 0], 0.0, None) / np.maximum(values[:, -1], 1e-300)
+
+
+def _checks(
+    signals: LinkSignals,
+    study: Study,
+    base: FloatArray,
+    i: int,
+    inputs: FloatArray,
+    band: tuple[float, float],
+    densities: tuple[FloatArray, ComplexArray],
+    richness: FloatArray,
+) -> Iterator[Check]:
+    moving = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
+    text = f"the motor slides in {100.0 * moving:.0f} % of the record"
+    text += (
+        ""
+        if moving >= _SLIDING
+        else "; a linear model takes stiction for inertia: raise the amplitude"
+    )
+    yield Check("sliding", moving >= _SLIDING, moving, _SLIDING, text)
+    if inputs.shape[1] == 1:
+        return
+    yield _constancy(signals, study, base, i)
+    n = study.joints[i].gear_ratio
+    u, tau = inputs[:, 0] - inputs[:, 0].mean(), inputs[:, 1] - inputs[:, 1].mean()
+    ratio = float(n * tau.std() / max(u.std(), 1e-300))
+    text = f"n tau is {ratio:.3g} times u"
+    text += "" if ratio >= _SEEN else "; too small for its effect to be estimated"
+    yield Check("interaction-amplitude", ratio >= _SEEN, ratio, _SEEN, text)
+    yield _fullness(densities, band)
+    rich = float(np.median(richness)) if richness.size else 0.0
+    text = f"u and tau differ: eigenvalue ratio {rich:.3g}, median of {band[0]:.1f} to"
+    text += f" {band[1]:.1f} Hz"
+    if rich < _RICH:
+        text = f"tau is nearly a linear function of u (eigenvalue ratio {rich:.1g}); excite both"
+        text += " joints at once with independent sequences"
+    yield Check("input-richness", rich >= _RICH, rich, _RICH, text)
+
+
+def _constancy(signals: LinkSignals, study: Study, base: FloatArray, i: int) -> Check:
+    """How much a link's own inertia changes in the motion; tau holds it, the paper's (13) not."""
+    arm = build_arm(study)
+    q = signals.link_angle
+    unit = np.zeros_like(q)
+    unit[:, i] = 1.0
+    still = np.zeros_like(q)
+    held = arm.base_regressor(np.ascontiguousarray(q), still, still) @ base
+    inertia = (arm.base_regressor(np.ascontiguousarray(q), still, unit) @ base - held)[:, i]
+    change = float(np.ptp(inertia) / own_inertias(study, base)[i])
+    text = f"the link's own inertia changes by {100.0 * change:.2g} %"
+    text += "" if change <= _CONSTANT else ", all of it in tau; keep the swing of joint 2 small"
+    return Check("constant-inertia", change <= _CONSTANT, change, _CONSTANT, text)
+
+
+def _fullness(densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]) -> Check:
+    """Share of the band in which the power density of tau is above its noise."""
+    frequency, density = densities
+    power = density[:, 1, 1].real
+    noise = float(np.median(power[frequency >= 0.5 * frequency[-1]]))
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    full = float(np.mean(power[inside] > _ABOVE * noise)) if inside.any() else 0.0
+    text = f"tau is above its noise in {100.0 * full:.0f} % of the band"
+    text += "" if full >= _FULL else "; raise the amplitude"
+    return Check("interaction-spectrum", full >= _FULL, full, _FULL, text)
+
+
+def _warnings(
+    signals: LinkSignals, study: Study, i: int, checks: tuple[Check, ...]
+) -> Iterator[Diagnostic]:
+    """Failed checks, of joints that were to be identified in this record."""
+    if signals.experiment.joint not in (None, i + 1):
+        return
+    for check in checks:
+        if not check.passed:
+            where = f"{signals.experiment.name}, joint {i + 1}" if study.n_joints > 1 else ""
+            yield Diagnostic(check.name, where or signals.experiment.name, check.message)

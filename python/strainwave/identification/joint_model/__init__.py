@@ -1,0 +1,388 @@
+"""Both sides of a joint, decoupled -> JointModel: its physical parameters, with deviations.
+
+Without link sensors the motors' own responses lead there (`models_from_motors`). With them there
+are two ways: straight from the equations of motion (`identify_joint`), and through a
+state-space model and its transfer functions (`state_space_of`, `from_state_space`), the paper's.
+`identify_record` goes both, or only the second where the options ask for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+
+from strainwave.domain import (
+    Decoupled,
+    Diagnostic,
+    FloatArray,
+    JointModel,
+    LinearOptions,
+    LinkSignals,
+    Modes,
+    PhysicalOptions,
+    RecordModel,
+    RigidModel,
+    StateSpace,
+    Study,
+)
+from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
+from strainwave.errors import StrainwaveError
+from strainwave.identification.joint_model.agreement import compared
+from strainwave.identification.joint_model.estimates import cautions_of, parameters_of, status_of
+from strainwave.identification.joint_model.grey_box import (
+    FIRST_BAND_HZ,
+    GreyBoxFit,
+    RigidKnowledge,
+    Solved,
+    solve,
+)
+from strainwave.identification.joint_model.linear import (
+    PHYSICAL_ORDER,
+    band_for,
+    judge,
+    modes_of,
+    other_bands,
+    physical_order,
+    state_space_of,
+)
+from strainwave.identification.joint_model.motor_side import (
+    models_from_catalogue,
+    models_from_motors,
+)
+from strainwave.identification.joint_model.rigid_knowledge import rigid_knowledge
+from strainwave.identification.joint_model.transfer import from_state_space
+from strainwave.numerics.parallel import one_blas_thread
+
+__all__ = [
+    "JointFit",
+    "LinearOptions",
+    "PhysicalOptions",
+    "RecordOptions",
+    "compared",
+    "fit_joint",
+    "from_state_space",
+    "identify_joint",
+    "identify_record",
+    "joint_by_transfer",
+    "judge",
+    "models_from_catalogue",
+    "models_from_motors",
+    "modes_of",
+    "rigid_knowledge",
+    "state_space_of",
+]
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordOptions:
+    """What may be set by hand of both ways."""
+
+    physical: PhysicalOptions = field(default_factory=PhysicalOptions)
+    linear: LinearOptions = field(default_factory=LinearOptions)
+    state_space: bool = True  # whether a state-space model is estimated beside
+    # whether that model is put to its tests, and tells physical parameters; else it is estimated
+    # in the band that the equations of motion found, which takes an eighth of the time
+    judged: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """One joint's model, and the solution behind it, from which its records alone can start."""
+
+    model: JointModel
+    solved: Solved
+
+    def of_record(self, name: str) -> JointModel:
+        """The model from one of the records alone.
+
+        Parameters
+        ----------
+        name : str
+            Of the experiment.
+
+        Returns
+        -------
+        JointModel
+        """
+        if self.model.experiments == (name,):
+            return self.model
+        with one_blas_thread():
+            return _joint_model(self.solved.of_record(self.model.experiments.index(name)))
+
+
+def identify_joint(
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    model: RigidModel | None,
+    study: Study,
+    options: PhysicalOptions | None = None,
+    *,
+    search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
+) -> JointModel:
+    """Physical parameters of one joint from its equations of motion, (S6) and (S7).
+
+    Parameters
+    ----------
+    records : sequence of (LinkSignals, Decoupled)
+        Of one joint, all fitted at once.
+    model : RigidModel or None
+    study : Study
+    options : PhysicalOptions, optional
+    search_from_hz : (float, float)
+        The band where the data are first asked for the equations' filter.
+
+    Returns
+    -------
+    JointModel
+        A parameter that the records hardly identify has the value None, and a warning says so; an
+        impossible one is reported as it came, with a warning.
+    """
+    return fit_joint(records, model, study, options, search_from_hz=search_from_hz).model
+
+
+def fit_joint(
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    model: RigidModel | None,
+    study: Study,
+    options: PhysicalOptions | None = None,
+    *,
+    search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
+) -> JointFit:
+    """The fit behind `identify_joint`, for those who want its records' own; arguments are the same.
+
+    Returns
+    -------
+    JointFit
+    """
+    chosen = options or PhysicalOptions()
+    number = records[0][1].joint
+    known = rigid_knowledge(model, study, number, [signals for signals, _ in records])
+    if not chosen.use_rigid:
+        known = RigidKnowledge(None, None, None, known.errors)
+    with one_blas_thread():  # many small systems, as in the rigid step
+        solved = solve(records, study, known, chosen.band_hz, search_from_hz)
+        return JointFit(_joint_model(solved), solved)
+
+
+def _joint_model(solved: Solved) -> JointModel:
+    fit, number = solved.fit(), solved.records[0][1].joint
+    names = tuple(signals.experiment.name for signals, _ in solved.records)
+    values = _values(fit)
+    covariance = _with_delay(fit.covariance, values, solved.records, number)
+    said = values, covariance, fit.determined, solved.study.joints[number - 1], number
+    warnings = tuple(cautions_of(*said, ", ".join(names)))
+    return JointModel(
+        joint=number,
+        experiments=names,
+        method="grey-box",
+        parameters=tuple(parameters_of(*said)),
+        values=values,
+        covariance=covariance,
+        anti_resonance=anti_resonance(fit.joint, fit.covariance[:6, :6]),
+        resonance=resonance(fit.joint, fit.covariance[:6, :6]),
+        band_hz=fit.band_hz,
+        fit_percent={"torque": fit.torque_fit_percent, "torsion": fit.twist_fit_percent},
+        status=status_of(warnings),
+        warnings=warnings,
+    )
+
+
+def identify_record(
+    signals: LinkSignals,
+    decoupled: Decoupled,
+    model: RigidModel | None,
+    study: Study,
+    options: RecordOptions | None = None,
+    together: JointFit | None = None,
+    near: StateSpace | None = None,
+) -> RecordModel:
+    """Everything one record shows of the joint that was excited in it.
+
+    Parameters
+    ----------
+    signals : LinkSignals
+    decoupled : Decoupled
+        Of that joint.
+    model : RigidModel or None
+    study : Study
+    options : RecordOptions, optional
+    together : JointFit, optional
+        From `fit_joint` of several records, from which this one can start; at once, if it is one
+        of them.
+    near : StateSpace, optional
+        Of another record of the joint, from which one that is not judged can start.
+
+    Returns
+    -------
+    RecordModel
+        What could not be had is None, and a warning says why.
+    """
+    chosen = options or RecordOptions()
+    where = decoupled.experiment.name
+    warnings: list[Diagnostic] = []
+
+    def tried(code: str, step: Callable[[], Result]) -> Result | None:
+        try:
+            return step()
+        except (StrainwaveError, np.linalg.LinAlgError) as problem:
+            warnings.append(Diagnostic(code, where, str(problem)))
+            return None
+
+    def grey_box() -> JointModel:
+        if together is not None and where in together.model.experiments:
+            return together.of_record(where)
+        # it looks first where all together ring
+        first = FIRST_BAND_HZ if together is None else together.model.band_hz
+        pair = [(signals, decoupled)]
+        return identify_joint(pair, model, study, chosen.physical, search_from_hz=first)
+
+    by_equations = chosen.physical.route == "equations"
+    physical = tried("grey-box-failed", grey_box) if by_equations else None
+    linear = modes = transfer = check = None
+    judged = chosen.judged or not by_equations
+    if chosen.state_space or not by_equations:
+        how = chosen.linear if judged else _in_known_band(decoupled, physical, chosen.linear)
+        begin = None if judged else near
+        linear = tried("state-space-failed", lambda: state_space_of(decoupled, how, begin))
+    if linear is not None:
+        found = linear
+        warnings += [replace(each, where=where) for each in found.warnings]
+        modes = tried("modes-failed", lambda: modes_of(found))
+    if linear is not None and judged:
+        check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
+        transfer = tried(
+            "transfer-function-failed",
+            lambda: _by_transfer([decoupled], found, model, study, chosen),
+        )
+    return RecordModel(
+        decoupled, physical, linear, modes, transfer, check, warnings=tuple(warnings)
+    )
+
+
+def _in_known_band(
+    record: Decoupled, physical: JointModel | None, options: LinearOptions
+) -> LinearOptions:
+    """With the band around the resonances that are known already, where they are."""
+    if physical is None or physical.anti_resonance is None or physical.resonance is None:
+        return options
+    rings = physical.anti_resonance.frequency_hz, physical.resonance.frequency_hz
+    return replace(options, band_hz=band_for(rings, [record], options))
+
+
+def joint_by_transfer(
+    records: Sequence[Decoupled],
+    model: RigidModel | None,
+    study: Study,
+    options: RecordOptions | None = None,
+) -> JointModel:
+    """Physical parameters of one joint by the paper's route, (15) to (18).
+
+    Parameters
+    ----------
+    records : sequence of Decoupled
+        Of one joint; one state-space model is fitted to all of them.
+    model : RigidModel or None
+    study : Study
+    options : RecordOptions, optional
+
+    Returns
+    -------
+    JointModel
+
+    Raises
+    ------
+    InvalidInput
+        Records of different joints or rates.
+    NotIdentifiable
+        No stretch of a record is long enough, or the state-space model does not ring.
+    """
+    chosen = options or RecordOptions()
+    with one_blas_thread():
+        found = state_space_of(records, physical_order(chosen.linear))
+        return _by_transfer(records, found, model, study, chosen)
+
+
+def _by_transfer(
+    records: Sequence[Decoupled],
+    found: StateSpace,
+    model: RigidModel | None,
+    study: Study,
+    options: RecordOptions,
+) -> JointModel:
+    """What a state-space model says of the joint, with what the rigid model knows if wanted.
+
+    (17) is of order three. Where the data asked for another, a model of three states takes its
+    place; where that does not converge or does not ring, the least damped pairs of the other do.
+    """
+    found = _of_physical_order(records, found, options.linear)
+    modes = modes_of(found)
+    known = rigid_knowledge(model if options.physical.use_rigid else None, study, records[0].joint)
+    others = _in_other_bands(records, found, modes, options.linear)
+    return from_state_space(found, records, study, known, others)
+
+
+def _of_physical_order(
+    records: Sequence[Decoupled], found: StateSpace, options: LinearOptions
+) -> StateSpace:
+    if options.order or found.order == PHYSICAL_ORDER:
+        return found
+    try:
+        reduced = state_space_of(records, physical_order(options))
+    except (StrainwaveError, np.linalg.LinAlgError):
+        return found
+    modes = modes_of(replace(reduced, covariance=None))
+    sound = (
+        reduced.status in ("converged", "estimated") and modes.resonance and modes.anti_resonance
+    )
+    return reduced if sound else found
+
+
+def _in_other_bands(
+    records: Sequence[Decoupled], near: StateSpace, modes: Modes | None, options: LinearOptions
+) -> list[StateSpace]:
+    """Models that show how much the band matters; none where they fail or make no sense."""
+    if modes is None or modes.anti_resonance is None or modes.resonance is None:
+        return []
+    if options.filter != "band":
+        return []
+    rings = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
+    found = []
+    for other in other_bands(band_for(rings, records, options), records):
+        how = replace(options, band_hz=other, decimation=None)  # the rate follows the band
+        try:
+            fitted = state_space_of(records, how, near)
+            model = replace(fitted, covariance=None)
+            if model.status == "converged" and modes_of(model).resonance:
+                found.append(model)
+        except (StrainwaveError, np.linalg.LinAlgError):
+            continue
+    return found
+
+
+def _with_delay(
+    covariance: FloatArray,
+    values: Mapping[str, float],
+    records: Sequence[tuple[LinkSignals, Decoupled]],
+    number: int,
+) -> FloatArray:
+    """With what a link sensor's delay, once taken off, may still be wrong by.
+
+    A link seen late by D has the torsion n theta_m - theta_l + D theta_l', so that k of it reads as
+    gear damping of k D more or less: a variance of (k std_D)^2. It is alike in all records.
+    """
+    removed = [s.removed_delay[number - 1] for s, _ in records if s.removed_delay]
+    if not removed or not removed[0].value:
+        return covariance
+    at = list(values).index("gear_damping")
+    larger = covariance.copy()
+    larger[at, at] += (values["gear_stiffness"] * removed[0].std) ** 2
+    return larger
+
+
+def _values(fit: GreyBoxFit) -> dict[str, float]:
+    values = [*fit.joint.vector.tolist(), fit.coulomb_friction]
+    return dict(zip((*NAMES, "motor_coulomb_friction"), values, strict=True))

@@ -1,0 +1,110 @@
+"""RigidModel -> what it knows of one joint, and how far its errors reach."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from strainwave.domain import FloatArray, LinkSignals, RigidModel, Study
+from strainwave.dynamics.interaction_torque import base_variations, interaction_torques
+from strainwave.identification.joint_model.grey_box import RigidError, RigidKnowledge
+
+_Sum = dict[tuple[str, int | None], float]
+
+
+def rigid_knowledge(
+    model: RigidModel | None, study: Study, joint: int, records: Sequence[LinkSignals] = ()
+) -> RigidKnowledge:
+    """c_1, c_0 and f of one joint, each with its deviation, as the rigid model gives them.
+
+    Parameters
+    ----------
+    model : RigidModel or None
+    study : Study
+    joint : int
+        From 1.
+    records : sequence of LinkSignals
+        In which the interaction torques come from the model.
+
+    Returns
+    -------
+    RigidKnowledge
+        None for what it does not give.
+    """
+    if model is None:
+        return RigidKnowledge(None, None, None)
+    weights = [_weight(model, part) for part in _parts(study, joint)]
+    known = [_sum(model, weight) for weight in weights]
+    errors = tuple(_errors(model, study, joint, records, weights)) if records else ()
+    return RigidKnowledge(known[0], known[1], known[2], errors)
+
+
+def _parts(study: Study, joint: int) -> tuple[_Sum, _Sum, _Sum]:
+    """c_1, c_0 and f as weighted sums of the rigid model's parameters."""
+    n2 = study.joints[joint - 1].gear_ratio ** 2
+    inertia: _Sum
+    if study.n_joints == 1:
+        inertia = {("inertia", 1): 1.0}
+    elif joint == 1:
+        inertia = {("rigid_inertia", 1): n2, ("beta", None): n2, ("gamma", None): 2.0 * n2}
+    else:
+        inertia = {("motor_inertia", 2): 1.0, ("beta", None): n2}
+    return (
+        inertia,
+        {("total_viscous_friction", joint): 1.0},
+        {("motor_coulomb_friction", joint): 1.0},
+    )
+
+
+def _weight(model: RigidModel, part: _Sum) -> FloatArray | None:
+    """Of each parameter; None where one is not known."""
+    weight = np.array([part.get((p.name, p.joint), 0.0) for p in model.parameters])
+    told = np.array([p.value is not None for p in model.parameters])
+    if np.count_nonzero(weight) != len(part) or not told[weight != 0.0].all():
+        return None
+    return weight
+
+
+def _sum(model: RigidModel, weight: FloatArray | None) -> tuple[float, float] | None:
+    """A weighted sum of rigid parameters and its deviation."""
+    if weight is None:
+        return None
+    used = np.flatnonzero(weight)
+    variance = weight[used] @ model.covariance[np.ix_(used, used)] @ weight[used]
+    return float(weight @ model.solution), float(np.sqrt(variance))
+
+
+def _errors(
+    model: RigidModel,
+    study: Study,
+    joint: int,
+    records: Sequence[LinkSignals],
+    weights: Sequence[FloatArray | None],
+) -> Iterator[RigidError]:
+    """Directions in which tau is uncertain, with what else moves along with them on average."""
+    if study.n_joints == 1 and study.arm.gravity is None:
+        return
+    variations = base_variations(model, study)
+    used = np.flatnonzero(variations.any(axis=0))
+    used = used[np.diag(model.covariance)[used] > 0.0]  # not NaN either
+    size = np.sqrt(np.diag(model.covariance)[used])
+    covariance = model.covariance[np.ix_(used, used)]
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    # what is known of the other parameters once these are: E[x | used]
+    follows = np.nan_to_num(model.covariance[:, used]) @ np.linalg.pinv(covariance)
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value <= 0.0:
+            continue
+        step = size * vector * np.sqrt(value)
+        change = follows @ step
+        change[used] = step
+        base = variations @ change
+        moves = [0.0 if weight is None else float(weight @ change) for weight in weights]
+        tau = tuple(
+            interaction_torques(study, base, s.link_angle, s.link_velocity, s.link_acceleration)[
+                :, joint - 1
+            ]
+            for s in records
+        )
+        yield RigidError(tau, *moves)

@@ -1,0 +1,158 @@
+"""Which of several starts the whole-arm fit goes on from: the records decide.
+
+Without link sensors the steps before may leave several gears in question, or know none at all. Each
+set of joints gets a few steps of the search in long integrator steps; of many, those first whose
+cost is least where they start. Those that are still in question go on until one is far ahead or
+all have converged: what has only come closer may yet be overtaken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import JointModel, TuningOptions
+from strainwave.domain.parameters import Values
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm.estimates import Fit
+from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, LINEAR
+from strainwave.identification.whole_arm.solver import SOON, search_from
+
+_FEW = 4  # sets that are searched from
+_STEPS, _ROUNDS = 8, 4  # evaluations of each such search at a time, and how often it goes on
+_BEHIND = 3.0  # times the least cost, with which a set is out of question
+_EDGE = 1e-3  # of a range, so near to whose end a stiffness is at its limit
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """A set of joints, and where a search from it has come to."""
+
+    joints: Sequence[JointModel]
+    reached: Values | None  # (name, joint) -> value; None where there was no other set
+
+
+def best_candidate(
+    candidates: Sequence[Sequence[JointModel]],
+    misfit_of: Callable[[Sequence[JointModel]], Misfit],
+    options: TuningOptions,
+) -> Chosen:
+    """The set of joints from which a short search ends lowest.
+
+    Where a search drives a stiffness to the limit of its range, the range is laid about that.
+
+    Parameters
+    ----------
+    candidates : sequence of sequence of JointModel
+        Each with one model per joint.
+    misfit_of : callable
+        What the records say against arms near such a set, whose start is at zero coordinates.
+    options : TuningOptions
+
+    Returns
+    -------
+    Chosen
+
+    Raises
+    ------
+    NotIdentifiable
+        There is no arm that can be simulated near any of them.
+    """
+    if len(candidates) == 1:
+        return Chosen(candidates[0], None)
+    known: list[tuple[float, int, Misfit]] = []
+    why: NotIdentifiable | None = None
+    for k, joints in enumerate(candidates):
+        try:
+            misfit = misfit_of(joints)
+        except NotIdentifiable as failure:
+            why = failure
+            continue
+        at_start = misfit.linearise(np.zeros(len(misfit.search.unknowns)))
+        if at_start is not None:
+            known.append((at_start.cost, k, misfit))
+    if not known:
+        raise why or NotIdentifiable("no arm that the steps before leave can be simulated")
+    racing = [
+        _Racer(candidates[k], Fit(misfit, np.zeros(len(misfit.search.unknowns)), cost, 0, False))
+        for cost, k, misfit in sorted(known, key=lambda each: each[:2])[:_FEW]
+    ]
+    for _ in range(_ROUNDS):
+        further = [_further(racer, misfit_of, options) for racer in racing]
+        racing = [racer for racer in further if racer is not None]
+        if not racing:
+            raise NotIdentifiable("no arm near those that the steps before leave can be simulated")
+        least = min(racer.fit.cost for racer in racing)
+        racing = [racer for racer in racing if racer.fit.cost <= _BEHIND * least]
+        if all(racer.done for racer in racing) or (len(racing) == 1 and not racing[0].limited):
+            break
+    best = min(racing, key=lambda racer: racer.fit.cost)
+    return Chosen(best.joints, best.fit.misfit.search.values(best.fit.z))
+
+
+@dataclass(frozen=True, slots=True)
+class _Racer:
+    """A set of joints, and how far a search from it is."""
+
+    joints: Sequence[JointModel]
+    fit: Fit
+
+    @property
+    def limited(self) -> bool:
+        """Whether a stiffness is at the end of its range, of a curve all its slopes."""
+        search, z = self.fit.misfit.search, self.fit.z
+        near = np.minimum(z - search.lower, search.upper - z) < _EDGE * (
+            search.upper - search.lower
+        )
+        ended = {key for key, at in zip(search.keys, near, strict=True) if at}
+        numbers = range(1, len(self.joints) + 1)
+        return any({(name, i) for name in own} <= ended for i in numbers for own in (LINEAR, CURVE))
+
+    @property
+    def done(self) -> bool:
+        """Whether a search has ended inside its ranges."""
+        return self.fit.converged and not self.limited
+
+
+def _further(
+    racer: _Racer, misfit_of: Callable[[Sequence[JointModel]], Misfit], options: TuningOptions
+) -> _Racer | None:
+    """A few evaluations on, which do not count among the fit's own; None where that fails."""
+    if racer.done:
+        return racer
+    try:
+        joints, fit = racer.joints, racer.fit
+        if racer.limited:
+            joints = _moved(racer)
+            misfit = misfit_of(joints)
+            fit = replace(
+                fit, misfit=misfit, z=misfit.search.coordinates(_but_springs(fit, misfit))
+            )
+        found = search_from(fit.misfit, fit.z, 0, options, tolerance=SOON, most=_STEPS)
+    except NotIdentifiable:
+        return None
+    return _Racer(joints, replace(found, iterations=0))
+
+
+def _moved(racer: _Racer) -> list[JointModel]:
+    """Joints whose stiffness lies where the search has come to, so that ranges lie about that."""
+    found = racer.fit.misfit.search.values(racer.fit.z)
+    moved = []
+    for joint in racer.joints:
+        names = (*LINEAR, CURVE[1])
+        own = [found[name, joint.joint] for name in names if (name, joint.joint) in found]
+        stiffness = {"gear_stiffness": own[0]} if own else {}
+        moved.append(replace(joint, values={**joint.values, **stiffness}))
+    return moved
+
+
+def _but_springs(fit: Fit, misfit: Misfit) -> Values:
+    """Where a search has come to, but for springs, which start anew."""
+    search = misfit.search
+    anew = search.values(np.zeros(len(search.unknowns)))
+    springs = (*LINEAR, *CURVE, *KNEES)
+    found = fit.misfit.search.values(fit.z)
+    return {**anew, **{key: x for key, x in found.items() if key[0] not in springs}}

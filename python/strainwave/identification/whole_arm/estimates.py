@@ -1,0 +1,252 @@
+"""A fit -> parameters with their intervals, and what must be said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from strainwave.domain import Diagnostic, FloatArray, Parameter, Study
+from strainwave.domain.parameters import unit_of
+from strainwave.dynamics.mounting import is_hidden, is_mounting, reported
+from strainwave.identification.whole_arm.covariance import Confidence, confidence_of, only_together
+from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.parametrisation import (
+    CURVE,
+    KNEES,
+    SETTLING,
+    VISCOUS,
+    Key,
+    combination,
+    link_inertia,
+    rigid_inertia,
+    total_viscous,
+)
+
+_BENDS = 0.01  # share by which two slopes differ at least
+_EVIDENT = 3.0  # and deviations
+_TOLD = 0.3  # relative deviation up to which a parameter is worth printing
+_OFF = 1e-6  # by which a mounting's unknowns are varied for slopes
+_REACH = 1.96  # of a 95 % interval, in deviations
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where the search ended."""
+
+    misfit: Misfit
+    z: FloatArray  # (n_unknowns,)
+    cost: float  # by the weights of the search; infinite before any
+    iterations: int
+    converged: bool
+
+    @cached_property
+    def confidence(self) -> Confidence:
+        """How sure the unknowns are."""
+        return confidence_of(self.misfit, self.z)
+
+
+def parameters_of(
+    fit: Fit, study: Study, largest_torque: Sequence[float]
+) -> tuple[tuple[Parameter, ...], FloatArray]:
+    """The unknowns and what is derived from them, with their covariance.
+
+    Parameters
+    ----------
+    fit : Fit
+    study : Study
+    largest_torque : sequence of float [N m]
+        That each gear carries in the records.
+
+    Returns
+    -------
+    tuple of Parameter, (n_parameters, n_parameters)
+    """
+    search = fit.misfit.search
+    keys = search.keys
+    names = list(keys)
+    units = [unknown.unit for unknown in search.unknowns]
+    told = _curves_told(fit, fit.confidence.combined, largest_torque)
+    weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
+    held = [0.0] * len(keys)
+    for number, joint in enumerate(study.joints, start=1):
+        derived = {"total_viscous_friction": total_viscous(study, number)}
+        if study.n_joints > 1:
+            derived["link_inertia"] = link_inertia(study, number)
+        if number == 1:
+            derived |= rigid_inertia(study)
+        for name, parts in derived.items():
+            if not any(key in keys for key in parts):
+                continue  # all of it is held
+            names.append((name, number))
+            units.append(unit_of(name, joint))
+            weight.append(combination(keys, parts))
+            held.append(sum(w * search.fixed.get(key, 0.0) for key, w in parts.items()))
+    W = np.array(weight)
+    values = W @ search.parameters(fit.z) + np.array(held)
+    mounted = mountings_of(fit)
+    if mounted.names:
+        names += mounted.names
+        units += mounted.units
+        W = np.vstack([W, mounted.slopes])
+        values = np.concatenate([values, mounted.values])
+    covariance = W @ fit.confidence.combined @ W.T
+    deviation = np.sqrt(np.diag(covariance))
+    deviation[[told.get(name, name) is None for name in names]] = np.inf
+    found = tuple(
+        _parameter(name, joint, unit, float(value), float(std))
+        for (name, joint), unit, value, std in zip(names, units, values, deviation, strict=True)
+    )
+    return found, covariance
+
+
+@dataclass(frozen=True, slots=True)
+class Mountings:
+    """Places and attitudes of IMUs, as functions of the unknowns."""
+
+    names: list[Key]
+    units: list[str]
+    values: FloatArray  # (n,)
+    slopes: FloatArray  # (n, n_unknowns)
+
+
+def mountings_of(fit: Fit) -> Mountings:
+    """What a reader wants to know of IMUs whose mounting is unknown, linearised at the minimum.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Mountings
+        Empty where there is none.
+    """
+    search = fit.misfit.search
+    keys, at = search.keys, search.values(fit.z)
+    study = fit.misfit.records[0].study
+    axes = dict.fromkeys(
+        c.axis for r in fit.misfit.records for c in r.channels if c.axis is not None
+    )
+    hidden = [k for k, key in enumerate(keys) if is_mounting(key)]
+    found = Mountings([], [], np.zeros(0), np.zeros((0, len(keys))))
+    for joint in dict.fromkeys(axis.joint for axis in axes):
+        own = [axis for axis in axes if axis.joint == joint]
+        here = reported(own, study, at)
+        slopes = np.zeros((len(here), len(keys)))
+        for k in hidden:
+            ends = [
+                reported(own, study, {**at, keys[k]: at[keys[k]] + off}) for off in (_OFF, -_OFF)
+            ]
+            for row, (name, (_, unit)) in enumerate(here.items()):
+                gap = ends[0][name][0] - ends[1][name][0]
+                if unit == "rad":
+                    gap = float(np.arctan2(np.sin(gap), np.cos(gap)))
+                slopes[row, k] = gap / (2.0 * _OFF)
+        found = Mountings(
+            [*found.names, *((name, joint) for name in here)],
+            [*found.units, *(unit for _, unit in here.values())],
+            np.concatenate([found.values, [value for value, _ in here.values()]]),
+            np.vstack([found.slopes, slopes]),
+        )
+    return found
+
+
+def _curves_told(
+    fit: Fit, covariance: FloatArray, largest_torque: Sequence[float]
+) -> dict[Key, Key | None]:
+    """For each slope and knee the unknown that holds it, or None where no record reaches it.
+
+    A knee between two slopes that are one, or beyond the largest torque, is none: what lies behind
+    it moves up, and the last of its kind is not told. Of two slopes that are one the better known
+    stands for both.
+    """
+    search = fit.misfit.search
+    at = {key: k for k, key in enumerate(search.keys)}
+    values = search.parameters(fit.z)
+    told: dict[Key, Key | None] = {}
+    for joint, largest in enumerate(largest_torque, start=1):
+        if (CURVE[0], joint) not in at:
+            continue
+        slopes: list[Key] = [(CURVE[0], joint)]
+        knees: list[Key] = []
+        for name, knee in zip(CURVE[1:], KNEES, strict=True):
+            a, b = at[slopes[-1]], at[name, joint]
+            apart = abs(values[b] - values[a])
+            spread = np.sqrt(covariance[a, a] + covariance[b, b] - 2.0 * covariance[a, b])
+            bends = apart > max(_BENDS * values[a], _EVIDENT * spread)
+            if values[at[knee, joint]] >= largest:
+                continue
+            if bends:
+                slopes.append((name, joint))
+                knees.append((knee, joint))
+            elif covariance[b, b] < covariance[a, a]:
+                slopes[-1] = (name, joint)
+        for names, found in ((CURVE, slopes), (KNEES, knees)):
+            for k, name in enumerate(names):
+                told[name, joint] = found[k] if k < len(found) else None
+    return told
+
+
+def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
+    vague = name in (*VISCOUS, *CURVE, *KNEES) and std > _TOLD * abs(value)
+    if vague or not np.isfinite(std):
+        return Parameter(name, joint, None, None, unit, "tuned")
+    reach = _REACH * std
+    return Parameter(name, joint, value, std, unit, "tuned", (value - reach, value + reach))
+
+
+def warnings_of(
+    fit: Fit, bounded: Sequence[bool], parameters: Sequence[Parameter]
+) -> Iterator[Diagnostic]:
+    """What a reader of the parameters must know.
+
+    Parameters
+    ----------
+    fit : Fit
+    bounded : sequence of bool
+        Of each unknown, whether it ended at the end of its range.
+    parameters : sequence of Parameter
+
+    Yields
+    ------
+    Diagnostic
+    """
+    search = fit.misfit.search
+    values = search.parameters(fit.z)
+    deviation = np.sqrt(np.diag(fit.confidence.combined))
+    for k, (unknown, at) in enumerate(zip(search.unknowns, bounded, strict=True)):
+        if at and unknown.name != SETTLING:
+            text = f"the fit ended at the end of its range, {values[k]:.3g} {unknown.unit}: the"
+            text += " records do not agree on it"
+            yield Diagnostic("at-bounds", str(unknown), text)
+        if parameters[k].value is not None:
+            continue
+        if unknown.name in (*CURVE, *KNEES):
+            text = "no record loads the gear so far that it shows; use a larger amplitude, or hold"
+            text += " the link"
+            yield Diagnostic("not-reached", str(unknown), text)
+            continue
+        told = (
+            f"the records identify it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
+        )
+        if unknown.name in VISCOUS:
+            told += "; of the viscous frictions only the total is well known"
+        yield Diagnostic("not-identifiable", str(unknown), told)
+    for unknown, value in zip(search.unknowns, values, strict=True):
+        if unknown.name == SETTLING:
+            text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
+            text += " it changes sides that much before the motor does"
+            yield Diagnostic("friction-settles", str(unknown), text)
+    shown = [k for k, key in enumerate(search.keys) if not is_hidden(key)]
+    names = [str(search.unknowns[k]) for k in shown]
+    covariance = fit.confidence.combined[np.ix_(shown, shown)]
+    for group, spread in only_together(names, values[shown], covariance):
+        text = "only the combination is identified: the values trade off by"
+        text += f" {100.0 * spread:.2g} %; trust it, not each value"
+        yield Diagnostic("only-together", " and ".join(group), text)
+    if not fit.converged:
+        text = f"still moving after {fit.iterations} iterations; allow more, or record longer"
+        yield Diagnostic("iteration-limit", "tuning", text)

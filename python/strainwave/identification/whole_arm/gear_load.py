@@ -1,0 +1,79 @@
+"""What the gears carry in the records, by simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import FloatArray, TorqueHistogram
+from strainwave.identification.whole_arm.dataset import Replayed
+from strainwave.numerics.parallel import side_by_side
+
+_BINS = 60
+
+
+def gear_torques(
+    records: Sequence[Replayed], values: dict[tuple[str, int | None], float]
+) -> FloatArray:
+    """The largest torque that each gear carries, but for one sample in a thousand.
+
+    Parameters
+    ----------
+    records : sequence of Replayed
+    values : dict
+        (name, joint) -> value.
+
+    Returns
+    -------
+    (n_joints,) [N m]
+    """
+    return largest_of(carried_torques(records, values))
+
+
+def carried_torques(
+    records: Sequence[Replayed], values: dict[tuple[str, int | None], float]
+) -> list[FloatArray]:
+    """What each gear carries in each record.
+
+    Parameters
+    ----------
+    records : sequence of Replayed
+    values : dict
+        (name, joint) -> value.
+
+    Returns
+    -------
+    list of (n_samples, n_joints) [N m]
+        Moduli.
+    """
+
+    def carried(record: Replayed) -> FloatArray:
+        return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
+
+    return side_by_side([partial(carried, r) for r in records])
+
+
+def largest_of(carried: Sequence[FloatArray]) -> FloatArray:
+    """The largest of each gear, but for one sample in a thousand of a record: (n_joints,) [N m]."""
+    return np.asarray(np.max([np.quantile(torque, 0.999, axis=0) for torque in carried], axis=0))
+
+
+def histograms_of(carried: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
+    """How often each gear carries which torque, over all records.
+
+    Parameters
+    ----------
+    carried : sequence of (n_samples, n_joints) [N m]
+
+    Returns
+    -------
+    tuple of TorqueHistogram
+    """
+    together = np.concatenate(carried)
+    found = []
+    for joint, torque in enumerate(together.T, start=1):
+        count, edges = np.histogram(torque, bins=_BINS, range=(0.0, float(torque.max())))
+        found.append(TorqueHistogram(joint, edges, count / len(torque)))
+    return tuple(found)

@@ -1,0 +1,78 @@
+"""Records that begin in motion, though their motors seem to stand: found by what it explains.
+
+A motor that turns back has no velocity: its angle begins like one from rest, while gears are
+under torque and the links move. Beside a fit the two are far apart: an arm from rest never gets
+near such a record, one that may begin as it likes does.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from strainwave.domain import FloatArray, TuningOptions
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.estimates import Fit
+from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.solver import again_roughly
+from strainwave.numerics.parallel import side_by_side
+
+_EVIDENT = 28.0  # chi-square of six initial states that chance exceeds once in ten thousand
+_SHARE = 0.5  # of the record's cost that they must take: model errors go on after the beginning
+
+
+def with_evident_beginnings(fit: Fit, options: TuningOptions) -> Fit:
+    """A rough fit in which those records begin in motion that speak for it.
+
+    Parameters
+    ----------
+    fit : Fit
+    options : TuningOptions
+
+    Returns
+    -------
+    Fit
+        Its objective's records say which begin in motion.
+    """
+    if fit.iterations >= options.max_iterations:
+        return fit
+    misfit = in_motion(fit.misfit, fit.z)
+    if misfit is fit.misfit:
+        return fit
+    return again_roughly(misfit, fit.z, fit.iterations, options)
+
+
+def in_motion(misfit: Misfit, z: FloatArray) -> Misfit:
+    """The same with those records in motion at first that an arm from rest fits far worse.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    z : (n_unknowns,)
+        Near the minimum.
+
+    Returns
+    -------
+    Misfit
+        The very same where there is none.
+    """
+    at_rest = [k for k, record in enumerate(misfit.records) if not record.moving]
+    rows = misfit.rows(z)
+    costs = [rows[k].cost(misfit.weights[k]) for k in at_rest]
+    owns = side_by_side(
+        [partial(_evident, misfit, z, *each) for each in zip(at_rest, costs, strict=True)]
+    )
+    for k, own in zip(at_rest, owns, strict=True):
+        misfit = misfit if own is None else misfit.in_motion(k, own)
+    return misfit
+
+
+def _evident(misfit: Misfit, z: FloatArray, k: int, rest: float) -> FloatArray | None:
+    """A record's own unknowns where beginning in motion takes most of its cost: (n_own,)."""
+    held = misfit.search.holding(misfit.search.values(z))  # only the beginning is looked for
+    try:
+        (free,) = misfit.in_motion(k).only(k).for_unknowns(held).rows(z[:0])
+    except (InvalidInput, NumericalFailure):
+        return None  # no arm begins like that
+    cost = free.cost(misfit.weights[k])
+    evident = rest - cost > _EVIDENT and cost < _SHARE * rest
+    return free.evaluated.own + free.step if evident else None

@@ -1,0 +1,423 @@
+"""What is searched for: parameters, their coordinates, where they start, what is known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from strainwave.domain import BoolArray, FloatArray, JointModel, RigidModel, Study
+from strainwave.domain.parameters import Values, unit_of
+from strainwave.identification.whole_arm.starts import COULOMB, OFFSET, VISCOUS, Key, starts_of
+
+__all__ = [
+    "COULOMB",
+    "CURVE",
+    "KNEES",
+    "LINEAR",
+    "OFFSET",
+    "SETTLING",
+    "SETTLING_START",
+    "VISCOUS",
+    "Key",
+    "Prior",
+    "Search",
+    "Unknown",
+    "combination",
+    "link_inertia",
+    "search_of",
+    "total_viscous",
+    "with_curves",
+    "with_settling",
+]
+
+SETTLING = "friction_settling_time"
+SETTLING_START = 1e-4
+"""[s] where the search for it starts."""
+LINEAR = ("gear_stiffness",)
+CURVE = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
+KNEES = ("gear_knee_t1", "gear_knee_t2")
+
+_BASE = ("alpha", "beta", "gamma")
+_LEAST_COULOMB = 0.01  # of the torque of the largest voltage, where none was found
+_SPREAD = (0.8, 1.0, 1.15)  # of the one stiffness found: the slopes of a curve to start from
+_KNEES = (0.2, 0.6)  # of the largest gear torque: its knees
+_FAR = np.log(3.0)  # how far an inertia or a slope may go
+_LOWEST, _HIGHEST = -0.8, 1.5  # shares of a value by which one step may change it
+_TO_NOTHING = -0.99  # the same of a settling time, which may well be nothing
+_VERY_FAR = np.log(30.0)  # and a friction, damping or knee
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """One parameter that is searched for, and its coordinate z, which is zero at the start.
+
+    A positive parameter is scale exp(z); one that may have either sign scale z + start; the second
+    knee lies scale exp(z) above the first.
+    """
+
+    name: str
+    joint: int | None
+    unit: str
+    start: float
+    scale: float
+    signed: bool
+    reach: float  # how far z may go, up and down
+    limits: tuple[float, float] | None = None  # of z, where they are set by hand
+
+    @property
+    def key(self) -> Key:
+        """What it is known by."""
+        return self.name, self.joint
+
+    def __str__(self) -> str:
+        return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What the rigid step knows: linear combinations of the unknowns, with correlated errors.
+
+    Whitened by deviations that have a least.
+    """
+
+    rows: FloatArray  # (n_rows, n_unknowns), whitened
+    target: FloatArray  # (n_rows,), whitened
+    errors: FloatArray  # (n_rows, n_rows) their covariance, less than one by what that least adds
+    names: tuple[Key, ...] = ()  # (n_rows,) the rigid model's parameters
+    factor: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """(n_rows, n_rows) what a whitened row is multiplied by to have the parameters' units."""
+    mean: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n_rows,) in those units
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """The unknowns together, and what stays as it is."""
+
+    unknowns: tuple[Unknown, ...]
+    fixed: Mapping[Key, float]
+    prior: Prior
+
+    @property
+    def lower(self) -> FloatArray:
+        """(n_unknowns,) the least z."""
+        return np.array([u.limits[0] if u.limits else -u.reach for u in self.unknowns])
+
+    @property
+    def upper(self) -> FloatArray:
+        """(n_unknowns,) the largest z."""
+        return np.array([u.limits[1] if u.limits else u.reach for u in self.unknowns])
+
+    @property
+    def keys(self) -> list[Key]:
+        """What the unknowns are known by."""
+        return [unknown.key for unknown in self.unknowns]
+
+    def parameters(self, z: FloatArray) -> FloatArray:
+        """The unknowns' values, (n_unknowns,)."""
+        found: FloatArray = np.array(
+            [
+                u.start + u.scale * at if u.signed else u.scale * np.exp(at)
+                for u, at in zip(self.unknowns, z, strict=True)
+            ]
+        )
+        for first, second in self._knees():
+            found[second] += found[first]
+        for k, key in enumerate(self.keys):
+            if key[0] == KNEES[1]:
+                found[k] += self.fixed.get((KNEES[0], key[1]), 0.0)
+        return found
+
+    def slope(self, z: FloatArray) -> FloatArray:
+        """Derivatives of the values with respect to the coordinates, (n_unknowns, n_unknowns)."""
+        own = [
+            u.scale if u.signed else u.scale * np.exp(at)
+            for u, at in zip(self.unknowns, z, strict=True)
+        ]
+        found = np.diag(np.array(own))
+        for first, second in self._knees():
+            found[second, first] = found[first, first]
+        return np.asarray(found)
+
+    def moved(self, z: FloatArray, step: FloatArray) -> FloatArray:
+        """Where a step leads that is straight in the values, not in the coordinates: (n_unknowns,).
+
+        What the data identify best are sums: of an inertia with a motor's, of a joint's two viscous
+        frictions. Their valleys are straight among values and curved among logarithms.
+        """
+        end, positive = z + step, self._positive
+        end[positive] = z[positive] + np.log1p(step[positive])
+        return np.asarray(np.clip(end, self.lower, self.upper))
+
+    def bounded(self, z: FloatArray, gradient: FloatArray) -> BoolArray:
+        """Which unknowns stand at the end of their range and would go beyond: (n_unknowns,)."""
+        low, high = (z <= self.lower) & (gradient > 0.0), (z >= self.upper) & (gradient < 0.0)
+        return np.asarray(low | high)
+
+    def trusted(self, z: FloatArray, step: FloatArray, share: float) -> FloatArray:
+        """A step that stays in reach and changes no positive value by too much at once."""
+        positive = self._positive
+        down, up = self.lower - z, self.upper - z
+        down[positive], up[positive] = np.expm1(down[positive]), np.expm1(up[positive])
+        least = [_TO_NOTHING if u.name == SETTLING else _LOWEST for u in self.unknowns]
+        down[positive] = np.maximum(down, share * np.array(least))[positive]
+        up[positive] = np.minimum(up, share * _HIGHEST)[positive]
+        return np.asarray(np.clip(step, np.minimum(down, 0.0), np.maximum(up, 0.0)))
+
+    @property
+    def _positive(self) -> BoolArray:
+        return np.array([not unknown.signed for unknown in self.unknowns])
+
+    def values(self, z: FloatArray) -> Values:
+        """All that simulating the arm needs."""
+        return {**self.fixed, **dict(zip(self.keys, self.parameters(z).tolist(), strict=True))}
+
+    def coordinates(self, values: Values) -> FloatArray:
+        """Where given values lie, within the bounds: (n_unknowns,)."""
+        z = []
+        for unknown in self.unknowns:
+            value = values[unknown.key]
+            if unknown.name == KNEES[1]:
+                value -= values[KNEES[0], unknown.joint]
+            if unknown.signed:
+                z.append((value - unknown.start) / unknown.scale)
+            else:
+                z.append(np.log(max(value / unknown.scale, 1e-12)))
+        return np.asarray(np.clip(np.array(z), self.lower, self.upper))
+
+    def holding(self, values: Mapping[Key, float]) -> Search:
+        """With some of the unknowns held at given values."""
+        kept = [k for k, unknown in enumerate(self.unknowns) if unknown.key not in values]
+        dropped = [k for k, unknown in enumerate(self.unknowns) if unknown.key in values]
+        known = np.array([values[self.unknowns[k].key] for k in dropped])
+        target = self.prior.target - self.prior.rows[:, dropped] @ known
+        return Search(
+            tuple(self.unknowns[k] for k in kept),
+            {**self.fixed, **values},
+            replace(self.prior, rows=self.prior.rows[:, kept], target=target),
+        )
+
+    def _knees(self) -> list[tuple[int, int]]:
+        """Where pairs of knees stand of which both are searched for."""
+        at = {key: k for k, key in enumerate(self.keys)}
+        joints = [key[1] for key in at if key[0] == KNEES[0]]
+        return [(at[KNEES[0], j], at[KNEES[1], j]) for j in joints if (KNEES[1], j) in at]
+
+
+def combination(names: Sequence[Key], parts: Mapping[Key, float]) -> FloatArray:
+    """A weighted sum of the unknowns as a row: (n_unknowns,).
+
+    Parameters
+    ----------
+    names : sequence of (name, joint)
+    parts : dict
+        Weights; those of what is no unknown are left out.
+
+    Returns
+    -------
+    (n_unknowns,)
+    """
+    return np.array([parts.get(name, 0.0) for name in names])
+
+
+def link_inertia(study: Study, joint: int) -> dict[Key, float]:
+    """m_L of a joint as a combination of parameters: alpha + beta + 2 gamma, or beta.
+
+    Parameters
+    ----------
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    dict
+    """
+    if study.n_joints == 1:
+        return {("link_inertia", 1): 1.0}
+    if joint == 1:
+        return {("alpha", None): 1.0, ("beta", None): 1.0, ("gamma", None): 2.0}
+    return {("beta", None): 1.0}
+
+
+def rigid_inertia(study: Study) -> dict[str, dict[Key, float]]:
+    """What the rigid step has in place of joint 1's motor and link, as a combination by its name.
+
+    Of two links alpha + m_M1 / n_1^2; of one joint m_M + n^2 m_L.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    dict
+    """
+    name = "inertia" if study.n_joints == 1 else "rigid_inertia"
+    return {name: _parts((name, 1), study)}
+
+
+def total_viscous(study: Study, joint: int) -> dict[Key, float]:
+    """d_M + n^2 d_L of a joint as a combination of parameters.
+
+    Parameters
+    ----------
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    dict
+    """
+    ratio = study.joints[joint - 1].gear_ratio
+    return {(VISCOUS[0], joint): 1.0, (VISCOUS[1], joint): ratio**2}
+
+
+def search_of(
+    model: RigidModel | None,
+    joints: Sequence[JointModel],
+    study: Study,
+    *,
+    largest_voltage: Sequence[float],
+    floor: float,
+) -> Search:
+    """Unknowns with their starts from the decoupled models, and what the rigid model knows.
+
+    A three-slope gear starts as a linear one: see `with_curves`.
+
+    Parameters
+    ----------
+    model : RigidModel or None
+        Dispensable for a single joint without gravity.
+    joints : sequence of JointModel
+        One per joint.
+    study : Study
+    largest_voltage : sequence of float [V]
+        Applied to each joint, for the scale of its friction.
+    floor : float
+        Least deviation of what the rigid model knows, as a share of its value.
+
+    Returns
+    -------
+    Search
+
+    Raises
+    ------
+    NotIdentifiable
+        A start is missing or impossible.
+    """
+    start = starts_of(model, joints, study).values
+    unknowns = []
+    pairs = zip(study.joints, largest_voltage, strict=True)
+    for i, (joint, voltage) in enumerate(pairs, start=1):
+        torque = _LEAST_COULOMB * voltage * (joint.torque_per_volt or 1.0)
+        start[COULOMB, i] = max(start[COULOMB, i], torque)
+    for (name, number), value in start.items():
+        scale = value
+        if name == OFFSET:
+            scale = start[COULOMB, number]
+        signed = name == OFFSET or name.startswith("gravity")
+        if signed and scale == 0.0:
+            scale = 1.0
+        far = _FAR if "inertia" in name or name in (*_BASE, *LINEAR) else _VERY_FAR
+        unit = unit_of_arm(name) if number is None else unit_of(name, study.joints[number - 1])
+        unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
+    keys = [unknown.key for unknown in unknowns]
+    return Search(tuple(unknowns), {}, _prior(model, keys, study, floor))
+
+
+def with_curves(search: Search, study: Study, largest_torque: Sequence[float]) -> Search:
+    """Three slopes and two knees in place of the one stiffness of each three-slope gear.
+
+    Parameters
+    ----------
+    search : Search
+    study : Study
+    largest_torque : sequence of float [N m]
+        That each gear carries in the records.
+
+    Returns
+    -------
+    Search
+    """
+    unknowns: list[Unknown] = []
+    columns: list[FloatArray] = []
+    for k, unknown in enumerate(search.unknowns):
+        joint = study.joints[(unknown.joint or 1) - 1]
+        column = search.prior.rows[:, k]
+        if unknown.name not in LINEAR or joint.spring != "three-slope":
+            unknowns.append(unknown)
+            columns.append(column)
+            continue
+        for name, share in zip(CURVE, _SPREAD, strict=True):
+            start = share * unknown.start
+            unknowns.append(replace(unknown, name=name, start=start, scale=start))
+            columns.append(np.zeros_like(column))
+        low, high = (share * largest_torque[(unknown.joint or 1) - 1] for share in _KNEES)
+        unit = unit_of(KNEES[0], joint)
+        for name, start, scale in zip(KNEES, (low, high), (low, high - low), strict=True):
+            unknowns.append(Unknown(name, unknown.joint, unit, start, scale, False, _VERY_FAR))
+            columns.append(np.zeros_like(column))
+    prior = replace(search.prior, rows=np.column_stack(columns))
+    return Search(tuple(unknowns), search.fixed, prior)
+
+
+def with_settling(search: Search) -> Search:
+    """With a settling time of each joint's friction.
+
+    Parameters
+    ----------
+    search : Search
+
+    Returns
+    -------
+    Search
+    """
+    joints = [unknown.joint for unknown in search.unknowns if unknown.name == COULOMB]
+    more = [
+        Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _VERY_FAR) for j in joints
+    ]
+    rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
+    return Search((*search.unknowns, *more), search.fixed, replace(search.prior, rows=rows))
+
+
+def unit_of_arm(name: str) -> str:
+    """The unit of a parameter of the arm as a whole."""
+    return "N m" if name.startswith("gravity") else "kg m^2"
+
+
+def _prior(model: RigidModel | None, keys: Sequence[Key], study: Study, floor: float) -> Prior:
+    """The rigid model's parameters as combinations of the unknowns, divided by their errors."""
+    told = [
+        k
+        for k, p in enumerate(model.parameters if model is not None else ())
+        if p.value is not None and np.isfinite(model.covariance[k, k] if model else np.nan)
+    ]
+    if model is None or not told:
+        return Prior(np.zeros((0, len(keys))), np.zeros(0), np.zeros((0, 0)))
+    names = [(model.parameters[k].name, model.parameters[k].joint) for k in told]
+    rows = np.array([combination(keys, _parts(name, study)) for name in names])
+    mean = model.solution[told]
+    covariance = model.covariance[np.ix_(told, told)]
+    factor = np.asarray(np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2)))
+    errors = np.linalg.solve(factor, np.linalg.solve(factor, covariance).T)
+    white = np.asarray(np.linalg.solve(factor, rows))
+    target = np.asarray(np.linalg.solve(factor, mean))
+    return Prior(white, target, errors, tuple(names), factor, mean)
+
+
+def _parts(name: Key, study: Study) -> dict[Key, float]:
+    """What a parameter of the rigid model is made of."""
+    kind, joint = name
+    if joint is None:
+        return {name: 1.0}
+    ratio = study.joints[joint - 1].gear_ratio
+    if kind == "rigid_inertia":
+        return {("alpha", None): 1.0, ("motor_inertia", joint): ratio**-2}
+    if kind == "inertia":
+        return {("motor_inertia", joint): 1.0, ("link_inertia", joint): ratio**2}
+    if kind == "total_viscous_friction":
+        return total_viscous(study, joint)
+    return {name: 1.0}

@@ -1,0 +1,163 @@
+"""What the user allows the whole-arm fit: parameters that are held, and ranges around the start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Log, Study, TuningOptions
+from strainwave.domain.options import PUBLISHED_RANGE
+from strainwave.dynamics.link_sensors import is_sensor_constant
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.identification.whole_arm.parametrisation import (
+    COULOMB,
+    CURVE,
+    LINEAR,
+    OFFSET,
+    Key,
+    Prior,
+    Search,
+    Unknown,
+)
+from strainwave.signals.recorded_input import missing_for_replay
+
+
+def as_published(options: TuningOptions) -> TuningOptions:
+    """The options with all that `as_published` stands for; others as they are.
+
+    Parameters
+    ----------
+    options : TuningOptions
+
+    Returns
+    -------
+    TuningOptions
+    """
+    if not options.as_published:
+        return options
+    return replace(
+        options,
+        closed_loop=True,
+        settling=bool(options.settling),
+        hold=tuple(dict.fromkeys((*options.hold, COULOMB, OFFSET))),
+    )
+
+
+def published_records(logs: Sequence[Log], study: Study) -> list[Log]:
+    """The records that tuning as published rests on: steps under servo.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+        That can be gone through again with recorded voltages.
+    study : Study
+
+    Returns
+    -------
+    list of Log
+
+    Raises
+    ------
+    NotIdentifiable
+        There is none.
+    InvalidInput
+        One lacks something that a simulation in closed loop needs.
+    """
+    chosen = [log for log in logs if log.experiment.use == "tuning"]
+    if not chosen:
+        raise NotIdentifiable(
+            'tuning as published needs records with use = "tuning": steps under servo'
+        )
+    for log in chosen:
+        missing = missing_for_replay(study, log)
+        if missing is not None:
+            raise InvalidInput(
+                f"tuning as published simulates in closed loop, but {missing}",
+                where=log.name,
+                remedy="give what is missing, or leave tuning.as_published out",
+            )
+    return chosen
+
+
+def restricted(search: Search, options: TuningOptions, z: FloatArray) -> Search:
+    """Without the parameters that are held, the others within their ranges.
+
+    Parameters
+    ----------
+    search : Search
+    options : TuningOptions
+    z : (n_unknowns,)
+        Where the fit starts: ranges lie around it, and held parameters stay there.
+
+    Returns
+    -------
+    Search
+
+    Raises
+    ------
+    InvalidInput
+        Nothing is left to be fitted.
+    """
+    if options.as_published:  # the records alone speak
+        empty = Prior(np.zeros((0, len(z))), np.zeros(0), np.zeros((0, 0)))
+        search = replace(search, prior=empty)
+    values = search.values(z)
+    held = {key: values[key] for key in search.keys if is_held(key, options)}
+    if len(held) == len(search.unknowns):
+        raise InvalidInput(
+            "every parameter is held",
+            where="[options] tuning.hold",
+            remedy="leave something to be fitted",
+        )
+    limited = tuple(
+        _limited(unknown, _range(options, unknown.key), at)
+        for unknown, at in zip(search.unknowns, z.tolist(), strict=True)
+    )
+    return replace(search, unknowns=limited).holding(held)
+
+
+def is_held(key: Key, options: TuningOptions) -> bool:
+    """Whether a parameter is not to be fitted.
+
+    Parameters
+    ----------
+    key : (name, joint)
+    options : TuningOptions
+
+    Returns
+    -------
+    bool
+    """
+    return bool(set(_names(key)) & set(options.hold))
+
+
+def _names(key: Key) -> list[str]:
+    """What the options may call a parameter, the most particular first."""
+    name, joint = key
+    names = [name] if joint is None else [f"{name} {joint}", name]
+    if name in CURVE:  # one word for all slopes of a gear
+        names += [f"{LINEAR[0]} {joint}", LINEAR[0]]
+    return names
+
+
+def _range(options: TuningOptions, key: Key) -> tuple[float, float] | None:
+    """Factors of the start; what a sensor does to its signal is no parameter of the arm."""
+    given = next((options.ranges[name] for name in _names(key) if name in options.ranges), None)
+    usual = options.as_published and not is_sensor_constant(key)
+    return given or (PUBLISHED_RANGE if usual else None)
+
+
+def _limited(unknown: Unknown, factors: tuple[float, float] | None, at: float) -> Unknown:
+    """Within factors of the value at a coordinate; what is zero there has no such range."""
+    if factors is None:
+        return unknown
+    if not unknown.signed:
+        low, high = (at + float(np.log(factor)) for factor in factors)
+        return replace(unknown, limits=(low, high))
+    value = unknown.start + unknown.scale * at
+    if value == 0.0:
+        return unknown
+    ends = sorted((factor * value - unknown.start) / unknown.scale for factor in factors)
+    return replace(unknown, limits=(ends[0], ends[1]))

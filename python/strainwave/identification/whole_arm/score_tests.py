@@ -1,0 +1,180 @@
+"""What models with one more effect would explain of what a fit left, without fitting them.
+
+A score test: the derivative of every channel by an effect's size, at size nothing, joins the fit's
+own derivatives as one more column. What it takes off the cost in one linear step is the evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import Diagnostic, Effect, FloatArray, ScoreTest, Study
+from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.effects import (
+    HYSTERESIS_TWIST,
+    STRIBECK_VELOCITY,
+    Tried,
+    records_with,
+    sizes_of,
+    tried,
+)
+from strainwave.identification.whole_arm.estimates import Fit
+from strainwave.identification.whole_arm.objective import Evaluated
+from strainwave.identification.whole_arm.parametrisation import Key
+
+_EVIDENT = 5.0  # deviations from nothing
+_MATTERS = 0.1  # and share of the cost: below, an error of another kind explains as much
+_AT_NOTHING = {
+    "stribeck_friction": 0.0,
+    "stribeck_velocity": STRIBECK_VELOCITY,
+    "hysteresis_torque": 0.0,
+    "hysteresis_twist": HYSTERESIS_TWIST,
+    "kinematic_error_cos": 0.0,
+    "kinematic_error_sin": 0.0,
+}
+_EXPERIMENTS: Mapping[Effect, str] = {
+    "stribeck": "turn the motor slowly, at several constant speeds of either sign",
+    "hysteresis": "hold the link and turn the motor slowly to and fro, to several torques",
+    "kinematic-error": "turn the motor at a constant speed through many turns, and look for lines"
+    " at two per turn in the accelerometers",
+}
+
+
+def score_tests_of(fit: Fit, study: Study) -> list[ScoreTest]:
+    """The effects that no joint's model has yet, the most significant first.
+
+    Parameters
+    ----------
+    fit : Fit
+    study : Study
+
+    Returns
+    -------
+    list of ScoreTest
+        Each one's gain is beyond that of those before; empty where the arm with effects
+        cannot be simulated.
+    """
+    candidates = _missing(fit, study)
+    if not candidates:
+        return []
+    try:
+        factor = _bordered(fit, study, [key for one in candidates for key in sizes_of(one)])
+    except (InvalidInput, NumericalFailure):
+        return []
+    return list(_chosen(candidates, factor, fit.cost))
+
+
+def _missing(fit: Fit, study: Study) -> list[Tried]:
+    known = fit.misfit.search.keys
+    return [
+        (number, effect)
+        for number, joint in enumerate(study.joints, start=1)
+        for effect, names in EFFECT_PARAMETERS.items()
+        if joint.spring != "rigid" and (names[0], number) not in known
+    ]
+
+
+def _bordered(fit: Fit, study: Study, keys: Sequence[Key]) -> FloatArray:
+    """R of [effects residual] in what the fit's unknowns cannot imitate: (n_keys + 1,) squared."""
+    misfit = fit.misfit
+    numbers = range(1, study.n_joints + 1)
+    nothing = {(name, j): value for name, value in _AT_NOTHING.items() for j in numbers}
+    values: Values = nothing | misfit.search.values(fit.z)
+    joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in study.joints)
+    rich = records_with(misfit.records, replace(study, joints=joints), values)
+
+    def tangent(k: int, _: Evaluated) -> FloatArray:
+        begun = misfit.memory.own[k][: len(rich[k].local)]
+        return rich[k].linearised(values, begun, keys)[1][..., : len(keys)]
+
+    return misfit.bordered(fit.z, len(keys), tangent)
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What one effect takes off the cost, and by which sizes."""
+
+    candidate: Tried
+    gain: float
+    size: FloatArray
+    std: FloatArray
+
+
+def _chosen(candidates: Sequence[Tried], factor: FloatArray, cost: float) -> Iterator[ScoreTest]:
+    """One after the other, each given those before it as long as they are evident."""
+    columns, at = {}, 0
+    for one in candidates:
+        width = len(sizes_of(one))
+        columns[one] = factor[:, at : at + width]
+        at += width
+    left, target = list(candidates), factor[:, -1]
+    taken = np.zeros((len(target), 0))
+    while left:
+        best = max((_step(one, columns[one], taken, target) for one in left), key=_gain)
+        share = best.gain / max(cost, 1e-300)
+        evident = best.gain > _EVIDENT**2 and share > _MATTERS
+        joint, effect = best.candidate
+        names = [name for name, _ in sizes_of(best.candidate)]
+        yield ScoreTest(
+            joint=joint,
+            effect=effect,
+            sizes=dict(zip(names, best.size.tolist(), strict=True)),
+            stds=dict(zip(names, best.std.tolist(), strict=True)),
+            gain=best.gain,
+            share=share,
+            evident=evident,
+        )
+        left.remove(best.candidate)
+        if evident:
+            taken = np.column_stack([taken, columns[best.candidate]])
+
+
+def _gain(step: _Step) -> float:
+    return step.gain
+
+
+def _step(candidate: Tried, columns: FloatArray, taken: FloatArray, target: FloatArray) -> _Step:
+    """The best sizes of one effect beside those taken already; none below nothing."""
+    basis = np.linalg.qr(taken)[0]
+    columns = columns - basis @ (basis.T @ columns)
+    target = target - basis @ (basis.T @ target)
+    size = np.asarray(np.linalg.lstsq(columns, -target)[0], dtype=float)
+    gain = float(np.sum(target**2) - np.sum((target + columns @ size) ** 2))
+    std = np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)))
+    if candidate[1] != "kinematic-error" and size[0] < 0.0:
+        size, gain = np.zeros_like(size), 0.0
+    return _Step(candidate, gain, size, std)
+
+
+def effect_cautions(score_tests: Sequence[ScoreTest], study: Study) -> Iterator[Diagnostic]:
+    """The effect that the residuals speak for most, and the experiment that would settle it.
+
+    One at a time: what the others would explain is known only with this one in the model. Effects
+    that the study names were fitted, and stay out if the records do not show them.
+
+    Parameters
+    ----------
+    score_tests : sequence of ScoreTest
+        The most significant first.
+    study : Study
+
+    Yields
+    ------
+    Diagnostic
+    """
+    named = tried(study)
+    for one in score_tests:
+        if not one.evident or (one.joint, one.effect) in named:
+            continue
+        sizes = ", ".join(
+            f"{name} {size:.2g} +- {one.stds[name]:.1g}" for name, size in one.sizes.items()
+        )
+        text = f"{one.effect} would explain {100.0 * one.share:.2g} % of the residuals ({sizes}),"
+        text += f' more than any other effect; give the joint effects = ["{one.effect}"] to fit it;'
+        text += f" to be sure, {_EXPERIMENTS[one.effect]}"
+        yield Diagnostic(f"{one.effect}-likely", f"joint {one.joint}", text)
+        return

@@ -1,0 +1,240 @@
+"""Log files -> Log: the study's channels on a uniform time base, in SI units."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from strainwave.domain import Channel, Diagnostic, Experiment, FloatArray, Log, Study, channel_names
+from strainwave.errors import InvalidInput
+from strainwave.io.logs.bags import Bag, is_bag
+from strainwave.io.logs.clocks import Track, one_clock
+from strainwave.io.logs.tables import Table, open_table, release_readers_memory, write_table
+from strainwave.numerics.parallel import side_by_side
+
+__all__ = ["read_log", "read_logs", "write_log"]
+
+write_log = write_table
+
+_HELD = ("u", "ref")  # commanded by a clock, constant between its ticks
+_SENSORS = ("omega_m", "a", "theta_l", "deflection", "gyro")  # a dead one is constant
+
+
+def read_logs(study: Study, experiments: Sequence[Experiment] | None = None) -> tuple[Log, ...]:
+    """The logs of several experiments, of all by default.
+
+    Parameters
+    ----------
+    study : Study
+    experiments : sequence of Experiment, optional
+
+    Returns
+    -------
+    tuple of Log
+
+    Raises
+    ------
+    InvalidInput
+        A log is at fault, or a column that the study maps is in none of them.
+    """
+    chosen = study.experiments if experiments is None else experiments
+    found = tuple(side_by_side([partial(read_log, study, each) for each in chosen]))
+    _check_mapped(study, found)
+    return found
+
+
+def read_log(study: Study, experiment: Experiment) -> Log:
+    """One experiment's log: columns to channels, window, uniform time.
+
+    A channel's value is scale * column + offset; a column that `add` names is taken in the
+    channel's own unit: value = scale * (column + added) + offset. A mapped column that this log
+    lacks means that the channel is absent here, if the log can do without.
+
+    Parameters
+    ----------
+    study : Study
+    experiment : Experiment
+
+    Returns
+    -------
+    Log
+        With a warning for every doubtful thing that was done or seen.
+
+    Raises
+    ------
+    InvalidInput
+        The file, a column or a value is at fault.
+    """
+    path = study.log_path(experiment)
+    table = _open(path)
+    sources = _sources(study, experiment, table, path)
+    tracks, warnings = _tracks(table, sources, experiment)
+    time, columns, told = one_clock(tracks, _held(sources, experiment), experiment, path)
+    channels = {
+        name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
+        for name, channel in sources.items()
+        if name != "t"
+    }
+    warnings += told + _constants(channels, study, experiment, path)
+    del columns, tracks
+    release_readers_memory()
+    sample_time = float((time[-1] - time[0]) / (len(time) - 1))
+    return Log(experiment, time, sample_time, channels, tuple(warnings))
+
+
+def _open(path: Path) -> Table | Bag:
+    return Bag(path) if is_bag(path) else open_table(path)
+
+
+def _tracks(
+    table: Table | Bag, sources: dict[str, Channel], experiment: Experiment
+) -> tuple[list[Track], list[Diagnostic]]:
+    """What was asked for with its stamps, the motor angle's first."""
+    angle = sources["theta_m1"].column
+    wanted = {channel.column for channel in sources.values()} | set(experiment.add.values())
+    if isinstance(table, Bag):
+        tracks, warnings = table.tracks(sorted(wanted))
+        return sorted(tracks, key=lambda track: angle not in track.columns), warnings
+    columns = table.read(sorted(wanted))
+    channel = sources["t"]
+    time = channel.scale * _with_added("t", channel, experiment, columns) + channel.offset
+    return [Track("", time, columns, table.row_name)], []
+
+
+def _held(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
+    """Columns of channels that a clock commands."""
+    held = {channel.column for name, channel in sources.items() if name.startswith(_HELD)}
+    return held | {column for name, column in experiment.add.items() if name.startswith(_HELD)}
+
+
+def _sources(
+    study: Study, experiment: Experiment, table: Table | Bag, path: Path
+) -> dict[str, Channel]:
+    """Which column each channel comes from; the required ones must be there."""
+    sources = {}
+    for name in channel_names(study.n_joints):
+        channel = study.channels.get(name)
+        if channel is not None and channel.column not in table.names:
+            # a recorded topic without the field is no missing sensor, but a wrong field
+            misnamed = isinstance(table, Bag) and table.has_topic_of(channel.column)
+            if name == "t" or name.startswith("theta_m") or misnamed:
+                raise _no_mapped(name, channel, table, path)
+            continue  # absent in this log
+        if channel is not None or name in table.names:
+            sources[name] = channel or Channel(name)
+    for channel_name, column in experiment.add.items():
+        if column not in table.names:
+            raise _no_column(column, f"which is to be added to '{channel_name}'", table, path)
+        if channel_name not in sources:
+            raise _no_column(channel_name, "to which another is to be added", table, path)
+    _check_required(sources, study, table, path)
+    return sources
+
+
+def _check_mapped(study: Study, read: Sequence[Log]) -> None:
+    """A mapped column may be missing from some logs, not from all."""
+    for name, channel in study.channels.items():
+        if name == "t" or not read or any(name in log.channels for log in read):
+            continue
+        path = study.log_path(read[0].experiment)
+        if len(read) == 1 or is_bag(path):  # a bag's error lists its topics, which serves better
+            raise _no_mapped(name, channel, _open(path), path)
+        raise InvalidInput(
+            f"no log has the column '{channel.column}', which [channels] names for '{name}'",
+            where=str(study.path),
+            remedy=f"correct channels.{name}, or take it out",
+        )
+
+
+def _no_mapped(name: str, channel: Channel, table: Table | Bag, path: Path) -> InvalidInput:
+    return _no_column(channel.column, f"which [channels] names for '{name}'", table, path)
+
+
+def _check_required(
+    sources: dict[str, Channel], study: Study, table: Table | Bag, path: Path
+) -> None:
+    required = [f"theta_m{i}" for i in range(1, study.n_joints + 1)]
+    if not isinstance(table, Bag):
+        required = ["t", *required]
+    elif "t" in sources:
+        raise InvalidInput(
+            "a bag's messages have stamps of their own",
+            where=str(study.path),
+            remedy="take t out of [channels]",
+        )
+    for name in required:
+        if name not in sources:
+            raise _no_column(name, "which every log needs", table, path)
+    for i, joint in enumerate(study.joints, start=1):
+        if f"u{i}" not in sources and f"torque{i}" not in sources:
+            raise _no_column(f"u{i}' or 'torque{i}", "the drive's input", table, path)
+        if f"torque{i}" not in sources and joint.torque_per_volt is None:
+            raise InvalidInput(
+                f"joint {i} has a voltage log but no torque_per_volt",
+                where=str(study.path),
+                remedy=f"add torque_per_volt to [[joint]] {i}",
+            )
+
+
+def _no_column(column: str, what: str, table: Table | Bag, path: Path) -> InvalidInput:
+    if isinstance(table, Bag):
+        return table.no_column(column, what)
+    near = difflib.get_close_matches(column, table.names, n=1, cutoff=0.6)
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    shown = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
+    return InvalidInput(
+        f"there is no column '{column}', {what}",
+        where=str(path),
+        remedy=f"map it in [channels] of the study; the file has: {shown}{hint}",
+    )
+
+
+def _with_added(
+    name: str, channel: Channel, experiment: Experiment, columns: dict[str, FloatArray]
+) -> FloatArray:
+    values = columns[channel.column]
+    if name in experiment.add:
+        values = values + columns[experiment.add[name]]
+    return values
+
+
+def _constants(
+    channels: dict[str, FloatArray], study: Study, experiment: Experiment, path: Path
+) -> list[Diagnostic]:
+    """A log in which nothing moves is an error; a sensor that never changes is doubtful."""
+    joints = range(1, study.n_joints + 1)
+    moved = [i for i in joints if np.ptp(channels[f"theta_m{i}"]) > 0.0]
+    excited = experiment.joint
+    if not moved or (excited is not None and excited not in moved):
+        name = f"theta_m{excited or 1}"
+        problem = f"the channel '{name}' never changes: the joint did not move"
+        remedy = "check the encoder's wiring, the channel map and the amplitude"
+        if moved:
+            other = f"theta_m{moved[0]}"
+            problem += f", though '{other}' does and the record is to excite joint {excited}"
+            remedy = (
+                f"exchange '{name}' and '{other}' in [channels], or correct joint; else {remedy}"
+            )
+        raise InvalidInput(problem, where=str(path), remedy=remedy)
+    inputs = [
+        channels[name] for i in joints for name in (f"u{i}", f"torque{i}") if name in channels
+    ]
+    if all(np.ptp(values) == 0.0 for values in inputs):
+        raise InvalidInput(
+            "the drive's input never changes in this log",
+            where=str(path),
+            remedy="check the channel map: the column may be another signal",
+        )
+    return [
+        Diagnostic(
+            "constant-channel",
+            path.name,
+            f"the channel '{name}' never changes. Check the sensor and the map",
+        )
+        for name, values in channels.items()
+        if name.startswith(_SENSORS) and np.ptp(values) == 0.0
+    ]

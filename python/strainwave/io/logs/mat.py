@@ -1,0 +1,153 @@
+"""MAT files up to version 7: what lies in them, found before SciPy reads it.
+
+SciPy's reader crashes the process on some damaged files of level 5 (an element of unknown type is
+looked up beyond the end of a table). So types are checked here first, and only real numeric arrays
+are handed to it. The layout is that of MathWorks' "MAT-File Format". Level 4 knows nothing but
+arrays and is SciPy's alone.
+"""
+
+from __future__ import annotations
+
+import io
+import zlib
+from collections.abc import Iterator, Sequence
+from struct import unpack_from
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+
+_HEADER = 128  # bytes of text, version and byte order
+_MATRIX, _COMPRESSED = 14, 15
+_FLAGS, _DIMENSIONS, _NAME = 6, 5, 1  # types of a matrix's first three parts
+_NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13})  # types of data that numbers are stored in
+_NUMERIC = range(6, 16)  # classes from double to uint64
+_COMPLEX = 0x800
+_HEAD = 4096  # bytes of a compressed matrix that hold its flags, dimensions and name
+
+
+def variables(data: bytes) -> dict[str, bool]:
+    """Names in a file, each with whether it is an array of real numbers.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+
+    Returns
+    -------
+    dict of str to bool
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
+    if 0 in data[:4]:
+        return _of_level_4(data)
+    if len(data) < _HEADER:
+        raise ValueError("it ends within its header")
+    order = "<" if data[126:128] == b"IM" else ">"
+    found = {}
+    for head in _matrices(data, order):
+        name, real = _described(head, order)
+        if name and not name.startswith("__"):
+            found[name] = real
+    return found
+
+
+def read(data: bytes, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Real arrays by name, in their own types, without dimensions of one.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    names : sequence of str
+        Those that `variables` says are arrays of real numbers.
+
+    Returns
+    -------
+    dict of str to array
+
+    Raises
+    ------
+    Exception
+        Of almost any kind, from SciPy's reader on a damaged file.
+    """
+    import scipy.io
+
+    found = scipy.io.loadmat(io.BytesIO(data), squeeze_me=True, variable_names=list(names))
+    return {name: np.asarray(found[name]) for name in names}
+
+
+def _of_level_4(data: bytes) -> dict[str, bool]:
+    import scipy.io
+
+    try:
+        return {name: kind != "char" for name, _, kind in scipy.io.whosmat(io.BytesIO(data))}
+    except Exception as error:  # SciPy's reader raises almost anything
+        raise ValueError(str(error)) from error
+
+
+def _matrices(data: bytes, order: str) -> Iterator[bytes]:
+    """The beginning of each matrix, unpacked."""
+    at = _HEADER
+    while at < len(data):
+        if at + 8 > len(data):
+            raise ValueError("it ends within an element")
+        kind, size = unpack_from(order + "II", data, at)
+        at += 8
+        if at + size > len(data):
+            raise ValueError("it ends within an element")
+        if kind == _COMPRESSED:
+            head = zlib.decompressobj().decompress(data[at : at + size], _HEAD)
+            kind = unpack_from(order + "I", head)[0] if len(head) > 8 else kind
+            head = head[8:]
+        else:
+            head = data[at : at + min(size, _HEAD)]
+        if kind != _MATRIX:
+            raise ValueError(f"an element of type {kind}, not a matrix")
+        yield head
+        at += size
+
+
+def _described(head: bytes, order: str) -> tuple[str, bool]:
+    """A matrix's name, and whether it holds real numbers that SciPy reads safely."""
+    kind, start, size, at = _part(head, 0, order)
+    if kind != _FLAGS or size != 8:
+        raise ValueError("a matrix without its flags")
+    flags = unpack_from(order + "I", head, start)[0]
+    if flags & 0xFF not in _NUMERIC:
+        # of opaque classes not even the order of parts is known; no channel is among them
+        return _name_of_other(head, at, order), False
+    kind, _, _, at = _part(head, at, order)
+    if kind != _DIMENSIONS:
+        raise ValueError("an array without its dimensions")
+    kind, start, size, at = _part(head, at, order)
+    if kind != _NAME:
+        raise ValueError("an array without its name")
+    name = head[start : start + size].decode("latin-1")
+    kind = _part(head, at, order)[0]
+    if kind not in _NUMBERS:
+        raise ValueError(f"an array with elements of type {kind}")
+    return name, not flags & _COMPLEX
+
+
+def _name_of_other(head: bytes, at: int, order: str) -> str:
+    try:
+        _, _, _, at = _part(head, at, order)
+        kind, start, size, _ = _part(head, at, order)
+    except ValueError:
+        return ""
+    return head[start : start + size].decode("latin-1") if kind == _NAME else ""
+
+
+def _part(head: bytes, at: int, order: str) -> tuple[int, int, int, int]:
+    """Type of the part at a place, where its data begin, their size, and the next part's place."""
+    if at + 8 > len(head):
+        raise ValueError("a matrix that ends within its description")
+    kind, size = unpack_from(order + "II", head, at)
+    if kind >> 16:  # up to four bytes are stored within the tag
+        return kind & 0xFFFF, at + 4, kind >> 16, at + 8
+    return kind, at + 8, size, at + 8 + -(-size // 8) * 8

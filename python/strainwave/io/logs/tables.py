@@ -1,0 +1,467 @@
+"""Files of columns: CSV, gzip CSV, Parquet, MAT and HDF5 -> named float64 arrays, and back.
+
+The good path is fast; only a file that fails it is read again, slowly, to find the row and column
+at fault.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import struct
+import sys
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, read_bytes, write_whole
+from strainwave.io.logs import mat
+
+DELIMITERS = (",", ";", "\t")
+LARGEST = 1e60
+"""In any unit. Squares and sums of squares of smaller numbers do not overflow."""
+_PROBE = 1 << 16  # bytes in which a header and the first row must end
+
+
+class Table:
+    """A file's columns, by name, read when asked for.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of all columns.
+    read : callable
+        Names -> arrays.
+    row_name : callable
+        Number of a sample, from 0 -> where a person finds it.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        read: Callable[[Sequence[str]], dict[str, FloatArray]],
+        row_name: Callable[[int], str] = lambda row: f"row {row + 1}",
+    ) -> None:
+        self.names = tuple(names)
+        self.read = read
+        self.row_name = row_name
+
+
+def open_table(path: Path) -> Table:
+    """Look at a file: which columns it has.
+
+    Parameters
+    ----------
+    path : Path
+        .csv, .csv.gz, .parquet, .mat, .h5 or .hdf5
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    InvalidInput
+        The file is missing, of no known kind, or not what its name says.
+    """
+    name = path.name.lower()
+    for suffix, opener in _OPENERS.items():
+        if name.endswith(suffix):
+            return opener(path)
+    raise InvalidInput(
+        "is of no known kind",
+        where=str(path),
+        remedy=f"use a file whose name ends in {', '.join(_OPENERS)}, or a bag",
+    )
+
+
+def write_table(path: Path, columns: Mapping[str, FloatArray]) -> None:
+    """Write columns to a CSV, gzip CSV or Parquet file; it appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    columns : mapping of str to (n_samples,)
+
+    Raises
+    ------
+    InvalidInput
+        The file's ending is none of those, or it cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    table = pa.table({name: np.asarray(values, dtype=float) for name, values in columns.items()})
+    sink = io.BytesIO()
+    name = path.name.lower()
+    if name.endswith(".parquet"):
+        pa.parquet.write_table(table, sink)
+    elif name.endswith((".csv", ".csv.gz")):
+        pa.csv.write_csv(table, sink, pa.csv.WriteOptions(quoting_style="none"))
+    else:
+        raise InvalidInput(
+            "cannot be written", where=str(path), remedy="use .csv, .csv.gz or .parquet"
+        )
+    data = sink.getvalue()
+    write_whole(path.parent, {path.name: gzip.compress(data) if name.endswith(".gz") else data})
+
+
+def release_readers_memory() -> None:
+    """Give back what reading tables took beside the columns: more than these themselves."""
+    arrow = sys.modules.get("pyarrow")
+    if arrow is not None:
+        arrow.default_memory_pool().release_unused()
+
+
+# --- CSV --------------------------------------------------------------------------------------
+
+
+def _open_csv(path: Path) -> Table:
+    return _csv_table(read_bytes(path, "the log"), path)
+
+
+def _open_csv_gz(path: Path) -> Table:
+    packed = read_bytes(path, "the log")
+    try:
+        data = gzip.decompress(packed)
+    except (OSError, EOFError, zlib.error) as error:
+        raise InvalidInput(
+            f"cannot be unpacked ({error})",
+            where=str(path),
+            remedy="the file is no gzip file or was cut off; copy it again",
+        ) from error
+    return _csv_table(data, path)
+
+
+def _csv_table(data: bytes, path: Path) -> Table:
+    if not data.strip():
+        raise InvalidInput("is empty", where=str(path), remedy="record the experiment again")
+    if not data.isascii():
+        data = decode(data, path).encode()
+    skipped, header = _header_line(data, path)
+    delimiter = max(DELIMITERS, key=header.count)
+    names = _split(header, delimiter)
+    _check_header(names, path, skipped + 1)
+
+    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
+        return _read_csv(data, path, names, wanted, delimiter, skipped)
+
+    return Table(names, read, lambda row: f"line {_line_of_row(data, row, skipped)}")
+
+
+def _header_line(data: bytes, path: Path) -> tuple[int, str]:
+    """Lines before the header (empty, or comments after #), and the header."""
+    lines = data[:_PROBE].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+    for number, line in enumerate(lines):
+        if line.strip() and not line.lstrip().startswith(b"#"):
+            return number, line.decode("utf-8", errors="replace")
+    raise InvalidInput(
+        "has no header line", where=str(path), remedy="name the columns in the first line"
+    )
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    try:
+        fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        fields = line.split(delimiter)
+    return [field.strip() for field in fields]
+
+
+def _check_header(names: Sequence[str], path: Path, line: int) -> None:
+    where = f"{path}, line {line}"
+    if all(_is_number(name) for name in names):
+        raise InvalidInput(
+            "the first line holds numbers, not the columns' names",
+            where=where,
+            remedy="add a header line",
+        )
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise InvalidInput(
+                f"there are two columns named {name!r}", where=where, remedy="rename one of them"
+            )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_csv(
+    data: bytes,
+    path: Path,
+    names: Sequence[str],
+    wanted: Sequence[str],
+    delimiter: str,
+    skipped: int,
+) -> dict[str, FloatArray]:
+    import pyarrow as pa
+    import pyarrow.csv
+
+    point = "," if delimiter != "," and _has_decimal_comma(data, delimiter, skipped) else "."
+    try:
+        table = pa.csv.read_csv(
+            _reader(data),
+            read_options=pa.csv.ReadOptions(
+                skip_rows=skipped + 1, column_names=list(names), use_threads=True
+            ),
+            parse_options=pa.csv.ParseOptions(delimiter=delimiter),
+            convert_options=pa.csv.ConvertOptions(
+                column_types={name: pa.float64() for name in wanted},
+                include_columns=list(wanted),
+                null_values=[],
+                decimal_point=point,
+            ),
+        )
+        return {name: table[name].to_numpy() for name in wanted}
+    except (pa.ArrowException, ValueError) as error:
+        _find_fault(data, path, names, wanted, delimiter, skipped, point)
+        raise InvalidInput(
+            f"cannot be read as CSV ({error})", where=str(path), remedy="write it anew"
+        ) from error
+
+
+def _reader(data: bytes) -> Any:
+    """What Arrow reads bytes from: a copy in its own memory.
+
+    Arrow's threads may let go of what they read after its result is here, and of an object of
+    Python's they would have to ask an interpreter that may be gone: the process then dies.
+    """
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    sink.write(data)
+    return pa.BufferReader(sink.getvalue())
+
+
+def _has_decimal_comma(data: bytes, delimiter: str, skipped: int) -> bool:
+    numbers = b"".join(data[:_PROBE].splitlines()[skipped + 1 :])
+    return b"," in numbers and b"." not in numbers
+
+
+def _find_fault(
+    data: bytes,
+    path: Path,
+    names: Sequence[str],
+    wanted: Sequence[str],
+    delimiter: str,
+    skipped: int,
+    point: str,
+) -> None:
+    """Read line by line until the fault shows, and tell it."""
+    lines = data.decode("utf-8", errors="replace").splitlines()
+    columns = {name: names.index(name) for name in wanted}
+    last = len(lines)
+    while last and not lines[last - 1].strip():
+        last -= 1
+    for number in range(skipped + 2, last + 1):
+        line = lines[number - 1]
+        if not line:
+            continue
+        where = f"{path}, line {number}"
+        fields = _split(line, delimiter)
+        if len(fields) != len(names):
+            cut = number == last
+            raise InvalidInput(
+                f"{'the log is cut off: ' if cut else ''}{len(fields)} values where the header "
+                f"names {len(names)} columns",
+                where=where,
+                remedy="delete that line" if cut else "mend that line",
+            )
+        for name, index in columns.items():
+            _check_number(fields[index].replace(point, "."), f"{where}, column {name!r}")
+
+
+def _check_number(text: str, where: str) -> None:
+    if not text:
+        raise InvalidInput(
+            "there is no value", where=where, remedy="delete that line or leave out its time"
+        )
+    if not _is_number(text) or "_" in text:
+        raise InvalidInput(f"{text[:40]!r} is no number", where=where, remedy="mend that value")
+
+
+def _line_of_row(data: bytes, row: int, skipped: int) -> int:
+    """The line of a sample; empty lines hold none."""
+    lines = data.splitlines()
+    count = -1
+    for number in range(skipped + 1, len(lines)):
+        count += bool(lines[number])
+        if count == row:
+            return number + 1
+    return row + skipped + 2
+
+
+# --- Parquet ----------------------------------------------------------------------------------
+
+
+def _open_parquet(path: Path) -> Table:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    data = read_bytes(path, "the log")
+    try:
+        file = pa.parquet.ParquetFile(_reader(data))
+        names = list(file.schema_arrow.names)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _no_parquet(path, error) from error
+
+    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
+        try:
+            table = file.read(columns=list(wanted))
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise _no_parquet(path, error) from error
+        return {name: _numbers(table[name], f"{path}, column {name!r}") for name in wanted}
+
+    _check_header(names, path, 1)
+    return Table(names, read)
+
+
+def _no_parquet(path: Path, error: Exception) -> InvalidInput:
+    return InvalidInput(
+        f"is no Parquet file, or a damaged one ({str(error).splitlines()[0][:100]})",
+        where=str(path),
+        remedy="write it anew",
+    )
+
+
+def _numbers(column: Any, where: str) -> FloatArray:
+    import pyarrow as pa
+
+    if not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
+        raise InvalidInput(
+            f"holds {column.type}, not numbers", where=where, remedy="store it as float64"
+        )
+    if column.null_count:
+        row = np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0]
+        raise InvalidInput(
+            "there is no value", where=f"{where}, row {row + 1}", remedy="leave out that row"
+        )
+    return np.asarray(column.to_numpy(), dtype=float)
+
+
+# --- MAT and HDF5 -----------------------------------------------------------------------------
+
+
+def _open_mat(path: Path) -> Table:
+    data = read_bytes(path, "the log")
+    if data[:4] == b"\x89HDF" or b"MATLAB 7.3" in data[:64]:
+        return _open_hdf5(path)
+    try:
+        names = mat.variables(data)
+    except (ValueError, zlib.error, struct.error) as error:
+        raise _damaged_mat(error, path) from error
+
+    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
+        for name in wanted:
+            if not names[name]:
+                raise _no_vector("not an array of real numbers", name, path)
+        try:
+            found = mat.read(data, wanted)
+        except Exception as error:  # a damaged file makes SciPy's reader raise almost anything
+            raise _damaged_mat(error, path) from error
+        return _vectors(found, path)
+
+    return Table(list(names), read, _element)
+
+
+def _damaged_mat(error: Exception, path: Path) -> InvalidInput:
+    return InvalidInput(
+        f"is no MAT file, or a damaged one ({str(error)[:100]})",
+        where=str(path),
+        remedy="save it anew, with -v7 or -v7.3",
+    )
+
+
+def _open_hdf5(path: Path) -> Table:
+    try:
+        import h5py
+    except ImportError as error:
+        raise InvalidInput(
+            "reading HDF5 and MAT v7.3 files needs h5py, which is not installed",
+            where=str(path),
+            remedy="pip install 'strainwave[hdf5]'",
+        ) from error
+    data = read_bytes(path, "the log")
+    found: dict[str, Any] = {}
+
+    def visit(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and not name.startswith("#"):
+            found[name] = np.squeeze(np.asarray(node[()]))
+
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            file.visititems(visit)
+    except Exception as error:  # a damaged file makes the HDF5 library raise almost anything
+        raise InvalidInput(
+            f"is no HDF5 file, or a damaged one ({str(error)[:100]})",
+            where=str(path),
+            remedy="write it anew",
+        ) from error
+    return Table(list(found), lambda names: _vectors({n: found[n] for n in names}, path), _element)
+
+
+def _element(row: int) -> str:
+    return f"element {row + 1}"
+
+
+def _no_vector(what: str, name: str, path: Path) -> InvalidInput:
+    return InvalidInput(
+        f"is no vector of numbers, but {what}",
+        where=f"{path}, variable {name!r}",
+        remedy="store one vector for each channel",
+    )
+
+
+def _vectors(variables: Mapping[str, Any], path: Path) -> dict[str, FloatArray]:
+    """Variables of a file that need not be columns: those asked for must be vectors of numbers."""
+    columns = {}
+    for name, variable in variables.items():
+        value = np.asarray(variable)
+        if value.ndim != 1 or value.dtype.kind not in "fiu":
+            raise _no_vector(f"{value.dtype} of shape {value.shape}", name, path)
+        columns[name] = value.astype(float)
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths) > 1:
+        raise InvalidInput(
+            f"the variables differ in length: {sorted(lengths)}",
+            where=str(path),
+            remedy="store all channels at the same instants",
+        )
+    return columns
+
+
+def first_impossible(values: FloatArray) -> int | None:
+    """Index of the first NaN, infinity or number beyond all measurement.
+
+    Parameters
+    ----------
+    values : (n_samples,)
+
+    Returns
+    -------
+    int or None
+    """
+    possible = np.abs(values) < LARGEST
+    return None if possible.all() else int(np.argmin(possible))
+
+
+_OPENERS: dict[str, Callable[[Path], Table]] = {
+    ".csv": _open_csv,
+    ".csv.gz": _open_csv_gz,
+    ".parquet": _open_parquet,
+    ".mat": _open_mat,
+    ".h5": _open_hdf5,
+    ".hdf5": _open_hdf5,
+}

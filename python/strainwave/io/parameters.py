@@ -1,0 +1,123 @@
+"""Parameter files: values by name and joint, from a result.json or a table of JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from strainwave.domain.parameters import Values
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, read_bytes
+
+
+def read_parameters(path: Path) -> Values:
+    """Read parameter values.
+
+    Two layouts are understood. The list of a result.json,
+
+        {"parameters": [{"name": "beta", "joint": null, "value": 0.64}, ...]}
+
+    whose null values are left out, and the table
+
+        {"alpha": 1.6, "joints": [{"motor_inertia": 1.5e-4, "gear_stiffness": [25000.0]}, ...]}
+
+    in which `gear_stiffness` is a number, [K] or [K1, K2, K3] with `gear_knee_torque` [T1, T2].
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict
+        (name, joint) -> value [SI].
+
+    Raises
+    ------
+    InvalidInput
+        The file is missing, is not such a file, or a value is no finite number.
+    """
+    text = decode(read_bytes(path, "the file of parameters"), path)
+    try:
+        document = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidInput(
+            f"is not JSON ({error})", where=str(path), remedy="give a result.json or a file like it"
+        ) from error
+    if not isinstance(document, dict):
+        raise _unlike_any(path)
+    if isinstance(document.get("parameters"), list):
+        return _from_list(document["parameters"], path)
+    if isinstance(document.get("joints"), list):
+        return _from_table(document, path)
+    raise _unlike_any(path)
+
+
+def _unlike_any(path: Path) -> InvalidInput:
+    return InvalidInput(
+        'holds neither a list "parameters" nor a list "joints"',
+        where=str(path),
+        remedy="give a result.json, or see docs/parameters.md for the layout",
+    )
+
+
+def _from_list(entries: list[Any], path: Path) -> Values:
+    values: Values = {}
+    for number, entry in enumerate(entries, start=1):
+        place = f"{path}: parameters, entry {number}"
+        if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+            raise InvalidInput(
+                "has no name", where=place, remedy='write {"name": ..., "value": ...}'
+            )
+        joint = entry.get("joint")
+        if joint is not None and (not isinstance(joint, int) or isinstance(joint, bool)):
+            raise InvalidInput(
+                f"the joint {joint!r} is no number", where=place, remedy="use 1, 2 or null"
+            )
+        if entry.get("value") is not None:
+            values[entry["name"], joint] = _number(entry["value"], place)
+    return values
+
+
+def _from_table(document: Mapping[str, Any], path: Path) -> Values:
+    values: Values = {}
+    for key, value in document.items():
+        if key != "joints":
+            values[key, None] = _number(value, f"{path}: {key}")
+    for joint, table in enumerate(document["joints"], start=1):
+        place = f"{path}: joints, entry {joint}"
+        if not isinstance(table, dict):
+            raise InvalidInput(
+                "is no table", where=place, remedy="write {...} with this joint's values"
+            )
+        for key, value in table.items():
+            names = _names(key, value, place)
+            for name, entry in names.items():
+                values[name, joint] = _number(entry, f"{place}: {name}")
+    return values
+
+
+def _names(key: str, value: Any, place: str) -> dict[str, Any]:
+    """The parameters one key of the table stands for."""
+    if not isinstance(value, list):
+        return {key: value}
+    if key == "gear_stiffness" and len(value) == 1:
+        return {key: value[0]}
+    if key == "gear_stiffness" and len(value) == 3:
+        return {f"gear_stiffness_k{i}": entry for i, entry in enumerate(value, start=1)}
+    if key == "gear_knee_torque" and len(value) in (0, 2):
+        return {f"gear_knee_t{i}": entry for i, entry in enumerate(value, start=1)}
+    raise InvalidInput(
+        f"{key} has {len(value)} values",
+        where=place,
+        remedy="gear_stiffness takes 1 or 3 values, gear_knee_torque 0 or 2, all others one number",
+    )
+
+
+def _number(value: Any, place: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InvalidInput(f"{value!r} is no finite number", where=place, remedy="write a number")
+    return float(value)

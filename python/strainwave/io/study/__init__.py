@@ -1,0 +1,165 @@
+"""study.toml -> Study, with every fault found here and named by file, line and key.
+
+`reader` checks each value where it stands; `checks` asks what one value cannot show.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from strainwave.domain import Options, Study
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, read_bytes, write_whole
+from strainwave.io.study.checks import check_files, check_fit, check_options, check_sizes
+from strainwave.io.study.flags import Flag, parsed
+from strainwave.io.study.reader import Reader
+
+__all__ = ["read_study", "with_options", "write_study"]
+
+_TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)')
+
+
+def read_study(
+    path: Path | str, *, logs_exist: bool = True, experiments_exist: bool = True
+) -> Study:
+    """Read and check a study file.
+
+    Parameters
+    ----------
+    path : Path
+    logs_exist : bool
+        Whether every experiment's file must be there already.
+    experiments_exist : bool
+        Whether there must be an experiment at all.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    InvalidInput
+        Anything in the file is at fault.
+    """
+    path = Path(path)
+    data = read_bytes(path, "the study file")
+    text = decode(data, path)
+    _check_filled_in(text, path)
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InvalidInput(
+            f"is not valid TOML ({error})", where=str(path), remedy="mend that line"
+        ) from error
+    reader = Reader(path, text)
+    sha256 = hashlib.sha256(data).hexdigest()
+    study = reader.study(document, sha256, experiments_exist=experiments_exist)
+    check_fit(study, reader)
+    check_sizes(study, reader)
+    if logs_exist:
+        check_files(study, reader)
+    return study
+
+
+def with_options(
+    study: Study, options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str]
+) -> Study:
+    """A study with other options of the stages.
+
+    Parameters
+    ----------
+    study : Study
+    options : Options, mapping or sequence of str
+        All of them anew; or those that change, stage -> key -> value; or the same as on the
+        command line, "stage.key=value" with a TOML value each.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    InvalidInput
+        One is unknown, or of another type or range than it may have.
+    """
+    if isinstance(options, Options):
+        changed = dataclasses.replace(study, options=options)
+        check_options(changed, Flag(study.path, "options"))
+        return changed
+    given: dict[str, Mapping[str, Any]]
+    if isinstance(options, Mapping):
+        given = {f"options.{stage}": {stage: table} for stage, table in options.items()}
+    else:
+        given = {f"--set {text}": parsed(text) for text in options}
+    for place, table in given.items():
+        reader = Flag(study.path, place)
+        study = dataclasses.replace(study, options=reader.options(table, study.options))
+        check_options(study, reader)
+    return study
+
+
+def _check_filled_in(text: str, path: Path) -> None:
+    """What `strainwave init` could not guess has to be filled in."""
+    found = [
+        (number, match[1])
+        for number, line in enumerate(text.splitlines(), start=1)
+        if (match := _TODO.match(line))
+    ]
+    if found:
+        listed = ", ".join(f"{key} (line {number})" for number, key in found)
+        raise InvalidInput(
+            f"{len(found)} value(s) are still TODO: {listed}",
+            where=f"{path}, line {found[0][0]}",
+            remedy="fill them in; the comments beside them say where to look",
+        )
+
+
+def write_study(study: Study, path: Path) -> None:
+    """Write a study file that reads back equal.
+
+    Parameters
+    ----------
+    study : Study
+    path : Path
+
+    Raises
+    ------
+    InvalidInput
+        The file cannot be written.
+    """
+    import tomli_w
+
+    document: dict[str, Any] = {
+        "arm": _table(study.arm),
+        "joint": [_table(joint) for joint in study.joints],
+    }
+    if study.servo is not None:
+        document["servo"] = _table(study.servo)
+    if study.channels:
+        document["channels"] = {name: _table(channel) for name, channel in study.channels.items()}
+    document["experiment"] = [_table(experiment) for experiment in study.experiments]
+    options = _table(study.options)
+    if options:
+        document["options"] = options
+    write_whole(path.parent, {path.name: tomli_w.dumps(document).encode()})
+
+
+def _table(record: Any) -> dict[str, Any]:
+    """A record's values that differ from their defaults, as TOML can hold them."""
+    table: dict[str, Any] = {}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if value in (None, {}, field.default):
+            continue
+        if dataclasses.is_dataclass(value):
+            value = _table(value)
+        elif isinstance(value, tuple):
+            value = list(value)
+        table[field.name] = value
+    return table

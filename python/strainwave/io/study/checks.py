@@ -1,0 +1,302 @@
+"""What one value cannot show: whether the tables fit each other, and sizes that no rig has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from strainwave.domain import Study, channel_names
+from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameters
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import nearest
+from strainwave.io.study.reader import Reader
+
+JOINTS = {"planar-two-link": 2, "single-joint": 1}
+
+
+def check_fit(study: Study, reader: Reader) -> None:
+    """Check that the tables fit each other and the kind of arm.
+
+    Parameters
+    ----------
+    study : Study
+    reader : Reader
+        Knows where in the file things stand.
+
+    Raises
+    ------
+    InvalidInput
+        They do not.
+    """
+    count = JOINTS[study.arm.kind]
+    if study.n_joints > max(JOINTS.values()):
+        raise InvalidInput(
+            f"there are {study.n_joints} [[joint]] tables; an arm of one joint, or of two links "
+            "in one plane, is what can be identified so far",
+            where=reader.place("joint"),
+            remedy="describe one joint, or two that move in one plane, and record them while the "
+            "others stand still",
+        )
+    if study.n_joints != count:
+        raise InvalidInput(
+            f"a {study.arm.kind} arm has {count} joint(s), but there are {study.n_joints} "
+            "[[joint]] tables",
+            where=reader.place("joint"),
+            remedy=f"write {count} [[joint]] table(s), from the base, or another kind of [arm]",
+        )
+    if study.arm.kind == "planar-two-link":
+        if study.arm.link_length is None:
+            raise InvalidInput(
+                "the key 'link_length' is missing",
+                where=reader.place("arm"),
+                remedy="add the distance from joint 1's axis to joint 2's [m]",
+            )
+        for index, joint in enumerate(study.joints):
+            if joint.motion == "prismatic":
+                raise InvalidInput(
+                    "a planar two-link arm has revolute joints only",
+                    where=reader.place("joint", index, "motion"),
+                    remedy='use kind = "single-joint" for a prismatic joint',
+                )
+    elif study.joints[0].motion == "prismatic" and study.arm.gravity:
+        raise InvalidInput(
+            "a prismatic joint moves along x, across gravity",
+            where=reader.place("arm", None, "gravity"),
+            remedy="leave gravity out; a constant force shows as friction_offset",
+        )
+    for index, joint in enumerate(study.joints):
+        if joint.imu is not None and joint.motion == "prismatic":
+            raise InvalidInput(
+                "an IMU on a prismatic joint is not supported",
+                where=reader.place("joint", index, "imu"),
+                remedy="map the axis along the joint to the channel a1, and leave the others out",
+            )
+    if study.servo is not None:
+        for key in ("kp", "ki"):
+            _check_count(getattr(study.servo, key), count, reader.place("servo", None, key), key)
+    _check_effects(study, reader)
+    _check_channels(study, reader)
+    _check_experiments(study, reader, count)
+    check_options(study, reader)
+
+
+def check_options(study: Study, reader: Reader) -> None:
+    """Check that bands and ranges rise, and that parameters are this arm's.
+
+    Parameters
+    ----------
+    study : Study
+    reader : Reader
+
+    Raises
+    ------
+    InvalidInput
+        They do not, or are not.
+    """
+    options = study.options
+    for stage, band in (
+        ("statespace", options.statespace.band_hz),
+        ("physical", options.physical.band_hz),
+    ):
+        if band is not None and band[0] >= band[1]:
+            raise InvalidInput(
+                f"the band from {band[0]:g} to {band[1]:g} Hz is empty",
+                where=reader.place(f"options.{stage}", None, "band_hz"),
+                remedy="give the lower frequency first",
+            )
+    fitted = whole_arm_parameters(study)
+    numbers = range(1, study.n_joints + 1)
+    constants = [f"{name} {i}" for name in SENSOR_PARAMETERS for i in numbers]
+    held = (*fitted, *SENSOR_PARAMETERS, *constants)  # a delay may be zero: no factors bound it
+    for key, names, known in (
+        ("ranges", tuple(options.tuning.ranges), fitted),
+        ("hold", options.tuning.hold, held),
+    ):
+        for name in names:
+            if name not in known:
+                raise InvalidInput(
+                    f"'{name}' is no parameter of the whole-arm fit",
+                    where=reader.place("options.tuning", None, key),
+                    remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
+                )
+    for name, (least, most) in options.tuning.ranges.items():
+        if not least <= 1.0 <= most or least == most:
+            raise InvalidInput(
+                f"the range of {name}, {least:g} to {most:g} times its start, leaves the start out",
+                where=reader.place("options.tuning", None, "ranges"),
+                remedy="give two factors about 1, the lower one first: [0.5, 2.0]",
+            )
+        if name.startswith("friction_offset"):
+            raise InvalidInput(
+                f"'{name}' may be zero or have either sign, so that factors bound nothing",
+                where=reader.place("options.tuning", None, "ranges"),
+                remedy="hold it, or leave it free",
+            )
+
+
+def _check_count(values: tuple[Any, ...], count: int, place: str, key: str) -> None:
+    if len(values) != count:
+        raise InvalidInput(
+            f"'{key}' has {len(values)} value(s), but the arm has {count} joint(s)",
+            where=place,
+            remedy="give one value for each joint",
+        )
+
+
+def _check_effects(study: Study, reader: Reader) -> None:
+    for index, joint in enumerate(study.joints):
+        of_a_gear = [effect for effect in joint.effects if effect != "stribeck"]
+        if joint.spring == "rigid" and of_a_gear:
+            raise InvalidInput(
+                f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",
+                where=reader.place("joint", index, "effects"),
+                remedy=f"leave '{of_a_gear[0]}' out, or give the gear a spring",
+            )
+
+
+def _check_channels(study: Study, reader: Reader) -> None:
+    known = channel_names(study.n_joints)
+    named: list[tuple[str, int | None, str]] = [("channels", None, name) for name in study.channels]
+    for index, experiment in enumerate(study.experiments):
+        named += [("experiment", index, name) for name in experiment.add]
+    for table, at, name in named:
+        if name not in known:
+            raise InvalidInput(
+                f"'{name}' is no channel of this arm",
+                where=reader.place(table, at, name),
+                remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
+            )
+    for name, channel in study.channels.items():
+        if channel.scale == 0.0:
+            raise InvalidInput(
+                f"the scale of '{name}' is zero",
+                where=reader.place("channels", None, name),
+                remedy="give the factor from the column's unit to SI",
+            )
+
+
+def _check_experiments(study: Study, reader: Reader, count: int) -> None:
+    seen: set[str] = set()
+    for index, experiment in enumerate(study.experiments):
+        if experiment.name in seen:
+            raise InvalidInput(
+                f"there are two experiments named {experiment.name!r}",
+                where=reader.place("experiment", index, "name"),
+                remedy="give each its own name",
+            )
+        seen.add(experiment.name)
+        _check_count(
+            experiment.control, count, reader.place("experiment", index, "control"), "control"
+        )
+        if experiment.joint is not None and experiment.joint > count:
+            raise InvalidInput(
+                f"there is no joint {experiment.joint}: the arm has {count}",
+                where=reader.place("experiment", index, "joint"),
+                remedy="joints are numbered from 1, from the base",
+            )
+        start, stop = experiment.start, experiment.stop
+        if start is not None and stop is not None and stop <= start:
+            raise InvalidInput(
+                f"the window is empty: stop = {stop:g} s is not after start = {start:g} s",
+                where=reader.place("experiment", index, "stop"),
+                remedy="give a stop after the start, or leave it out",
+            )
+
+
+def check_files(study: Study, reader: Reader) -> None:
+    """Check that every experiment's log is there.
+
+    Parameters
+    ----------
+    study : Study
+    reader : Reader
+        Knows where in the file things stand.
+
+    Raises
+    ------
+    InvalidInput
+        One is not.
+    """
+    for index, experiment in enumerate(study.experiments):
+        path = study.log_path(experiment)
+        try:
+            there = path.exists()
+        except (OSError, ValueError):
+            there = False
+        if not there:
+            siblings = [p.name for p in study.path.parent.glob("*")]
+            raise InvalidInput(
+                f"the log file {experiment.file!r} does not exist",
+                where=reader.place("experiment", index, "file"),
+                remedy="put it beside the study file, or mend the name"
+                + nearest(experiment.file, siblings),
+            )
+
+
+# Sizes that no rig has. The limits are wide: they are to catch a unit or a ratio upside down, not
+# to doubt an unusual machine. (key, smallest, largest, unit, factor of the likely slip, its name)
+_JOINT_SIZES = (
+    ("gear_ratio", 1e-4, 1.0, "link turns per motor turn", None, ""),
+    ("torque_per_volt", 1e-6, 1e4, "N m/V at the motor", 1e-3, "mN m/V"),
+    ("current_loop_hz", 5.0, 1e6, "Hz", 1e3, "kHz"),
+    ("encoder_counts", 4.0, 1e9, "counts per motor turn", None, ""),
+    ("accelerometer_distance", 1e-3, 10.0, "m", 1e-3, "mm"),
+    ("accelerometer_hz", 1.0, 1e6, "Hz", 1e3, "kHz"),
+    ("gyro_hz", 0.05, 1e6, "Hz", 1e3, "kHz"),
+)
+_IMU_SIZES = (
+    ("accelerometer_hz", 1.0, 1e6, "Hz", 1e3, "kHz"),
+    ("gyro_hz", 0.05, 1e6, "Hz", 1e3, "kHz"),
+)
+_ARM_SIZES = (
+    ("link_length", 5e-3, 10.0, "m", 1e-3, "mm"),
+    ("gravity", 0.0, 30.0, "m/s^2", 1e-3, "mm/s^2"),
+)
+_SERVO_SIZES = (("period", 1e-6, 0.2, "s", 1e-3, "ms"), ("limit", 1e-3, 1e4, "V", 1e-3, "mV"))
+_PRBS_SIZES = (("clock", 1e-6, 5.0, "s", 1e-3, "ms"), ("order", 2, 24, "bits", None, ""))
+
+
+def check_sizes(study: Study, reader: Reader) -> None:
+    """Check for numbers that are a slip of unit, or upside down.
+
+    Parameters
+    ----------
+    study : Study
+    reader : Reader
+        Knows where in the file things stand.
+
+    Raises
+    ------
+    InvalidInput
+        One is of a size that no rig has.
+    """
+    _sizes(study.arm, _ARM_SIZES, lambda key: reader.place("arm", None, key))
+    for index, joint in enumerate(study.joints):
+        _sizes(joint, _JOINT_SIZES, lambda key, i=index: reader.place("joint", i, key))
+        if joint.imu is not None:
+            _sizes(joint.imu, _IMU_SIZES, lambda _, i=index: reader.place("joint", i, "imu"))
+    if study.servo is not None:
+        _sizes(study.servo, _SERVO_SIZES, lambda key: reader.place("servo", None, key))
+    for index, experiment in enumerate(study.experiments):
+        if experiment.prbs is not None:
+            place = reader.place("experiment", index, "prbs")
+            _sizes(experiment.prbs, _PRBS_SIZES, lambda _, place=place: place)
+
+
+def _sizes(record: Any, sizes: Any, place: Any) -> None:
+    for key, least, most, unit, slip, slip_unit in sizes:
+        value = getattr(record, key)
+        if value is None or least <= value <= most:
+            continue
+        if key == "gear_ratio" and value > most:
+            meant = f"{1.0 / value:g} was probably meant: {unit}"
+        elif (slip and least <= value * slip <= most) or (
+            slip and slip_unit.startswith("k") and value * slip <= most
+        ):
+            meant = f"{value * slip:g} was probably meant, if {value:g} is in {slip_unit}"
+        else:
+            meant = f"expected {least:g} to {most:g}"
+        raise InvalidInput(
+            f"'{key}' is {value:g} {unit}, which no rig has",
+            where=place(key),
+            remedy=meant,
+        )

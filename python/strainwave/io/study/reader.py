@@ -1,0 +1,284 @@
+"""Tables of a study file -> records, each value checked where it stands.
+
+The records' own annotations are the constraints: pydantic checks each value against the type its
+field has in `strainwave.domain`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from strainwave.domain import Arm, Channel, Experiment, Joint, Options, Servo, Study, TopicChannel
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import nearest
+
+T = TypeVar("T")
+
+_TABLES = {
+    "arm": Arm,
+    "joint": Joint,
+    "servo": Servo,
+    "channels": Channel,
+    "experiment": Experiment,
+    "options": Options,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Reader:
+    """Turns tables into records, and knows where in the file things stand."""
+
+    path: Path
+    text: str
+
+    def study(
+        self, document: Mapping[str, Any], sha256: str, *, experiments_exist: bool = True
+    ) -> Study:
+        """The whole file.
+
+        Parameters
+        ----------
+        document : mapping
+            As parsed.
+        sha256 : str
+            Of the file, for the record.
+        experiments_exist : bool
+            Whether there must be an experiment.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        InvalidInput
+            A table or key is missing, unknown, or of another type or range than it may have.
+        """
+        self._known_keys(document, _TABLES, "")
+        arm = self._one(document, "arm")
+        joints = self._list(document, "joint")
+        experiments = self._list(document, "experiment")
+        if arm is None or not joints or (experiments_exist and not experiments):
+            empty = "arm" if arm is None else "joint" if not joints else "experiment"
+            name = "[arm]" if empty == "arm" else f"[[{empty}]]"
+            raise InvalidInput(
+                f"has no {name} table",
+                where=str(self.path),
+                remedy=f"add {name}; see docs/study.md",
+            )
+        servo = self._one(document, "servo")
+        count = len(joints)
+        return Study(
+            path=self.path,
+            sha256=sha256,
+            arm=self.record(Arm, arm, "arm"),
+            joints=tuple(self.record(Joint, table, "joint", i) for i, table in enumerate(joints)),
+            servo=None if servo is None else self.record(Servo, servo, "servo"),
+            channels=self._channels(self._one(document, "channels") or {}),
+            experiments=tuple(
+                self.record(Experiment, {"control": ["open"] * count} | table, "experiment", i)
+                for i, table in enumerate(experiments)
+            ),
+            options=self.options(self._one(document, "options") or {}, Options()),
+        )
+
+    def options(self, table: Mapping[str, Any], before: Options) -> Options:
+        """Tables by stage over what was chosen before.
+
+        Parameters
+        ----------
+        table : mapping
+            Stage -> table of its options.
+        before : Options
+
+        Returns
+        -------
+        Options
+
+        Raises
+        ------
+        InvalidInput
+            A stage or an option is unknown, or of another type or range than it may have.
+        """
+        stages = {f.name: getattr(before, f.name) for f in dataclasses.fields(before)}
+        self._known_keys(table, stages, "options")
+        for stage, own in table.items():
+            if not isinstance(own, dict):
+                raise InvalidInput(
+                    f"'{stage}' is {_shown(own)}",
+                    where=self.place("options", None, stage),
+                    remedy=f"give a table of options: {stage} = {{ ... }}",
+                )
+            earlier = {
+                f.name: getattr(stages[stage], f.name)
+                for f in dataclasses.fields(stages[stage])
+                if f.name not in own
+            }
+            kind = type(stages[stage])
+            stages[stage] = dataclasses.replace(
+                self.record(kind, own, f"options.{stage}"), **earlier
+            )
+        return Options(**stages)
+
+    def record(
+        self, kind: type[T], table: Mapping[str, Any], name: str, index: int | None = None
+    ) -> T:
+        """One table as a record, each value checked against its field's annotation."""
+        fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+        self._known_keys(table, fields, name, index)
+        hints = get_type_hints(kind, include_extras=True)
+        values = {}
+        for key, field in fields.items():
+            if key in table:
+                values[key] = self._value(table[key], hints[key], name, index, key)
+            elif (
+                field.default is dataclasses.MISSING
+                and field.default_factory is dataclasses.MISSING
+            ):
+                raise InvalidInput(
+                    f"the key '{key}' is missing",
+                    where=self.place(name, index),
+                    remedy=f"add it: {key} = ...",
+                )
+        return kind(**values)
+
+    def _value(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
+        from pydantic import ValidationError
+
+        inner: list[type] = [part for part in get_args(hint) if dataclasses.is_dataclass(part)]  # type: ignore[misc]
+        if inner and isinstance(value, dict):
+            return self.record(inner[0], value, name, index)
+        try:
+            checked = _adapter(hint).validate_python(_tuples(value), strict=True)
+        except (ValidationError, RecursionError) as error:
+            said = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "too deep"
+            said = said.replace("Input should be ", "it should be ")
+            raise InvalidInput(
+                f"'{key}' is {_shown(value)}, but {said[0].lower() + said[1:]}",
+                where=self.place(name, index, key),
+                remedy="mend the value",
+            ) from error
+        if isinstance(value, bool) and not isinstance(checked, bool):  # true equals one
+            raise InvalidInput(
+                f"'{key}' is {_shown(value)}, but it should be a number",
+                where=self.place(name, index, key),
+                remedy="mend the value",
+            )
+        if _not_finite(checked):
+            raise InvalidInput(
+                f"'{key}' is {_shown(value)}",
+                where=self.place(name, index, key),
+                remedy="give a finite number",
+            )
+        return checked
+
+    def _channels(self, table: Mapping[str, Any]) -> dict[str, Channel]:
+        channels = {}
+        for name, entry in table.items():
+            as_table = {"column": entry} if isinstance(entry, str) else entry
+            if not isinstance(as_table, dict):
+                raise InvalidInput(
+                    f"'{name}' is {_shown(entry)}",
+                    where=self.place("channels", None, name),
+                    remedy='give a name, or { column = "...", scale = ..., offset = ... }',
+                )
+            if "topic" in as_table:
+                channels[name] = self.record(TopicChannel, as_table, "channels").channel
+            else:
+                channels[name] = self.record(Channel, as_table, "channels")
+        return channels
+
+    def _one(self, document: Mapping[str, Any], name: str) -> dict[str, Any] | None:
+        table = document.get(name)
+        if table is not None and not isinstance(table, dict):
+            raise InvalidInput(
+                f"[{name}] must stand once, as one table",
+                where=self.place(name),
+                remedy=f"write [{name}]",
+            )
+        return table
+
+    def _list(self, document: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+        tables = document.get(name, [])
+        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+            raise InvalidInput(
+                f"{name} must be a list of tables",
+                where=self.place(name),
+                remedy=f"write [[{name}]]",
+            )
+        return tables
+
+    def _known_keys(
+        self,
+        table: Mapping[str, Any],
+        known: Mapping[str, Any],
+        name: str,
+        index: int | None = None,
+    ) -> None:
+        for key in table:
+            if key not in known:
+                near = nearest(key, known)
+                listed = near or f"; known here: {', '.join(known)}"
+                raise InvalidInput(
+                    f"the key '{key}' is not known",
+                    where=self.place(name, index, key),
+                    remedy=f"remove or rename it{listed}",
+                )
+
+    def place(self, name: str = "", index: int | None = None, key: str | None = None) -> str:
+        """File, line and table, as a person looks for it."""
+        line = self._line(name, index, key)
+        at = f", line {line}" if line else ""
+        table = f", [[{name}]] {index + 1}" if index is not None else f", [{name}]" if name else ""
+        return f"{self.path}{at}{table}"
+
+    def _line(self, name: str, index: int | None, key: str | None) -> int | None:
+        """The line of a table's header, or of a key under it."""
+        outer, _, inner = name.rpartition(".")
+        if outer and self._header(name, index, None) is None:  # it stands inline in another one
+            return self._line(outer, index, inner)
+        return self._header(name, index, key)
+
+    def _header(self, name: str, index: int | None, key: str | None) -> int | None:
+        seen, inside, header = -1, name == "", None
+        for number, line in enumerate(self.text.splitlines(), start=1):
+            stripped = line.strip()
+            if stripped.startswith("["):
+                if stripped.split("#")[0].strip().strip("[] ") == name:
+                    seen += 1
+                    inside = index is None or seen == index
+                    header = number if inside else header
+                else:
+                    inside = name == ""
+            elif inside and key and re.match(rf'["\']?{re.escape(key)}["\']?\s*[=.]', stripped):
+                return number
+        return header
+
+
+@cache
+def _adapter(hint: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(hint)
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _tuples(entry) for name, entry in value.items()}
+    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value
+
+
+def _not_finite(value: Any) -> bool:
+    if isinstance(value, tuple | dict):
+        return any(map(_not_finite, value.values() if isinstance(value, dict) else value))
+    return isinstance(value, float) and value - value != 0.0
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,112 @@
+"""Claims over several seeds -> comparisons.json, and from that the page docs/comparisons.md."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from strainwave import __version__
+from strainwave.domain import Comparison, Tally
+
+SCHEMA = "strainwave/comparisons/2"
+
+
+def document_of(tallies: Sequence[Tally], seeds: Sequence[int]) -> dict[str, Any]:
+    """Claims, verdicts and numbers of every seed, without the figures.
+
+    Parameters
+    ----------
+    tallies : sequence of Tally
+    seeds : sequence of int
+        In the order of each tally's runs.
+
+    Returns
+    -------
+    dict
+        Of what JSON knows; a number that does not exist is None.
+    """
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "seeds": list(seeds),
+        "claims": [_claim(tally) for tally in tallies],
+    }
+
+
+def to_json(document: Mapping[str, Any]) -> bytes:
+    """`document_of` as UTF-8 text that ends with a newline.
+
+    Parameters
+    ----------
+    document : mapping
+
+    Returns
+    -------
+    bytes
+    """
+    return (json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def _claim(tally: Tally) -> dict[str, Any]:
+    first = max(tally.runs, key=lambda run: len(run.criteria))  # one that did not fail
+    return {
+        "figure": first.figure,
+        "protocol": first.protocol,
+        "title": first.title,
+        "claim": first.claim,
+        "outcomes": [run.outcome for run in tally.runs],
+        "messages": [run.message for run in tally.runs],
+        "reasons": [list(run.reasons) for run in tally.runs],
+        "criteria": [
+            {
+                "name": each.name,
+                "bound": each.bound,
+                "limit": each.limit,
+                "reason": each.reason,
+                "values": [_value(run, each.name) for run in tally.runs],
+                "passed": [_passed(run, each.name) for run in tally.runs],
+            }
+            for each in first.criteria
+        ],
+        "values": {
+            name: [_number(run.values.get(name, math.nan)) for run in tally.runs]
+            for name in first.values
+        },
+        "models": [_model(tally, name) for name in _names(tally)],
+    }
+
+
+def _names(tally: Tally) -> list[str]:
+    return list(dict.fromkeys(e.name for run in tally.runs for e in run.evidence))
+
+
+def _model(tally: Tally, name: str) -> dict[str, Any]:
+    """One model over the seeds; a run that has none of that name is None."""
+    found = [next((e for e in run.evidence if e.name == name), None) for run in tally.runs]
+    known = [e for e in found if e is not None]
+    codes = Counter(code for e in known for code in {w.code for w in e.warnings})
+    return {
+        "name": name,
+        "method": known[0].method,
+        "order": [e and e.order for e in found],
+        "status": [e and e.status for e in found],
+        "growth": [e and _number(e.growth) for e in found],
+        "sound": [e and e.sound for e in found],
+        "decisive": [e and e.decisive for e in found],
+        "warnings": dict(sorted(codes.items())),  # in how many runs
+    }
+
+
+def _value(run: Comparison, name: str) -> float | None:
+    return next((_number(c.value) for c in run.criteria if c.name == name), None)
+
+
+def _passed(run: Comparison, name: str) -> bool:
+    return any(c.passed for c in run.criteria if c.name == name)
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.6g}") if math.isfinite(value) else None

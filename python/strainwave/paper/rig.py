@@ -1,0 +1,373 @@
+"""Runs of the built-in arm as its sensors log them, decoupled, with the truth beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from strainwave.domain import (
+    Control,
+    Decoupled,
+    Evidence,
+    Experiment,
+    FloatArray,
+    JointModel,
+    LinkSignals,
+    Log,
+    Prbs,
+    RigidModel,
+    Study,
+)
+from strainwave.domain.options import Channels, EstimationMethod
+from strainwave.domain.parameters import Values
+from strainwave.dynamics import excitation
+from strainwave.dynamics.simulation import (
+    Drive,
+    Quantity,
+    SensorNoise,
+    Trajectory,
+    measure,
+    simulate,
+)
+from strainwave.dynamics.two_inertia import TwoInertia
+from strainwave.errors import NotIdentifiable
+from strainwave.identification import rigid
+from strainwave.identification.decoupling import decouple
+from strainwave.identification.joint_model import from_state_space, identify_joint, rigid_knowledge
+from strainwave.identification.whole_arm import tune
+from strainwave.paper.estimates import Estimate, estimate, evidence_of, growth_of
+from strainwave.paper.settings import OWN, Settings
+from strainwave.paper.truth import equivalent, joint_with
+from strainwave.signals import motor as signals
+from strainwave.signals.link_motion import link_side
+from strainwave.virtual import scara
+
+Progress = Callable[[str], None]
+
+PAYLOAD = 5  # [kg]; what most comparisons carry
+AMPLITUDE = 10.0  # [V]; the most the rig's drives give
+CLOCK = 1e-3  # [s]
+ORDER = 10  # of the PRBS: 1023 clocks
+STEP_SAMPLE = 2.5e-4  # [s] of the records of steps
+_MOTION_SECONDS = 10.0
+_MOTION_SPEED = 1.8  # [rad/s] of a link
+_MOTION_EXCURSION = 1.2  # [rad] of a link
+_MOTION_TOP_HZ = 1.0
+_STEP_SECONDS = 0.5
+TUNING_STEPS = (0.0, 40.0, 0.0)  # [rad/s] of the motor
+_SENSORS: tuple[Quantity, ...] = ("voltage", "encoder", "accelerometer")
+_TRUTH: tuple[Quantity, ...] = (
+    "motor_angle",
+    "link_angle",
+    "link_velocity",
+    "link_acceleration",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One experiment: what was measured of the excited joint, and what is true of it."""
+
+    name: str
+    study: Study
+    values: Values
+    trajectory: Trajectory  # noise-free
+    log: Log
+    signals: LinkSignals
+    decoupled: Decoupled
+    truth: TwoInertia  # with the slope that the gear showed on the whole
+
+
+@dataclass(frozen=True, slots=True)
+class Tuned:
+    """All parameters of the arm with its full payload, fitted at once."""
+
+    values: Values
+    evidence: tuple[Evidence, ...]
+
+
+class Rig:
+    """The virtual SCARA arm with three-slope gears and noisy sensors; runs are made once.
+
+    Parameters
+    ----------
+    seed : int
+        Of the sensors' noise, of the motions, and of where the PRBS begins.
+    settings : Settings
+    progress : callable
+        Called with what is being done.
+    """
+
+    def __init__(
+        self, seed: int, settings: Settings = OWN, progress: Progress = lambda _: None
+    ) -> None:
+        self.seed = seed
+        self.settings = settings
+        self.progress = progress
+        self.payload = PAYLOAD
+        self.study = scara.study(Path("rig"))
+        self.rigid = cache(self._rigid)
+        self.prbs = cache(self._prbs)
+        self.estimate = cache(self._estimate)
+        self.physical = cache(self._physical)
+        self.transfer = cache(self._transfer)
+        self.tuned = cache(self._tuned)
+        self._begins = int(self._rng(3).integers(2**ORDER - 1))
+
+    def forget(self) -> None:
+        """Let go of all runs and models; they take some hundred megabytes."""
+        for made in (self.rigid, self.prbs, self.estimate, self.physical, self.transfer):
+            made.cache_clear()
+        self.tuned.cache_clear()
+
+    def steps(self, levels: tuple[float, ...], joint: int, number: int) -> Log:
+        """Steps of one servo's reference, the other servo at zero, as logged.
+
+        Parameters
+        ----------
+        levels : tuple of float [rad/s]
+            Of the motor, each for half a second.
+        joint : int
+            From 1.
+        number : int
+            Makes the noise that of this record.
+
+        Returns
+        -------
+        Log
+        """
+        values = scara.parameters(PAYLOAD)
+        trajectory = run_steps(self.study, values, levels, joint)
+        name = f"steps-j{joint}-{number}"
+        experiment = Experiment(name, f"{name}.csv", "tuning", ("servo", "servo"), joint)
+        log = _log(experiment, trajectory, SensorNoise(), self._rng(2, joint, number))
+        reference = _reference(levels, joint)
+        ticks = np.floor(log.time / CLOCK + 1e-9).astype(int)
+        references = {f"ref{i}": reference[ticks, i - 1] for i in (1, 2)}
+        return replace(log, channels={**log.channels, **references})
+
+    def _rigid(self, disks: int) -> RigidModel:
+        """The first step's model, from a servoed motion of both joints."""
+        self.progress(f"rigid step with {disks} kg")
+        rng = self._rng(0, disks)
+        reference = np.column_stack(
+            [
+                excitation.smooth_motion(
+                    duration=_MOTION_SECONDS,
+                    clock=CLOCK,
+                    top_hz=_MOTION_TOP_HZ,
+                    excursion=_MOTION_EXCURSION / joint.gear_ratio,
+                    speed=_MOTION_SPEED / joint.gear_ratio,
+                    rng=rng,
+                )
+                for joint in self.study.joints
+            ]
+        )
+        both: tuple[Control, Control] = ("servo", "servo")
+        drive = _drive(np.zeros_like(reference), reference, both)
+        values = scara.parameters(disks)
+        trajectory = simulate(
+            self.study,
+            values,
+            drive,
+            sample_time=CLOCK,
+            samples=len(reference),
+            record=_SENSORS,
+        )
+        experiment = Experiment("motion", "motion.csv", "motion", both)
+        log = _log(experiment, trajectory, SensorNoise(), rng)
+        return rigid.fit([signals.motor_side(log, self.study)], self.study)
+
+    def _prbs(
+        self,
+        joint: int,
+        *,
+        disks: int = PAYLOAD,
+        amplitude: float = AMPLITUDE,
+        periods: int | None = None,
+        other: Control = "open",
+        start: int = 0,
+    ) -> Run:
+        """One joint under PRBS in open loop, the other free or servoed.
+
+        `start` is the clock of the sequence that the record begins with, after the seed's own.
+        """
+        control: tuple[Control, Control] = ("open", other) if joint == 1 else (other, "open")
+        count = periods or self.settings.periods
+        sequence = excitation.prbs(Prbs(ORDER, CLOCK, count, amplitude))
+        voltage = np.zeros((len(sequence), 2))
+        voltage[:, joint - 1] = np.roll(sequence, -start - self._begins)
+        values = scara.parameters(disks)
+        T = self.settings.sample_time
+        trajectory = simulate(
+            self.study,
+            values,
+            _drive(voltage, np.zeros_like(voltage), control),
+            sample_time=T,
+            samples=round(len(voltage) * CLOCK / T),
+            record=_SENSORS + _TRUTH,
+        )
+        loop = "servoed" if other == "servo" else "free"
+        name = f"joint {joint} at {amplitude:g} V, {disks} kg, joint {3 - joint} {loop}"
+        file = f"prbs-j{joint}"
+        experiment = Experiment(file, f"{file}.csv", "frequency", control, joint)
+        rng = self._rng(
+            1, joint, disks, round(1e3 * amplitude), count, int(other == "servo"), start
+        )
+        log = _log(experiment, trajectory, SensorNoise(), rng)
+        links = link_side(log, self.study, self.settings.links)
+        return Run(
+            name=name,
+            study=self.study,
+            values=values,
+            trajectory=trajectory,
+            log=log,
+            signals=links,
+            decoupled=decouple(links, self.rigid(disks), self.study)[joint - 1],
+            truth=equivalent(self.study, values, trajectory, joint),
+        )
+
+    def _estimate(
+        self,
+        *runs: Run,
+        method: EstimationMethod | None = None,
+        inputs: Channels = "both",
+        outputs: Channels = "both",
+        order: int | None = None,
+    ) -> Estimate:
+        """State-space model of one joint by the settings' way, but for what is given."""
+        linear = self.settings.linear
+        linear = replace(
+            linear,
+            method=method or linear.method,
+            inputs=inputs,
+            outputs=outputs,
+            order=order or linear.order,
+        )
+        left_out = [
+            text
+            for text, kept in (("motor input only", inputs), ("one output", outputs))
+            if kept == "motor"
+        ]
+        name = ", ".join([linear.method, runs[0].name, *left_out])
+        return estimate([run.decoupled for run in runs], linear, name)
+
+    def _physical(self, *runs: Run, disks: int = PAYLOAD) -> JointModel:
+        """Physical parameters of one joint by its equations of motion."""
+        return identify_joint(
+            [(run.signals, run.decoupled) for run in runs], self.rigid(disks), self.study
+        )
+
+    def _transfer(self, joint: int) -> JointModel:
+        """Physical parameters from the state-space model, with the rigid model's lag, (18)."""
+        run = self.prbs(joint)
+        found = self.estimate(run)
+        if found.model is None:
+            raise NotIdentifiable(found.evidence.warnings[-1].message)
+        known = rigid_knowledge(self.rigid(PAYLOAD), self.study, joint)
+        return from_state_space(found.model, run.decoupled, self.study, known)
+
+    def _tuned(self) -> Tuned:
+        """All parameters at once, from a PRBS and a step of each joint, or as published."""
+        self.progress("fine tuning")
+        logs = [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
+        study, name = self.study, "whole arm"
+        if self.settings.tuning.as_published:
+            joints = [self.transfer(joint) for joint in (1, 2)]
+            linear = tuple(replace(joint, spring="linear") for joint in study.joints)
+            study, name = replace(study, joints=linear), "fine tuning as published"
+        else:
+            runs = [self.prbs(joint) for joint in (1, 2)]
+            joints = [self.physical(run) for run in runs]
+            logs += [run.log for run in runs]
+        model = tune(logs, self.rigid(PAYLOAD), joints, study, self.settings.tuning)
+        values, evidence = dict(model.values), evidence_of(model, name)
+        if self.settings.tuning.as_published:  # its ranges are part of the method
+            growth = max(
+                growth_of(joint_with(values, number, values["gear_stiffness", number], ratio))
+                for number, ratio in enumerate((j.gear_ratio for j in study.joints), start=1)
+            )
+            evidence = replace(evidence, growth=growth)
+        return Tuned(values, (evidence,))
+
+    def _rng(self, *names: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, *names])
+
+
+def run_steps(study: Study, values: Values, levels: tuple[float, ...], joint: int) -> Trajectory:
+    """An arm under its velocity servos, one of them with a reference of steps.
+
+    Parameters
+    ----------
+    study : Study
+    values : dict
+        (name, joint) -> value, of the study's kinds of springs.
+    levels : tuple of float [rad/s]
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    Trajectory
+    """
+    both = _reference(levels, joint)
+    drive = _drive(np.zeros_like(both), both, ("servo", "servo"))
+    samples = round(len(both) * CLOCK / STEP_SAMPLE)
+    return simulate(
+        study, values, drive, sample_time=STEP_SAMPLE, samples=samples, record=_SENSORS + _TRUTH
+    )
+
+
+def _reference(levels: tuple[float, ...], joint: int) -> FloatArray:
+    """(n_ticks, 2) [rad/s]; the other servo's is zero."""
+    own = excitation.steps(np.array(levels), hold=_STEP_SECONDS, clock=CLOCK)
+    both = np.zeros((len(own), 2))
+    both[:, joint - 1] = own
+    return both
+
+
+def ideal_log(trajectory: Trajectory, joint: int) -> Log:
+    """A model's steps as the rig's sensors would log them, without noise.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    joint : int
+
+    Returns
+    -------
+    Log
+    """
+    experiment = Experiment("model", "model.csv", "tuning", ("servo", "servo"), joint)
+    return _log(experiment, trajectory, None, np.random.default_rng(0))
+
+
+def _drive(voltage: FloatArray, reference: FloatArray, control: tuple[Control, ...]) -> Drive:
+    return Drive(
+        tick=CLOCK,
+        voltage=voltage,
+        reference=reference,
+        servo=tuple(c == "servo" for c in control),
+        motor_angle=(0.0, 0.0),
+        initial_voltage=(0.0, 0.0),
+    )
+
+
+def _log(
+    experiment: Experiment,
+    trajectory: Trajectory,
+    noise: SensorNoise | None,
+    rng: np.random.Generator,
+) -> Log:
+    measured = measure(trajectory, noise, rng)
+    channels: dict[str, FloatArray] = {}
+    names: dict[str, Quantity] = {"u": "voltage", "theta_m": "encoder", "a": "accelerometer"}
+    for name, quantity in names.items():
+        for column in range(measured[quantity].shape[1]):
+            channels[f"{name}{column + 1}"] = measured[quantity][:, column]
+    sample_time = float(trajectory.time[1] - trajectory.time[0])
+    return Log(experiment, trajectory.time, sample_time, channels)

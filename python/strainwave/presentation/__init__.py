@@ -1,0 +1,1 @@
+"""Records for people: report, figures, notebook display, terminal. No stage imports this."""

@@ -1,0 +1,169 @@
+"""Records as small HTML tables; every text in them is escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import singledispatch
+from html import escape
+
+from strainwave.domain import (
+    ArmModel,
+    Decoupled,
+    Diagnostic,
+    FrequencyResponse,
+    Identification,
+    JointModel,
+    Log,
+    Mode,
+    Parameter,
+    Prediction,
+    RecordModel,
+    RigidModel,
+    Sweep,
+)
+from strainwave.domain.formatting import percent, plus_minus
+
+_PARAMETER_HEADS = ("parameter", "joint", "value", "± std", "unit")
+
+
+@singledispatch
+def html_of(record: object) -> str:
+    """A record's table.
+
+    Parameters
+    ----------
+    record : record of `strainwave.domain`
+
+    Returns
+    -------
+    str
+    """
+    raise TypeError(f"no table is known of a {type(record).__name__}")
+
+
+@html_of.register
+def _(log: Log) -> str:
+    rows = [
+        (name, f"{values.min():.4g}", f"{values.max():.4g}", f"{values.std():.4g}")
+        for name, values in log.channels.items()
+    ]
+    head = f"log {log.name}: {len(log)} samples every {1e3 * log.sample_time:.4g} ms"
+    return _html(head, ("channel", "least", "largest", "deviation"), rows, log.warnings)
+
+
+@html_of.register
+def _(model: RigidModel) -> str:
+    head = f"rigid model, {model.status}: {model.n_rows} equations, condition number "
+    head += f"{model.condition_number:.3g}, band to {model.bandwidth_hz:.3g} Hz"
+    return _html(head, _PARAMETER_HEADS, _rows(model.parameters), model.warnings)
+
+
+@html_of.register
+def _(joint: Decoupled) -> str:
+    rows = [("holds" if check.passed else "fails", check.message) for check in joint.checks]
+    head = f"joint {joint.joint} on its own, record {joint.experiment.name}: "
+    head += f"{len(joint.time)} samples, {joint.inputs.shape[1]} input(s)"
+    return _html(head, ("check", "of the data"), rows, joint.warnings)
+
+
+@html_of.register
+def _(joint: JointModel) -> str:
+    head = f"joint {joint.joint}, {joint.status}, by {joint.method} from "
+    head += ", ".join(joint.experiments)
+    rows = [*_rows(joint.parameters), *_ringing(joint)]
+    return _html(head, _PARAMETER_HEADS, rows, joint.warnings)
+
+
+@html_of.register
+def _(record: RecordModel) -> str:
+    if record.joint_model is not None:
+        return html_of(record.joint_model)
+    head = f"joint {record.signals.joint}, record {record.signals.experiment.name}: no model"
+    return _html(head, (), (), record.warnings)
+
+
+@html_of.register
+def _(response: FrequencyResponse) -> str:
+    f = response.frequencies_hz
+    _, outputs, inputs = response.response.shape
+    rows = [
+        ("frequencies", f"{len(f)}, {f.min():.4g} to {f.max():.4g} Hz"),
+        ("outputs and inputs", f"{outputs} and {inputs}"),
+        ("averages", str(response.n_averages)),
+    ]
+    head = f"frequency response by {response.method}"
+    return _html(head, ("", ""), rows, response.warnings)
+
+
+@html_of.register
+def _(sweep: Sweep) -> str:
+    rows = [
+        (
+            point.experiment,
+            f"{point.amplitude:g}",
+            " ± ".join(plus_minus(point.gear_stiffness, point.gear_stiffness_std)),
+        )
+        for point in sweep.points
+    ]
+    head = f"joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
+    return _html(head, ("record", "amplitude", "k [N m/rad]"), rows, ())
+
+
+@html_of.register
+def _(arm: ArmModel) -> str:
+    head = f"the whole arm at once: {arm.status} after {arm.iterations} evaluations"
+    return _html(head, _PARAMETER_HEADS, _rows(arm.parameters), arm.warnings)
+
+
+@html_of.register
+def _(prediction: Prediction) -> str:
+    rows = [(name, percent(fit)) for name, fit in prediction.fit_percent.items()]
+    head = f"record {prediction.experiment}, predicted"
+    return _html(head, ("channel", "fit"), rows, prediction.warnings)
+
+
+@html_of.register
+def _(found: Identification) -> str:
+    head = f"{found.study.path.name}: {found.verdict.status}"
+    if found.reason is not None:
+        head += f" ({found.reason})"
+    return _html(head, _PARAMETER_HEADS, _rows(found.parameters), found.warnings)
+
+
+def _rows(parameters: Iterable[Parameter]) -> list[tuple[str, ...]]:
+    return [
+        (p.name, str(p.joint or "arm"), *plus_minus(p.value, p.std), p.unit) for p in parameters
+    ]
+
+
+def _ringing(joint: JointModel) -> list[tuple[str, ...]]:
+    modes: Mapping[str, Mode | None] = {
+        "anti-resonance": joint.anti_resonance,
+        "resonance": joint.resonance,
+    }
+    return [
+        (name, str(joint.joint), *plus_minus(mode.frequency_hz, mode.frequency_std_hz), "Hz")
+        for name, mode in modes.items()
+        if mode is not None
+    ]
+
+
+def _html(
+    head: str,
+    columns: Iterable[str],
+    rows: Iterable[tuple[str, ...]],
+    warnings: Iterable[Diagnostic],
+) -> str:
+    """One table, a row of it a tuple of texts; the warnings below it."""
+    titles = "".join(f'<th scope="col">{escape(name)}</th>' for name in columns)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    told = "".join(
+        f"<li><code>{escape(w.code)}</code> {escape(w.where)}: {escape(w.message)}</li>"
+        for w in warnings
+    )
+    table = f"<table><thead><tr>{titles}</tr></thead><tbody>{body}</tbody></table>" if body else ""
+    return f"<div><p><strong>{escape(head)}</strong></p>{table}" + (
+        f"<ul>{told}</ul></div>" if told else "</div>"
+    )

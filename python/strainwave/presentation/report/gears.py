@@ -1,0 +1,260 @@
+"""Stiffness curves of the gears, with the torques that the records loaded them by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Identification, Parameter, TorqueHistogram
+from strainwave.domain.formatting import plus_minus
+from strainwave.presentation.report.figures import (
+    MEASURED,
+    MODEL,
+    RESIDUAL,
+    Figure,
+    band,
+    line,
+    marked,
+    panels,
+    place,
+    rounded,
+    upright,
+)
+
+_SLOPES = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
+_KNEES = ("gear_knee_t1", "gear_knee_t2")
+_REACH = 1.96  # of a 95 % band, in deviations
+_POINTS = 200  # of the curve
+_BEYOND = 1.5  # times the last knee, where nothing says what torques there were
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One gear's slopes and the torques at which they change, as far as they are identified."""
+
+    joint: int  # from 1
+    slopes: FloatArray  # (n_slopes,) [N m/rad]
+    knees: FloatArray  # (n_slopes - 1,) [N m]
+    covariance: FloatArray  # of slopes, then knees
+    largest: float  # [N m] up to which it is drawn
+    carried: TorqueHistogram | None  # None: not known
+    equivalent: bool = False  # one slope for the whole of a bent curve
+    straight: bool = False  # whether it is a prismatic joint's: N and m, not N m and rad
+
+    @property
+    def unit(self) -> str:
+        """Of the torque."""
+        return "N" if self.straight else "N m"
+
+    @property
+    def slope_unit(self) -> str:
+        """Of a slope."""
+        return "N/m" if self.straight else "N m/rad"
+
+
+def curves(identification: Identification) -> list[Curve]:
+    """The curve of every elastic gear: from the whole-arm fit, else from its joint's own.
+
+    Parameters
+    ----------
+    identification : Identification
+
+    Returns
+    -------
+    list of Curve
+    """
+    tuned = identification.tuned
+    found = []
+    for number, joint in enumerate(identification.study.joints, start=1):
+        if joint.spring == "rigid":
+            continue
+        carried = next((h for h in (tuned.carried if tuned else ()) if h.joint == number), None)
+        curve = None
+        if tuned is not None:
+            curve = _curve(number, tuned.parameters, tuned.covariance, carried)
+        for own in identification.joints:
+            if curve is None and own.joint == number:
+                size = len(own.parameters)
+                curve = _curve(number, own.parameters, own.covariance[:size, :size], carried)
+        if curve is not None:
+            equivalent = joint.spring == "three-slope" and len(curve.slopes) == 1
+            straight = joint.motion == "prismatic"
+            found.append(replace(curve, equivalent=equivalent, straight=straight))
+    return found
+
+
+def slope_figure(curve: Curve) -> Figure:
+    """Slope over torque with its 95 % band and knees; below, the torques of the records.
+
+    Parameters
+    ----------
+    curve : Curve
+
+    Returns
+    -------
+    dict
+        A plotly figure.
+    """
+    edges = np.concatenate([[0.0], curve.knees, [curve.largest]])
+    torque = np.repeat(edges, 2)[1:-1]
+    slope = np.repeat(curve.slopes, 2)
+    reach = _REACH * np.repeat(_stds(curve)[: len(curve.slopes)], 2)
+    at = rounded(torque)
+    data = [
+        band(at, slope - reach, slope + reach, MODEL) | place(0, "slope", first=False),
+        line(at, slope, "slope", MODEL, width=2.0) | place(0, "slope", first=True),
+    ]
+    titles = [f"slope [{curve.slope_unit}]"]
+    if curve.carried is not None:
+        titles.append("records [%]")
+        data.append(_bars(curve.carried) | place(1, "torques in the records", first=True))
+    heights = [1.0, 0.8][: len(titles)]
+    layout = panels(f"|torque| of the gear, at the link [{curve.unit}]", titles, heights=heights)
+    if curve.carried is not None:
+        layout["yaxis2"]["type"] = "log"  # the rare large torques tell the last slope
+    layout["yaxis"]["range"] = [0.0, 1.1 * float((slope + reach).max())]
+    low, high = layout["yaxis"]["domain"]
+    marks = _marks(curve, curve.knees, low + 0.25 * (high - low))
+    return {"data": data, "layout": marked(layout, marks)}
+
+
+def torsion_figure(curve: Curve) -> Figure:
+    """Torque over torsion, with its 95 % band, knees, and how it would go on without.
+
+    Parameters
+    ----------
+    curve : Curve
+
+    Returns
+    -------
+    dict
+        A plotly figure.
+    """
+    torque = np.linspace(0.0, curve.largest, _POINTS)
+    torsion, std = torsion_at(curve, torque)
+    at = rounded(1e3 * torsion)
+    # the band of the torque at a given torsion: that of the torsion times the slope
+    slope = curve.slopes[np.searchsorted(curve.knees, torque)]
+    reach = _REACH * std * slope
+    straight = curve.slopes[0] * torsion
+    data = [
+        band(at, torque - reach, torque + reach, MODEL),
+        line(at, torque, "gear", MODEL, width=2.0),
+        line(at, straight, "its first slope", RESIDUAL, dash="4px,2px", width=1.0),
+    ]
+    layout = panels(
+        f"torsion of the gear, at the link [{'mm' if curve.straight else 'mrad'}]",
+        [f"torque [{curve.unit}]"],
+    )
+    knees = 1e3 * torsion_at(curve, curve.knees)[0]
+    return {"data": data, "layout": marked(layout, _marks(curve, knees, 1.0))}
+
+
+def torsion_at(curve: Curve, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Torsion under a torque, and its deviation by the delta method.
+
+    delta(T) = sum over the slopes of (length of [0, T] that lies on each) / slope.
+
+    Parameters
+    ----------
+    curve : Curve
+    torque : (n,) [N m]
+
+    Returns
+    -------
+    torsion, std : (n,) [rad]
+    """
+    edges = np.concatenate([[0.0], curve.knees, [np.inf]])
+    on = np.clip(torque[:, None], edges[:-1], edges[1:]) - edges[:-1]  # (n, n_slopes)
+    torsion = on @ (1.0 / curve.slopes)
+    by_slope = -on / curve.slopes**2
+    past = (torque[:, None] > curve.knees).astype(float)
+    by_knee = past * (1.0 / curve.slopes[:-1] - 1.0 / curve.slopes[1:])
+    J = np.hstack([by_slope, by_knee])
+    variance = np.einsum("ni,ij,nj->n", J, curve.covariance, J)
+    return torsion, np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
+
+
+def words(curve: Curve) -> str:
+    """What the figure shows, for those who do not see it.
+
+    Parameters
+    ----------
+    curve : Curve
+
+    Returns
+    -------
+    str
+    """
+    stds = _stds(curve)
+    count = len(curve.slopes)
+    slopes = [" ± ".join(plus_minus(v, s)) for v, s in zip(curve.slopes, stds, strict=False)]
+    text = f"Slope {', then '.join(slopes)} {curve.slope_unit}"
+    if count > 1:
+        knees = zip(curve.knees, stds[count:], strict=True)
+        told = " and ".join(" ± ".join(plus_minus(*knee)) for knee in knees)
+        text += f", with knees at {told} {curve.unit}"
+    text += "."
+    if curve.equivalent:
+        text += " One stiffness for the whole of a multi-slope curve."
+    if curve.carried is not None:
+        reach = f"{curve.largest:.3g} {curve.unit}"
+        text += f" The records load the gear up to {reach}, and nothing is identifiable beyond."
+    return text
+
+
+def _curve(
+    number: int,
+    parameters: Sequence[Parameter],
+    covariance: FloatArray,
+    carried: TorqueHistogram | None,
+) -> Curve | None:
+    """From parameters in the order of their covariance; None where no slope is told."""
+    at = {p.name: k for k, p in enumerate(parameters) if p.joint == number and p.value is not None}
+    slopes = [at[name] for name in _SLOPES if name in at] or [
+        at[name] for name in ("gear_stiffness",) if name in at
+    ]
+    if not slopes:
+        return None
+    knees = [at[name] for name in _KNEES if name in at][: len(slopes) - 1]
+    slopes = slopes[: len(knees) + 1]  # beyond a knee that is not told a slope has no place
+    order = slopes + knees
+    values = np.array([parameters[k].value for k in order], dtype=float)
+    bends = values[len(slopes) :]
+    largest = float(carried.edges[-1]) if carried is not None else 0.0
+    largest = max(largest, _BEYOND * float(bends.max(initial=0.0)) if carried is None else 0.0)
+    return Curve(
+        number,
+        values[: len(slopes)],
+        bends,
+        np.nan_to_num(covariance[np.ix_(order, order)]),
+        largest or 1.0,
+        carried,
+    )
+
+
+def _stds(curve: Curve) -> FloatArray:
+    return np.asarray(np.sqrt(np.clip(np.diag(curve.covariance), 0.0, None)))
+
+
+def _bars(carried: TorqueHistogram) -> Figure:
+    """Share of the samples in each bin."""
+    middle = 0.5 * (carried.edges[1:] + carried.edges[:-1])
+    return {
+        "type": "bar",
+        "name": "torques in the records",
+        "x": rounded(middle),
+        "y": rounded(100.0 * carried.share),
+        "width": float(np.diff(carried.edges)[0]),
+        "marker": {"color": MEASURED},
+    }
+
+
+def _marks(curve: Curve, at: FloatArray, height: float) -> list[Figure]:
+    """A line at each knee."""
+    return [
+        upright(float(x), f"{torque:.3g} {curve.unit}", height=height)
+        for x, torque in zip(at, curve.knees, strict=True)
+    ]

@@ -1,0 +1,1 @@
+"""Logs -> signals for the equations: motors, links, delays, and whether channels agree."""

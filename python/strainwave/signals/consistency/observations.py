@@ -1,0 +1,222 @@
+"""Evidence -> observations: numbers that are 1, or 0, where the input agrees with itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from strainwave.signals.consistency.evidence import Evidence
+from strainwave.signals.consistency.motors import (
+    Ratio,
+    references,
+    servo_outputs,
+    torque_ratio,
+    torques,
+    velocities,
+)
+from strainwave.signals.consistency.regression import pooled
+from strainwave.signals.consistency.sensors import LINK_CHANNELS, Reading, readings
+
+Kind = Literal[
+    "count",
+    "prbs-clock",
+    "servo-clock",
+    "level",
+    "reference",
+    "servo",
+    "velocity",
+    "scale",
+    "own",
+    "elbow",
+    "gravity",
+    "turn",
+    "delay",
+    "drift",
+    "inertia",
+    "torque-ratio",
+    "followed",
+]
+
+_CERTAIN = 5.0  # standard deviations
+_CERTAIN_TORQUE = 3.5  # the same for the one ratio that rests on friction as well
+_TOLERANCE: dict[Kind, float] = {
+    "count": 0.03,  # a data sheet's counts against the same, rounded
+    "prbs-clock": 2e-3,  # crystals keep 1e-4
+    "servo-clock": 2e-3,
+    "level": 1.0,  # an amplifier's gain is not the study's amplitude
+    "reference": 0.2,  # a servo follows its reference only so well
+    "servo": 3.0,  # the integrator's state and the limit are not known
+    "velocity": 0.05,
+    "scale": 0.05,  # up to here the whole-arm fit corrects
+    "own": 0.08,
+    "elbow": 0.12,
+    "gravity": 0.08,
+    "turn": 0.12,
+    "delay": 5e-3,  # [s] likewise
+    "drift": 2e-4,  # of a second per second
+    "inertia": np.inf,  # only its sign
+    "torque-ratio": 0.5,  # smaller ones show in the rigid fit, which knows the ratio far better
+}
+"""What may differ from 1, or from 0 for `delay` and `drift`, without a word."""
+
+_FLOOR: dict[Kind, float] = {
+    "reference": 0.02,
+    "servo": 0.1,
+    "velocity": 0.005,
+    "scale": 0.008,
+    "own": 0.012,
+    "elbow": 0.02,
+    "gravity": 0.01,
+    "turn": 0.02,
+    "delay": 4e-4,
+    "drift": 3e-5,
+}
+"""What springs, friction and a servo's lag leave in a record's answer whatever the noise."""
+
+_FOLLOWED = 0.95  # share of a signal's variance from which it follows its prediction
+_IN_PART = 0.5  # share from which its delay and its parts mean something
+_FOLLOWED_WEIGHT = 2.0  # of a signal that does not: nothing else can be asked of it
+_FOLLOWED_BY_MOTORS = 0.8  # the same of a servo and of torques, which friction takes a share of
+_HEARD = 5.0  # signal over noise from which something was to be followed
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One number that says whether the input agrees with itself."""
+
+    kind: Kind
+    where: str  # channel, or record
+    value: float
+    std: float
+    joint: int | None = None
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether it is certainly further off than what is tolerated."""
+        if self.kind == "followed":
+            link = self.where[:-1] in LINK_CHANNELS
+            return self.value < (_FOLLOWED if link else _FOLLOWED_BY_MOTORS)
+        tolerance = _TOLERANCE[self.kind]
+        if self.kind in ("delay", "drift"):
+            return abs(self.value) > max(tolerance, _CERTAIN * self.std)
+        if self.value < 0.0:
+            return abs(self.value) > _CERTAIN * self.std
+        certain = _CERTAIN_TORQUE if self.kind == "torque-ratio" else _CERTAIN
+        if self.value == 0.0 or abs(self.value - 1.0) <= certain * self.std:
+            return False
+        return bool(abs(np.log(self.value)) > np.log1p(tolerance))
+
+    @property
+    def weight(self) -> float:
+        """How much it counts where it contradicts."""
+        return _FOLLOWED_WEIGHT if self.kind == "followed" else 1.0
+
+
+def observe(seen: Evidence) -> tuple[Observation, ...]:
+    """All that can be said of a study's input.
+
+    Parameters
+    ----------
+    seen : Evidence
+
+    Returns
+    -------
+    tuple of Observation
+    """
+    return (
+        *_counts(seen),
+        *_clocks(seen),
+        *_ratios("reference", references(seen)),
+        *_ratios("servo", servo_outputs(seen)),
+        *_ratios("velocity", velocities(seen)),
+        *_sensors(seen),
+        *_torques(seen),
+    )
+
+
+def _counts(seen: Evidence) -> Iterator[Observation]:
+    for joint, count in seen.counts.items():
+        per_turn = seen.study.joints[joint - 1].encoder_counts
+        if per_turn:
+            ratio = count * per_turn / (2.0 * np.pi)
+            yield Observation("count", f"theta_m{joint}", ratio, 1e-3 * ratio, joint)
+
+
+def _clocks(seen: Evidence) -> Iterator[Observation]:
+    servo = seen.study.servo
+    for record in seen.records:
+        experiment, clocks = record.experiment, record.clocks
+        if clocks.prbs is not None and experiment.prbs is not None:
+            ratio = clocks.prbs / experiment.prbs.clock
+            yield Observation("prbs-clock", experiment.name, ratio, 2e-4 * ratio)
+        if clocks.servo is not None and servo is not None:
+            ratio = clocks.servo / servo.period
+            yield Observation("servo-clock", experiment.name, ratio, 2e-4 * ratio)
+        joint = experiment.joint
+        for name in (f"u{joint}", f"torque{joint}"):
+            if name in clocks.level and experiment.prbs is not None and name.startswith("u"):
+                ratio = clocks.level[name] / experiment.prbs.amplitude
+                yield Observation("level", name, max(ratio, 1e-12), 1e-3 * ratio, joint)
+
+
+def _ratios(kind: Kind, found: Iterable[Ratio]) -> Iterator[Observation]:
+    by_channel: dict[str, list[Ratio]] = {}
+    for each in found:
+        by_channel.setdefault(each.channel, []).append(each)
+    for channel, all_records in by_channel.items():
+        best = max(each.explained for each in all_records)
+        kept = [each for each in all_records if each.explained > 0.8 * best]
+        spread = [float(np.hypot(e.std, _FLOOR[kind] * abs(e.value))) for e in kept]
+        value, std = pooled([e.value for e in kept], spread)
+        joint = int(channel[-1])
+        yield Observation("followed", channel, best, 0.0, joint)
+        if best > _IN_PART:
+            yield Observation(kind, channel, value, std, joint)
+
+
+def _sensors(seen: Evidence) -> Iterator[Observation]:
+    by_channel: dict[str, list[Reading]] = {}
+    for each in readings(seen):
+        by_channel.setdefault(each.channel, []).append(each)
+    for channel, all_records in by_channel.items():
+        kept = [each for each in all_records if each.signal > _HEARD]
+        if kept:
+            yield from _sensor(channel, int(channel[-1]), kept)
+
+
+def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observation]:
+    def mean(kind: Kind, values: list[float], deviations: list[float]) -> Observation:
+        relative = 1.0 if kind in ("delay", "drift") else max(map(abs, values))
+        floor = _FLOOR[kind] * relative
+        value, std = pooled(values, [float(np.hypot(d, floor)) for d in deviations])
+        return Observation(kind, channel, value, std, joint)
+
+    best = max(each.explained for each in kept)
+    yield Observation("followed", channel, best, 0.0, joint)
+    yield mean("scale", [e.scale for e in kept], [e.scale_std for e in kept])
+    if best < _IN_PART:
+        return
+    yield mean("delay", [e.delay for e in kept], [e.delay_std for e in kept])
+    yield mean("drift", [e.drift for e in kept], [e.drift_std for e in kept])
+    parts: tuple[Kind, ...] = ("own", "elbow", "gravity")
+    for part in parts:
+        found = [e.parts[part] for e in kept if part in e.parts and len(e.parts) > 1]
+        if found:
+            yield mean(part, [v for v, _ in found], [s for _, s in found])
+    turns = [e.turn for e in kept if e.turn is not None]
+    if turns:
+        yield mean("turn", [v for v, _ in turns], [s for _, s in turns])
+
+
+def _torques(seen: Evidence) -> Iterator[Observation]:
+    found = torques(seen)
+    for each in found:
+        channel = f"u{each.joint}"
+        yield Observation("inertia", channel, each.inertia, each.inertia_std, each.joint)
+        yield Observation("followed", f"{channel} torque", each.explained, 0.0, each.joint)
+    ratio = torque_ratio(found)
+    if ratio is not None:
+        yield Observation("torque-ratio", "torque_per_volt", *ratio)

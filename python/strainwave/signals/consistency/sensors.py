@@ -1,0 +1,255 @@
+"""What link sensors read at low frequencies, against what the motors' angles imply.
+
+A gear is rigid at low frequency: whatever its stiffness, the link follows n theta_M. So every link
+channel has a prediction without any unknown, (8) to (10), and a regression on it must give 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave.domain import BoolArray, FloatArray, Lag, Study
+from strainwave.dynamics.rigid_regressor import gear_ratios
+from strainwave.numerics.filters import differentiate, lagged
+from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
+from strainwave.signals.consistency.regression import Fit, regress
+
+LINK_CHANNELS = ("a", "gyro", "theta_l")
+"""Kinds whose reading follows from the motors' angles."""
+
+_REACH = float(np.log(300.0))  # of the factors that a joint's turning is looked for in
+_TRIES = 41
+_NO_TIME = 1e-3  # rows that a low-pass takes, which pass for none
+_HEARD_TURNING = 5.0  # deviations from which a turning may be divided by
+_BELOW_RESONANCE = 2.0  # resonance over bandwidth, of what is known beforehand of the gears
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One link channel of one record on its prediction."""
+
+    channel: str
+    record: str
+    scale: float  # of all of it
+    scale_std: float
+    delay: float  # [s]
+    delay_std: float
+    drift: float  # [s/s] by which the delay grows
+    drift_std: float
+    explained: float  # share of the reading that the prediction explains
+    signal: float  # size of the reading at low frequency over its noise there
+    parts: dict[str, tuple[float, float]]  # "own", "elbow", "gravity" -> scale, deviation
+    turn: tuple[float, float] | None  # joint 2's motion against joint 1's, deviation
+
+
+def readings(seen: Evidence) -> list[Reading]:
+    """Every link channel on what the motors imply.
+
+    By the slow records, where there are any with the channel; else by those that excite the joint.
+
+    Parameters
+    ----------
+    seen : Evidence
+
+    Returns
+    -------
+    list of Reading
+        Without those of which a record has no information.
+    """
+    slow = {name for r in seen.records if is_slow(r.experiment) for name in r.channels}
+    found: list[Reading] = []
+    for record in seen.records:
+        motion = _Motion.of(record, seen.study)
+        for kind in LINK_CHANNELS:
+            for i in range(seen.study.n_joints):
+                name = f"{kind}{i + 1}"
+                excited = record.experiment.joint in (None, i + 1)
+                wanted = is_slow(record.experiment) or (name not in slow and excited)
+                if wanted and name in record.channels:
+                    found.extend(_read(record, seen.study, motion, kind, i))
+    return found
+
+
+def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
+    """How much a joint's link turns over what the study implies, by the reading that says most.
+
+    What link 2's sensors read is not proportional to its own motion: the factor is looked for that
+    explains most of it, and joint 1 is taken as it is.
+
+    Parameters
+    ----------
+    seen : Evidence
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    tuple of float
+        None, or the one.
+    """
+    if joint == 1:
+        return ()
+    ratio = seen.study.joints[joint - 1].gear_ratio
+    slow = [r for r in seen.records if is_slow(r.experiment)] or list(seen.records)
+    names = [f"{k}{joint}" for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
+
+    def unexplained(factor: float) -> float:
+        study = seen.with_joint(joint, gear_ratio=factor * ratio).study
+        found = _read(slow[0], study, _Motion.of(slow[0], study), names[0][:-1], joint - 1)
+        return min((1.0 - reading.explained for reading in found), default=1.0)
+
+    if not names:
+        return ()
+    grid = np.linspace(-_REACH, _REACH, _TRIES)
+    best, least, centre, width = 1.0, np.inf, 0.0, 1.0
+    for _ in range(3):
+        factors = [float(f) for f in np.exp(centre + width * grid)]
+        left = [unexplained(f) for f in factors]
+        k = int(np.argmin(left))
+        centre += width * float(grid[k])
+        width *= 4.0 / (_TRIES - 1)
+        if left[k] < least:
+            best, least = factors[k], left[k]
+    return (best,) if least < 0.5 else ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """The links' motion by the motors' angles: (n_rows, n_joints)."""
+
+    angle: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+    @classmethod
+    def of(cls, record: SlowRecord, study: Study) -> _Motion:
+        joints = range(1, study.n_joints + 1)
+        motor = np.column_stack([record.channels[f"theta_m{i}"] for i in joints])
+        angle = motor * gear_ratios(study)
+        velocity = differentiate(angle, record.sample_time)
+        return cls(angle, velocity, differentiate(velocity, record.sample_time))
+
+
+def _parts(study: Study, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray] | None:
+    """What a channel's reading is the sum of; None: the study does not say."""
+    q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
+    if kind == "theta_l":
+        return {"own": q[:, i]}
+    if kind == "gyro":
+        return {"own": dq[:, : i + 1].sum(axis=1)}
+    joint = study.joints[i]
+    if joint.motion == "prismatic":
+        return {"own": ddq[:, i]}
+    if joint.accelerometer_distance is None:
+        return None
+    parts = {"own": joint.accelerometer_distance * ddq[:, : i + 1].sum(axis=1)}
+    if i == 1:
+        elbow = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
+        parts["elbow"] = (study.arm.link_length or 0.0) * elbow
+    if study.arm.gravity:
+        parts["gravity"] = study.arm.gravity * np.cos(q[:, : i + 1].sum(axis=1))
+    return parts
+
+
+def _read(
+    record: SlowRecord, study: Study, motion: _Motion, kind: str, i: int
+) -> Iterator[Reading]:
+    name = f"{kind}{i + 1}"
+    parts = _parts(study, motion, kind, i)
+    if parts is None:
+        return
+    T = record.sample_time
+    sensor = [lag for lag in _lags(study, kind, i) if _shows(lag, T, len(record.inside))]
+    parts = {key: lagged(part, sensor, T) for key, part in parts.items()}
+    inside = record.inside
+    target = record.channels[name][inside]
+    whole = np.sum(list(parts.values()), axis=0)
+    dynamic = whole - parts.get("gravity", 0.0)
+    slope = differentiate(whole, T)
+    since = record.start + T * np.arange(len(whole))
+    since = since - since[inside].mean()
+    # springs: the link's motion is the motor's and 1/w_a^2 of its second derivative; a drift's
+    # and a delay's columns are a slope each
+    columns = [differentiate(differentiate(dynamic, T), T), -slope, -since * slope]
+    top = 2.0 * np.pi * _BELOW_RESONANCE * record.bandwidth_hz
+    free = np.inf
+    prior = np.array([top**-2.0, free, free])
+    together = _fit(target, [whole, *columns], np.r_[free, prior], inside)
+    if together is None:
+        return
+    deviation = np.sqrt(np.diag(together.covariance))
+    apart = {"own": (float(together.value[0]), float(deviation[0]))}
+    if len(parts) > 1:
+        each = _fit(target, [*parts.values(), *columns], np.r_[[free] * len(parts), prior], inside)
+        if each is not None:
+            spread = np.sqrt(np.diag(each.covariance))
+            apart = {key: (float(each.value[k]), float(spread[k])) for k, key in enumerate(parts)}
+    size = float(np.std(target))
+    turn = None
+    shares = _shares(study, motion, kind) if i == 1 else None
+    if shares is not None:
+        filtered = [lagged(share, sensor, T) for share in shares]
+        split = _fit(target, [*filtered, *columns], np.r_[[free] * len(shares), prior], inside)
+        turn = None if split is None else _quotient(split)
+    scale = float(together.value[0])
+    yield Reading(
+        channel=name,
+        record=record.experiment.name,
+        scale=scale,
+        scale_std=float(deviation[0]),
+        delay=float(together.value[2]) / scale if scale else 0.0,
+        delay_std=float(deviation[2]) / abs(scale) if scale else np.inf,
+        drift=float(together.value[3]) / scale if scale else 0.0,
+        drift_std=float(deviation[3]) / abs(scale) if scale else np.inf,
+        explained=together.explained,
+        signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
+        parts=apart,
+        turn=turn,
+    )
+
+
+def _shares(study: Study, motion: _Motion, kind: str) -> list[FloatArray] | None:
+    """What link 2's sensor reads of joint 2's turning, of joint 1's, and the rest."""
+    parts = _parts(study, motion, kind, 1)
+    if parts is None or kind == "theta_l" or study.joints[1].motion == "prismatic":
+        return None
+    turned = motion.velocity if kind == "gyro" else motion.acceleration
+    distance = 1.0 if kind == "gyro" else study.joints[1].accelerometer_distance or 0.0
+    rest = [part for key, part in parts.items() if key != "own"]
+    return [distance * turned[:, 1], distance * turned[:, 0], *rest]
+
+
+def _quotient(fit: Fit) -> tuple[float, float] | None:
+    """The first coefficient over the second, which may be of either sign but not lost in noise."""
+    (a, b), spread = fit.value[:2], fit.covariance[:2, :2]
+    if abs(b) < _HEARD_TURNING * np.sqrt(spread[1, 1]):
+        return None
+    slope = np.array([1.0 / b, -a / b**2])
+    return float(a / b), float(np.sqrt(slope @ spread @ slope))
+
+
+def _fit(
+    target: FloatArray, columns: list[FloatArray], prior: FloatArray, inside: BoolArray
+) -> Fit | None:
+    return regress(target, np.column_stack(columns)[inside], prior)
+
+
+def _shows(lag: Lag, sample_time: float, rows: int) -> bool:
+    """Whether a low-pass is slower than a row by anything, and faster than the record.
+
+    A time base that is wrong by a thousand makes it neither.
+    """
+    rows_taken = 1.0 / (2.0 * np.pi * lag.cutoff_hz * sample_time)
+    return _NO_TIME < rows_taken < 0.1 * rows
+
+
+def _lags(study: Study, kind: str, i: int) -> list[Lag]:
+    joint = study.joints[i]
+    if kind == "a" and joint.accelerometer_hz:
+        return [Lag(2, joint.accelerometer_hz)]
+    if kind == "gyro" and joint.gyro_hz:
+        return [Lag(1, joint.gyro_hz)]
+    return []

@@ -1,0 +1,418 @@
+"""Log -> LinkSignals: what both sides of every gear do, through the same filters: (8)-(10)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import (
+    BoolArray,
+    Delay,
+    Diagnostic,
+    FloatArray,
+    Fusion,
+    Joint,
+    Lag,
+    LinkOptions,
+    LinkSignals,
+    LinkSource,
+    Log,
+    Study,
+)
+from strainwave.dynamics.link_sensors import LONGEST_DELAY, moved
+from strainwave.dynamics.rigid_regressor import gear_ratios
+from strainwave.errors import InvalidInput
+from strainwave.numerics.filters import (
+    Between,
+    differentiate,
+    low_pass,
+    noise_deviation,
+    signal_band,
+    unaliased,
+)
+from strainwave.numerics.parallel import side_by_side
+from strainwave.signals.alignment import drive_delay, sensor_delay
+from strainwave.signals.channels import channel_of, directions, saturation, torque_channel
+from strainwave.signals.delays import constants_of, corrected, late_sensors, misaligned
+from strainwave.signals.fusion import bias_of, complement, fuse
+
+__all__ = ["LinkOptions", "both_sides", "constants_of", "corrected", "link_side"]
+
+_EDGE = 2.0  # periods of the slowest low-pass until its start is forgotten
+_SPREAD = 5e-4  # [s] of uncertainty above which a delay says nothing
+_CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
+_UNSURE = 4.0  # deviations of a velocity up to which its sign is in doubt
+_PASSES = 4  # over late sensors: a delay is linear in the relations only where it is short
+
+
+def both_sides(
+    logs: Sequence[Log], study: Study, options: LinkOptions | None = None
+) -> tuple[list[LinkSignals], tuple[Delay, ...]]:
+    """Both sides of every gear in several records, late link sensors moved back.
+
+    A delay is a sensor's, alike in all records. It is estimated from all of them, see
+    `strainwave.signals.alignment`, and taken off where it is beyond four standard deviations and no
+    longer than a sensor's can be.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+    study : Study
+    options : LinkOptions, optional
+
+    Returns
+    -------
+    list of LinkSignals
+    tuple of Delay
+        One per joint, as taken off; of the value zero where nothing was.
+
+    Raises
+    ------
+    InvalidInput
+        As `link_side`.
+    """
+    total = (Delay(0.0, 0.0),) * study.n_joints
+    for _ in range(_PASSES):
+        delays = tuple(late.value for late in total)
+        found = side_by_side([partial(link_side, log, study, options, delays) for log in logs])
+        left = late_sensors(found, study.n_joints)
+        total = tuple(Delay(a.value + b.value, b.std) for a, b in zip(total, left, strict=True))
+        if not any(late.value for late in left) or _beyond(total):
+            break
+    if _beyond(total):
+        return [link_side(log, study, options) for log in logs], (Delay(0.0, 0.0),) * len(total)
+    return [replace(own, removed_delay=total) for own in found], total
+
+
+def _beyond(delays: Sequence[Delay]) -> bool:
+    """Whether a delay is longer than a link sensor's is: then it is not corrected but reported."""
+    return any(abs(delay.value) > LONGEST_DELAY for delay in delays)
+
+
+def link_side(
+    log: Log,
+    study: Study,
+    options: LinkOptions | None = None,
+    delays: Sequence[float] | None = None,
+) -> LinkSignals:
+    """Link angles, velocities and accelerations of one record, with the motors' beside them.
+
+    A tangential accelerometer anywhere on the link gives (8), (9), with gravity's share g taken off
+    because it reads specific force:
+
+        ddtheta_L1 = (a1 - g cos q1) / l_a1
+        ddtheta_L2 = (a2 - g cos(q1 + q2)) / l_a2 - ddtheta_L1
+                     - (l_1 / l_a2) (ddtheta_L1 cos q2 + dtheta_L1^2 sin q2)
+
+    Its bias is what its low frequencies differ by from the encoder's. Without one, a link encoder,
+    the deflection, a gyro or, at last, the motor alone gives the acceleration. Low-pass filters
+    that one sensor has are applied to all other signals.
+
+    Parameters
+    ----------
+    log : Log
+    study : Study
+    options : LinkOptions, optional
+    delays : sequence of float [s], optional
+        One per joint, by which its link sensor is known to be late: its channel is moved back.
+
+    Returns
+    -------
+    LinkSignals
+
+    Raises
+    ------
+    InvalidInput
+        A channel or the accelerometer's place is missing, or the record is too short.
+    """
+    chosen = options or LinkOptions()
+    view = _View(_moved_back(log, study, delays or ()), study, chosen)
+    torque = np.column_stack([view.torque(i) for i in range(study.n_joints)])
+    motor_velocity = differentiate(view.motor_angle, log.sample_time)
+    links = _links(view, motor_velocity)
+    sliding, direction = view.directions()
+    valid, warnings = _valid(view)
+    found = LinkSignals(
+        experiment=log.experiment,
+        time=log.time,
+        sample_time=log.sample_time,
+        motor_torque=torque,
+        motor_angle=view.motor_angle,
+        motor_velocity=motor_velocity,
+        direction=direction,
+        sliding=sliding,
+        link_angle=links.angle,
+        link_velocity=links.velocity,
+        link_acceleration=links.acceleration,
+        valid=valid,
+        sources=view.sources,
+        held=tuple(view.held(i) for i in range(study.n_joints)),
+        shared=view.shared,
+        bandwidth_hz=view.bandwidth_hz,
+        fusion=tuple(links.fusion),
+        fusion_error=np.array(links.fusion_error),
+        bias=np.array(links.bias),
+        sensor_delay=(None,) * study.n_joints,
+        drive_delay=(None,) * study.n_joints,
+    )
+    return _aligned(found, study, view, warnings, alone=delays is None)
+
+
+def _moved_back(log: Log, study: Study, delays: Sequence[float]) -> Log:
+    """The log with the channels that the links' motion comes from so much earlier."""
+    channels = dict(log.channels)
+    for i, delay in enumerate(delays, start=1):
+        name = _CHANNEL.get(_source(log, study, i))
+        if delay and name:
+            channels[f"{name}{i}"] = moved(channels[f"{name}{i}"], delay / log.sample_time)
+    return replace(log, channels=channels)
+
+
+class _View:
+    """A log seen through the filters that all its channels are to share."""
+
+    def __init__(self, log: Log, study: Study, options: LinkOptions) -> None:
+        self.log, self.study, self.options = log, study, options
+        numbers = range(1, study.n_joints + 1)
+        self.raw_angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
+        self.channels = tuple(torque_channel(log, i) for i in numbers)
+        self.sources = tuple(_source(log, study, i) for i in numbers)
+        self.shared = _shared(study.joints, self.sources)
+        # a joint that hardly moves has no band of its own
+        self.band = max(signal_band(angle, log.sample_time) for angle in self.raw_angle.T)
+        differenced = any(s != "accelerometer" for s in self.sources)
+        self.bandwidth_hz = options.bandwidth_hz or (self.band if differenced else None)
+        slowest = min(
+            [lag.cutoff_hz for lag in self.shared]
+            + ([self.bandwidth_hz] if self.bandwidth_hz else [])
+            + [0.1 / log.sample_time]
+        )
+        self.edge = int(np.ceil(_EDGE / (slowest * log.sample_time)))
+        if len(log) < 4 * self.edge + 16:
+            raise InvalidInput(
+                f"{len(log)} samples are too few for a filter of {slowest:.3g} Hz",
+                where=log.name,
+                remedy="record for longer",
+            )
+        self.motor_angle = self.through(self.raw_angle)
+
+    def through(
+        self, signal: FloatArray, own: Sequence[Lag] = (), between: Between = "smooth"
+    ) -> FloatArray:
+        """A channel behind the shared low-passes that its own sensor has not applied yet."""
+        rest = list(self.shared)
+        for lag in own:
+            rest.remove(lag)
+        return self.smooth(unaliased(signal, rest, self.log.sample_time, between))
+
+    def smooth(self, signal: FloatArray) -> FloatArray:
+        """A signal through the zero-phase filter, where there is one."""
+        if self.bandwidth_hz is None:
+            return signal
+        return low_pass(signal, self.bandwidth_hz, self.log.sample_time)
+
+    def held(self, i: int) -> bool:
+        """Whether a torque is constant between the samples."""
+        loop = self.study.joints[i].current_loop_hz
+        voltage = self.channels[i].startswith("u")
+        return voltage and loop is None and not self.shared and self.bandwidth_hz is None
+
+    def torque(self, i: int) -> FloatArray:
+        """A motor's torque: voltages are held by the drive and pass its current loop."""
+        joint, channel = self.study.joints[i], self.channels[i]
+        values = self.log.channels[channel]
+        if channel.startswith("torque"):
+            return self.through(values)
+        if joint.torque_per_volt is None:
+            raise InvalidInput(
+                "a voltage is logged but torque_per_volt is not given",
+                where=f"joint {i + 1}",
+                remedy="add torque_per_volt to the joint, or log the torque",
+            )
+        loop = [Lag(1, joint.current_loop_hz)] if joint.current_loop_hz else []
+        T = self.log.sample_time
+        torque = joint.torque_per_volt * values
+        if loop or self.shared:
+            torque = unaliased(torque, [*loop, *self.shared], T, "held")
+        return self.smooth(torque)
+
+    def _velocity_noise(self, noise: FloatArray) -> FloatArray:
+        """Standard deviation of what the low-passed velocities are wrong by.
+
+        White noise of the deviation s on an angle, up to the frequency f of samples at T:
+        s 2 pi f sqrt(2 f T / 3). A count of an encoder is 1/sqrt(12) of noise at least.
+        """
+        counts = [
+            2.0 * np.pi / j.encoder_counts if j.encoder_counts else 0.0 for j in self.study.joints
+        ]
+        least = np.array(counts) / np.sqrt(12.0)
+        f, T = self.band, self.log.sample_time
+        return np.asarray(np.maximum(noise, least) * 2.0 * np.pi * f * np.sqrt(2.0 * f * T / 3.0))
+
+    def directions(self) -> tuple[FloatArray, FloatArray]:
+        """Where each motor surely slides and which way; and its direction as the signals show it.
+
+        Where it may stand, the latter is the velocity over four times its noise.
+        """
+        T = self.log.sample_time
+        noise = np.array([noise_deviation(angle) for angle in self.raw_angle.T])
+        certain = directions(self.raw_angle, noise, self.study, T)
+        velocity = differentiate(low_pass(self.raw_angle, self.band, T), T)
+        softened = np.clip(
+            velocity / np.maximum(_UNSURE * self._velocity_noise(noise), 1e-12), -1.0, 1.0
+        )
+        return certain, self.through(
+            np.where(certain != 0.0, certain, softened), between="straight"
+        )
+
+
+def _source(log: Log, study: Study, joint: int) -> LinkSource:
+    """The best of what the log has of a link."""
+    if f"a{joint}" in log.channels:
+        drive = study.joints[joint - 1]
+        if drive.motion == "revolute" and drive.accelerometer_distance is None:
+            raise InvalidInput(
+                f"a{joint} is logged but accelerometer_distance is not given",
+                where=f"joint {joint}",
+                remedy="add accelerometer_distance to the joint, or leave the channel out",
+            )
+        return "accelerometer"
+    if f"theta_l{joint}" in log.channels:
+        return "encoder"
+    if f"deflection{joint}" in log.channels:
+        return "deflection"
+    return "gyro" if f"gyro{joint}" in log.channels else "motor"
+
+
+def _own(joint: Joint, source: LinkSource) -> tuple[Lag, ...]:
+    """The low-pass of a joint's link sensor."""
+    if source == "accelerometer" and joint.accelerometer_hz:
+        return (Lag(2, joint.accelerometer_hz),)
+    if source == "gyro" and joint.gyro_hz:
+        return (Lag(1, joint.gyro_hz),)
+    return ()
+
+
+def _shared(joints: Sequence[Joint], sources: Sequence[LinkSource]) -> tuple[Lag, ...]:
+    """Every low-pass that some sensor has, once."""
+    owned = [lag for j, s in zip(joints, sources, strict=True) for lag in _own(j, s)]
+    return tuple(dict.fromkeys(owned))
+
+
+@dataclass
+class _Links:
+    """The links' motion as it is put together, from the base outward."""
+
+    angle: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    bias: list[float]
+    fusion: list[Fusion | None]
+    fusion_error: list[float]
+
+
+def _links(view: _View, motor_velocity: FloatArray) -> _Links:
+    n = gear_ratios(view.study)
+    T = view.log.sample_time
+    motor_side = n * motor_velocity
+    # the motors' side stands in for joints further out until their turn comes
+    links = _Links(n * view.motor_angle, motor_side.copy(), np.zeros_like(motor_side), [], [], [])
+    links.acceleration[:] = differentiate(motor_side, T)
+    for i, source in enumerate(view.sources):
+        angle, slow = _slow(view, i, n[i] * view.motor_angle[:, i])
+        if source != "accelerometer":
+            if source == "gyro":
+                gyro = view.log.channels[f"gyro{i + 1}"]
+                rate = view.through(gyro, _own(view.study.joints[i], source))
+                slow = rate - links.velocity[:, :i].sum(axis=1)
+            links.angle[:, i], links.velocity[:, i] = angle, slow
+            links.acceleration[:, i] = differentiate(slow, T)
+            links.bias.append(0.0)
+            links.fusion.append(None)
+            links.fusion_error.append(0.0)
+            continue
+        read = view.through(view.log.channels[f"a{i + 1}"], _own(view.study.joints[i], source))
+        acceleration = _acceleration(view.study, read, i, links)
+        bias = bias_of(acceleration, slow, T, view.edge)
+        acceleration = acceleration - bias
+        fusion = Fusion(view.options.time_constant, view.options.order)
+        links.velocity[:, i] = fuse(acceleration, slow, fusion, T)
+        links.angle[:, i] = fuse(links.velocity[:, i], angle, Fusion(fusion.time_constant, 1), T)
+        links.acceleration[:, i] = acceleration
+        own_rate = f"theta_l{i + 1}" in view.log.channels
+        own_rate = own_rate or f"deflection{i + 1}" in view.log.channels
+        lost = complement(slow - links.velocity[:, i], fusion, T)[view.edge : -view.edge]
+        links.bias.append(bias)
+        # a link sensor's own velocity makes (10) exact
+        links.fusion.append(None if own_rate else fusion)
+        links.fusion_error.append(0.0 if own_rate else float(np.sqrt(np.mean(lost**2))))
+    return links
+
+
+def _slow(view: _View, i: int, motor_side: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A link's angle and velocity as some encoder tells them."""
+    channels = view.log.channels
+    if f"theta_l{i + 1}" in channels:
+        motor_side = view.through(channels[f"theta_l{i + 1}"])
+    elif f"deflection{i + 1}" in channels:
+        motor_side = motor_side + view.through(channels[f"deflection{i + 1}"])
+    return motor_side, differentiate(motor_side, view.log.sample_time)
+
+
+def _acceleration(study: Study, read: FloatArray, i: int, links: _Links) -> FloatArray:
+    """(8), (9), for an accelerometer anywhere on its link, with gravity."""
+    joint = study.joints[i]
+    if joint.motion == "prismatic":
+        return read
+    q, dq, ddq = links.angle, links.velocity, links.acceleration
+    gravity = study.arm.gravity or 0.0
+    distance = joint.accelerometer_distance or 1.0
+    own = (read - gravity * np.cos(q[:, : i + 1].sum(axis=1))) / distance
+    if i == 0:
+        return np.asarray(own)
+    elbow = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
+    return np.asarray(own - ddq[:, 0] - (study.arm.link_length or 0.0) / distance * elbow)
+
+
+def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
+    """Samples that edges and limits of the drive do not touch, and what to say of the sensors."""
+    saturated, cautions = saturation(view.log, view.study, view.channels)
+    valid = ~saturated
+    valid[: view.edge] = valid[-view.edge :] = False
+    warnings = list(cautions)
+    for i, source in enumerate(view.sources, start=1):
+        if source == "motor":
+            text = f"link {i} has no sensor: its gear shows only in the motor's own response; an"
+            text += " accelerometer, a link encoder or the deflection would make intervals narrower"
+            warnings.append(Diagnostic("no-link-sensor", view.log.name, text))
+    prbs = view.log.experiment.prbs
+    if prbs and prbs.clock < 0.999 * view.log.sample_time:
+        text = f"the voltage changes every {prbs.clock:g} s but is logged every"
+        text += f" {view.log.sample_time:g} s: what lies between is lost; log at least at its clock"
+        warnings.append(Diagnostic("sub-sampled", view.log.name, text))
+    return valid, warnings
+
+
+def _aligned(
+    found: LinkSignals, study: Study, view: _View, warnings: list[Diagnostic], *, alone: bool
+) -> LinkSignals:
+    """With the delays that are left between the channels; a link sensor's is judged by all records.
+
+    A record alone has to do with its own.
+    """
+    numbers, name = range(study.n_joints), found.experiment.name
+    sensor = tuple(_worth(sensor_delay(found, study, i)) for i in numbers)
+    drive = tuple(_worth(drive_delay(found, study, i, view.band)) for i in numbers)
+    for i in numbers:
+        if alone:
+            warnings.extend(misaligned(sensor[i], f"the link sensor of joint {i + 1}", name))
+        what = f"motor {i + 1}'s response to the channel {view.channels[i]}"
+        warnings.extend(misaligned(drive[i], what, name))
+    return replace(found, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
+
+
+def _worth(delay: Delay | None) -> Delay | None:
+    return delay if delay is not None and delay.std < _SPREAD else None

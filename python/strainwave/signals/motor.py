@@ -1,0 +1,129 @@
+"""Log -> motor-side Signals: torque, angle and its derivatives through one zero-phase filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Joint, Lag, Log, Signals, Study
+from strainwave.errors import InvalidInput
+from strainwave.numerics.filters import (
+    differentiate,
+    lagged,
+    low_pass,
+    noise_deviation,
+    signal_band,
+)
+from strainwave.signals.channels import channel_of, directions, saturation, torque_channel
+
+
+@dataclass(frozen=True, slots=True)
+class SignalOptions:
+    """What may be set by hand."""
+
+    bandwidth_hz: float | None = None  # of the filter; None: as far as the encoder's noise allows
+
+
+def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> Signals:
+    """Motor torque, angle, velocity and acceleration of one record.
+
+    The bandwidth is that of the joint whose angle drowns first in its own noise; it is wider than
+    a rigid model holds, and `rigid.fit` narrows it.
+
+    Parameters
+    ----------
+    log : Log
+    study : Study
+    options : SignalOptions, optional
+
+    Returns
+    -------
+    Signals
+
+    Raises
+    ------
+    InvalidInput
+        A motor angle or torque is missing, or the record is shorter than its filter.
+    """
+    chosen = options or SignalOptions()
+    T = log.sample_time
+    numbers = range(1, study.n_joints + 1)
+    angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
+    sources = tuple(torque_channel(log, i) for i in numbers)
+    torque = np.column_stack(
+        [_torque(log, joint, c) for joint, c in zip(study.joints, sources, strict=True)]
+    )
+    bandwidth = chosen.bandwidth_hz or min(signal_band(angle[:, i - 1], T) for i in numbers)
+    edge = int(np.ceil(1.0 / (bandwidth * T)))
+    if len(log) < 4 * edge + 16:
+        raise InvalidInput(
+            f"{len(log)} samples are too few for a filter of {bandwidth:.3g} Hz",
+            where=log.name,
+            remedy="record for longer",
+        )
+    smooth = low_pass(angle, bandwidth, T)
+    velocity = differentiate(smooth, T)
+    noise = np.array([noise_deviation(angle[:, i - 1]) for i in numbers])
+    saturated, warnings = saturation(log, study, sources)
+    valid = ~saturated
+    valid[:edge] = valid[-edge:] = False
+    return Signals(
+        experiment=log.experiment,
+        time=log.time,
+        sample_time=T,
+        motor_torque=low_pass(torque, bandwidth, T),
+        motor_angle=smooth,
+        motor_velocity=velocity,
+        motor_acceleration=differentiate(velocity, T),
+        direction=directions(angle, noise, study, T),
+        bandwidth_hz=bandwidth,
+        angle_noise=noise,
+        valid=valid,
+        unfiltered_torque=torque,
+        torque_channel=sources,
+        warnings=warnings,
+    )
+
+
+def drive_torque(voltage: FloatArray, joint: Joint, sample_time: float) -> FloatArray:
+    """Motor torque at the stamps from the voltages that the drive was given.
+
+    Each voltage is held until the next stamp, so the mean over one sample about a stamp is that of
+    the voltages before and after it: half a sample late. The current loop is a first-order lag,
+
+        tau_c dx/dt = e u - x,    tau_c = 1 / (2 pi current_loop_hz),
+
+    solved exactly for an input that runs straight between the stamps.
+
+    Parameters
+    ----------
+    voltage : (n_samples,) [V]
+    joint : Joint
+        With `torque_per_volt` e [N m/V] and, optionally, `current_loop_hz`.
+    sample_time : float [s]
+
+    Returns
+    -------
+    (n_samples,) [N m]
+
+    Raises
+    ------
+    InvalidInput
+        The joint has no `torque_per_volt`.
+    """
+    if joint.torque_per_volt is None:
+        raise InvalidInput(
+            "a voltage is logged but torque_per_volt is not given",
+            remedy="add torque_per_volt to the joint, or log the torque",
+        )
+    wanted = joint.torque_per_volt * 0.5 * (voltage + np.r_[voltage[:1], voltage[:-1]])
+    if joint.current_loop_hz is None:
+        return np.asarray(wanted)
+    return lagged(wanted, [Lag(1, joint.current_loop_hz)], sample_time)
+
+
+def _torque(log: Log, joint: Joint, channel: str) -> FloatArray:
+    if channel.startswith("torque"):
+        return log.channels[channel]
+    return drive_torque(log.channels[channel], joint, log.sample_time)

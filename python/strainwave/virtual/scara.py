@@ -1,0 +1,160 @@
+"""The built-in rig: a SCARA-type two-link arm with strain-wave gears and brass disks at its tip.
+
+No paper prints the numbers of such an arm. These are consistent with one another, with a gear
+maker's catalogue (sizes 20 and 14, ratio 100) and with anti-resonances of 10 to 30 Hz.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from strainwave.domain import Arm, Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
+from strainwave.domain.parameters import Values
+from strainwave.errors import InvalidInput
+
+DESCRIPTION = "a simulated SCARA-type arm with three-slope gears and noisy sensors"
+LINK_LENGTH = (0.35, 0.30)  # [m]
+LINK_MASS = (8.0, 3.0)  # [kg]; link 1's with the motor of joint 2
+CENTROID = (0.22, 0.15)  # [m] from the link's own axis
+LINK_INERTIA = (0.12, 0.030)  # [kg m^2] about the centroid
+TIP_MOUNT = (1.0, 5e-4)  # [kg], [kg m^2] about its own axis
+DISK = (1.0, 1.25e-3)  # each
+MOST_DISKS = 5
+
+_DRIVES: tuple[dict[str, float], ...] = (
+    {
+        "motor_inertia": 1.5e-4,
+        "motor_viscous_friction": 2e-4,
+        "motor_coulomb_friction": 0.060,
+        "friction_offset": 0.0,
+        "link_viscous_friction": 0.5,
+        "gear_damping": 20.0,
+    },
+    {
+        "motor_inertia": 0.5e-4,
+        "motor_viscous_friction": 0.8e-4,
+        "motor_coulomb_friction": 0.030,
+        "friction_offset": 0.0,
+        "link_viscous_friction": 0.15,
+        "gear_damping": 4.0,
+    },
+)
+_THREE_SLOPES: tuple[dict[str, float], ...] = (
+    {
+        "gear_stiffness_k1": 16000.0,
+        "gear_stiffness_k2": 25000.0,
+        "gear_stiffness_k3": 29000.0,
+        "gear_knee_t1": 7.0,
+        "gear_knee_t2": 25.0,
+    },
+    {
+        "gear_stiffness_k1": 4700.0,
+        "gear_stiffness_k2": 6100.0,
+        "gear_stiffness_k3": 7100.0,
+        "gear_knee_t1": 2.0,
+        "gear_knee_t2": 6.9,
+    },
+)
+
+
+def parameters(disks: int = MOST_DISKS, spring: Spring = "three-slope") -> Values:
+    """Parameter values of the rig, base parameters (3) from its masses.
+
+    alpha = I1 + m1 lc1^2 + m2 l1^2, beta = I2 about axis 2, gamma = l1 (m2 lc2 + m_tip l2)
+
+    Parameters
+    ----------
+    disks : int
+        Payload: brass disks of 1 kg at the tip, 0 to 5.
+    spring : "three-slope", "linear" or "rigid"
+        "linear" takes the middle slope; "rigid" has no spring at all.
+
+    Returns
+    -------
+    dict
+        (name, joint) -> value [SI].
+
+    Raises
+    ------
+    InvalidInput
+        There are not that many disks.
+    """
+    if not 0 <= disks <= MOST_DISKS:
+        raise InvalidInput(f"{disks} disks", remedy=f"the rig carries 0 to {MOST_DISKS}")
+    tip = TIP_MOUNT[0] + disks * DISK[0]
+    alpha = LINK_INERTIA[0] + LINK_MASS[0] * CENTROID[0] ** 2
+    alpha += (LINK_MASS[1] + tip) * LINK_LENGTH[0] ** 2
+    beta = LINK_INERTIA[1] + LINK_MASS[1] * CENTROID[1] ** 2 + tip * LINK_LENGTH[1] ** 2
+    beta += TIP_MOUNT[1] + disks * DISK[1]
+    gamma = LINK_LENGTH[0] * (LINK_MASS[1] * CENTROID[1] + tip * LINK_LENGTH[1])
+    values: Values = {("alpha", None): alpha, ("beta", None): beta, ("gamma", None): gamma}
+    for joint, (drive, slopes) in enumerate(zip(_DRIVES, _THREE_SLOPES, strict=True), start=1):
+        gear = {
+            "three-slope": slopes,
+            "linear": {"gear_stiffness": slopes["gear_stiffness_k2"]},
+            "rigid": {},
+        }[spring]
+        values |= {(name, joint): value for name, value in (drive | gear).items()}
+    return values
+
+
+def study(folder: Path, spring: Spring = "three-slope") -> Study:
+    """The rig's study: its sensors, its servo and the experiments that identify it.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the study file and its logs are to be.
+    spring : "three-slope", "linear" or "rigid"
+
+    Returns
+    -------
+    Study
+        Nothing is written; the logs do not exist yet.
+    """
+    joints = tuple(
+        Joint(
+            spring=spring,
+            gear_ratio=0.01,
+            torque_per_volt=torque_per_volt,
+            current_loop_hz=1000.0,
+            encoder_counts=8192,
+            accelerometer_distance=distance,
+            accelerometer_hz=300.0,
+            gyro_hz=5.0,
+        )
+        for torque_per_volt, distance in ((0.08, 0.33), (0.03, 0.27))
+    )
+    return Study(
+        path=folder / "study.toml",
+        sha256="",
+        arm=Arm("planar-two-link", link_length=LINK_LENGTH[0]),
+        joints=joints,
+        servo=Servo("pi-velocity", period=1e-3, kp=(0.12, 0.10), ki=(1.5, 1.5), limit=10.0),
+        experiments=_experiments(),
+    )
+
+
+def _experiments() -> tuple[Experiment, ...]:
+    both: tuple[Control, Control] = ("servo", "servo")
+    found = [_record("motion", "motion", both), _record("motion-check", "check", both)]
+    for joint in (1, 2):
+        free: tuple[Control, Control] = ("open", "open")
+        prbs = Prbs(order=10, clock=1e-3, periods=4, amplitude=10.0)
+        found += [
+            _record(f"prbs-j{joint}", "frequency", free, joint=joint, prbs=prbs),
+            _record(f"step-j{joint}", "tuning", both, joint=joint),
+            _record(f"step-check-j{joint}", "check", both, joint=joint),
+        ]
+    return tuple(found)
+
+
+def _record(
+    name: str,
+    use: Use,
+    control: tuple[Control, Control],
+    *,
+    joint: int | None = None,
+    prbs: Prbs | None = None,
+) -> Experiment:
+    return Experiment(name, f"{name}.parquet", use, control, joint=joint, prbs=prbs)

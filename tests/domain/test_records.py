@@ -1,0 +1,37 @@
+"""The records are one package to all who import them, however its modules are cut."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import is_dataclass
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+
+from strainwave import domain as records
+from strainwave.domain import Arm, Channel, Experiment, Joint, Study
+
+
+def test_the_package_names_every_record_of_its_modules() -> None:
+    modules = [import_module(f"strainwave.domain.{m.name}") for m in iter_modules(records.__path__)]
+    defined = {
+        kind.__name__: kind
+        for module in modules
+        for kind in vars(module).values()
+        if is_dataclass(kind) and isinstance(kind, type) and kind.__module__ == module.__name__
+        if not kind.__name__.startswith("_")
+    }
+    assert defined == {name: kind for name, kind in vars(records).items() if is_dataclass(kind)}
+    assert set(defined) <= set(records.__all__)
+
+
+def test_a_record_survives_pickling() -> None:
+    study = Study(
+        path=Path("study.toml"),
+        sha256="0" * 64,
+        arm=Arm("single-joint"),
+        joints=(Joint("linear", 0.01),),
+        experiments=(Experiment("swing", "swing.csv", "motion", ("open",)),),
+        channels={"t": Channel("time")},
+    )
+    assert pickle.loads(pickle.dumps(study)) == study

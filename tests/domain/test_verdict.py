@@ -1,0 +1,443 @@
+"""The final table and the verdict: refusals win, nothing impossible stands, one status for all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from results import arm_model
+from strainwave.domain import (
+    Activity,
+    AgreementTest,
+    Diagnostic,
+    Identification,
+    JointModel,
+    Parameter,
+    RigidModel,
+    Study,
+    Suspicion,
+    half_width,
+    is_physical,
+)
+from strainwave.domain.diagnostics import grouped, published_warnings
+from strainwave.domain.parameters import unit_of
+from strainwave.virtual import scara
+from virtual_arms import rigid_drive, rigid_two_link
+
+ELASTIC = scara.study(rigid_two_link().path, "linear")
+TRUTH = scara.parameters(spring="linear")
+N = 0.01
+RIGID = (
+    ("rigid_inertia", 1),
+    ("motor_inertia", 2),
+    ("beta", None),
+    ("gamma", None),
+    *((name, j) for j in (1, 2) for name in ("total_viscous_friction", "motor_coulomb_friction")),
+)
+Sizes = dict[tuple[str, int | None], float | None]
+OWN = ("motor_inertia", "motor_viscous_friction", "link_inertia", "link_viscous_friction")
+JOINT = (*OWN, "gear_stiffness", "gear_damping", "motor_coulomb_friction")
+WHOLE = (("alpha", None), ("beta", None), ("gamma", None), *((n, j) for j in (1, 2) for n in JOINT))
+
+
+def true(name: str, joint: int | None) -> float:
+    """Of the built-in arm, sums included."""
+    alpha, beta, gamma = (TRUTH[n, None] for n in ("alpha", "beta", "gamma"))
+    if name == "rigid_inertia":
+        return alpha + TRUTH["motor_inertia", 1] / N**2
+    if name == "link_inertia":
+        return alpha + beta + 2.0 * gamma if joint == 1 else beta
+    if name == "total_viscous_friction":
+        motor, link = (TRUTH[f"{w}_viscous_friction", joint] for w in ("motor", "link"))
+        return motor + N**2 * link
+    return TRUTH[name, joint]
+
+
+def made(
+    name: str, joint: int | None, stage: str, size: float | None = 1.0, spread: float = 0.01
+) -> Parameter:
+    """A parameter so many times its true value, with a relative deviation."""
+    unit = "kg m^2" if joint is None else unit_of(name, ELASTIC.joints[joint - 1])
+    if size is None:
+        return Parameter(name, joint, None, None, unit, stage)
+    value, std = size * true(name, joint), spread * abs(true(name, joint))
+    return Parameter(name, joint, value, std, unit, stage, (value - 1.96 * std, value + 1.96 * std))
+
+
+def rigid_of(parameters: tuple[Parameter, ...]) -> RigidModel:
+    return RigidModel(
+        parameters=parameters,
+        solution=np.array([p.value or 0.0 for p in parameters]),
+        covariance=np.diag([(p.std or 0.0) ** 2 for p in parameters]),
+        condition_number=5.0,
+        fit_percent={"motion": {"u1": 97.0}},
+        bandwidth_hz=5.0,
+        decimation=4,
+        n_rows=300,
+        status="determined",
+    )
+
+
+def joint_of(
+    number: int, parameters: tuple[Parameter, ...], status: str = "determined"
+) -> JointModel:
+    return JointModel(
+        joint=number,
+        experiments=(f"prbs-j{number}",),
+        method="grey-box",
+        parameters=parameters,
+        values={p.name: p.value or 0.0 for p in parameters},
+        covariance=np.eye(len(parameters)),
+        anti_resonance=None,
+        resonance=None,
+        band_hz=(1.0, 50.0),
+        fit_percent={},
+        status=status,  # type: ignore[arg-type]
+    )
+
+
+ACTIVE = tuple(Activity(j, torque=0.4, velocity=30.0, acceleration=900.0) for j in (1, 2))
+
+
+def run(
+    rigid: Sizes | None = None,
+    joints: Sizes | None = None,
+    tuned: Sizes | None = None,
+    *,
+    stages: tuple[str, ...] = ("rigid", "decoupled", "tuned"),
+    study: Study = ELASTIC,
+) -> Identification:
+    """A run that found everything as it is, but for the sizes given; None for a refusal.
+
+    Sums of viscous frictions are derived from their parts, as the stages do.
+    """
+    rigid, joints, tuned = rigid or {}, dict(joints or {}), dict(tuned or {})
+    for sizes in (joints, tuned):
+        for j in (1, 2):
+            sizes.setdefault(("total_viscous_friction", j), _total(sizes, j))
+    models = tuple(
+        joint_of(
+            j,
+            tuple(
+                made(name, j, "decoupled", joints.get((name, j), 1.0))
+                for name in (*JOINT, "total_viscous_friction")
+            ),
+        )
+        for j in (1, 2)
+    )
+    whole = [made(*key, "tuned", tuned.get(key, 1.0)) for key in WHOLE]
+    whole += [
+        made(name, j, "tuned", tuned.get((name, j), 1.0))
+        for name, j in (("rigid_inertia", 1), *(("total_viscous_friction", j) for j in (1, 2)))
+    ]
+    return Identification(
+        study=study,
+        created="2026-01-01T00:00:00+00:00",
+        version="0",
+        stages=stages,
+        rigid=rigid_of(tuple(made(*key, "rigid", rigid.get(key, 1.0)) for key in RIGID)),
+        fitted=(),
+        checks=(),
+        warnings=(),
+        timing_s={},
+        joints=models if "decoupled" in stages else (),
+        tuned=arm_model(tuple(whole), np.eye(len(whole))) if "tuned" in stages else None,
+        activity=ACTIVE,
+    )
+
+
+def _total(sizes: Sizes, joint: int) -> float:
+    """d_M + n^2 d_L of the sizes, a refused part as large as it is; over the true sum."""
+    found = 0.0
+    for name, weight in (("motor_viscous_friction", 1.0), ("link_viscous_friction", N**2)):
+        size = sizes.get((name, joint), 1.0)
+        found += weight * true(name, joint) * (1.0 if size is None else size)
+    return found / true("total_viscous_friction", joint)
+
+
+def row(found: Identification, name: str, joint: int | None = None) -> Parameter:
+    return next(p for p in found.parameters if (p.name, p.joint) == (name, joint))
+
+
+def test_a_run_that_found_everything_is_determined() -> None:
+    for stages in (("rigid",), ("rigid", "decoupled"), ("rigid", "decoupled", "tuned")):
+        verdict = run(stages=stages).verdict
+        assert (verdict.status, verdict.exit_code) == ("determined", 0), verdict
+        assert verdict.reasons == ()
+
+
+SIZES = st.one_of(st.none(), st.sampled_from((1.0, 0.9, -0.005, -3.0)), st.floats(-2.0, 2.0))
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    rigid=st.dictionaries(st.sampled_from(RIGID), SIZES, max_size=4),
+    joints=st.dictionaries(
+        st.tuples(st.sampled_from(JOINT), st.sampled_from((1, 2))), SIZES, max_size=4
+    ),
+    tuned=st.dictionaries(st.sampled_from(WHOLE), SIZES, max_size=4),
+    last=st.integers(1, 3),
+)
+def test_whatever_the_stages_say(
+    rigid: Sizes,
+    joints: Sizes,
+    tuned: Sizes,
+    last: int,
+) -> None:
+    """Refusals win, nothing impossible stands or counts, the groups part the table."""
+    stages = ("rigid", "decoupled", "tuned")[:last]
+    found = run(rigid, joints, tuned, stages=stages)
+    parameters, verdict = found.parameters, found.verdict
+    keys = [(p.name, p.joint) for p in parameters]
+    assert len(set(keys)) == len(keys)
+    for p in parameters:
+        assert p.value is None or is_physical(p.name, p.value), p
+    if last == 3:
+        for key, size in tuned.items():
+            if size is None:
+                assert row(found, *key).value is None
+        assert {p.stage for p in parameters} == {"tuned"}
+    else:  # before, what sums of two links are made of adds up
+        body = {p.name: p for p in parameters if p.stage == "decoupled"}
+        if "alpha" in body and row(found, "beta").value is not None:
+            link, gamma = row(found, "link_inertia", 1).value, row(found, "gamma").value
+            alpha, beta = body["alpha"].value, row(found, "beta").value
+            if None not in (link, alpha, gamma):
+                assert link == pytest.approx(alpha + beta + 2.0 * gamma)  # type: ignore[operator]
+    for j in (1, 2) if last > 1 else ():
+        motor, link, total = (
+            row(found, f"{what}_viscous_friction", j).value for what in ("motor", "link", "total")
+        )
+        if motor is not None and link is not None:
+            assert total == pytest.approx(motor + N**2 * link)
+    groups = (verdict.identified, verdict.not_identified, verdict.rejected)
+    labels = [label for group in groups for label in group]
+    assert len(set(labels)) == len(labels)
+    assert {p.label for p in parameters} <= set(labels)
+    for decision in found.decisions:
+        if decision.identified:
+            assert decision.parameter.value is not None
+            assert half_width(decision.parameter) is not None
+        else:
+            assert decision.parameter.label not in verdict.identified
+        assert not decision.rejected or decision.parameter.value is None
+    assert (verdict.exit_code == 0) == (verdict.status == "determined")
+    assert (verdict.status == "determined") == (not verdict.reasons)
+
+
+def test_a_refusal_of_the_whole_arm_fit_wins_over_an_earlier_value() -> None:
+    """As observed: 11.71 +- 0.17 of the decoupled stage where the whole-arm fit gave null."""
+    split: Sizes = {("link_viscous_friction", 1): None, ("motor_viscous_friction", 1): None}
+    found = run(joints={("link_viscous_friction", 1): 20.0}, tuned=split)
+    assert row(found, "link_viscous_friction", 1).value is None
+    assert row(found, "motor_viscous_friction", 1).value is None
+    assert found.verdict.status == "determined"  # the split is secondary
+    found = run(tuned={("gear_damping", 2): None})
+    assert found.verdict.status == "partly-determined"
+    assert found.verdict.not_identified == ("gear_damping 2",)
+    assert found.reason == "not identified: gear_damping 2"
+
+
+def test_a_fit_with_an_impossible_value_decides_nothing() -> None:
+    """What the rigid step gave stands, the rest of the joint is rejected, with a warning."""
+    found = run(joints={("gear_damping", 2): -1.0}, stages=("rigid", "decoupled"))
+    assert row(found, "motor_inertia", 2).stage == "rigid"
+    assert row(found, "total_viscous_friction", 2).stage == "rigid"
+    for name in ("gear_stiffness", "gear_damping", "link_inertia"):
+        assert row(found, name, 2).value is None
+        assert f"{name} 2" in found.verdict.rejected
+    assert row(found, "gear_stiffness", 1).value is not None
+    (said,) = [w for w in published_warnings(found) if w.code == "rejected"]
+    assert said.where == "joint 2"
+    assert "gear_damping 2 = -4" in said.message
+
+
+def test_a_joint_s_decoupled_values_win_and_carry_the_arm_s() -> None:
+    found = run(joints={("link_inertia", 2): 1.02}, stages=("rigid", "decoupled"))
+    beta, alpha = row(found, "beta"), row(found, "alpha")
+    assert beta.value == row(found, "link_inertia", 2).value
+    assert (beta.stage, alpha.stage) == ("decoupled", "decoupled")
+    rigid = row(found, "rigid_inertia", 1).value
+    assert rigid is not None
+    assert alpha.value is not None
+    motor = row(found, "motor_inertia", 1).value
+    assert motor is not None
+    assert rigid == pytest.approx(alpha.value + motor / N**2)
+
+
+def test_an_uncertain_friction_of_nearly_nothing_counts() -> None:
+    """Half-width over 2 % of the torque: 0.008 N m of Coulomb friction, 2.7e-4 of viscous."""
+    for name, std, counts in (
+        ("motor_coulomb_friction", 0.0040, True),
+        ("motor_coulomb_friction", 0.0042, False),
+        ("total_viscous_friction", 1.3e-4, True),
+        ("total_viscous_friction", 1.4e-4, False),
+    ):
+        for value in (1e-6, -1e-6):
+            found = run(stages=("rigid",))
+            assert found.rigid is not None
+            vague = Parameter(
+                name, 1, value, std, "-", "rigid", (value - 1.96 * std, value + 1.96 * std)
+            )
+            kept = [p for p in found.rigid.parameters if (p.name, p.joint) != (name, 1)]
+            found = replace(found, rigid=rigid_of((*kept, vague)))
+            assert (f"{name} 1" in found.verdict.identified) == counts
+            p = row(found, name, 1)
+            if value < 0.0:
+                assert p.value == (0.0 if counts else None)
+                assert not counts or p.ci95 == (0.0, value + 1.96 * std)
+
+
+def test_an_inertia_that_no_posture_allows_is_rejected() -> None:
+    found = run(tuned={("gamma", None): 1.3})  # gamma^2 > alpha beta
+    assert found.verdict.rejected == ("gamma",)
+    assert found.verdict.status == "partly-determined"
+
+
+def test_what_ended_at_a_bound_is_rejected() -> None:
+    found = run()
+    assert found.tuned is not None
+    ended = replace(found.tuned, status="at-bounds", at_bounds=(("gear_damping", 1),))
+    found = replace(found, tuned=ended)
+    assert found.verdict.rejected == ("gear_damping 1",)
+    secondary = replace(ended, at_bounds=(("link_viscous_friction", 1),))
+    assert replace(found, tuned=secondary).verdict.status == "determined"
+
+
+def test_a_fit_that_did_not_converge_is_no_whole_answer() -> None:
+    found = run()
+    assert found.tuned is not None
+    found = replace(found, tuned=replace(found.tuned, status="iteration-limit"))
+    assert found.verdict.status == "partly-determined"
+    assert found.reason == "the whole-arm fit did not converge"
+
+
+def test_stages_that_contradict_each_other_reject_what_they_touch() -> None:
+    found = run()
+    assert found.tuned is not None
+    far = AgreementTest("inertias", None, 50.0, 4, 6.3)
+    one = replace(found, tuned=replace(found.tuned, agreement=(far,)))
+    assert all(p.value is None for p in one.parameters)
+    assert (one.verdict.status, one.verdict.exit_code) == ("not-determined", 3)
+    friction = AgreementTest("friction", 2, 50.0, 3, 6.5)
+    one = replace(found, tuned=replace(found.tuned, agreement=(friction,)))
+    assert {p.label for p in one.parameters if p.value is None} == {
+        "motor_viscous_friction 2",
+        "link_viscous_friction 2",
+        "total_viscous_friction 2",
+        "motor_coulomb_friction 2",
+    }
+    near = AgreementTest("inertias", None, 15.0, 4, 2.8)
+    assert replace(found, tuned=replace(found.tuned, agreement=(near,))).verdict.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("where", "code", "left"),
+    [
+        ("u1", "wrong-unit", set()),
+        ("joint 2", "wrong-gear-ratio", set()),
+        ("a1", "wrong-unit", {"rigid"}),
+        ("a2 in prbs-j1", "misaligned", {"rigid"}),
+        ("joint 1", "wrong-geometry", {"rigid"}),
+        ("motion", "clock-drift", set()),
+        ("prbs-j1, prbs-j2", "clock-drift", {"rigid"}),
+        ("step-j1", "clock-drift", {"rigid", "decoupled"}),
+        ("motion-check", "clock-drift", {"tuned"}),
+    ],
+)
+def test_values_are_given_for_what_does_not_rest_on_a_fault(
+    where: str, code: str, left: set[str]
+) -> None:
+    fault = Suspicion(code=code, where=where, message="m", remedy="r")
+    found = replace(run(), suspected=(fault,))
+    assert {p.stage for p in found.parameters if p.value is not None} == left
+    verdict = found.verdict
+    assert (verdict.status, verdict.exit_code) == ("inconsistent-input", 3)
+    assert verdict.suspected == (fault,)
+    assert verdict.reasons[0] == "m"
+
+
+def test_what_springs_and_stages_call_for() -> None:
+    """A rigid drive has no link; three slopes are asked of the whole-arm fit alone."""
+    parameters = tuple(
+        Parameter(name, 1, 1.0, 0.01, "-", "rigid", (0.98, 1.02))
+        for name in ("inertia", "motor_viscous_friction", "motor_coulomb_friction")
+    )
+    drive = replace(run(), study=rigid_drive(), rigid=rigid_of(parameters), joints=(), tuned=None)
+    assert drive.verdict.status == "determined"
+    assert replace(drive, rigid=None).verdict.status == "not-determined"
+    heavy = replace(drive, study=rigid_drive(9.81))
+    assert heavy.verdict.not_identified == ("gravity_torque_1",)
+    curved = scara.study(ELASTIC.path, "three-slope")
+    assert run(study=curved, stages=("rigid", "decoupled")).verdict.status == "determined"
+    missing = run(study=curved).verdict.not_identified
+    assert {name for name in missing if name.startswith("gear")} == {
+        f"{name} {j}"
+        for j in (1, 2)
+        for name in (
+            *(f"gear_stiffness_k{k}" for k in (1, 2, 3)),
+            "gear_knee_t1",
+            "gear_knee_t2",
+        )
+    }
+
+
+def test_stages_that_were_not_reached_are_named() -> None:
+    found = replace(run(), tuned=None)
+    assert found.verdict.status == "partly-determined"
+    assert found.verdict.reasons == ("the whole-arm fit was not reached",)
+    found = replace(found, joints=found.joints[:1])
+    assert "the decoupled stage gave no model of joint 2" in found.verdict.reasons
+    assert "gear_stiffness 2" in found.verdict.not_identified
+
+
+def test_one_warning_for_one_cause() -> None:
+    records = ("prbs-j1", "prbs-j2")
+    late = [
+        Diagnostic("misaligned", name, f"the link sensor of joint {j} is {ms} ms late in {name}")
+        for name, ms in zip(records, (0.72, 0.5), strict=True)
+        for j in (1, 2)
+    ]
+    other = Diagnostic("at-bounds", "beta", "ended at 0.72")
+    first, second, third = grouped([*late, other], records)
+    assert first.where == "prbs-j1, prbs-j2"
+    assert first.experiments == records
+    assert first.message == "the link sensor of joint 1 is 0.5 to 0.72 ms late in "
+    assert "joint 2" in second.message
+    assert third == other
+
+
+def test_one_warning_for_one_cause_in_a_joint_of_several_records() -> None:
+    records = ("prbs-j1", "prbs-j1-servo", "prbs-j2")
+    weak = [
+        Diagnostic(
+            "interaction-spectrum", f"{name}, joint {j}", f"in {share} % of the band of {name}"
+        )
+        for name, j, share in (("prbs-j1", 1, 20), ("prbs-j1-servo", 1, 35), ("prbs-j2", 2, 10))
+    ]
+    alone = Diagnostic("coherence", "prbs-j2, joint 2", "coherence 0.4 in prbs-j2")
+    elsewhere = replace(weak[0], where="other, joint 1")
+    one, kept, foreign = grouped([*weak, alone, elsewhere], records)
+    assert one.where == "prbs-j1 (joint 1), prbs-j1-servo (joint 1), prbs-j2 (joint 2)"
+    assert one.experiments == records
+    assert one.message == "in 10 to 35 % of the band of "
+    assert kept == replace(alone, experiments=("prbs-j2",))
+    assert foreign == elsewhere
+
+
+def test_what_a_later_stage_decides_is_not_warned_of_by_an_earlier_one() -> None:
+    early = Diagnostic("implausible", "gear_damping of joint 1", "negative")
+    found = replace(run(), warnings=(early,))
+    assert early not in published_warnings(found)
+    assert early in published_warnings(replace(found, tuned=None))
+    average = Diagnostic("equivalent-stiffness", "gear_stiffness of joint 1", "one slope")
+    assert found.tuned is not None
+    slope = made("gear_stiffness", 1, "tuned")
+    curve = tuple(replace(slope, name=f"gear_stiffness_k{k}") for k in (1, 2, 3))
+    kept = tuple(p for p in found.tuned.parameters if p.name != "gear_stiffness")
+    found = replace(found, tuned=replace(found.tuned, parameters=kept + curve), warnings=(average,))
+    assert published_warnings(found) == published_warnings(replace(found, warnings=()))

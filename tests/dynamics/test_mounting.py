@@ -1,0 +1,209 @@
+"""What a sensor glued anywhere reads, against differences of the path that it moves along."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strainwave.domain import FloatArray, Imu, Study
+from strainwave.dynamics.mounting import (
+    BASIS,
+    RATE,
+    Axis,
+    angles,
+    attitude,
+    axes_of,
+    factors,
+    rotation,
+    slopes,
+    unknowns_of,
+)
+from strainwave.dynamics.simulation import Drive, Quantity, simulate
+from strainwave.signals.imu_attitude import imu_starts
+from strainwave.signals.mounting_start import kinematics, mounting_starts
+from strainwave.virtual import scara
+from tuning_runs import shaken
+
+XYZ, RPY = (0.21, -0.06, 0.04), (0.7, -0.4, 2.1)
+IMU = Imu(XYZ, RPY)
+NAMES = ("ax", "ay", "az", "gx", "gy", "gz")
+
+
+def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
+    """The rig with an ideal IMU on one of its links."""
+    study = scara.study(Path("nowhere"))
+    joints = tuple(
+        replace(own, imu=imu if i == joint else None) for i, own in enumerate(study.joints, start=1)
+    )
+    return replace(study, joints=joints, arm=replace(study.arm, gravity=gravity))
+
+
+def axes(study: Study, joint: int) -> tuple[Axis, ...]:
+    return axes_of([f"{name}{joint}" for name in NAMES], study, joint)
+
+
+def path_of(angle: FloatArray, study: Study, joint: int) -> tuple[FloatArray, FloatArray]:
+    """Where the sensor is, and how its axes are turned: (n, 3), (n, 3, 3)."""
+    in_space = angle.cumsum(axis=1)
+
+    def turned(k: int) -> FloatArray:
+        zero, one = np.zeros(len(angle)), np.ones(len(angle))
+        c, s = np.cos(in_space[:, k]), np.sin(in_space[:, k])
+        rows = [[c, -s, zero], [s, c, zero], [zero, zero, one]]
+        return np.moveaxis(np.array(rows), 2, 0)
+
+    own = turned(joint - 1)
+    place = own @ np.array(XYZ)
+    if joint == 2:
+        place = place + turned(0) @ np.array([study.arm.link_length or 0.0, 0.0, 0.0])
+    return place, own @ attitude(RPY)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize("gravity", [None, 9.81])
+def test_the_simulated_imu_reads_what_its_path_gives(gravity: float | None, joint: int) -> None:
+    """Second differences of the place, turned into the sensor; the rate of its attitude."""
+    study = rig(gravity, joint)
+    values = scara.parameters() | {
+        ("gravity_torque_1", None): 40.0,
+        ("gravity_torque_2", None): 9.0,
+    }
+    T, n = 2.5e-4, 1200
+    rng = np.random.default_rng(1)
+    voltage = 4.0 * rng.choice([-1.0, 1.0], size=(n // 40 + 1, 2))
+    still = (0.0, 0.0)
+    drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (30.0, 60.0), still)
+    record: list[Quantity] = ["link_angle", *BASIS, RATE]
+    run = simulate(study, values, drive, sample_time=T, samples=n, record=record)
+    place, turned = path_of(run["link_angle"], study, joint)
+    second = (place[2:] - 2.0 * place[1:-1] + place[:-2]) / T**2
+    force = second + np.array([0.0, gravity or 0.0, 0.0])
+    read = np.einsum("ni,nik->nk", force, turned[1:-1])
+    spin = np.einsum("nji,njk->nik", turned[1:-1], (turned[2:] - turned[:-2]) / (2.0 * T))
+    rate = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
+    for axis in axes(study, joint):
+        parts = np.column_stack([run[name][:, joint - 1] for name in axis.quantities])
+        found = (parts @ factors(axis, study, {}))[1:-1]
+        expected = (read if axis.kind == "accelerometer" else rate)[:, axis.number]
+        off = np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2))
+        # differences lack T^2/12 of the next but one derivative, and blur what a voltage's step does
+        assert off < 2e-3, axis
+
+
+@pytest.mark.parametrize("gravity", [None, 9.81])
+def test_the_core_and_the_start_take_one_basis(gravity: float | None) -> None:
+    study = rig(gravity, 2)
+    values = scara.parameters() | {
+        ("gravity_torque_1", None): 40.0,
+        ("gravity_torque_2", None): 9.0,
+    }
+    voltage = np.full((40, 2), 5.0)
+    still = (0.0, 0.0)
+    drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (10.0, -90.0), still)
+    motion: list[Quantity] = ["link_angle", "link_velocity", "link_acceleration"]
+    run = simulate(study, values, drive, sample_time=1e-3, samples=300, record=[*motion, *BASIS])
+    q, dq, ddq = (run[name] for name in motion)
+    found = kinematics(q, dq, ddq, study)
+    for k, name in enumerate(BASIS):
+        np.testing.assert_allclose(found[:, :, k], run[name], atol=1e-9)
+
+
+def test_rotations_and_angles() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        rpy = rng.uniform(-1.5, 1.5, 3)
+        matrix = attitude(rpy.tolist())
+        np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(angles(matrix), rpy, atol=1e-12)
+    quarter = attitude((0.0, 0.0, np.pi / 2.0))
+    np.testing.assert_allclose(quarter[:, 0], [0.0, 1.0, 0.0], atol=1e-15)  # its x along link's y
+
+
+@pytest.mark.parametrize("gravity", [None, 9.81])
+@pytest.mark.parametrize("joint", [1, 2])
+def test_slopes_are_those_of_the_factors(gravity: float | None, joint: int) -> None:
+    rng = np.random.default_rng(5)
+    for imu in (Imu(), Imu(xyz=XYZ), Imu(rpy=RPY)):
+        study = rig(gravity, joint, imu)
+        own = axes(study, joint)
+        keys = unknowns_of(own, study)
+        values = {key: float(rng.uniform(0.1, 0.5)) for key in keys}
+        for axis in own:
+            found = slopes(axis, study, values, keys)
+            for k, key in enumerate(keys):
+                moved = {**values, key: values[key] + 1e-4}
+                step = factors(axis, study, moved) - factors(axis, study, values)
+                np.testing.assert_allclose(found[:, k], step / 1e-4, atol=1e-3)
+
+
+def test_distances_by_the_slow_part() -> None:
+    """Short records leave a start of the right size."""
+    study, _, logs = shaken(order=10)
+    joints = tuple(replace(joint, accelerometer_distance=None) for joint in study.joints)
+    starts = mounting_starts(logs, replace(study, joints=joints))
+    assert starts == {
+        ("accelerometer_distance", 1): pytest.approx(0.33, rel=0.4),
+        ("accelerometer_distance", 2): pytest.approx(0.27, rel=0.4),
+    }
+    assert mounting_starts(logs, study) == {}
+
+
+def test_what_is_unknown_of_an_imu() -> None:
+    """On a fixed axis a distance and, under gravity, a bearing; else a place. Turns from a start."""
+    full = ["imu_turn_x", "imu_turn_y", "imu_turn_z"]
+    expected = {
+        (1, None): ["imu_distance", *full],
+        (1, 9.81): ["imu_distance", "imu_bearing", *full],
+        (2, None): ["imu_x", "imu_y", *full],
+    }
+    for (joint, gravity), names in expected.items():
+        study = rig(gravity, joint, Imu())
+        assert unknowns_of(axes(study, joint), study) == [(name, joint) for name in names]
+        one = axes_of([f"ay{joint}", f"gz{joint}"], study, joint)
+        alone = [*names[:-3], "imu_turn_z", "imu_gz_z"]
+        assert unknowns_of(one, study) == [(name, joint) for name in alone]
+        assert not unknowns_of(axes(rig(gravity, joint), joint), rig(gravity, joint))
+    turned = rig(None, 1, Imu(rpy=RPY))
+    assert unknowns_of(axes(turned, 1), turned) == [("imu_x", 1), ("imu_y", 1)]
+
+
+def test_a_rotation_vector() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        vector = rng.normal(size=3)
+        matrix = rotation(vector)
+        np.testing.assert_allclose(matrix @ vector, vector, atol=1e-13)
+        np.testing.assert_allclose(np.trace(matrix), 1.0 + 2.0 * np.cos(np.linalg.norm(vector)))
+    np.testing.assert_allclose(rotation(np.array([0.0, 0.0, 0.3])), attitude((0.0, 0.0, 0.3)))
+
+
+@pytest.mark.parametrize("gravity", [None, 9.81])
+@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize("count", [2, 3])
+def test_the_search_finds_a_drawn_mounting(gravity: float | None, joint: int, count: int) -> None:
+    """From ideal readings of a wide motion; of two accelerometers with gyros beside them."""
+    rng = np.random.default_rng([joint, count])
+    names = [*(("ax", "ay", "az")[:count]), "gx", "gy", "gz"]
+    t = np.linspace(0.0, 6.0, 600)[:, None]
+    phase, w = rng.uniform(0.0, 6.0, 2), np.array([2.0, 3.1])
+    q, dq, ddq = np.sin(w * t + phase), w * np.cos(w * t + phase), -(w**2) * np.sin(w * t + phase)
+    rpy = rng.uniform(-3.0, 3.0, 3)
+    xyz = (rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), 0.02)
+    true = rig(gravity, joint, Imu(xyz, tuple(rpy.tolist())))
+    lost = rig(gravity, joint, Imu())
+    own = axes_of([f"{name}{joint}" for name in names], lost, joint)
+    basis = kinematics(q, dq, ddq, true)[:, joint - 1]
+    rate = dq[:, :joint].sum(axis=1)[:, None]
+    tables = []
+    for axis in own:
+        parts = rate if axis.kind == "gyro" else basis
+        rows = np.column_stack([parts, parts @ factors(axis, true, {})])
+        tables.append(rows - rows.mean(axis=0))
+    found = imu_starts(own, tables, lost)
+    for axis in own:
+        counts, expected = factors(axis, lost, found), factors(axis, true, {})
+        felt = np.linalg.norm(tables[own.index(axis)][:, :-1], axis=0) > 1e-9
+        np.testing.assert_allclose(counts[felt], expected[felt], atol=1e-5)

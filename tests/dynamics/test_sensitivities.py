@@ -1,0 +1,114 @@
+"""Derivatives of simulated experiments, through the binding."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from strainwave.domain import FloatArray, Prbs, Spring
+from strainwave.dynamics import excitation
+from strainwave.dynamics.simulation import build_arm, parameter_vector
+from strainwave.identification.whole_arm.dataset import low_pass_kernels
+from strainwave.virtual import scara
+
+STUDY = scara.study(Path())
+ARM = build_arm(STUDY)
+VALUES = parameter_vector(ARM, scara.parameters(), STUDY)
+ONE = excitation.prbs(Prbs(8, 1e-3, 1, 6.0))[:200]
+VOLTAGE = np.column_stack([ONE, ONE[::-1]])
+RECORD = ["motor_velocity", "accelerometer", "gyro", "link_angle"]
+EXPERIMENT: dict[str, Any] = {
+    "motor_angle": (0.0, 0.0),
+    "step": 1.25e-4,
+    "steps_per_tick": 8,
+    "steps_per_sample": 8,
+    "samples": 200,
+    "record": RECORD,
+}
+
+
+def test_values_are_the_simulation_s_and_shapes_are_as_said() -> None:
+    directions = [("alpha", None), ("motor_inertia", 2), ("initial_link_angle", 1)]
+    found = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
+    plain = ARM.simulate(VALUES[None], VOLTAGE, **EXPERIMENT)
+    for name in RECORD:
+        values, tangents = found[name]
+        np.testing.assert_array_equal(values, plain[name][0])
+        assert tangents.shape == (200, 2, 3)
+
+
+def test_a_parameter_s_derivative_is_its_difference() -> None:
+    k = ARM.parameter_names.index(("gear_damping", 1))
+    directions = [ARM.parameter_names[k]]
+    found = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
+    step = 1e-5 * VALUES[k]
+    moved = VALUES + step * np.array([[1.0], [-1.0]]) * (np.arange(len(VALUES)) == k)
+    both = ARM.simulate(moved, VOLTAGE, **EXPERIMENT)
+    for name in RECORD:
+        difference = (both[name][0] - both[name][1]) / (2.0 * step)
+        # A difference of second order, over knees that bend: five digits.
+        scale = np.abs(difference).max()
+        np.testing.assert_allclose(found[name][1][..., 0], difference, atol=1e-5 * scale)
+
+
+def test_threads_give_what_one_gives() -> None:
+    def run(_: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+        names = ARM.parameter_names
+        found = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=names, **EXPERIMENT)
+        return found["motor_velocity"][1]
+
+    with ThreadPoolExecutor(2) as pool:
+        one, other = pool.map(run, range(2))
+    np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("direction", [("alpha", 1), ("initial_link_angle", 3), ("mass", None)])
+def test_unknown_directions_are_refused(direction: tuple[str, int | None]) -> None:
+    with pytest.raises(ValueError, match=f'no "{direction[0]}"'):
+        ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=[direction], **EXPERIMENT)
+
+
+@pytest.mark.parametrize("spring", ["three-slope", "rigid"])  # derivatives go two ways
+@pytest.mark.parametrize("n_directions", [0, 3, 8])
+def test_rows_are_those_of_the_samples(spring: Spring, n_directions: int) -> None:
+    study = scara.study(Path(), spring)
+    arm = build_arm(study)
+    values = parameter_vector(arm, scara.parameters(spring=spring), study)
+    directions = arm.parameter_names[:n_directions]
+    full = arm.sensitivities(values, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
+    kernels = low_pass_kernels(60.0, 1e-3)
+    taps = [kernels.taps(rate=name == "link_angle") for name in RECORD]
+    found = arm.sensitivities(
+        values,
+        VOLTAGE,
+        with_respect_to=directions,
+        **EXPERIMENT,
+        taps=taps,
+        samples_per_row=kernels.step,
+    )
+    for name in RECORD:
+        for rows, samples in zip(found[name], full[name], strict=True):
+            wanted = kernels.rows(samples, rate=name == "link_angle")
+            assert rows.shape == wanted.shape
+            size = np.abs(wanted).max(initial=0.0)
+            np.testing.assert_allclose(rows, wanted, atol=1e-12 * size)
+
+
+@pytest.mark.parametrize(
+    ("taps", "samples_per_row"),
+    [([np.ones(8)] * 3, 4), ([np.ones(8)] * 3 + [np.ones(4)], 4), ([np.ones(8)] * 4, 3)],
+)
+def test_taps_that_do_not_fit_are_refused(taps: list[FloatArray], samples_per_row: int) -> None:
+    with pytest.raises(ValueError, match="expected taps for each quantity"):
+        ARM.sensitivities(
+            VALUES,
+            VOLTAGE,
+            with_respect_to=[],
+            **EXPERIMENT,
+            taps=taps,
+            samples_per_row=samples_per_row,
+        )

@@ -1,0 +1,355 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strainwave.domain import Experiment, FloatArray, Prbs, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import (
+    LONGEST_STEP,
+    Drive,
+    Quantity,
+    SensorNoise,
+    Trajectory,
+    build_arm,
+    common_step,
+    fastest_resonance,
+    longest_step,
+    measure,
+    parameter_vector,
+    simulate,
+    simulate_arms,
+)
+from strainwave.errors import InvalidInput
+from strainwave.io import logs
+from strainwave.io.parameters import read_parameters
+from strainwave.io.study import read_study
+from strainwave.virtual import experiments as virtual
+from strainwave.virtual import scara
+
+
+def drive(samples: int, volts: float = 3.0) -> Drive:
+    voltage = np.zeros((samples, 2))
+    voltage[:, 0] = volts
+    return Drive(1e-3, voltage, np.zeros_like(voltage), (False, False), (0.0, 0.0), (0.0, 0.0))
+
+
+def fit(measured: FloatArray, simulated: FloatArray) -> float:
+    scale = np.linalg.norm(measured - measured.mean())
+    return float(100.0 * (1.0 - np.linalg.norm(measured - simulated) / scale))
+
+
+def test_a_constant_voltage_accelerates_the_whole_arm() -> None:
+    study, values = scara.study(Path()), scara.parameters()
+    run = simulate(
+        study, values, drive(2001), sample_time=1e-3, samples=2001, record=["link_angle"]
+    )
+    # Motor 1 pulls with 0.24 N m less 0.06 N m friction, a hundredfold at the link: it has swung.
+    assert run["link_angle"][-1, 0] > 1.0
+    assert run.time[-1] == pytest.approx(2.0)
+
+
+def test_the_parameters_of_an_arm_go_by_name() -> None:
+    study = scara.study(Path())
+    arm = build_arm(study)
+    vector = parameter_vector(arm, scara.parameters(), study)
+    named = dict(zip(arm.parameter_names, vector, strict=True))
+    assert named["gear_knee_t2", 1] == 25.0
+    assert named["gravity_torque_1", None] == 0.0
+    incomplete = scara.parameters()
+    del incomplete["gear_damping", 2]
+    with pytest.raises(InvalidInput, match="lack gear_damping of joint 2"):
+        parameter_vector(arm, incomplete, study)
+
+
+def test_an_impossible_arm_is_refused_by_name() -> None:
+    study = scara.study(Path())
+    cases: list[tuple[Values, str]] = [
+        ({("motor_inertia", 1): -1.0}, "motor_inertia of joint 1 is -1, but must be positive"),
+        ({("gamma", None): 5.0}, "gamma is 5, but must be smaller"),
+        ({("gear_knee_t2", 1): 1.0}, "gear_knee_t2 of joint 1 is 1, but must be above"),
+    ]
+    for change, said in cases:
+        values = scara.parameters() | change
+        with pytest.raises(InvalidInput, match=said):
+            simulate(study, values, drive(20), sample_time=1e-3, samples=20, record=["encoder"])
+
+
+def test_a_rigid_arm_runs_on_what_its_rigid_model_knows() -> None:
+    study = scara.study(Path(), "rigid")
+    whole = scara.parameters(spring="rigid")
+    known = virtual.derived(whole, study)
+    sums = {
+        name: known[name]
+        for name in known
+        if name[0] not in ("alpha", "motor_viscous_friction", "link_viscous_friction")
+        and name != ("motor_inertia", 1)
+    }
+    record: list[Quantity] = ["link_angle"]
+    runs = [
+        simulate(study, values, drive(400), sample_time=1e-3, samples=400, record=record)
+        for values in (whole, sums)
+    ]
+    np.testing.assert_allclose(runs[0]["link_angle"], runs[1]["link_angle"], atol=1e-10)
+
+
+def test_the_payload_makes_the_inertia() -> None:
+    # Base parameters of the rig at 0, 3 and 5 kg as they are known beforehand.
+    for disks, alpha, beta, gamma in [
+        (0, 0.9972, 0.188, 0.2625),
+        (3, 1.3647, 0.46175, 0.5775),
+        (5, 1.6097, 0.64425, 0.7875),
+    ]:
+        values = scara.parameters(disks)
+        found = [values[name, None] for name in ("alpha", "beta", "gamma")]
+        np.testing.assert_allclose(found, [alpha, beta, gamma], rtol=1e-12)
+    with pytest.raises(InvalidInput, match="6 disks"):
+        scara.parameters(6)
+
+
+@pytest.mark.parametrize(
+    ("clocks", "step"),
+    [
+        ([1e-3, 1e-3], 1.25e-4),
+        ([1e-3, 2.5e-4], 1.25e-4),
+        ([1e-3, 1.5e-3], 1.25e-4),
+        ([0.02], 1.25e-4),
+    ],
+)
+def test_the_step_divides_every_clock(clocks: list[float], step: float) -> None:
+    assert common_step(clocks) == pytest.approx(step)
+
+
+def test_the_fastest_resonance_is_that_of_the_equations() -> None:
+    """One joint in closed form; two against the eigenvalues of the whole arm, stretched or not."""
+    study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
+    one = replace(study, arm=replace(study.arm, kind="single-joint"), joints=study.joints[:1])
+    motor, link, k, n = 1.5e-3, 3.0, 2e4, study.joints[0].gear_ratio
+    alone: Values = {("motor_inertia", 1): motor, ("link_inertia", 1): link}
+    alone["gear_stiffness", 1] = k
+    expected = np.sqrt(k * (1.0 / link + n**2 / motor)) / (2.0 * np.pi)
+    assert fastest_resonance(one, alone) == pytest.approx(expected, rel=1e-12)
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    highest = 0.0
+    for cosine in np.linspace(-1.0, 1.0, 21):
+        coupled = beta + gamma * cosine
+        links = np.array([[alpha + beta + 2.0 * gamma * cosine, coupled], [coupled, beta]])
+        referred = [
+            values["motor_inertia", i] / study.joints[i - 1].gear_ratio ** 2 for i in (1, 2)
+        ]
+        spring = np.diag([values["gear_stiffness", i] for i in (1, 2)])
+        flexible = (np.linalg.inv(links) + np.diag(1.0 / np.array(referred))) @ spring
+        roots = np.linalg.eigvals(flexible).real
+        highest = max(highest, float(np.sqrt(np.max(roots))) / (2.0 * np.pi))
+    assert fastest_resonance(study, values) == pytest.approx(highest, rel=1e-9)
+    assert fastest_resonance(study, {}) == 0.0
+
+
+def test_steps_follow_the_fastest_resonance() -> None:
+    """Ten times the stiffness: records stay within what a sensor resolves of far shorter steps'."""
+    study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
+    assert longest_step(study, values) == LONGEST_STEP
+    stiff = dict(values)
+    for joint in (1, 2):
+        stiff["gear_stiffness", joint] *= 10.0
+    step = longest_step(study, stiff)
+    assert step == pytest.approx(1.0 / (120.0 * fastest_resonance(study, stiff)))
+    record: tuple[Quantity, ...] = ("motor_angle", "accelerometer")
+    pushed = drive(200)
+
+    def run(longest: float) -> dict[Quantity, FloatArray]:
+        found = simulate_arms(
+            study,
+            [stiff],
+            pushed,
+            sample_time=1e-3,
+            samples=200,
+            record=record,
+            longest_step=longest,
+        )
+        return {name: found[name][0] for name in record}
+
+    exact = run(2e-6)
+
+    def off(found: Trajectory | dict[Quantity, FloatArray]) -> float:
+        sizes = (np.std(found[name] - exact[name], axis=0) for name in record)
+        return max(
+            float(np.max(size / np.std(exact[name], axis=0)))
+            for size, name in zip(sizes, record, strict=True)
+        )
+
+    own, shorter = (
+        off(
+            simulate(
+                study,
+                stiff,
+                pushed,
+                sample_time=1e-3,
+                samples=200,
+                record=record,
+                longest=longest,
+            )
+        )
+        for longest in (LONGEST_STEP, 1e-5)
+    )
+    assert own < 5e-4
+    assert own < 0.2 * off(run(LONGEST_STEP))
+    assert shorter < 0.2 * own
+    # the sensors' filters are of second order: four times less for half the step
+    assert 1.7 < np.log2(off(run(4e-5)) / off(run(2e-5))) < 2.3
+
+
+def test_clocks_without_a_common_step_are_refused() -> None:
+    with pytest.raises(InvalidInput, match="no common step"):
+        common_step([1e-3, 1e-3 * np.pi])
+
+
+def test_a_servo_must_be_described() -> None:
+    study = replace(scara.study(Path()), servo=None)
+    held = replace(drive(20), servo=(True, True))
+    with pytest.raises(InvalidInput, match="no servo"):
+        simulate(study, scara.parameters(), held, sample_time=1e-3, samples=20, record=["encoder"])
+
+
+def test_sensors_add_bias_noise_and_rounding() -> None:
+    study = scara.study(Path())
+    record: list[Quantity] = ["accelerometer", "gyro", "encoder"]
+    run = simulate(
+        study, scara.parameters(), drive(4000, 0.0), sample_time=1e-3, samples=4000, record=record
+    )
+    noise = SensorNoise(accelerometer_bits=12)
+    read = measure(run, noise, np.random.default_rng(0))
+    clean = measure(run, None, np.random.default_rng(0))
+    np.testing.assert_array_equal(clean["accelerometer"], run["accelerometer"])
+    count = 2.0 * noise.accelerometer_range / 2**12
+    np.testing.assert_allclose(
+        read["accelerometer"] / count, np.round(read["accelerometer"] / count)
+    )
+    # white noise of that density in the band up to half the sampling rate, and rounding's share
+    expected = np.hypot(noise.accelerometer_density * np.sqrt(500.0), count / np.sqrt(12.0))
+    assert read["accelerometer"].std(axis=0) == pytest.approx(expected, rel=0.05)
+    assert read["gyro"].std(axis=0) == pytest.approx(noise.gyro_deviation, rel=0.05)
+    assert np.abs(read["accelerometer"].mean(axis=0)).max() > 0.0
+    np.testing.assert_array_equal(read["encoder"], run["encoder"])
+
+
+def test_every_use_gets_its_excitation_without_a_log(tmp_path: Path) -> None:
+    study = scara.study(tmp_path)
+    assert virtual.simulate_study(study, scara.parameters(), tmp_path, seed=3) == len(
+        study.experiments
+    )
+    back = read_study(tmp_path / "study.toml")
+    assert back.joints == study.joints
+    for log in logs.read_logs(back):
+        assert {"u1", "theta_m2", "a1", "gyro2"} <= set(log.channels)
+        if log.experiment.use == "frequency":
+            one, period = log.channels[f"u{log.experiment.joint}"], round(1.023 / log.sample_time)
+            assert set(np.unique(one)) == {-10.0, 10.0}
+            np.testing.assert_array_equal(one[:period], one[period : 2 * period])
+        if log.experiment.use == "motion":
+            link = 0.01 * np.ptp(log.channels["theta_m1"])
+            assert 0.5 < link < 2.5
+
+
+def test_the_seed_draws_the_motion_and_the_noise(tmp_path: Path) -> None:
+    study = replace(scara.study(tmp_path), experiments=scara.study(tmp_path).experiments[:1])
+    for name, seed, noise in [("a", 1, None), ("b", 1, SensorNoise()), ("c", 2, None)]:
+        virtual.simulate_study(study, scara.parameters(), tmp_path / name, seed=seed, noise=noise)
+    a, b, c = (logs.read_logs(read_study(tmp_path / name / "study.toml"))[0] for name in "abc")
+    np.testing.assert_array_equal(a.channels["theta_m1"], b.channels["theta_m1"])
+    assert not np.array_equal(a.channels["a1"], b.channels["a1"])
+    assert not np.array_equal(a.channels["theta_m1"], c.channels["theta_m1"])
+
+
+def test_an_upright_arm_begins_held(tmp_path: Path) -> None:
+    study = scara.study(tmp_path)
+    upright = replace(study, arm=replace(study.arm, gravity=9.81))
+    values = scara.parameters(0) | {
+        ("gravity_torque_1", None): 31.0,
+        ("gravity_torque_2", None): 7.4,
+    }
+    step = tuple(e for e in upright.experiments if e.name == "step-j1")
+    virtual.simulate_study(replace(upright, experiments=step), values, tmp_path)
+    log = logs.read_logs(read_study(tmp_path / "study.toml"))[0]
+    assert np.ptp(log.channels["theta_m1"][:100]) == 0.0
+    assert log.channels["u1"][0] == pytest.approx(0.01 * 38.4 / 0.08)
+    assert log.channels["a1"][0] == pytest.approx(9.81, rel=1e-5)  # specific force
+
+
+def test_open_motion_without_a_log_is_refused(tmp_path: Path) -> None:
+    study = scara.study(tmp_path)
+    free = Experiment("free", "free.csv", "motion", ("open", "open"))
+    with pytest.raises(InvalidInput, match="moves joint 1 in open loop, without a log"):
+        virtual.simulate_study(replace(study, experiments=(free,)), scara.parameters(), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def _lab(shared_data: Path, name: str) -> Study:
+    return read_study(shared_data / "lab" / name / "study.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "experiments"),
+    [
+        ("scara-linear-5kg", ["motion", "prbs-j1-held", "step-check-j1", "step-j2"]),
+        ("scara-strainwave-3kg", ["motion-check", "step-j1", "sweep-j1-8V"]),
+        ("vertical-linear-0kg", ["motion", "step-j2"]),
+    ],
+)
+def test_an_independent_engine_moves_alike(
+    name: str, experiments: list[str], shared_data: Path, tmp_path: Path
+) -> None:
+    """Logs of another engine, run again here with the true parameters, servo and all."""
+    study = _lab(shared_data, name)
+    chosen = tuple(e for e in study.experiments if e.name in experiments)
+    values = read_parameters(shared_data / "lab" / name / "truth.json")
+    virtual.simulate_study(replace(study, experiments=chosen), values, tmp_path)
+    again = read_study(tmp_path / "study.toml")
+    for ours, theirs in zip(logs.read_logs(again), logs.read_logs(study, chosen), strict=True):
+        joint = ours.experiment.joint or 1
+        assert fit(theirs.channels[f"theta_m{joint}"], ours.channels[f"theta_m{joint}"]) > 95.0
+        speed = (
+            np.gradient(theirs.channels[f"gyro{joint}"]),
+            np.gradient(ours.channels[f"gyro{joint}"]),
+        )
+        assert np.corrcoef(*speed)[0, 1] > 0.0
+        if ours.experiment.control[joint - 1] == "servo":
+            assert fit(theirs.channels[f"u{joint}"], ours.channels[f"u{joint}"]) > 95.0
+
+
+def test_the_servo_is_the_one_that_made_the_logs(shared_data: Path) -> None:
+    """Its law, replayed on logged encoder and reference, gives the logged voltage to the last digit."""
+    study = _lab(shared_data, "scara-linear-5kg")
+    servo = study.servo
+    assert servo is not None
+    log = logs.read_log(study, study.experiments[0])
+    count = 2.0 * np.pi / 8192
+    for i in (1, 2):
+        angle = count * np.round(log.channels[f"theta_m{i}"] / count)
+        error = log.channels[f"ref{i}"] - np.diff(angle, prepend=angle[0]) / servo.period
+        expected = servo.kp[i - 1] * error + servo.ki[i - 1] * np.cumsum(error) * servo.period
+        assert np.abs(expected).max() < servo.limit
+        np.testing.assert_allclose(log.channels[f"u{i}"], expected, atol=2e-5)
+
+
+def test_a_prbs_rides_on_the_servo(tmp_path: Path) -> None:
+    study = scara.study(tmp_path)
+    prbs = Prbs(order=8, clock=1e-3, periods=2, amplitude=8.0)
+    ridden = Experiment("p", "p.parquet", "frequency", ("servo", "servo"), joint=1, prbs=prbs)
+    virtual.simulate_study(replace(study, experiments=(ridden,)), scara.parameters(), tmp_path)
+    log = logs.read_logs(read_study(tmp_path / "study.toml"))[0]
+    u = log.channels["u1"]
+    assert np.abs(u).max() > 8.0  # the servo's part on top
+    assert np.abs(u).max() <= 10.0
+    assert np.ptp(log.channels["u2"]) > 0.0
+
+
+def test_parameters_round_trip_through_a_result_like_file(tmp_path: Path) -> None:
+    values = scara.parameters()
+    entries = [{"name": name, "joint": joint, "value": v} for (name, joint), v in values.items()]
+    (tmp_path / "p.json").write_text(json.dumps({"parameters": entries}))
+    assert read_parameters(tmp_path / "p.json") == values

@@ -1,0 +1,50 @@
+"""Runs of a small virtual arm whose joints have further effects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from strainwave.domain import ArmModel, Effect, Log, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.identification.whole_arm import TuningOptions, tune
+from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
+
+FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
+ALL: tuple[Effect, ...] = ("stribeck", "hysteresis", "kinematic-error")
+SIZES: Values = {
+    ("stribeck_friction", 1): 0.02,
+    ("stribeck_velocity", 1): 3.0,
+    ("hysteresis_torque", 1): 2.0,
+    ("hysteresis_twist", 1): 1.5e-4,
+    ("kinematic_error_cos", 1): 1e-4,
+    ("kinematic_error_sin", 1): -5e-5,
+}
+
+
+def rig(effects: tuple[Effect, ...]) -> Study:
+    """The rig, whose first joint has effects."""
+    study = truth()[0]
+    return replace(study, joints=(replace(study.joints[0], effects=effects), study.joints[1]))
+
+
+@cache
+def records(effects: tuple[Effect, ...]) -> tuple[Study, Values, tuple[Log, ...]]:
+    """Half a second of either joint in open loop, with noise."""
+    known = truth()[1] | SIZES
+    study, logs = written_logs(shaken_study(rig(effects), 8.0), known, noise=SensorNoise())
+    return study, known, logs
+
+
+@cache
+def tuned(has: tuple[Effect, ...], asked: tuple[Effect, ...], most: int = 60) -> ArmModel:
+    """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
+    study, known, logs = records(has)
+    asks = replace(study, joints=rig(asked).joints)
+    joints = joint_models(asks, known, 0.05, FACTORS)
+    return tune(
+        logs, rigid_model(asks, known, 0.01, 1.0), joints, asks, TuningOptions(max_iterations=most)
+    )

@@ -1,0 +1,337 @@
+"""Physical parameters straight from the equations of motion."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from elastic_runs import SAMPLE, log_of, prbs_run, rig, rig_values, true_model
+from joint_records import Case, case, truth_of
+from strainwave.domain import Decoupled, Delay, FloatArray, Joint, JointModel, LinkSignals
+from strainwave.domain.parameters import unit_of
+from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
+from strainwave.errors import NotIdentifiable
+from strainwave.identification import decoupling
+from strainwave.identification.joint_model import (
+    PhysicalOptions,
+    fit_joint,
+    grey_box,
+    identify_joint,
+    rigid_knowledge,
+)
+from strainwave.identification.joint_model.estimates import cautions_of, parameters_of
+from strainwave.numerics import least_squares as ls
+from strainwave.signals import link_motion as links
+
+CASES = [(1, 1), (2, 1), (3, 2), (4, 2)]
+WELL_TOLD = [NAMES.index(n) for n in ("motor_inertia", "link_inertia", "gear_stiffness")]
+
+
+def found_in(one: Case, options: PhysicalOptions | None = None) -> JointModel:
+    return identify_joint(one.records, one.model, one.study, options)
+
+
+def vector_of(model: JointModel) -> FloatArray:
+    return np.array([model.values[name] for name in NAMES])
+
+
+@pytest.fixture(scope="module")
+def models() -> list[tuple[Case, JointModel]]:
+    return [(case(*which), found_in(case(*which))) for which in CASES]
+
+
+def test_noisy_records_give_the_joint_back(models: list[tuple[Case, JointModel]]) -> None:
+    for one, model in models:
+        off = vector_of(model) / one.truth.vector - 1.0
+        # the rigid model is off by 0.1 %, three times over by chance
+        assert np.abs(off[WELL_TOLD]).max() < 0.005
+        assert abs(off[NAMES.index("gear_damping")]) < 0.06
+        friction = one.values["motor_coulomb_friction", one.decoupled.joint]
+        assert model.values["motor_coulomb_friction"] == pytest.approx(friction, rel=0.02)
+        total = next(p for p in model.parameters if p.name == "total_viscous_friction")
+        wanted = one.truth.motor_viscous_friction + 1e-4 * one.truth.link_viscous_friction
+        assert total.value == pytest.approx(wanted, rel=0.05)
+        assert model.status != "implausible"
+
+
+def test_deviations_are_those_of_the_errors(models: list[tuple[Case, JointModel]]) -> None:
+    """Twelve normalised errors: their mean square is near one if the covariance is honest."""
+    normalised = []
+    for one, model in models:
+        std = np.sqrt(np.diag(model.covariance))[: len(NAMES)]
+        normalised.append(((vector_of(model) - one.truth.vector) / std)[WELL_TOLD])
+    size = float(np.sqrt(np.mean(np.square(normalised))))
+    # errors of the three go together, so that there are some four independent ones
+    assert 0.2 < size < 2.0
+
+
+def test_frequencies_come_with_deviations(models: list[tuple[Case, JointModel]]) -> None:
+    for one, model in models:
+        assert model.anti_resonance is not None
+        assert model.resonance is not None
+        for mode, true in (
+            (model.anti_resonance, anti_resonance(one.truth)),
+            (model.resonance, resonance(one.truth)),
+        ):
+            assert mode.frequency_hz == pytest.approx(true.frequency_hz, rel=2e-3)
+            assert mode.frequency_std_hz is not None
+            assert mode.frequency_std_hz < 0.005 * mode.frequency_hz
+
+
+def test_two_records_at_once_are_no_worse() -> None:
+    one = case(1, 1)
+    twice = identify_joint(one.records * 2, one.model, one.study)
+    once = vector_of(found_in(one))[WELL_TOLD]
+    assert vector_of(twice)[WELL_TOLD] == pytest.approx(once, rel=1e-3)
+    assert twice.experiments == ("prbs", "prbs")
+
+
+def test_a_record_alone_starts_from_all_and_ends_where_it_would() -> None:
+    one = case(*CASES[0])
+    ((signals, decoupled),) = one.records
+    name = signals.experiment.name
+    again = replace(signals, experiment=replace(signals.experiment, name="again"))
+    both = fit_joint([(signals, decoupled), (again, decoupled)], one.model, one.study)
+    alone = found_in(one)
+    for each in (name, "again"):
+        found = both.of_record(each)
+        assert found.experiments == (each,)
+        std = np.sqrt(np.diag(alone.covariance))
+        assert np.abs((vector_of(found) - vector_of(alone)) / std[: len(NAMES)]).max() < 0.1
+        np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.1)
+    single = fit_joint(one.records, one.model, one.study)
+    assert single.of_record(name) is single.model
+
+
+def test_the_rigid_models_errors_are_counted() -> None:
+    """beta is in tau of joint 2: where it is less certain, so is what follows."""
+    one = case(3, 2)
+    doubtful = replace(one.model, covariance=25.0 * one.model.covariance)
+    sure, unsure = (
+        identify_joint(one.records, model, one.study) for model in (one.model, doubtful)
+    )
+    k = NAMES.index("link_inertia")
+    assert unsure.covariance[k, k] > 4.0 * sure.covariance[k, k]
+
+
+def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
+    """k D of a sensor's delay reads as gear damping; where none was taken off, nothing is added."""
+    one = case(1)
+    number = one.decoupled.joint
+    at = NAMES.index("gear_damping")
+
+    def having_removed(value: float) -> JointModel:
+        delays = tuple(Delay(value if j == number else 0.0, 3e-5) for j in (1, 2))
+        signals = replace(one.signals, removed_delay=delays)
+        return identify_joint([(signals, one.decoupled)], one.model, one.study)
+
+    plain, none, removed = found_in(one), having_removed(0.0), having_removed(1e-3)
+    np.testing.assert_array_equal(none.covariance, plain.covariance)
+    added = removed.covariance - plain.covariance
+    expected = (plain.values["gear_stiffness"] * 3e-5) ** 2
+    assert added[at, at] == pytest.approx(expected, rel=1e-9)
+    assert np.count_nonzero(added) == 1
+    told = next(p for p in removed.parameters if p.name == "gear_damping")
+    assert told.std == pytest.approx(np.sqrt(removed.covariance[at, at]))
+
+
+def test_slow_sampling_biases_nothing() -> None:
+    """Of ideal sensors at 1 kHz; straight lines between the samples took 1 % of motor inertia."""
+    study = rig(counts=None)
+    values = rig_values(study)
+    run = prbs_run(study, both=True)
+    log = log_of(run)
+    slow = {name: channel[::4] for name, channel in log.channels.items()}
+    signals = links.link_side(
+        replace(log, time=log.time[::4], sample_time=4.0 * SAMPLE, channels=slow), study
+    )
+    model = true_model(study, values)
+    decoupled = decoupling.decouple(signals, model, study)[0]
+    found = vector_of(identify_joint([(signals, decoupled)], model, study))
+    off = found / truth_of(values, 1).vector - 1.0
+    assert np.abs(off[WELL_TOLD]).max() < 0.002
+    assert abs(off[NAMES.index("gear_damping")]) < 0.01
+
+
+def test_what_hangs_on_friction_in_doubt_joins_the_deviations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Reversals within an encoder's counts: were friction there taken alike, nothing would join."""
+    one = case(*CASES[0])
+    plain = np.sqrt(np.diag(found_in(one).covariance))
+    monkeypatch.setattr(grey_box, "_TAKEN", grey_box._STANDING)
+    alike = np.sqrt(np.diag(found_in(one).covariance))
+    assert np.all(plain > 0.99 * alike)
+    assert np.max(plain / alike) > 1.02
+
+
+def test_a_band_may_be_set() -> None:
+    one = case(1, 1)
+    model = found_in(one, PhysicalOptions(band_hz=(5.0, 45.0)))
+    assert model.band_hz == (5.0, 45.0)
+    assert model.values != found_in(one).values
+
+
+def test_the_search_may_begin_elsewhere(models: list[tuple[Case, JointModel]]) -> None:
+    one, model = models[0]
+    near = identify_joint(one.records, one.model, one.study, search_from_hz=model.band_hz)
+    # bands settle to a twentieth, and the band is a small part of a deviation
+    np.testing.assert_allclose(near.band_hz, model.band_hz, rtol=0.05)
+    off = np.abs(vector_of(near) - vector_of(model))[WELL_TOLD]
+    assert (off < 0.3 * np.sqrt(np.diag(model.covariance))[WELL_TOLD]).all()
+    assert near.values != model.values
+
+
+def test_the_rigid_models_equations_may_be_left_out() -> None:
+    one = case(1, 1)
+    with_rigid, without = found_in(one), found_in(one, PhysicalOptions(use_rigid=False))
+    weight = np.zeros(len(NAMES) + 1)
+    weight[NAMES.index("motor_viscous_friction")] = 1.0
+    weight[NAMES.index("link_viscous_friction")] = 1e-4
+    spread = [float(weight @ m.covariance @ weight) for m in (with_rigid, without)]
+    assert spread[1] > 2.0 * spread[0]
+
+
+def test_without_a_rigid_model_the_data_speak_alone() -> None:
+    one = case(1, 1)
+    model = identify_joint(one.records, None, one.study)
+    off = vector_of(model) / one.truth.vector - 1.0
+    assert np.abs(off[WELL_TOLD]).max() < 0.01
+
+
+def test_a_link_without_sensor_is_refused() -> None:
+    one = case(1, 1)
+    blind = replace(one.signals, sources=("motor", "motor"))
+    with pytest.raises(NotIdentifiable, match="no sensor"):
+        identify_joint([(blind, one.decoupled)], one.model, one.study)
+
+
+def test_what_is_hardly_told_or_impossible_is_said() -> None:
+    joint = Joint(spring="three-slope", gear_ratio=0.01)
+    values = dict(zip(NAMES, [1e-4, 1e-4, -3.0, 0.5, 2e4, 20.0], strict=True))
+    covariance = np.diag([1e-6, 9e-5, 0.1, 0.01, 10.0, 0.1]) ** 2
+    told = (True,) * 5 + (False,)
+    said = {p.name: p.value for p in parameters_of(values, covariance, told, joint, 1)}
+    assert said["motor_viscous_friction"] is None  # to 90 %
+    assert said["link_viscous_friction"] == 0.5  # to 2 %
+    assert said["gear_damping"] is None
+    assert said["link_inertia"] == -3.0
+    assert said["total_viscous_friction"] == pytest.approx(1.5e-4)
+    codes = {
+        (c.code, c.where.split()[0]) for c in cautions_of(values, covariance, told, joint, 1, "x")
+    }
+    assert codes == {
+        ("not-identifiable", "motor_viscous_friction"),
+        ("not-identifiable", "gear_damping"),
+        ("implausible", "link_inertia"),
+        ("equivalent-stiffness", "gear_stiffness"),
+    }
+
+
+def test_units() -> None:
+    revolute = Joint(spring="linear", gear_ratio=0.01)
+    sliding = replace(revolute, motion="prismatic")
+    names = ("link_inertia", "motor_coulomb_friction", "gear_stiffness", "gear_damping")
+    assert [unit_of(n, revolute) for n in names] == ["kg m^2", "N m", "N m/rad", "N m s/rad"]
+    assert [unit_of(n, sliding) for n in names] == ["kg", "N", "N/m", "N s/m"]
+
+
+def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
+    """Against plain least squares over the parameters and every unknown of free friction."""
+    one = case(1, 1)
+    signals = [one.signals]
+    known = rigid_knowledge(one.model, one.study, one.decoupled.joint, signals)
+    weighted = grey_box.solve(one.records, one.study, known, (5.0, 45.0)).own
+    equations, root = weighted.equations, weighted.root
+    free = np.zeros((len(root), len(equations.local_deviation)))
+    free[equations.local[0].rows] = equations.local[0].columns.dense()
+    scale = np.linalg.norm(equations.shared * root[:, None], axis=0)
+    columns = np.hstack([equations.shared / scale, free * equations.local_deviation])
+    priors = np.eye(columns.shape[1])[len(scale) :]
+    target = np.concatenate([equations.target * root, np.zeros(len(priors))])
+    plain = np.linalg.lstsq(np.vstack([columns * root[:, None], priors]), target)[0]
+    factor = ls.factorise(equations, root)
+    assert free.shape[1] > 100
+    np.testing.assert_allclose(factor.value, plain[:7] / scale, rtol=1e-7)
+    np.testing.assert_allclose(
+        factor.local, plain[7:] * equations.local_deviation, atol=1e-7 * np.abs(plain).max()
+    )
+
+
+def longer(one: Case, times: int) -> tuple[LinkSignals, Decoupled]:
+    """A record that goes through the same again and again."""
+    n = len(one.signals.time)
+
+    def tiled(columns: LinkSignals | Decoupled) -> dict[str, Any]:
+        every = {f.name: getattr(columns, f.name) for f in fields(columns)}
+        return {
+            name: np.concatenate([value] * times)
+            for name, value in every.items()
+            if isinstance(value, np.ndarray) and len(value) == n
+        }
+
+    return (
+        replace(one.signals, **tiled(one.signals)),
+        replace(one.decoupled, **tiled(one.decoupled)),
+    )
+
+
+def test_work_arrays_grow_with_the_record_and_no_faster() -> None:
+    """Numbers held by the equations of records twice and four times as long."""
+    one = case(1, 1)
+    sizes = []
+    for times in (2, 4):
+        signals, decoupled = longer(one, times)
+        piece = grey_box._piece(signals, decoupled, one.study, (5.0, 45.0))
+        equations = grey_box._assemble([piece], grey_box.RigidKnowledge(None, None, None), TRIED)
+        local = equations.local[0].columns
+        sizes.append(equations.shared.size + local.entries.size + local.first.size)
+    assert sizes[1] < 2.2 * sizes[0]  # the edges left out weigh more in the shorter one
+
+
+TRIED = np.array([1e-4, 1e-4, 0.05, 3.0, 1.0, 1e-4, 1e-3])
+"""Parameters of about the right size, around which the equations are put together."""
+
+
+def test_the_band_of_a_long_record_is_looked_for_in_its_middle(
+    monkeypatch: pytest.MonkeyPatch, models: list[tuple[Case, JointModel]]
+) -> None:
+    one, whole = models[0]
+    n = len(one.signals.time)
+    lengths: list[int] = []
+    plain = grey_box._piece
+
+    def counted(signals: LinkSignals, *rest: Any) -> Any:
+        lengths.append(len(signals.time))
+        return plain(signals, *rest)
+
+    monkeypatch.setattr(grey_box, "_piece", counted)
+    monkeypatch.setattr(grey_box, "_SEARCHED", 2 * n // 3)
+    found = found_in(one)
+    # in the whole record only the band found and those beside it
+    assert lengths.count(2 * n // 3) == len(lengths) - 3 > 0
+    std = np.sqrt(np.diag(whole.covariance))[: len(NAMES)]
+    assert np.abs((vector_of(found) - vector_of(whole)) / std).max() < 0.2
+
+
+def test_all_of_a_record_is_searched_where_its_middle_rings_elsewhere(
+    monkeypatch: pytest.MonkeyPatch, models: list[tuple[Case, JointModel]]
+) -> None:
+    one, whole = models[0]
+    n = len(one.signals.time)
+    monkeypatch.setattr(grey_box, "_SEARCHED", n - 1)
+    plain = grey_box._found
+
+    def misled(records: Any, study: Any, known: Any, search: Any) -> Any:
+        if len(records[0][0].time) == n:
+            return plain(records, study, known, search)
+        band = (9.0, 18.0)
+        return band, grey_box._equations(records, study, known, band)
+
+    monkeypatch.setattr(grey_box, "_found", misled)
+    found = found_in(one)
+    assert found.band_hz == whole.band_hz
+    assert found.values == whole.values

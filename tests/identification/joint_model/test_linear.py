@@ -1,0 +1,230 @@
+"""State-space models of decoupled joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from joint_records import case
+from strainwave.domain import Decoupled, Fusion, LinearOptions, StateSpace
+from strainwave.dynamics.two_inertia import anti_resonance, resonance
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.identification.joint_model import linear
+from strainwave.identification.joint_model.linear import (
+    band_of,
+    judge,
+    modes_of,
+    other_bands,
+    physical_order,
+    state_space_of,
+    velocities,
+    without_alternating,
+)
+from strainwave.statespace import frequency_response
+from two_inertia import TwoInertia, state_space
+
+CASES = [(1, 1), (2, 1), (3, 2), (4, 2)]
+
+
+@cache
+def model_of(seed: int, joint: int) -> StateSpace:
+    return state_space_of(case(seed, joint).decoupled)
+
+
+def frequencies(model: StateSpace) -> tuple[float, float]:
+    found = modes_of(model)
+    assert found.anti_resonance is not None
+    assert found.resonance is not None
+    return found.anti_resonance.frequency_hz, found.resonance.frequency_hz
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_it_rings_where_the_joint_does(which: tuple[int, int]) -> None:
+    model, truth = model_of(*which), case(*which).truth
+    assert model.order in (3, 4)  # the band's edge takes a state of its own
+    assert model.status == "converged"
+    # a third of what was asked for: stiction, quantisation and one second of record
+    wanted = (anti_resonance(truth).frequency_hz, resonance(truth).frequency_hz)
+    assert frequencies(model) == pytest.approx(wanted, rel=0.007)
+    assert min(model.fit_percent) > 85.0
+    assert model.output_names == ("motor_velocity", "link_velocity")
+
+
+def test_records_are_fitted_at_once() -> None:
+    one = case(1, 1).decoupled
+    both = state_space_of([one, one])
+    assert both.initial_states.shape == (2, both.order)
+    assert frequencies(both) == pytest.approx(frequencies(model_of(1, 1)), rel=2e-3)
+
+
+def test_only_uninterrupted_valid_stretches_are_used() -> None:
+    one = case(1, 1).decoupled
+    gap = len(one.valid) // 2
+    valid = one.valid.copy()
+    valid[gap : gap + 10] = False
+    spoilt = one.outputs.copy()
+    spoilt[gap : gap + 10] = 1e6
+    model = state_space_of(replace(one, valid=valid, outputs=spoilt))
+    assert len(model.initial_states) == 2
+    assert frequencies(model) == pytest.approx(frequencies(model_of(1, 1)), rel=0.01)
+
+
+def test_options_change_the_model() -> None:
+    one = case(1, 1).decoupled
+    assert state_space_of(one, LinearOptions(order=4)).order == 4
+    assert state_space_of(one, LinearOptions(method="subspace")).method == "subspace"
+    assert state_space_of(one, LinearOptions(outputs="motor")).C.shape[0] == 1
+    assert state_space_of(one, LinearOptions(inputs="motor")).B.shape[1] == 1
+    slow = state_space_of(one, LinearOptions(band_hz=(4.0, 40.0)))
+    assert slow.sample_time == pytest.approx(1.0 / 160.0, rel=0.05)
+
+
+def test_too_many_states_give_way_to_the_physical_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linear, "_best_order", lambda *_: 6)
+    monkeypatch.setattr(linear, "_will_do", lambda model: model.order == 3)
+    model = state_space_of(case(1, 1).decoupled)
+    assert model.order == 3
+    assert [warning.code for warning in model.warnings] == ["order-reduced"]
+
+
+def test_the_closed_form_is_of_the_physical_order() -> None:
+    assert physical_order(LinearOptions()).order == 3
+    assert physical_order(LinearOptions(order=4)).order == 4
+    one = case(1, 1)
+    assert state_space_of(one.decoupled, physical_order(LinearOptions())).order == 3
+
+
+def test_leaving_the_interaction_out_is_wrong() -> None:
+    """The paper's point: without tau the arm's coupled modes are found."""
+    one = case(1, 1)
+    wanted = anti_resonance(one.truth).frequency_hz
+    low, _ = frequencies(state_space_of(one.decoupled, LinearOptions(inputs="motor")))
+    assert abs(low / wanted - 1.0) > 0.05
+
+
+def test_no_stretch_is_long_enough() -> None:
+    one = case(1, 1).decoupled
+    valid = np.arange(len(one.valid)) % 400 != 0
+    with pytest.raises(NotIdentifiable, match="no stretch"):
+        state_space_of(replace(one, valid=valid), LinearOptions(band_hz=(5.0, 60.0)))
+
+
+def test_records_that_do_not_belong_together() -> None:
+    one = case(1, 1).decoupled
+    with pytest.raises(InvalidInput, match="different joints"):
+        state_space_of([one, replace(one, joint=2)])
+    with pytest.raises(InvalidInput, match="sample times"):
+        state_space_of([one, replace(one, sample_time=2.0 * one.sample_time)])
+    with pytest.raises(InvalidInput, match="no record"):
+        state_space_of([])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_fusion_is_undone(order: int) -> None:
+    """(10) forward, then back: the identity."""
+    fusion = Fusion(0.2, 1 if order == 1 else 2)
+    record: Decoupled = replace(case(1, 1).decoupled, fusion=fusion)
+    f = np.geomspace(0.5, 100.0, 7)
+    x = 2j * np.pi * f * 0.2
+    F = 1.0 / (1.0 + x) if order == 1 else 1.0 / (1.0 + np.sqrt(2.0) * x + x**2)
+    forward = np.zeros((7, 2, 2), dtype=complex)
+    forward[:, 0, 0] = 1.0
+    forward[:, 1, 0], forward[:, 1, 1] = record.gear_ratio * F, 1.0 - F
+    unit = np.tile(np.eye(2), (7, 1, 1))
+    assert velocities(f, record) @ forward == pytest.approx(unit, abs=1e-12)
+    bare = replace(record, fusion=None)
+    assert velocities(f, bare) == pytest.approx(unit)
+
+
+def test_the_band() -> None:
+    gain = band_of(np.array([0.01, 5.0, 16.0, 50.0, 1e4]), (5.0, 50.0))
+    assert gain[[1, 3]] == pytest.approx([0.5, 0.5], rel=0.02)
+    assert gain[2] > 0.9
+    assert max(gain[0], gain[4]) < 1e-4
+    (low, high), (lower, higher) = other_bands((5.0, 50.0), [case(1, 1).decoupled])
+    assert lower < 5.0 < low
+    assert high < 50.0 < higher
+
+
+def test_an_alternating_pole_is_a_gain_in_the_band() -> None:
+    """What is left of a model with a pole at -0.6 answers slow inputs as before."""
+    joint = TwoInertia().sampled()
+    A = np.zeros((4, 4))
+    A[:3, :3], A[3, 3] = joint.A, -0.6
+    rng = np.random.default_rng(1)
+    small = 1e-2 * rng.standard_normal(2)
+    whole = state_space(
+        A, np.vstack([joint.B, small]), np.hstack([joint.C, [[1.0], [1e-3]]]), joint.D
+    )
+    turn = rng.standard_normal((4, 4)) + 3.0 * np.eye(4)
+    inverse = np.linalg.inv(turn)
+    turned = replace(
+        whole,
+        A=turn @ whole.A @ inverse,
+        B=turn @ whole.B,
+        C=whole.C @ inverse,
+        K=turn @ whole.K,
+        initial_states=whole.initial_states @ turn.T,
+    )
+    shorter = without_alternating(turned)
+    assert shorter.order == 3
+    assert np.linalg.eigvals(shorter.A) == pytest.approx(np.linalg.eigvals(joint.A), rel=1e-9)
+    f = np.array([2.0, 10.0, 30.0])
+    before, after = (frequency_response(m, f).response for m in (turned, shorter))
+    assert after == pytest.approx(before, rel=0.02)
+    assert without_alternating(joint) is joint
+
+
+def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
+    """Against models drawn from the covariance, each reduced by itself."""
+    joint = TwoInertia().sampled()
+    A = np.zeros((4, 4))
+    A[:3, :3], A[3, 3] = joint.A, -0.6
+    rng = np.random.default_rng(2)
+    small = 1e-2 * rng.standard_normal(2)
+    whole = state_space(
+        A, np.vstack([joint.B, small]), np.hstack([joint.C, [[1.0], [1e-3]]]), joint.D
+    )
+    names = ("A", "B", "C", "D", "K")
+    entries = np.concatenate([getattr(whole, name).ravel() for name in names])
+    std = 1e-5 * np.abs(entries)
+    known = replace(whole, covariance=np.diag(std**2))
+    found = modes_of(known)
+
+    def drawn() -> list[float]:
+        values = entries + std * rng.standard_normal(len(std))
+        parts = np.split(values, np.cumsum([getattr(whole, name).size for name in names])[:-1])
+        shapes: dict[str, Any] = {
+            name: part.reshape(getattr(whole, name).shape)
+            for name, part in zip(names, parts, strict=True)
+        }
+        near = modes_of(replace(whole, **shapes))
+        assert near.resonance is not None
+        assert near.anti_resonance is not None
+        return [near.resonance.frequency_hz, near.anti_resonance.frequency_hz]
+
+    scatter = np.std([drawn() for _ in range(300)], axis=0)
+    assert found.resonance is not None
+    assert found.anti_resonance is not None
+    said = [found.resonance.frequency_std_hz, found.anti_resonance.frequency_std_hz]
+    assert said == pytest.approx(scatter, rel=0.2)  # 300 draws scatter by 4 %
+
+
+@pytest.mark.parametrize("which", CASES[:2])
+def test_held_out_data_are_foretold_and_feedback_is_seen(which: tuple[int, int]) -> None:
+    """One step ahead on the last quarter; the interaction torque is feedback, and shows as such."""
+    check = judge(case(*which).decoupled, model_of(*which))
+    assert min(check.prediction_fit_percent) > 90.0
+    verdicts = {test.name: test.passed for test in check.tests}
+    assert set(verdicts) == {"white", "independent-of-past-inputs", "no-feedback"}
+
+
+def test_a_model_that_does_not_ring_is_not_judged() -> None:
+    model = model_of(1, 1)
+    dull = replace(model, A=np.diag(np.linspace(0.5, 0.7, model.order)))
+    with pytest.raises(NotIdentifiable, match="does not ring"):
+        judge(case(1, 1).decoupled, dull)

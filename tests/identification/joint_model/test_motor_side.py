@@ -1,0 +1,216 @@
+"""Gears from the motors' own responses: the impedance, the search, and starts without records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.studies.arms import drawn
+from hypothesis import given
+from hypothesis import strategies as st
+
+from strainwave.domain import ComplexArray, FloatArray, LinkSignals, Study
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.rigid_regressor import gear_ratios
+from strainwave.dynamics.simulation import base_names
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.joint_model.motor_side import (
+    models_from_catalogue,
+    models_from_motors,
+)
+from strainwave.identification.joint_model.motor_side.arms import Family, family_of, posture_of
+from strainwave.identification.joint_model.motor_side.impedance import LinearArm, velocities
+from strainwave.identification.joint_model.motor_side.search import minima
+from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thinned
+from strainwave.virtual.experiments import derived
+
+BASE = ("alpha", "beta", "gamma")
+
+
+def linear_arm(n: int, rng: np.random.Generator) -> LinearArm:
+    """Any arm: positive parameters over two decades, a positive definite inertia, any gravity."""
+    spread = np.exp(rng.uniform(-2.3, 2.3, (6, n)))
+    root, pull = rng.normal(size=(n, n)), rng.normal(size=(n, n))
+    return LinearArm(
+        gear_ratio=rng.uniform(0.005, 0.1, n),
+        motor_inertia=1e-4 * spread[0],
+        motor_viscous_friction=1e-4 * spread[1],
+        link_viscous_friction=0.3 * spread[2],
+        gear_stiffness=1e4 * spread[3],
+        gear_damping=10.0 * spread[4],
+        inertia=root @ root.T + 0.1 * np.eye(n),
+        gravity=5.0 * (pull + pull.T),
+    )
+
+
+def response(arm: LinearArm, s: complex) -> ComplexArray:
+    """Motor velocities over torques by the state space [theta_M, q_L, dtheta_M, dq_L]: (n, n)."""
+    n = len(arm.gear_ratio)
+    N, K, D = (np.diag(x) for x in (arm.gear_ratio, arm.gear_stiffness, arm.gear_damping))
+    mass = np.block(
+        [[np.diag(arm.motor_inertia), np.zeros((n, n))], [np.zeros((n, n)), arm.inertia]]
+    )
+    spring = np.block([[N @ K @ N, -N @ K], [-K @ N, K + arm.gravity]])
+    damper = np.block([[N @ D @ N, -N @ D], [-D @ N, D + np.diag(arm.link_viscous_friction)]])
+    damper[:n, :n] += np.diag(arm.motor_viscous_friction)
+    one, nothing = np.eye(2 * n), np.zeros((2 * n, 2 * n))
+    A = np.block([[nothing, one], [-np.linalg.solve(mass, spring), -np.linalg.solve(mass, damper)]])
+    B = np.vstack([np.zeros((2 * n, n)), np.linalg.solve(mass, np.eye(2 * n, n))])
+    C = np.hstack([np.zeros((n, 2 * n)), np.eye(n, 2 * n)])
+    return np.asarray(C @ np.linalg.solve(s * np.eye(4 * n) - A, B))
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from((1, 2, 3)), st.floats(0.5, 200.0))
+def test_the_impedance_is_the_inverse_of_the_state_space_response(
+    seed: int, n: int, hz: float
+) -> None:
+    arm = linear_arm(n, np.random.default_rng(seed))
+    s = np.array([2j * np.pi * hz], dtype=np.complex128)
+    product = arm.impedance(s)[0] @ response(arm, complex(s[0]))
+    # inverses of matrices whose entries span the gear ratio squared, some 1e5
+    np.testing.assert_allclose(product, np.eye(n), atol=1e-6)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from((1, 2)))
+def test_a_motor_s_velocity_follows_whatever_the_other_motors_do(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    arm = linear_arm(n, rng)
+    s = np.asarray(2j * np.pi * np.geomspace(1.0, 100.0, 7), dtype=np.complex128)
+    motion = complex_normal(rng, (7, n))
+    Z = arm.impedance(s)
+    torque = np.einsum("lij,lj->li", Z, motion)
+    for i in range(n):
+        found = velocities(Z, torque[:, i], motion, i)
+        np.testing.assert_allclose(found, motion[:, i], rtol=1e-8)
+
+
+def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexArray:
+    return np.asarray(rng.normal(size=shape) + 1j * rng.normal(size=shape), dtype=np.complex128)
+
+
+def known_family(study: Study, values: Values) -> Family:
+    """All arms that agree with a drawn one's rigid parameters, which are exact."""
+    known, n = derived(values, study), gear_ratios(study)
+    motor = np.array([known["motor_inertia", i] for i in (1, 2)])
+    link = np.array([known["link_inertia", i] for i in (1, 2)])
+    names = base_names(study)
+    total = motor + n**2 * link
+    return Family(
+        study=study,
+        ratio=n,
+        total_inertia=total,
+        total_viscous=np.array([known["total_viscous_friction", i] for i in (1, 2)]),
+        coulomb=np.array([known["motor_coulomb_friction", i] for i in (1, 2)]),
+        base=np.array([known.get(key, 0.0) for key in names]),
+        places=tuple(names.index((name, None)) for name in BASE),
+        known_share=np.array([np.nan, motor[1] / total[1]]),
+        known_deviation=np.array([np.nan, 0.02]),
+    )
+
+
+def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generator) -> Piece:
+    """Spectra of a stretch in which one motor is driven and slides, without noise."""
+    known = derived(values, family.study)
+    angle = rng.uniform(-1.5, 1.5, 2)
+
+    def of(name: str) -> FloatArray:
+        return np.array([known[name, i] for i in (1, 2)])
+
+    base = np.array([known.get(key, 0.0) for key in base_names(family.study)])
+    posture = posture_of(family.study, angle)
+    arm = LinearArm(
+        gear_ratio=family.ratio,
+        motor_inertia=of("motor_inertia"),
+        motor_viscous_friction=of("motor_viscous_friction"),
+        link_viscous_friction=of("link_viscous_friction"),
+        gear_stiffness=of("gear_stiffness"),
+        gear_damping=of("gear_damping"),
+        inertia=np.tensordot(base, posture.inertia, axes=1),
+        gravity=np.tensordot(base, posture.gravity, axes=1),
+    )
+    s = np.asarray(2j * np.pi * np.geomspace(1.5, 150.0, 120), dtype=np.complex128)
+    direction = complex_normal(rng, (120, 2))
+    drive = np.zeros((120, 2), dtype=np.complex128)
+    drive[:, row] = complex_normal(rng, (120,))
+    velocity = np.asarray(np.linalg.solve(arm.impedance(s), drive[..., None])[..., 0])
+    assert family.coulomb is not None
+    torque = drive + family.coulomb * direction
+    return Piece(f"prbs-j{row + 1}", s, torque, direction, velocity, angle, (row,))
+
+
+@pytest.mark.parametrize("seed", [0, 2, 8])
+def test_the_search_finds_the_gears_of_drawn_arms(seed: int) -> None:
+    study, values = drawn(seed)  # linear gears
+    for i, n in enumerate(gear_ratios(study), start=1):  # the split that a search takes for given
+        values["link_viscous_friction", i] = values["motor_viscous_friction", i] / n**2
+    rng = np.random.default_rng(seed)
+    family = known_family(study, values)
+    records = [exact_piece(family, values, row, rng) for row in (0, 1)]
+    best = minima(family, records, [thinned(piece, 40) for piece in records])[0]
+    parts = family.parts(best.point)
+    for i in (0, 1):
+        # all but the split of the viscous friction, which is fixed, is as in the truth
+        for name, close in (("gear_stiffness", 0.01), ("gear_damping", 0.05)):
+            assert parts[name][i] == pytest.approx(values[name, i + 1], rel=close), name
+        assert parts["motor_inertia"][i] == pytest.approx(values["motor_inertia", i + 1], rel=0.01)
+    assert np.all(best.fit_percent > 99.0)
+
+
+def test_a_stiffness_that_hardly_shows_stays_in_question() -> None:
+    study, values = drawn(0)
+    rng = np.random.default_rng(0)
+    family = known_family(study, values)
+    records = [exact_piece(family, values, row, rng) for row in (0, 1)]
+    few = [thinned(piece, 40) for piece in records]
+    sharp = minima(family, records, few)
+    noisy = [
+        replace(p, velocity=p.velocity + rng.normal(0.0, 30.0 * np.abs(p.velocity))) for p in few
+    ]
+    assert len(minima(family, noisy, noisy)) > len(sharp)
+
+
+def test_a_motor_that_stands_is_refused_with_a_remedy() -> None:
+    study, _ = drawn(0)
+    n = 2000
+    still: FloatArray = np.zeros((n, 2))
+    signals = _signals(study, still, n)
+    with pytest.raises(NotIdentifiable, match="joint 1 slide"):
+        models_from_motors([signals], None, study)
+    assert not next(pieces(signals, gear_ratios(study), most_lines=40)).rows
+
+
+def _signals(study: Study, still: FloatArray, n: int) -> LinkSignals:
+    own = next(e for e in study.experiments if e.use == "frequency")
+    return LinkSignals(
+        experiment=own,
+        time=np.asarray(2.5e-4 * np.arange(n), dtype=np.float64),
+        sample_time=2.5e-4,
+        motor_torque=still,
+        motor_angle=still,
+        motor_velocity=still,
+        direction=still,
+        sliding=still,
+        link_angle=still,
+        link_velocity=still,
+        link_acceleration=still,
+        valid=np.ones(n, dtype=bool),
+        sources=("motor", "motor"),
+        held=(True, True),
+        shared=(),
+        bandwidth_hz=None,
+        fusion=(None, None),
+        fusion_error=np.zeros(2),
+        bias=np.zeros(2),
+        sensor_delay=(None, None),
+        drive_delay=(None, None),
+    )
+
+
+def test_without_a_rigid_model_there_is_no_catalogue() -> None:
+    study, _ = drawn(0)
+    with pytest.raises(NotIdentifiable, match='use = "motion"'):
+        models_from_catalogue(None, replace(study, path=Path("study.toml")))
+    single = replace(study, joints=study.joints[:1], arm=replace(study.arm, kind="single-joint"))
+    assert family_of(None, single).total_inertia is None

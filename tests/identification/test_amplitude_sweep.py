@@ -1,0 +1,113 @@
+"""Sweeps of the amplitude: the verdict follows the slope and its deviation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from strainwave.domain import (
+    Decoupled,
+    Experiment,
+    FloatArray,
+    JointModel,
+    Mode,
+    Prbs,
+    RecordModel,
+    Use,
+)
+from strainwave.identification import amplitude_sweep as sweep
+
+EMPTY: FloatArray = np.zeros((0, 2))
+
+
+def record(
+    amplitude: float, hz: float, std: float, *, servoed: bool = False, use: Use = "sweep"
+) -> RecordModel:
+    """A record whose joint 1 was found to ring at `hz`."""
+    experiment = Experiment(
+        f"{amplitude:g} V",
+        "x.csv",
+        use,
+        ("open", "servo" if servoed else "open"),
+        joint=1,
+        prbs=Prbs(10, 1e-3, 4, amplitude),
+    )
+    signals = Decoupled(
+        experiment=experiment,
+        joint=1,
+        time=EMPTY[:, 0],
+        sample_time=1e-3,
+        inputs=EMPTY,
+        outputs=EMPTY,
+        valid=np.zeros(0, dtype=bool),
+        held=False,
+        total_inertia=1.0,
+        total_viscous_friction=None,
+        gear_ratio=0.01,
+        shared=(),
+        bandwidth_hz=None,
+        fusion=None,
+        richness_hz=EMPTY[:, 0],
+        richness=EMPTY[:, 0],
+        checks=(),
+    )
+    w = 2.0 * np.pi * hz
+    model = JointModel(
+        joint=1,
+        experiments=(experiment.name,),
+        method="grey-box",
+        parameters=(),
+        values={"link_inertia": 2.0, "gear_stiffness": 2.0 * w**2},
+        covariance=np.diag([0.0, (4.0 * w * 2.0 * np.pi * std) ** 2]),
+        anti_resonance=Mode(1j * w, hz, 0.03, std, 0.001),
+        resonance=None,
+        band_hz=(3.0, 60.0),
+        fit_percent={},
+        status="determined",
+    )
+    return RecordModel(signals, model, None, None, None)
+
+
+def test_a_spring_that_hardens() -> None:
+    (found,) = sweep.sweeps([record(a, 10.0 + 0.3 * a, 0.05) for a in (8.0, 2.0, 4.0, 6.0)])
+    assert found.joint == 1
+    assert [point.amplitude for point in found.points] == [2.0, 4.0, 6.0, 8.0]
+    assert found.verdict == "hardening"
+    for point in found.points:
+        w = 2.0 * np.pi * (10.0 + 0.3 * point.amplitude)
+        assert point.squared_anti_resonance == pytest.approx(w**2)
+        assert point.squared_anti_resonance_std == pytest.approx(2.0 * w * 2.0 * np.pi * 0.05)
+        assert point.gear_stiffness == pytest.approx(2.0 * w**2)
+        assert point.gear_stiffness_std == pytest.approx(2.0 * point.squared_anti_resonance_std)
+
+
+def test_a_line_comes_back_with_its_deviation() -> None:
+    """Squared anti-resonance 4000 + 100 a: the slope, and the deviation of a weighted line."""
+    amplitudes = np.array([2.0, 4.0, 6.0, 8.0])
+    squared = 4000.0 + 100.0 * amplitudes
+    hz = np.sqrt(squared) / (2.0 * np.pi)
+    # deviations such that that of the square is 10 everywhere
+    std = 10.0 / (2.0 * np.sqrt(squared) * 2.0 * np.pi)
+    (found,) = sweep.sweeps([record(a, f, s) for a, f, s in zip(amplitudes, hz, std, strict=True)])
+    assert found.slope == pytest.approx(100.0)
+    assert found.slope_std == pytest.approx(10.0 / np.sqrt(np.sum((amplitudes - 5.0) ** 2)))
+
+
+def test_a_linear_spring_shows_no_trend() -> None:
+    rng = np.random.default_rng(0)
+    points = [record(a, 12.0 + 0.05 * rng.normal(), 0.05) for a in (2.0, 3.0, 4.0, 6.0, 8.0)]
+    assert sweep.sweeps(points)[0].verdict == "no-trend"
+
+
+def test_a_spring_that_softens() -> None:
+    points = [record(a, 14.0 - 0.3 * a, 0.05) for a in (2.0, 4.0, 6.0)]
+    assert sweep.sweeps(points)[0].verdict == "softening"
+
+
+def test_two_amplitudes_are_no_trend_and_servoed_records_stay_out() -> None:
+    two = [record(2.0, 12.0, 0.1), record(4.0, 13.0, 0.1)]
+    assert sweep.sweeps(two) == ()
+    held = record(10.0, 14.0, 0.1, servoed=True, use="frequency")
+    assert sweep.sweeps([*two, held]) == ()
+    free = record(10.0, 14.0, 0.1, use="frequency")
+    assert len(sweep.sweeps([*two, free])[0].points) == 3

@@ -1,0 +1,253 @@
+"""Interaction torques: each joint alone is a two-inertia system."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
+from strainwave.domain import Arm, Decoupled, FloatArray, Joint, RigidModel, Study
+from strainwave.dynamics import interaction_torque as interaction
+from strainwave.dynamics.simulation import Trajectory
+from strainwave.errors import NotIdentifiable
+from strainwave.identification import decoupling, rigid
+from strainwave.io.logs import read_log
+from strainwave.io.study import read_study
+from strainwave.signals import link_motion as links
+from strainwave.signals import motor as signals
+
+
+@cache
+def run_of(gravity: float | None, both: bool = False) -> tuple[Study, Trajectory]:
+    study = rig(gravity)
+    return study, prbs_run(study, both=both)
+
+
+def torques(study: Study, model: RigidModel, run: Trajectory) -> FloatArray:
+    base = interaction.base_parameters(model, study)
+    motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
+    return interaction.interaction_torques(study, base, *motion)
+
+
+@pytest.mark.parametrize("gravity", [None, 9.81])
+def test_every_joint_alone_obeys_its_two_inertias(gravity: float | None) -> None:
+    """m_L ddq = T + D_G ddelta - d_L dq + tau, with the true quantities, to rounding."""
+    study, run = run_of(gravity)
+    values = rig_values(study)
+    tau = torques(study, true_model(study, values), run)
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    for i, inertia in enumerate((alpha + beta + 2.0 * gamma, beta)):
+        viscous = values["link_viscous_friction", i + 1]
+        right = run["gear_torque"][:, i] - viscous * run["link_velocity"][:, i] + tau[:, i]
+        left = inertia * run["link_acceleration"][:, i]
+        assert left == pytest.approx(right, abs=1e-9 * np.abs(left).max())
+
+
+def test_alpha_cancels() -> None:
+    study, run = run_of(None)
+    base = interaction.base_parameters(true_model(study, rig_values(study)), study)
+    motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
+    other = base.copy()
+    other[0] += 7.0
+    first, second = (interaction.interaction_torques(study, b, *motion) for b in (base, other))
+    assert first == pytest.approx(second, abs=1e-10 * np.abs(first).max())
+
+
+def test_the_closed_form_of_a_two_link_arm() -> None:
+    study = rig(None)
+    rng = np.random.default_rng(5)
+    q, dq, ddq = (rng.normal(size=(50, 2)) for _ in range(3))
+    values = rig_values(study)
+    beta, gamma = values["beta", None], values["gamma", None]
+    tau = interaction.interaction_torques(
+        study, interaction.base_parameters(true_model(study, values), study), q, dq, ddq
+    )
+    c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
+    first = 2.0 * gamma * (1.0 - c2) * ddq[:, 0] - (beta + gamma * c2) * ddq[:, 1]
+    first += gamma * s2 * (2.0 * dq[:, 0] * dq[:, 1] + dq[:, 1] ** 2)
+    second = -(beta + gamma * c2) * ddq[:, 0] - gamma * s2 * dq[:, 0] ** 2
+    assert tau == pytest.approx(np.column_stack([first, second]), abs=1e-12)
+
+
+@cache
+def decoupled(gravity: float | None = None, both: bool = False) -> tuple[Decoupled, ...]:
+    study, run = run_of(gravity, both)
+    seen = links.link_side(log_of(run, seed=2), study)
+    return decoupling.decouple(seen, true_model(study, rig_values(study)), study)
+
+
+@pytest.mark.parametrize("gravity", [None, 9.81])
+def test_inputs_explain_the_motor_and_the_link(gravity: float | None) -> None:
+    """Both equations of the two inertias, in the motors' sum, from noisy sensors:
+
+    m_M ddtheta_M + n m_L ddq + d_M dtheta_M + n d_L dq = u + n tau.
+    """
+    study, _ = run_of(gravity)
+    values = rig_values(study)
+    for one in decoupled(gravity):
+        n = study.joints[one.joint - 1].gear_ratio
+        motor_inertia = values["motor_inertia", one.joint]
+        assert one.total_inertia is not None
+        link_inertia = (one.total_inertia - motor_inertia) / n**2
+        # momenta, so that no velocity needs differentiating
+        momentum = one.outputs @ np.array([motor_inertia, n * link_inertia])
+        viscous = np.array(
+            [
+                values["motor_viscous_friction", one.joint],
+                n * values["link_viscous_friction", one.joint],
+            ]
+        )
+        force = one.inputs @ np.array([1.0, n]) - one.outputs @ viscous
+        gained = np.cumsum(force) * one.sample_time
+        inner = slice(400, 8000)
+        line = np.polynomial.Polynomial.fit(one.time[inner], (momentum - gained)[inner], 1)
+        left = (momentum - gained)[inner] - line(one.time[inner])
+        # one count of the encoder is 3 rad/s between two samples, a tenth of the motor's share
+        moved = momentum[inner].std() + motor_inertia * 3.0
+        assert left.std() < (0.05 if one.joint == 1 else 0.12) * moved, one.joint
+
+
+def test_the_record_says_what_a_model_must_know() -> None:
+    study, _ = run_of(None)
+    values = rig_values(study)
+    first, second = decoupled()
+    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
+    whole = values["motor_inertia", 1] + 1e-4 * (alpha + beta + 2.0 * gamma)
+    assert first.total_inertia == pytest.approx(whole)
+    assert second.total_inertia == pytest.approx(values["motor_inertia", 2] + 1e-4 * beta)
+    assert first.total_viscous_friction == pytest.approx(2.5e-4)
+    assert first.inputs.shape == first.outputs.shape
+    assert not first.held
+    assert first.fusion is not None
+    assert first.valid[1000]
+    assert not first.valid[0]
+
+
+def test_checks_have_verdicts() -> None:
+    verdicts = {c.name: c for c in decoupled()[0].checks}
+    assert set(verdicts) == {
+        "sliding",
+        "constant-inertia",
+        "interaction-amplitude",
+        "interaction-spectrum",
+        "input-richness",
+    }
+    assert all(verdicts[name].passed for name in ("sliding", "interaction-amplitude"))
+    for check in verdicts.values():
+        assert check.passed == (
+            (check.value <= check.limit)
+            if check.name == "constant-inertia"
+            else (check.value >= check.limit)
+        )
+        assert check.message
+
+
+def test_two_sequences_tell_more_than_one() -> None:
+    alone, together = (np.median(decoupled(None, both)[0].richness) for both in (False, True))
+    assert together > 10.0 * alone
+
+
+def test_a_band_may_be_set() -> None:
+    study, run = run_of(None)
+    seen = links.link_side(log_of(run), study)
+    model = true_model(study, rig_values(study))
+    found = decoupling.decouple(seen, model, study, decoupling.DecouplingOptions((8.0, 25.0)))
+    assert found[0].richness_hz[0] >= 8.0
+    assert found[0].richness_hz[-1] <= 25.0
+
+
+def test_much_swing_is_told() -> None:
+    study, run = run_of(None)
+    seen = links.link_side(log_of(run), study)
+    swing = seen.link_angle.copy()
+    swing[:, 1] += np.linspace(0.0, 2.0, len(swing))
+    model = true_model(study, rig_values(study))
+    found = decoupling.decouple(replace(seen, link_angle=swing), model, study)
+    assert "constant-inertia" in {w.code for w in found[0].warnings}
+    assert all(c.passed for c in found[1].checks if c.name == "constant-inertia")
+
+
+@pytest.mark.parametrize(("gravity", "inputs"), [(None, 1), (9.81, 2)])
+def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
+    gravity: float | None, inputs: int
+) -> None:
+    joint = Joint(spring="linear", gear_ratio=0.5)
+    two_link = rig()
+    study = Study(Path("nowhere"), "", Arm("single-joint", gravity=gravity), (joint,), ())
+    run = prbs_run(two_link)
+    seen = links.link_side(log_of(run), two_link)
+    one = {
+        name: getattr(seen, name)[:, :1]
+        for name in (
+            "motor_torque",
+            "motor_angle",
+            "motor_velocity",
+            "direction",
+            "link_angle",
+            "link_velocity",
+            "link_acceleration",
+            "valid",
+        )
+    }
+    seen = replace(seen, **one, held=(False,), fusion=(None,))
+    model = true_model(two_link, rig_values(two_link))
+    parameters = tuple(
+        replace(model.parameters[0], name=name, joint=number, value=value)
+        for name, number, value in (
+            ("inertia", 1, 0.2),
+            ("gravity_torque_1", None, 3.0),
+            ("total_viscous_friction", 1, 0.1),
+            ("motor_coulomb_friction", 1, 0.05),
+            ("friction_offset", 1, 0.01),
+        )
+    )
+    (found,) = decoupling.decouple(seen, replace(model, parameters=parameters), study)
+    assert found.inputs.shape[1] == inputs
+    assert found.total_inertia == pytest.approx(0.2)
+    assert found.gear_ratio == 0.5
+    if gravity is not None:
+        assert found.inputs[:, 1] == pytest.approx(-3.0 * np.cos(seen.link_angle[:, 0]))
+    friction = seen.motor_torque[:, 0] - found.inputs[:, 0]
+    assert friction == pytest.approx(0.05 * seen.direction[:, 0] + 0.01)
+
+
+def test_only_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
+    study, run = run_of(None)
+    seen = links.link_side(log_of(run), study)
+    with pytest.raises(NotIdentifiable, match="rigid model"):
+        decoupling.decouple(seen, None, study)
+
+
+def test_a_bare_joint_keeps_its_friction(shared_data: Path) -> None:
+    study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
+    seen = links.link_side(read_log(study, study.experiments[0]), study)
+    (found,) = decoupling.decouple(seen, None, study)
+    assert found.inputs == pytest.approx(seen.motor_torque)
+    assert found.total_inertia is None
+    assert found.total_viscous_friction is None
+
+
+def test_an_unknown_parameter_is_refused_by_name() -> None:
+    study, run = run_of(None)
+    model = true_model(study, rig_values(study))
+    unknown = tuple(replace(p, value=None) if p.name == "gamma" else p for p in model.parameters)
+    with pytest.raises(NotIdentifiable, match="gamma"):
+        decoupling.decouple(
+            links.link_side(log_of(run), study), replace(model, parameters=unknown), study
+        )
+
+
+def test_lab_records_pass_their_checks(shared_data: Path) -> None:
+    study = read_study(shared_data / "lab" / "scara-linear-5kg" / "study.toml")
+    named = {e.name: e for e in study.experiments}
+    model = rigid.fit([signals.motor_side(read_log(study, named["motion"]), study)], study)
+    found = decoupling.decouple(
+        links.link_side(read_log(study, named["prbs-j1"]), study), model, study
+    )
+    assert all(check.passed for check in found[0].checks)
+    # 1.5e-4 + 1e-4 * 3.82895 of truth.json
+    assert found[0].total_inertia == pytest.approx(5.32895e-4, rel=2e-3)

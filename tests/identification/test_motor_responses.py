@@ -1,0 +1,135 @@
+"""The driven motor's response: closed forms of its modes, and the truth beside its own record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from elastic_runs import log_of, prbs_run, rig, rig_values
+from strainwave.domain import Arm, ArmModel, Joint, Log, Study
+from strainwave.domain.parameters import Values
+from strainwave.identification.motor_responses import modes_of_motor, motor_response
+from strainwave.presentation.report import motors
+
+
+def _arm_model(values: Values) -> ArmModel:
+    nothing: dict[str, Any] = {"fit_percent": {}, "initial_fit_percent": {}}
+    return ArmModel(
+        (),
+        values,
+        np.zeros((0, 0)),
+        **nothing,
+        simulated=(),
+        initial=(),
+        iterations=1,
+        status="converged",
+    )
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple[Study, Values, Log]:
+    """A record of joint 1 with joint 2 free, and the arm that made it."""
+    study = rig()
+    return study, rig_values(study), log_of(prbs_run(study), seed=1)
+
+
+@given(
+    ring=st.floats(3.0, 80.0),
+    share=st.floats(0.1, 0.9),
+    inertia=st.floats(1e-3, 10.0),
+    ratio=st.sampled_from([1.0, 0.02, 0.01, -0.00625]),
+)
+def test_one_joint_rings_as_in_closed_form(
+    ring: float, share: float, inertia: float, ratio: float
+) -> None:
+    """Zeros sqrt(k / m_L), poles sqrt(k (1 / m_L + n^2 / m_M)), without damping."""
+    joint = Joint(spring="linear", gear_ratio=ratio, torque_per_volt=0.1)
+    study = Study(Path("nowhere"), "0", Arm("single-joint"), (joint,), ())
+    link, motor = (1.0 - share) * inertia, share * inertia * ratio**2
+    k = (2.0 * np.pi * ring) ** 2 * link
+    values: Values = {
+        ("link_inertia", 1): link,
+        ("motor_inertia", 1): motor,
+        ("gear_stiffness", 1): k,
+        ("gear_damping", 1): 1e-6 * k,
+    }
+    zeros, poles = modes_of_motor(values, study, np.zeros(1), 1, servoed=False)
+    assert zeros == pytest.approx([ring], rel=1e-4)
+    expected = np.sqrt(k * (1.0 / link + ratio**2 / motor)) / (2.0 * np.pi)
+    assert poles == pytest.approx([expected], rel=1e-4)
+
+
+def test_modes_of_the_rig_are_those_of_its_linear_motion() -> None:
+    """The coupled modes of the arm with 5 kg: worked out by an independent tool."""
+    study = rig()
+    zeros, poles = modes_of_motor(rig_values(study), study, np.zeros(2), 1, servoed=False)
+    assert zeros[0] == pytest.approx(14.7, abs=0.05)
+    assert poles[0] == pytest.approx(21.9, abs=0.05)
+
+
+def test_a_servo_lies_between_a_free_and_a_held_motor() -> None:
+    """No servo is a free motor, a very stiff one holds it, and both differ."""
+    study = rig()
+    assert study.servo is not None
+    first = []
+    for factor in (0.0, 1.0, 100.0, None):
+        servo = study.servo
+        stiffer = (
+            None
+            if factor is None
+            else replace(
+                servo,
+                kp=tuple(factor * k for k in servo.kp),
+                ki=tuple(factor * k for k in servo.ki),
+            )
+        )
+        zeros, _ = modes_of_motor(
+            rig_values(study), replace(study, servo=stiffer), np.zeros(2), 1, servoed=True
+        )
+        first.append(float(zeros[0]))
+    free = modes_of_motor(rig_values(study), study, np.zeros(2), 1, servoed=False)[0][0]
+    assert first[0] == pytest.approx(free)
+    assert first[1] < 0.99 * free
+    assert first[2] == pytest.approx(first[3], rel=0.03)
+    assert first[3] < 0.75 * free
+
+
+def test_the_true_arm_answers_as_its_record_and_another_does_not(
+    recorded: tuple[Study, Values, Log],
+) -> None:
+    study, values, log = recorded
+    seen = motor_response(log, _arm_model(values), (), study)
+    softer = motor_response(
+        log,
+        _arm_model({**values, ("gear_stiffness", 1): 0.8 * values["gear_stiffness", 1]}),
+        (),
+        study,
+    )
+    ring = (seen.frequencies_hz > 5.0) & (seen.frequencies_hz < 40.0)
+
+    def left(fitted: np.ndarray) -> float:
+        apart = np.abs(seen.measured - fitted)[ring] / np.abs(seen.measured[ring])
+        return float(np.median(apart))
+
+    assert seen.condition == "others-free"
+    assert left(seen.fitted) < 0.01
+    assert left(softer.fitted) > 0.05
+    dip = seen.frequencies_hz[ring][np.argmin(np.abs(seen.measured[ring]))]
+    assert seen.anti_resonances_hz[0] == pytest.approx(dip, rel=0.15)
+
+
+def test_the_figure_shows_both_and_marks_the_modes(recorded: tuple[Study, Values, Log]) -> None:
+    study, values, log = recorded
+    seen = motor_response(log, _arm_model(values), (), study)
+    drawn = motors.figure_of(seen)
+    names = {trace["name"] for trace in drawn["data"]}
+    assert {"measured", "fitted arm, simulated"} <= names
+    at = [shape["x0"] for shape in drawn["layout"]["shapes"]]
+    assert set(at) == {*seen.anti_resonances_hz, *seen.resonances_hz}
+    assert f"{seen.anti_resonances_hz[0]:.4g}" in motors.words_of(seen)

@@ -1,0 +1,61 @@
+"""Starts that the records choose among: order does not matter, nor what cannot be simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from strainwave.domain import ArmModel, JointModel
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm import tune
+from tuning_runs import joint_models, rigid_model, shaken
+
+NEAR, FAR = 0.02, 6.0  # relative error of a right start; factor of a wrong one's stiffness
+STIFF = 1e12  # so far above the truth that no step of the integrator follows it
+
+
+def starts(factor: float) -> tuple[JointModel, ...]:
+    """Joints near the truth, but for the stiffness of joint 2."""
+    study, values, _ = shaken()
+    own = joint_models(study, values, NEAR, np.ones((2, 6)))
+    stiffness = factor * own[1].values["gear_stiffness"]
+    return own[0], replace(own[1], values={**own[1].values, "gear_stiffness": stiffness})
+
+
+def tuned(first: Sequence[JointModel], *others: Sequence[JointModel]) -> ArmModel:
+    study, values, logs = shaken()
+    model = rigid_model(study, values, 0.02)
+    return tune(logs, model, first, study, others=others)
+
+
+def test_the_records_choose_in_any_order() -> None:
+    alone = tuned(starts(1.0))
+    for order in ((1.0, FAR), (FAR, 1.0)):
+        found = tuned(*(starts(factor) for factor in order))
+        assert found.status == "converged"
+        for p, q in zip(found.parameters, alone.parameters, strict=True):
+            if p.value is not None and q.value is not None and q.std:
+                # the band follows the resonances that a start has
+                assert abs(p.value - q.value) < 0.5 * q.std, p.label
+
+
+def test_a_start_at_the_limit_of_its_range_moves_the_range() -> None:
+    _, values, _ = shaken()
+    found = tuned(starts(FAR), starts(0.9 * FAR))
+    k = found.values["gear_stiffness", 2]
+    assert found.status == "converged"
+    assert k == pytest.approx(values["gear_stiffness", 2], rel=0.02)
+
+
+def test_what_cannot_be_simulated_is_passed_over() -> None:
+    _, values, _ = shaken()
+    found = tuned(starts(STIFF), starts(1.0))
+    assert found.values["gear_stiffness", 2] == pytest.approx(values["gear_stiffness", 2], rel=0.02)
+
+
+def test_nothing_that_can_be_simulated_is_said() -> None:
+    with pytest.raises(NotIdentifiable):
+        tuned(starts(STIFF), starts(2.0 * STIFF))

@@ -1,0 +1,408 @@
+"""How sure a fit is: closed forms, repeated draws, and groups that are told only together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from strainwave.domain import FloatArray
+from strainwave.identification.whole_arm.covariance import Confidence, confidence_of, only_together
+from strainwave.identification.whole_arm.objective import Misfit, Weights
+from strainwave.identification.whole_arm.parametrisation import Prior, Search, Unknown
+from tuning_runs import linear_record, linear_search
+
+N = 600
+TRUTH = np.array([2.0, -1.0, 0.5])
+FAR = 50.0  # deviations, for weights that are those of plain least squares
+
+
+def table_of(seed: int, rows: int = N, channels: int = 1) -> FloatArray:
+    """Columns that change slowly, as low-passed motion does."""
+    rng = np.random.default_rng(seed)
+    white = rng.normal(size=(rows + 200, channels, 3))
+    return np.asarray(lfilter([0.4], [1.0, -0.9], white, axis=0)[200:])
+
+
+def coloured(rng: np.random.Generator, rows: int, pole: float, size: float) -> FloatArray:
+    white = rng.normal(0.0, size * np.sqrt(1.0 - pole**2), (rows + 300, 1))
+    return np.asarray(lfilter([1.0], [1.0, -pole], white, axis=0)[300:])
+
+
+def misfit_of(
+    tables: Sequence[FloatArray],
+    errors: Sequence[FloatArray],
+    deviation: float,
+    *,
+    noise: float = 1e9,
+    prior: Prior | None = None,
+    shifted: bool = False,
+) -> Misfit:
+    """Linear records with these errors, which the sensors' noise explains unless it is given."""
+    records = [
+        linear_record(table, table @ TRUTH + error, noise=noise, shifted=shifted)
+        for table, error in zip(tables, errors, strict=True)
+    ]
+    widths = [table.shape[1] for table in tables]
+    weights = tuple(Weights(np.full(n, deviation), np.ones(n)) for n in widths)
+    return replace(Misfit.of(linear_search(3, prior), records), weights=weights)
+
+
+def solved(misfit: Misfit) -> FloatArray:
+    """The minimum of a linear misfit, weights and all."""
+    z = np.zeros(len(misfit.search.unknowns))
+    for _ in range(40):
+        at = misfit.linearise(z)
+        assert at is not None
+        R = at.factor
+        step = np.linalg.lstsq(R[:, :-1], -R[:, -1])[0]
+        z = z + step
+        if np.max(np.abs(step)) < 1e-12:
+            break
+    return np.asarray(z)
+
+
+def least_squares(table: FloatArray, error: FloatArray) -> FloatArray:
+    flat = table.reshape(-1, 3)
+    return np.asarray(np.linalg.lstsq(flat, flat @ TRUTH + error.ravel())[0])
+
+
+def test_the_local_covariance_is_the_closed_form() -> None:
+    tables = [table_of(0), table_of(1, 400)]
+    prior = Prior(np.array([[30.0, 10.0, 0.0]]), np.array([50.0]), np.eye(1))
+    errors = [np.zeros((N, 1)), np.zeros((400, 1))]
+    found = confidence_of(misfit_of(tables, errors, 0.1, prior=prior), TRUTH)
+    information = sum(t.reshape(-1, 3).T @ t.reshape(-1, 3) for t in tables) / 0.1**2
+    information = information + prior.rows.T @ prior.rows
+    np.testing.assert_allclose(found.local, np.linalg.inv(information), rtol=1e-9)
+
+
+def test_a_records_own_constants_cost_certainty() -> None:
+    """As if they stood among the unknowns."""
+    table = table_of(2) + np.array([1.0, 0.0, 0.3])
+    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.1, shifted=True), TRUTH)
+    whole = np.column_stack([np.ones(N), table.reshape(-1, 3)]) / 0.1
+    expected = np.linalg.inv(whole.T @ whole)[1:, 1:]
+    np.testing.assert_allclose(found.local, expected, rtol=1e-8)
+
+
+def test_weights_and_scales_are_taken_into_account() -> None:
+    """Coordinates that are logarithms, rows of which some count little."""
+    rng = np.random.default_rng(3)
+    table = np.abs(table_of(3))
+    unknowns = tuple(
+        Unknown(f"p{k}", None, "1", s, s, False, 10.0) for k, s in enumerate((1.0, 5.0, 0.1))
+    )
+    search = Search(unknowns, {}, Prior(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 0))))
+    z = np.array([0.2, -0.1, 0.4])
+    p = search.parameters(z)
+    error = rng.normal(0.0, 0.2, (N, 1))
+    record = linear_record(table, table @ p + error, noise=1e9)
+    weights = Weights(np.array([0.1]), np.array([3.0]))
+    misfit = replace(Misfit.of(search, [record]), weights=(weights,))
+    found = confidence_of(misfit, z)
+    weight = 1.0 / np.sqrt(1.0 + (error / 0.1) ** 2) / 3.0 / 0.1**2
+    flat = table.reshape(-1, 3)
+    np.testing.assert_allclose(found.local, np.linalg.inv(flat.T @ (weight * flat)), rtol=1e-8)
+
+
+def draws(pole: float, n: int, deviation: float, size: float) -> tuple[FloatArray, FloatArray]:
+    """Scatter of fits over draws of the errors, and the mean of what sandwiches make of it."""
+    rng = np.random.default_rng(4)
+    table = table_of(4, 3 * N)
+    fits, sandwiches = [], []
+    for _ in range(n):
+        misfit = misfit_of([table], [coloured(rng, 3 * N, pole, size)], deviation)
+        z = solved(misfit)
+        fits.append(z)
+        sandwiches.append(confidence_of(misfit, z).sandwich)
+    return np.cov(np.array(fits).T), np.mean(sandwiches, axis=0)
+
+
+def test_the_sandwich_knows_of_errors_that_go_on() -> None:
+    true, found = draws(0.9, 150, FAR * 0.1, 0.1)
+    # of 150 draws; ten stretches, at whose borders errors are told as independent
+    ratio = np.sqrt(np.diag(found) / np.diag(true))
+    assert np.all((ratio > 0.75) & (ratio < 1.15)), ratio
+    misfit = misfit_of([table_of(4, 3 * N)], [np.zeros((3 * N, 1))], 0.1)
+    naive = np.diag(confidence_of(misfit, TRUTH).local)
+    # slow columns see slow errors: the closed form for independent rows is too sure by far
+    assert np.all(np.diag(true) > 4.0 * naive)
+
+
+def test_the_sandwich_in_deviations() -> None:
+    """Errors as large as their deviation, where the soft loss bends."""
+    true, found = draws(0.0, 150, 0.1, 0.1)
+    ratio = np.sqrt(np.diag(found) / np.diag(true))
+    assert np.all((ratio > 0.85) & (ratio < 1.15)), ratio
+
+
+def quick(rng: np.random.Generator, rows: int, size: float) -> FloatArray:
+    """As a velocity's errors are, that are differences of an angle's."""
+    return np.diff(rng.normal(0.0, size / np.sqrt(2.0), (rows + 1, 1)), axis=0)
+
+
+def test_the_steady_covariance_knows_how_quick_errors_are() -> None:
+    """Slow columns see little of them, and a sum of parameters less than they do by themselves."""
+    rng = np.random.default_rng(14)
+    table = table_of(14)
+    table[..., 1] = table[..., 0] + 0.3 * rng.normal(size=(N, 1))
+    total = np.array([1.0, 1.0, 0.0])
+    fits, found = [], []
+    for _ in range(150):
+        misfit = misfit_of([table], [quick(rng, N, 0.1)], 0.1)
+        fits.append(solved(misfit))
+        found.append(confidence_of(misfit, fits[-1]))
+    true = np.cov(np.array(fits).T)
+    steady = np.mean([one.steady for one in found], axis=0)
+    ratio = np.sqrt(np.diag(steady) / np.diag(true))
+    assert np.all((ratio > 0.85) & (ratio < 1.15)), ratio
+    assert found[0].local[2, 2] > 4.0 * true[2, 2]
+    combined = np.mean([one.combined for one in found], axis=0)
+    ratio_of_total = np.sqrt(total @ combined @ total / (total @ true @ total))
+    assert 0.85 < ratio_of_total < 1.3, ratio_of_total
+    assert total @ found[0].local @ total > 4.0 * (total @ true @ total)
+
+
+def test_errors_count_as_no_smaller_than_the_sensors_noise() -> None:
+    """However lenient the weights; what is larger than the noise counts as it is."""
+    error = quick(np.random.default_rng(15), N, 0.1)
+
+    def steady(noise: float, deviation: float = FAR * 0.1) -> FloatArray:
+        found = confidence_of(misfit_of([table_of(15)], [error], deviation, noise=noise), TRUTH)
+        return found.steady - 1e-3 * found.local
+
+    plain = steady(0.05)
+    for other, times in (
+        (steady(0.01), 1.0),
+        (steady(0.05, 2.0 * FAR * 0.1), 1.0),
+        (steady(0.4), (0.4 / np.std(error)) ** 2),
+    ):
+        size = times * np.max(plain)
+        np.testing.assert_allclose(other, times * plain, rtol=1e-3, atol=1e-3 * size)
+
+
+def test_at_standstill_errors_are_the_sensors_noise() -> None:
+    """White, where nothing shows how they repeat: the closed form."""
+    table = table_of(19)
+    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.5, noise=0.1), TRUTH)
+    flat = table.reshape(-1, 3)
+    expected = 0.1**2 * np.linalg.inv(flat.T @ flat)
+    np.testing.assert_allclose(found.steady - 1e-3 * found.local, expected, rtol=1e-6)
+
+
+def test_what_the_rigid_step_told_counts_by_its_own_errors() -> None:
+    """Not by the deviations that the fit weighs it with."""
+    table = table_of(16)
+    table[..., 2] = 0.0
+    assumed, errors = 0.1, np.array([[0.25]])
+    prior = Prior(np.array([[0.0, 0.0, 1.0 / assumed]]), TRUTH[2:] / assumed, errors)
+    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.1, prior=prior), TRUTH)
+    assert np.sqrt(found.local[2, 2]) == pytest.approx(assumed)
+    assert np.sqrt(found.combined[2, 2]) == pytest.approx(0.5 * assumed, rel=0.01)
+
+
+def test_a_rigid_step_that_the_records_contradict_counts_for_less() -> None:
+    """Ten of its deviations off: that far it may be off elsewhere as well."""
+    rng = np.random.default_rng(17)
+    table, error = table_of(17), rng.normal(0.0, 0.01, (N, 1))
+    table[..., 2] = 0.0
+    assumed, told = np.array([0.1, 0.1]), np.array([0.02, 0.02])
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) / assumed[:, None]
+    found = []
+    for off in (0.0, 0.2):
+        target = (TRUTH[[0, 2]] + [off, 0.0]) / assumed
+        prior = Prior(rows, target, np.diag((told / assumed) ** 2))
+        misfit = misfit_of([table], [error], 0.01, prior=prior)
+        found.append(confidence_of(misfit, solved(misfit)))
+    assert np.sqrt(found[0].combined[2, 2]) == pytest.approx(told[1], rel=0.05)
+    # of two residuals one is ten deviations: on the whole they are sqrt(50)
+    assert np.sqrt(found[1].combined[2, 2]) == pytest.approx(np.sqrt(50.0) * told[1], rel=0.05)
+
+
+def test_local_deviations_hold_for_white_errors() -> None:
+    rng = np.random.default_rng(5)
+    table = table_of(5)
+    fits = []
+    for _ in range(200):
+        misfit = misfit_of([table], [rng.normal(0.0, 0.1, (N, 1))], 0.1)
+        fits.append(solved(misfit))
+    found = confidence_of(misfit, fits[-1]).local
+    ratio = np.sqrt(np.diag(found)) / np.std(fits, axis=0)
+    # weights fall off where the loss bends: a little too wide
+    assert np.all((ratio > 0.9) & (ratio < 1.25)), ratio
+
+
+def test_records_with_errors_of_their_own_scatter() -> None:
+    """The scatter's deviation is that of fits to such records drawn anew; the local one is not."""
+    rng = np.random.default_rng(6)
+    tables = [table_of(10 + k, 200) for k in range(6)]
+    fits, scatters = [], []
+    for _ in range(80):
+        errors = [0.1 * (t @ rng.normal(size=3)) + rng.normal(0.0, 0.01, (200, 1)) for t in tables]
+        misfit = misfit_of(tables, errors, FAR)
+        fits.append(solved(misfit))
+        scatters.append(np.diag(confidence_of(misfit, fits[-1]).scatter))
+    ratio = np.sqrt(np.mean(scatters, axis=0)) / np.std(fits, axis=0)
+    assert np.all((ratio > 0.8) & (ratio < 1.2)), ratio
+    local = np.diag(confidence_of(misfit, fits[-1]).local) * (0.01 / FAR) ** 2
+    assert np.all(local < 0.01 * np.var(fits, axis=0))
+
+
+def test_a_right_models_records_scatter_as_the_local_covariance_says() -> None:
+    """Even where one record alone tells a parameter, of which a jackknife would know nothing."""
+    rng = np.random.default_rng(7)
+    tables = [table_of(30 + k, 200) for k in range(5)]
+    for table in tables[1:]:
+        table[..., 2] = 0.0
+    ratios = []
+    for _ in range(40):
+        misfit = misfit_of(tables, [rng.normal(0.0, 0.01, (200, 1)) for _ in tables], 0.01)
+        found = confidence_of(misfit, solved(misfit))
+        ratios.append(np.diag(found.scatter) / np.diag(found.local))
+    ratio = np.sqrt(np.mean(ratios, axis=0))
+    assert np.all(ratio < 1.2), ratio
+    assert np.all(ratio[:2] > 0.7), ratio
+
+
+def test_two_records_do_not_scatter() -> None:
+    tables = [table_of(k) for k in (1, 2)]
+    found = confidence_of(misfit_of(tables, [np.zeros((N, 1))] * 2, 0.1), TRUTH)
+    assert np.all(np.isnan(found.scatter))
+    assert np.all(np.isfinite(found.combined))
+
+
+def deviations(found: Confidence) -> FloatArray:
+    parts = [found.local, found.sandwich, found.scatter]
+    return np.sqrt([np.diag(part) for part in parts])
+
+
+def test_deviations_count_stretches_and_scatter() -> None:
+    rng = np.random.default_rng(8)
+    tables = [table_of(20 + k, 200) for k in range(4)]
+    for pole in (0.0, 0.97):
+        errors = [coloured(rng, 200, pole, 0.1) for _ in tables]
+        misfit = misfit_of(tables, errors, 0.1)
+        found = confidence_of(misfit, solved(misfit))
+        own, sandwiched, scattered = deviations(found)
+        told = np.sqrt(np.diag(found.combined))
+        assert np.all(told**2 >= 0.5 * own**2)
+        assert np.all(told >= 0.999 * sandwiched)
+        # a scatter beyond all noise is told, and more for there being four records only
+        if np.max(scattered / own) > 3.0:
+            assert np.all(told**2 >= 0.6 * scattered**2)
+        if pole == 0.0:
+            assert np.all(told < 1.6 * own)
+        # and correlations are those of the steady one
+        correlations = [
+            part / np.sqrt(np.outer(np.diag(part), np.diag(part)))
+            for part in (found.combined, found.steady)
+        ]
+        np.testing.assert_allclose(correlations[0], correlations[1], atol=1e-9)
+
+
+def test_intervals_hold_where_few_records_have_errors_of_their_own() -> None:
+    """Four records, each as if of a slightly other arm: 95 % of the intervals hold the truth."""
+    rng = np.random.default_rng(13)
+    tables = [table_of(40 + k, 200) for k in range(4)]
+    inside = []
+    for _ in range(80):
+        errors = [0.1 * (t @ rng.normal(size=3)) + rng.normal(0.0, 0.01, (200, 1)) for t in tables]
+        misfit = misfit_of(tables, errors, 0.1, noise=1e9).reweighted(TRUTH)
+        z = solved(misfit)
+        reach = 1.96 * np.sqrt(np.diag(confidence_of(misfit, z).combined))
+        inside.append(np.abs(z - TRUTH) < reach)
+    share = np.mean(inside, axis=0)
+    assert np.all((share > 0.88) & (share <= 1.0)), share
+
+
+def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
+    rng = np.random.default_rng(9)
+    table = table_of(9)
+    error = rng.normal(0.0, 0.1, (N, 1))
+    explained = misfit_of([table], [error], 0.1, noise=0.1)
+    z = solved(explained)
+    quiet = confidence_of(explained, z)
+    larger = np.maximum(np.diag(quiet.sandwich), np.diag(quiet.steady))
+    np.testing.assert_allclose(np.diag(quiet.combined), larger)
+    unexplained = replace(
+        explained, records=(replace(explained.records[0], noise=np.ones(1) / 40.0),)
+    )
+    loud = confidence_of(unexplained, z)
+    raised = np.sqrt(np.diag(loud.combined) / np.diag(quiet.combined))
+    # of a variance noise makes 1 / 40^2; nearly all of the rest counts once more
+    left = (table @ z)[:, :, None] - (table @ TRUTH)[:, :, None] - error[..., None]
+    share = 0.8 - 1.0 / 40.0**2 / (1.4826 * np.median(np.abs(left))) ** 2
+    np.testing.assert_allclose(raised, np.sqrt(1.0 + share), rtol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 4, 9])
+def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
+    """Twice the records make noise matter half as much, and a wrong model as much as before."""
+    rng = np.random.default_rng(12)
+    error = rng.normal(0.0, 1.0, (200, 1))
+    tables, errors = [table_of(12, 200)] * n, [0.1 * error / np.std(error)] * n
+    found = [
+        confidence_of(misfit_of(tables, errors, 0.1, noise=noise), TRUTH)
+        for noise in (0.0999, 1e-9)
+    ]
+    raised = np.diag(found[1].combined) / np.diag(found[0].combined)
+    np.testing.assert_allclose(raised, 1.0 + 0.8 * n, rtol=1e-9)
+
+
+def test_what_nothing_tells_of_is_very_uncertain() -> None:
+    table = table_of(10)
+    table[..., 2] = 0.0
+    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.1), TRUTH)
+    flat = table.reshape(-1, 3)[:, :2] / 0.1
+    np.testing.assert_allclose(found.local[:2, :2], np.linalg.inv(flat.T @ flat), rtol=1e-8)
+    assert not found.combined[2, 2] < 1e12
+    assert abs(found.local[0, 2]) <= 1e-3 * np.sqrt(found.local[0, 0] * found.local[2, 2])
+
+
+def test_a_pair_that_is_told_only_together() -> None:
+    rng = np.random.default_rng(11)
+    table = table_of(11)
+    # the second column is the third's shadow
+    table[..., 1] = table[..., 2] + 1e-3 * rng.normal(size=(N, 1))
+    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.2), TRUTH)
+    groups = list(only_together(["a", "b", "c"], TRUTH, found.combined))
+    assert [names for names, _ in groups] == [("b", "c")]
+    # along b up, c down by as much, twice as much of its value
+    relative = found.combined / np.outer(TRUTH, TRUTH)
+    spread = np.sqrt(np.linalg.eigvalsh(relative)[-1])
+    assert groups[0][1] == pytest.approx(spread)
+    # held together by what is known of their sum, they are no matter
+    prior = Prior(np.array([[0.0, 1.0, 0.0]]) * 1e3, np.array([-1e3]), np.eye(1))
+    held = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.2, prior=prior), TRUTH)
+    assert list(only_together(["a", "b", "c"], TRUTH, held.combined)) == []
+
+
+def test_one_that_is_vague_by_itself_is_no_group() -> None:
+    covariance = np.diag([1e-6, 0.25, 1e-6])
+    assert list(only_together(["a", "b", "c"], np.ones(3), covariance)) == []
+    # nor two that are, and know nothing of each other
+    mixed = np.diag([0.25, 0.25, 1e-6])
+    assert list(only_together(["a", "b", "c"], np.ones(3), mixed)) == []
+
+
+def test_well_told_correlated_ones_are_no_group() -> None:
+    pair = np.array([[1.0, 0.9999], [0.9999, 1.0]])
+    assert list(only_together(["a", "b"], np.ones(2), 1e-4 * pair)) == []
+    (names, spread), *more = only_together(["a", "b"], np.ones(2), pair)
+    assert (names, more) == (("a", "b"), [])
+    assert spread == pytest.approx(np.sqrt(1.9999))
+
+
+def test_evidence_is_never_surer_than_the_local_covariance() -> None:
+    """Variances are the larger of two; correlations stay those of the combined covariance."""
+    combined = np.array([[4.0, 0.6], [0.6, 1.0]])
+    local = np.diag([1.0, 9.0])
+    none = np.zeros((0, 0))
+    unsure = Confidence(combined, local, combined, combined, combined, np.zeros(0), (none, none))
+    cautious = unsure.cautious
+    np.testing.assert_allclose(np.diag(cautious), [4.0, 9.0])
+    assert cautious[0, 1] / np.sqrt(4.0 * 9.0) == pytest.approx(0.6 / np.sqrt(4.0 * 1.0))

@@ -1,0 +1,133 @@
+"""Effects of real gears as unknowns: found where they are, left out where they are not.
+
+The arm that makes the records here is the one that is fitted: what is tested is the search and what
+it tells, not whether real gears obey these laws.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from effect_runs import ALL, SIZES, records, rig, tuned
+from strainwave.domain import ArmModel
+from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
+from strainwave.identification.closed_loop import as_known, with_known_effects
+from strainwave.identification.whole_arm.dataset import replayed
+from strainwave.identification.whole_arm.effects import (
+    idle,
+    records_with,
+    tried,
+    with_effects,
+    without,
+)
+from strainwave.identification.whole_arm.parametrisation import COULOMB, Prior, Search
+from tuning_runs import linear_search, truth
+
+
+def told_out(model: ArmModel) -> list[str]:
+    return [c.message.split()[0] for c in model.warnings if c.code == "effect-left-out"]
+
+
+def test_effects_that_are_there_come_back() -> None:
+    model = tuned(ALL, ALL)
+    assert model.status == "converged"
+    assert told_out(model) == []
+    told = {(p.name, p.joint): p for p in model.parameters}
+    for key, true in SIZES.items():
+        parameter = told[key]
+        assert parameter.value is not None
+        assert parameter.std is not None
+        assert parameter.value == pytest.approx(true, rel=0.05), key
+        assert abs(parameter.value - true) < 4.0 * parameter.std, key
+    for name in ("motor_inertia", "motor_coulomb_friction", "gear_stiffness"):
+        known = truth()[1][name, 1]
+        assert model.values[name, 1] == pytest.approx(known, rel=0.003), name
+
+
+def test_without_them_other_parameters_take_their_place() -> None:
+    model = tuned(ALL, ())
+    known = truth()[1]
+    off = [model.values[name, 1] / known[name, 1] - 1.0 for name in ("gear_stiffness",)]
+    assert np.abs(off).max() > 0.02
+    with_them = tuned(ALL, ALL)
+    for name, fits in with_them.fit_percent.items():
+        assert all(fits[channel] > model.fit_percent[name][channel] for channel in fits)
+
+
+def test_an_arm_without_effects_gets_none() -> None:
+    model, plain = tuned((), ALL), tuned((), ())
+    assert told_out(model) == list(ALL)
+    assert not any(key in model.values for key in SIZES)
+    assert model.values == plain.values
+    assert model.iterations > plain.iterations  # they were tried
+
+
+def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
+    model = tuned(ALL, ALL, most=8)
+    assert model.status == "iteration-limit"
+    assert 8 < model.iterations <= 2 * 8
+
+
+def test_only_what_is_there_stays() -> None:
+    model = tuned(("hysteresis",), ALL)
+    assert told_out(model) == ["stribeck", "kinematic-error"]
+    for name in EFFECT_PARAMETERS["hysteresis"]:
+        assert model.values[name, 1] == pytest.approx(SIZES[name, 1], rel=0.05)
+    assert ("stribeck_friction", 1) not in model.values
+
+
+def test_the_unknowns_of_effects_start_small() -> None:
+    study = rig(ALL)
+    base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
+    values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05}
+    search, begin = with_effects(base, study, values, [30.0, 8.0])
+    assert search.keys[2:] == list(SIZES)
+    np.testing.assert_allclose(
+        search.parameters(begin), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0]
+    )
+    np.testing.assert_array_equal(search.prior.rows, [[1.0, 1.0, *np.zeros(6)]])
+    units = ["N m", "rad/s", "N m", "rad", "rad", "rad"]
+    assert [unknown.unit for unknown in search.unknowns[2:]] == units
+    assert tried(study) == [(1, effect) for effect in ALL]
+    less = without(search, {(1, "stribeck"), (1, "kinematic-error")})
+    assert less.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
+    assert less.prior.rows.shape == (1, 4)
+
+
+def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
+    empty = Search((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
+    search, z = with_effects(empty, rig(ALL), {(COULOMB, 1): 0.05}, [30.0, 8.0])
+    z[-2:] = 2.0  # both parts of the kinematic error at 2e-4 rad
+    values = search.parameters(z)
+    sure = np.diag((values / 5.0) ** 2)
+    assert list(idle(search, z, sure)) == []
+    unsure = sure.copy()
+    unsure[2, 2] *= 4.0  # the hysteresis torque, now at two and a half deviations
+    unsure[1, 1] *= 100.0  # a velocity tells nothing of whether the friction is there
+    assert list(idle(search, z, unsure)) == [(1, "hysteresis")]
+    # one part of the error within its deviation does not matter where the other is not
+    unsure[4, 4] *= 100.0
+    assert list(idle(search, z, unsure)) == [(1, "hysteresis")]
+    unsure[5, 5] *= 100.0
+    assert list(idle(search, z, unsure)) == [(1, "hysteresis"), (1, "kinematic-error")]
+
+
+def test_a_study_is_known_as_far_as_its_values_go() -> None:
+    study = rig(ALL)
+    assert with_known_effects(study, SIZES) == study
+    assert with_known_effects(study, ()) == rig(())
+    some = [key for key in SIZES if key != ("stribeck_velocity", 1)]
+    assert with_known_effects(study, some) == rig(("hysteresis", "kinematic-error"))
+    values = {key: SIZES[key] for key in some}
+    assert as_known(study, values) == rig(("hysteresis", "kinematic-error"))
+
+
+def test_records_are_run_with_the_effects_that_are_known() -> None:
+    study, _, logs = records(ALL)
+    plain = with_known_effects(study, ())
+    record = replayed(logs[0], plain, 100.0)
+    assert records_with([record], study, ())[0] == record
+    (given,) = records_with([record], study, SIZES)
+    assert [joint.effects for joint in given.study.joints] == [ALL, ()]
+    assert given.study.joints[0].encoder_counts is None

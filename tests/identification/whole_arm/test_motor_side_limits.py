@@ -1,0 +1,69 @@
+"""Why a motor's encoder does not say everything of its gear, on arms drawn to be hard for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from strainwave.domain import ArmModel
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.identification.whole_arm import tune
+from strainwave.virtual.experiments import derived
+from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
+
+FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
+CODE = "motor-side-limit"
+
+
+def said(
+    name: str, factor: float, counts: float, amplitude: float = 4.0, *, sensors: bool = False
+) -> dict[str, list[str]]:
+    """What is said of each joint; joint 1 has a parameter so many times the rig's."""
+    study, values = truth()
+    values = derived(values | {(name, 1): factor * values[name, 1]}, study)
+    joints = tuple(replace(joint, encoder_counts=counts) for joint in study.joints)
+    wanted = shaken_study(replace(study, joints=joints), amplitude, order=8)
+    study, logs = written_logs(wanted, values, noise=SensorNoise())
+    if not sensors:
+        motor = ("u1", "u2", "theta_m1", "theta_m2")
+        logs = tuple(replace(log, channels={c: log.channels[c] for c in motor}) for log in logs)
+    model = tune(
+        logs, rigid_model(study, values, 0.01), joint_models(study, values, 0.02, FACTORS), study
+    )
+    return by_place(model)
+
+
+def by_place(model: ArmModel) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for warning in model.warnings:
+        if warning.code == CODE:
+            found.setdefault(warning.where, []).append(warning.message)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "counts", "reason"),
+    [
+        ("gear_stiffness", 100.0, 2000.0, "the gear is very stiff: its resonance, 2"),
+        ("gear_damping", 60.0, 2000.0, "the gear is very damped: with a damping ratio of 3"),
+        ("gear_stiffness", 1.0, 500.0, "the rounding of its 500 counts per turn"),
+    ],
+)
+def test_a_gear_that_is_known_badly_has_the_reason(
+    name: str, factor: float, counts: float, reason: str
+) -> None:
+    assert any(reason in text for text in said(name, factor, counts)["joint 1"])
+
+
+def test_an_ordinary_gear_has_no_such_reason() -> None:
+    """Only the split of viscous friction is not identifiable."""
+    texts = [text for own in said("gear_stiffness", 1.0, 8192.0, 10.0).values() for text in own]
+    assert texts
+    assert all("only the sum d_M + n^2 d_L" in text for text in texts)
+    assert not any("gear" in text for text in texts)
+
+
+def test_of_links_with_sensors_nothing_is_said() -> None:
+    assert said("gear_stiffness", 1.0, 500.0, sensors=True) == {}

@@ -1,0 +1,409 @@
+"""What records say against parameters: slopes, each record's own unknowns, and weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from strainwave.domain import FloatArray
+from strainwave.identification.whole_arm.dataset import Kernels, Replayed, replayed
+from strainwave.identification.whole_arm.objective import BLOCKS, Misfit, Weights
+from strainwave.identification.whole_arm.parametrisation import (
+    Prior,
+    Search,
+    search_of,
+    with_curves,
+    with_settling,
+)
+from tuning_runs import (
+    beginning,
+    joint_models,
+    later,
+    linear_record,
+    linear_search,
+    rigid_model,
+    shaken,
+    simulated,
+)
+
+CUTOFF = 80.0
+FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
+
+
+SETTLING = (2e-4, 1.5e-4)
+
+
+@cache
+def rig(spring: str) -> tuple[Search, tuple[Replayed, ...], FloatArray]:
+    """A search on two records, one of which begins in motion, and where the truth lies."""
+    study, known, (first, second) = shaken(spring, settling=SETTLING)
+    search = search_of(
+        rigid_model(study, known, 0.01),
+        joint_models(study, known, 0.05, FACTORS),
+        study,
+        largest_voltage=[10.0, 10.0],
+        floor=0.002,
+    )
+    if spring == "three-slope":
+        search = with_curves(search, study, (60.0, 15.0))
+    search = with_settling(search)
+    records = (replayed(first, study, CUTOFF), replayed(later(second, 900), study, CUTOFF))
+    assert [record.moving for record in records] == [False, True]
+    return search, records, search.coordinates(known)
+
+
+def cost_of(misfit: Misfit, z: FloatArray) -> float:
+    at = misfit.linearise(z)
+    assert at is not None
+    return at.cost
+
+
+def factor_of(misfit: Misfit, z: FloatArray) -> FloatArray:
+    at = misfit.linearise(z)
+    assert at is not None
+    return at.factor
+
+
+def with_records(misfit: Misfit, *records: Replayed) -> Misfit:
+    """The weights of as many first ones, and own unknowns that know nothing yet."""
+    fresh = Misfit.of(misfit.search, records)
+    return replace(fresh, weights=misfit.weights[: len(records)])
+
+
+def near_truth(spring: str) -> tuple[Misfit, FloatArray]:
+    """Weights as they come, initial states as they are, parameters slightly off."""
+    search, records, true = rig(spring)
+    study, known, logs = shaken(spring, settling=SETTLING)
+    begun = np.concatenate([beginning(study, known, logs[1], 900), np.zeros(2)])
+    misfit = Misfit.of(search, records)
+    misfit.memory.own[1] = begun
+    return misfit.reweighted(true), true + 5e-4 * np.random.default_rng(1).normal(size=len(true))
+
+
+@pytest.mark.parametrize("spring", ["linear", "three-slope"])
+def test_the_gradient_is_that_of_the_cost(spring: str) -> None:
+    both, z = near_truth(spring)
+    # the one from rest, of whose own unknowns only constants are left
+    misfit = with_records(both, both.records[0])
+    factor = factor_of(misfit, z)
+    gradient = 2.0 * factor[:, :-1].T @ factor[:, -1]
+    lengths = np.linalg.norm(factor[:, :-1], axis=0)
+    for k, length in enumerate(lengths):
+        step = np.zeros(len(z))
+        step[k] = 0.01 / length  # changes the cost by a hundredth of a deviation
+        difference = (cost_of(misfit, z + step) - cost_of(misfit, z - step)) / (2.0 * step[k])
+        tolerance = 0.02 * abs(gradient[k]) + 0.02 * length
+        assert abs(difference - gradient[k]) < tolerance, misfit.search.unknowns[k]
+
+
+@pytest.mark.parametrize("spring", ["linear", "three-slope"])
+def test_rows_are_differences_in_deviations(spring: str) -> None:
+    misfit, z = near_truth(spring)
+    h = 1e-6
+    for k, (record, rows) in enumerate(zip(misfit.records, misfit.rows(z), strict=True)):
+        local = misfit.memory.own[k][: len(record.local)]
+        for i, unknown in enumerate(misfit.search.unknowns):
+            step = h * np.eye(len(z))[i]
+            up, down = (
+                simulated(record, misfit.search.values(z + s), local) for s in (step, -step)
+            )
+            expected = (up - down) / (2.0 * h) / misfit.weights[k].deviation
+            off = np.max(np.abs(rows.shared[..., i] - expected))
+            assert off < 1e-3 * np.max(np.abs(expected)) + 1e-3, unknown
+
+
+def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
+    """Gains and steps of the reduced problem are those of the whole one."""
+    known, z = near_truth("linear")
+    misfit = replace(known, guessed=True)
+    rows = misfit.rows(z)
+    factor = factor_of(misfit, z)
+    n = len(z)
+    widths = [part.local.shape[2] for part in rows]
+    tables, right = [], []
+    for k, part in enumerate(rows):
+        local = (part.local * part.root[..., None]).reshape(-1, widths[k])
+        shared = (part.shared * part.root[..., None]).reshape(-1, n)
+        before, after = sum(widths[:k]), sum(widths[k + 1 :])
+        parts = [np.zeros((len(local), before)), local, np.zeros((len(local), after)), shared]
+        tables.append(np.column_stack(parts))
+        right.append((part.residual * part.root).ravel())
+    prior = misfit.search.prior
+    slope = prior.rows @ misfit.search.slope(z)
+    tables.append(np.column_stack([np.zeros((len(slope), sum(widths))), slope]))
+    right.append(prior.rows @ misfit.search.parameters(z) - prior.target)
+    A, b = np.concatenate(tables), np.concatenate(right)
+    scale = np.linalg.norm(A, axis=0)
+    whole = np.linalg.lstsq(A / scale, -b)[0] / scale
+    R, r = factor[:, :-1], factor[:, -1]
+    reduced = np.linalg.lstsq(R / scale[-n:], -r)[0] / scale[-n:]
+    deviation = np.sqrt(np.diag(np.linalg.inv(R.T @ R)))
+    np.testing.assert_allclose(reduced / deviation, whole[-n:] / deviation, atol=1e-5)
+    left = float(np.sum((A @ whole + b) ** 2))
+    assert np.sum((R @ reduced + r) ** 2) == pytest.approx(left, rel=1e-8)
+
+
+def test_an_added_constant_is_found_and_costs_nothing() -> None:
+    search, (record, _), true = rig("linear")
+    names = [channel.name for channel in record.channels]
+    plain = Misfit.of(search, [record]).reweighted(true)
+    bias = np.zeros(len(names))
+    bias[names.index("a1")], bias[names.index("a2")] = 0.7, -1.3
+    biased = with_records(plain, replace(record, measured=record.measured + bias))
+    found = biased.rows(true)[0].step - plain.rows(true)[0].step
+    np.testing.assert_allclose(found, [0.7, -1.3], atol=1e-4)
+    assert cost_of(biased, true) == pytest.approx(cost_of(plain, true), rel=1e-6)
+    # a motor's velocity has none
+    bias[0], bias[2:] = 0.5, 0.0
+    moved = with_records(plain, replace(record, measured=record.measured + bias))
+    assert cost_of(moved, true) > 1.5 * cost_of(plain, true)
+
+
+def test_only_where_a_record_begins_in_motion_is_moved() -> None:
+    misfit, z = near_truth("linear")
+    before = [own.copy() for own in misfit.memory.own]
+    first = misfit.records[1].start()
+    misfit.memory.own[1] = np.concatenate([first, np.zeros(2)])
+    guessed = misfit.evaluate(z)[1].beginning(misfit.weights[1]).cost
+    np.testing.assert_array_equal(misfit.memory.own[0], before[0])
+    assert np.any(misfit.memory.own[1][:6] != first)
+    true = replace(misfit, memory=type(misfit.memory)(before))
+    from_truth = true.evaluate(z)[1].beginning(misfit.weights[1]).cost
+    assert guessed <= 1.05 * from_truth  # the friction's events make more than one hollow
+
+
+@pytest.mark.parametrize(("joint", "first"), [(1, 900), (1, 300), (1, 400), (2, 400), (2, 900)])
+def test_a_beginning_in_motion_is_found(joint: int, first: int) -> None:
+    """From gears untwisted to the true state, on the true arm."""
+    search, _, true = rig("linear")
+    study, known, logs = shaken("linear", settling=SETTLING)
+    record = replayed(later(logs[joint - 1], first), study, CUTOFF)
+    misfit = Misfit.of(search, [record])
+    misfit.rows(true)
+    begun, found = beginning(study, known, logs[joint - 1], first), misfit.memory.own[0][:6]
+
+    def off(local: FloatArray) -> FloatArray:
+        error = simulated(record, search.values(true), local) - record.measured
+        return np.asarray(np.std(error, axis=0) / np.std(record.measured, axis=0))
+
+    assert np.all(off(found) < 0.02)
+    assert np.linalg.norm(off(found)) < 0.1 * np.linalg.norm(off(record.start()))
+    # a motor's velocity also stands for the torque of before, which the true state does not know
+    assert np.all(np.abs(found - begun)[2:4] < 1e-3)
+
+
+def test_where_there_is_no_arm_there_is_no_problem() -> None:
+    search, records, true = rig("linear")
+    z = true.copy()
+    z[search.keys.index(("alpha", None))] = -np.log(3.0)
+    z[search.keys.index(("beta", None))] = np.log(3.0)
+    z[search.keys.index(("gamma", None))] = np.log(3.0)
+    misfit = Misfit.of(search, records)
+    assert np.isfinite(cost_of(misfit, true))
+    values = search.values(z)
+    # the links' inertia is not positive definite
+    ratio = values["gamma", None] ** 2 / (values["alpha", None] * values["beta", None])
+    assert ratio > 1.0
+    assert misfit.linearise(z) is None
+
+
+# what follows needs no arm: channels that are linear in three unknowns
+
+WHITE = 0.05
+
+
+def coloured(
+    rng: np.random.Generator, shape: tuple[int, ...], pole: float = 0.0, size: float = WHITE
+) -> FloatArray:
+    """First-order noise of a given deviation along the first axis."""
+    white = rng.normal(0.0, size * np.sqrt(1.0 - pole**2), (shape[0] + 200, *shape[1:]))
+    return np.asarray(lfilter([1.0], [1.0, -pole], white, axis=0)[200:])
+
+
+TRUTH = np.array([1.0, -2.0, 0.5])
+
+
+def linear_misfit(
+    errors: Sequence[FloatArray], *, noise: float = 1e-6, prior: Prior | None = None
+) -> Misfit:
+    rng = np.random.default_rng(7)
+    records = []
+    for error in errors:
+        table = rng.normal(size=(*error.shape, 3))
+        records.append(linear_record(table, table @ TRUTH + error, noise=noise))
+    return Misfit.of(linear_search(3, prior), records)
+
+
+def test_deviations_and_repetitions_are_those_of_the_errors() -> None:
+    rng = np.random.default_rng(2)
+    errors = [
+        coloured(rng, (4000, 2)) * np.array([1.0, 10.0]),
+        coloured(rng, (4000, 2), 0.8),
+    ]
+    misfit = linear_misfit(errors).reweighted(TRUTH)
+    np.testing.assert_allclose(misfit.weights[0].deviation, [WHITE, 10.0 * WHITE], rtol=0.06)
+    np.testing.assert_allclose(misfit.weights[1].deviation, WHITE, rtol=0.15)
+    np.testing.assert_allclose(misfit.weights[0].repeats, 1.0, atol=0.2)
+    # (1 + a) / (1 - a); what is summed ends at the first negative correlation
+    np.testing.assert_allclose(misfit.weights[1].repeats, 9.0, rtol=0.35)
+
+
+def test_no_model_is_better_than_its_sensors() -> None:
+    errors = [1e-9 * np.random.default_rng(3).normal(size=(500, 1))]
+    spread = float(np.std(linear_misfit(errors).records[0].measured))
+    exact = linear_misfit(errors, noise=1e-12).reweighted(TRUTH)
+    np.testing.assert_allclose(exact.weights[0].deviation, 1e-3 * spread)
+    noisy = linear_misfit(errors, noise=0.3).reweighted(TRUTH)
+    np.testing.assert_allclose(noisy.weights[0].deviation, 0.3)
+
+
+def test_repeated_rows_count_once() -> None:
+    errors = [coloured(np.random.default_rng(4), (600, 2))]
+    deviation = np.array([0.1, 0.1])
+    misfit = replace(linear_misfit(errors), weights=(Weights(deviation, np.ones(2)),))
+    for repeats in (1.0, 6.0):
+        thinned = replace(misfit, weights=(Weights(deviation, np.full(2, repeats)),))
+        z = TRUTH + 0.02
+        assert cost_of(thinned, z) == pytest.approx(cost_of(misfit, z) / repeats)
+        products = [factor_of(m, z) for m in (thinned, misfit)]
+        np.testing.assert_allclose(
+            products[0].T @ products[0], products[1].T @ products[1] / repeats, rtol=1e-9
+        )
+
+
+def test_the_loss_is_soft() -> None:
+    """Squares near nothing, twice the magnitude far away; roots of weights to match."""
+    table = np.ones((1, 1, 1))
+    for off, loss in [(1e-3, 1e-6), (1.0, 2.0 * (np.sqrt(2.0) - 1.0)), (1e4, 2e4 - 2.0)]:
+        record = linear_record(table, np.zeros((1, 1)))
+        misfit = Misfit.of(linear_search(1), [record])
+        misfit = replace(misfit, weights=(Weights(np.ones(1), np.ones(1)),))
+        z = np.array([off])
+        assert cost_of(misfit, z) == pytest.approx(loss, rel=1e-3)
+        rows = misfit.rows(z)[0]
+        slope = 2.0 * float((rows.root**2 * rows.residual)[0, 0])
+        h = 1e-4 * off
+        difference = (cost_of(misfit, z + h) - cost_of(misfit, z - h)) / (2.0 * h)
+        assert slope == pytest.approx(difference, rel=1e-4)
+
+
+def test_outliers_have_little_say() -> None:
+    rng = np.random.default_rng(5)
+    error = coloured(rng, (800, 1))
+    wild = error.copy()
+    wild[::40] += 100.0 * WHITE
+    misfit = linear_misfit([wild])
+    steps = []
+    for z in (TRUTH,) * 2:
+        misfit = misfit.reweighted(z)
+        R = factor_of(misfit, z)
+        steps.append(np.linalg.lstsq(R[:, :-1], -R[:, -1])[0])
+    # plain least squares would be off by some 100 WHITE sqrt(20) / 800
+    assert np.max(np.abs(steps[-1])) < 3.0 * WHITE / np.sqrt(800.0)
+
+
+def test_the_prior_is_part_of_the_cost() -> None:
+    prior = Prior(np.array([[0.0, 20.0, 0.0]]), np.array([-30.0]), np.eye(1))
+    errors = [coloured(np.random.default_rng(6), (300, 1))]
+    plain, held = linear_misfit(errors), linear_misfit(errors, prior=prior)
+    z = TRUTH + np.array([0.1, 0.2, -0.1])
+    added = (20.0 * z[1] + 30.0) ** 2
+    assert cost_of(held, z) - cost_of(plain, z) == pytest.approx(added)
+    first, second = (factor_of(m, z) for m in (held, plain))
+    more = first.T @ first - second.T @ second
+    row = np.array([0.0, 20.0, 0.0, 20.0 * z[1] + 30.0])
+    np.testing.assert_allclose(more, np.outer(row, row), atol=1e-8 * np.max(np.abs(more)))
+
+
+def test_stretches_are_counted_through_all_records() -> None:
+    errors = [np.zeros((n, 1)) for n in (100, 57)]
+    blocks = linear_misfit(errors).blocks()
+    assert [len(block) for block in blocks] == [100, 57]
+    labels = np.concatenate(blocks)
+    assert np.all(np.diff(labels) >= 0)
+    assert sorted(set(labels.tolist())) == list(range(2 * BLOCKS))
+    counts = np.bincount(labels)
+    assert set(counts[:BLOCKS]) == {10}
+    assert set(counts[BLOCKS:]) == {5, 6}
+
+
+def test_the_share_of_the_noise() -> None:
+    rng = np.random.default_rng(8)
+    # behind a low-pass whose rows repeat white noise twice
+    pole = 1.0 / 3.0
+    noise = coloured(rng, (6000, 1), pole)
+    taps: FloatArray = np.power(pole, np.arange(30, dtype=np.float64))
+
+    def behind(misfit: Misfit) -> Misfit:
+        records = [replace(r, kernels=Kernels(taps, taps, 1)) for r in misfit.records]
+        return misfit.seen_by(records).reweighted(TRUTH)
+
+    alone = behind(linear_misfit([noise], noise=WHITE))
+    assert alone.noise_shares(TRUTH)[0] == pytest.approx(1.0, abs=0.15)
+    model = coloured(rng, (6000, 1), 0.9, 3.0 * WHITE)
+    wrong = behind(linear_misfit([noise + model], noise=WHITE))
+    # variances and their repetitions, 2 and 19
+    expected = 2.0 / (2.0 + 9.0 * 19.0)
+    assert wrong.noise_shares(TRUTH)[0] == pytest.approx(expected, rel=0.5)
+    # a channel that errs by less than its noise makes up for no other
+    errors = np.concatenate([noise + model, 0.01 * noise], axis=1)
+    both = behind(linear_misfit([errors], noise=WHITE))
+    assert both.noise_shares(TRUTH)[0] == pytest.approx(0.5 * (1.0 + expected), rel=0.2)
+
+
+def test_other_unknowns_leave_records_and_weights() -> None:
+    errors = [coloured(np.random.default_rng(9), (300, 1))]
+    misfit = linear_misfit(errors).reweighted(TRUTH)
+    held = misfit.for_unknowns(misfit.search.holding({("p2", None): 0.5}))
+    assert held.weights == misfit.weights
+    assert factor_of(held, TRUTH[:2]).shape == (3, 3)
+    # they have own unknowns of their own from here on
+    assert held.memory.own is not misfit.memory.own
+    np.testing.assert_array_equal(held.memory.own, misfit.memory.own)
+
+
+def test_known_weights_foretell_how_the_cost_bends() -> None:
+    """R'R is half the second derivative of the cost, here to a few per cent; guessed, far above."""
+    rng = np.random.default_rng(4)
+    table, errors = rng.normal(size=(4000, 1, 2)), rng.normal(size=(4000, 1))
+    record = linear_record(table, table @ np.array([1.0, -2.0]) + errors)
+    z = np.array([1.0, -2.0])
+    known = Misfit.of(linear_search(2), [record]).reweighted(z)
+    deviation, repeats = known.weights[0].deviation[0], known.weights[0].repeats[0]
+    slope = table[:, 0] / deviation
+    bend = (1.0 + (errors / deviation) ** 2) ** -1.5 / repeats
+    second = slope.T @ (bend * slope)
+    foretold = factor_of(known, z)[:, :-1]
+    np.testing.assert_allclose(foretold.T @ foretold, second, atol=0.05 * np.max(second))
+    guess = factor_of(replace(known, guessed=True), z)[:, :-1]
+    assert np.all(np.diag(guess.T @ guess) > 1.3 * np.diag(second))
+
+
+def test_the_error_of_the_integrators_step_is_made_good() -> None:
+    """At the point it is taken at, and nearly so nearby; once or twice is the same."""
+    both, z = near_truth("three-slope")
+    misfit = with_records(both, both.records[0])
+    record = misfit.records[0]
+    short = replace(record, longest_step=0.25 * record.longest_step)
+
+    def left(of: Misfit, at: FloatArray) -> FloatArray:
+        exact = simulated(short, misfit.search.values(at), np.zeros(0)) - record.measured
+        return np.asarray(of.evaluate(at)[0].difference - exact)
+
+    once = misfit.corrected(z)
+    twice = once.corrected(z)
+    before = np.std(left(misfit, z), axis=0)
+    for corrected in (once, twice):
+        np.testing.assert_allclose(left(corrected, z), 0.0, atol=1e-9 * np.max(record.measured))
+        # what is remembered of the point is what would be found anew
+        fresh = replace(corrected, memory=Misfit.of(misfit.search, misfit.records).memory)
+        np.testing.assert_allclose(
+            fresh.evaluate(z)[0].difference, corrected.evaluate(z)[0].difference, atol=1e-9
+        )
+    near = z + 1e-4
+    assert np.all(np.std(left(once, near), axis=0) < 0.3 * before)

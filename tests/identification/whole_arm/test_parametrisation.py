@@ -1,0 +1,365 @@
+"""Unknowns and their coordinates, where they start, and what the rigid model knows of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strainwave.domain import Arm, FloatArray, Joint, JointModel, RigidModel, Study
+from strainwave.domain.parameters import Values
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm.parametrisation import (
+    CURVE,
+    KNEES,
+    SETTLING,
+    VISCOUS,
+    Search,
+    search_of,
+    with_curves,
+    with_settling,
+)
+from strainwave.identification.whole_arm.starts import rejected_starts, starts_of
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import derived
+from tuning_runs import joint_model, joint_models, rigid_model, truth
+from virtual_arms import values_of
+
+NONE_OFF = np.zeros((2, 6))
+LARGEST_TORQUE = (60.0, 15.0)
+FLOOR = 0.002
+
+
+def mixed_study() -> Study:
+    """A three-slope gear and a linear one, on an arm that gravity pulls."""
+    study = scara.study(Path("nowhere"), "three-slope")
+    joints = (study.joints[0], replace(study.joints[1], spring="linear"))
+    return replace(study, arm=replace(study.arm, gravity=9.81), joints=joints)
+
+
+def mixed_values(study: Study) -> Values:
+    values = values_of(study, 7)
+    for name in (*CURVE, *KNEES):
+        del values[name, 2]
+    values["gear_stiffness", 2] = 6100.0
+    return derived(values, study)
+
+
+def started(study: Study, known: Values, model: RigidModel | None) -> Search:
+    joints = joint_models(study, known, 0.05, NONE_OFF)
+    return search_of(model, joints, study, largest_voltage=[10.0, 10.0], floor=FLOOR)
+
+
+def mixed(share: float = 0.01) -> tuple[Study, Values, Search]:
+    study = mixed_study()
+    known = mixed_values(study)
+    search = started(study, known, rigid_model(study, known, share))
+    return study, known, with_settling(with_curves(search, study, LARGEST_TORQUE))
+
+
+def somewhere(search: Search, seed: int) -> FloatArray:
+    rng = np.random.default_rng(seed)
+    return np.asarray(search.upper * rng.uniform(-1.0, 1.0, len(search.unknowns)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slope_is_that_of_the_parameters(seed: int) -> None:
+    _, _, search = mixed()
+    z = somewhere(search, seed)
+    h = 1e-5
+    differences = [
+        (search.parameters(z + step) - search.parameters(z - step)) / (2.0 * h)
+        for step in h * np.eye(len(z))
+    ]
+    # a central difference errs by h^2 / 6 of an exponential
+    np.testing.assert_allclose(search.slope(z), np.column_stack(differences), rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_coordinates_undo_parameters(seed: int) -> None:
+    _, _, search = mixed()
+    z = somewhere(search, seed)
+    np.testing.assert_allclose(search.coordinates(search.values(z)), z, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_are_straight_in_the_values(seed: int) -> None:
+    """Not so among the coordinates, which are logarithms."""
+    _, _, search = mixed()
+    z = 0.5 * somewhere(search, seed)
+    rng = np.random.default_rng(seed)
+    step = search.trusted(z, rng.uniform(-0.5, 1.0, len(z)), 1.0)
+    path = [search.parameters(search.moved(z, t * step)) for t in (0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(path[1], 0.5 * (path[0] + path[2]), rtol=1e-12, atol=1e-15)
+    # and begin as the coordinates' own
+    nearby = search.moved(z, 1e-7 * step)
+    np.testing.assert_allclose(nearby, z + 1e-7 * step, atol=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_trusted_steps_stay_in_reach(seed: int) -> None:
+    _, _, search = mixed()
+    z = somewhere(search, seed)
+    wild = np.random.default_rng(seed).uniform(-50.0, 50.0, len(z))
+    step = search.trusted(z, wild, 1.0)
+    values, after = search.parameters(z), search.parameters(search.moved(z, step))
+    assert np.all(np.abs(search.moved(z, step)) <= search.upper)
+    assert np.all(np.sign(step) * np.sign(wild) >= 0.0)
+    positive = [k for k, u in enumerate(search.unknowns) if not u.signed and u.name != KNEES[1]]
+    assert np.all(after[positive] < 2.6 * values[positive])
+    # twice cut is cut once
+    np.testing.assert_array_equal(search.trusted(z, step, 1.0), step)
+
+
+def test_coordinates_stay_in_reach() -> None:
+    _, _, search = mixed()
+    outside = search.values(1.5 * search.upper)
+    np.testing.assert_allclose(search.coordinates(outside), search.upper)
+    # what no positive parameter can be is as small as it may be
+    negative = dict.fromkeys(search.keys, -1.0)
+    z = search.coordinates(negative)
+    positive = [k for k, unknown in enumerate(search.unknowns) if not unknown.signed]
+    np.testing.assert_array_equal(z[positive], -search.upper[positive])
+
+
+def test_reach_is_a_factor() -> None:
+    _, _, search = mixed()
+    start = search.values(np.zeros(len(search.unknowns)))
+    most = search.values(search.upper)
+    for name, factor in [("beta", 3.0), ("gamma", 3.0)]:
+        assert most[name, None] == pytest.approx(factor * start[name, None])
+    for name, factor in [("motor_inertia", 3.0), ("gear_damping", 30.0), (VISCOUS[0], 30.0)]:
+        assert most[name, 1] == pytest.approx(factor * start[name, 1])
+
+
+def test_signed_parameters_pass_zero() -> None:
+    _, _, search = mixed()
+    lowest, highest = search.values(-search.upper), search.values(search.upper)
+    for key in [("friction_offset", 1), ("gravity_torque_1", None)]:
+        assert lowest[key] < 0.0 < highest[key]
+    positive = {u.key for u in search.unknowns if not u.signed}
+    assert {("gear_stiffness", 2), ("motor_coulomb_friction", 1), ("alpha", None)} <= positive
+    assert min(lowest[key] for key in positive) > 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_second_knee_lies_above_the_first(seed: int) -> None:
+    _, _, search = mixed()
+    values = search.values(somewhere(search, seed))
+    assert 0.0 < values[KNEES[0], 1] < values[KNEES[1], 1]
+    assert (KNEES[0], 2) not in values
+
+
+def test_it_starts_from_what_was_found() -> None:
+    _, known, search = mixed()
+    start = search.values(np.zeros(len(search.unknowns)))
+    # exactly: inertias, friction, damping and gravity are those of the models
+    for key in start:
+        if key[0] not in (*CURVE, *KNEES, SETTLING):
+            assert start[key] == pytest.approx(known[key], rel=1e-12, abs=1e-15), key
+    one = 0.5 * (known[CURVE[0], 1] + known[CURVE[1], 1])
+    slopes = [start[name, 1] for name in CURVE]
+    np.testing.assert_allclose(slopes, one * np.array([0.8, 1.0, 1.15]))
+    knees = [start[name, 1] for name in KNEES]
+    np.testing.assert_allclose(knees, LARGEST_TORQUE[0] * np.array([0.2, 0.6]))
+    assert ("gear_stiffness", 1) not in start
+    assert {u.joint for u in search.unknowns if u.name == SETTLING} == {1, 2}
+    units = {u.key: u.unit for u in search.unknowns}
+    assert units[KNEES[1], 1] == "N m"
+    assert units[CURVE[0], 1] == "N m/rad"
+    assert units["alpha", None] == "kg m^2"
+    assert units["gravity_torque_2", None] == "N m"
+    assert units[SETTLING, 1] == "s"
+    assert set(start) == set(search.keys)
+
+
+def test_the_rigid_friction_is_preferred() -> None:
+    study, known = truth()
+    joints = joint_models(study, known, 0.05, NONE_OFF)
+    doubted = [
+        replace(joint, values={**joint.values, "motor_coulomb_friction": 0.5}) for joint in joints
+    ]
+    model = rigid_model(study, known, 0.01)
+    search = search_of(model, doubted, study, largest_voltage=[10.0, 10.0], floor=FLOOR)
+    start = search.values(np.zeros(len(search.unknowns)))
+    assert start["motor_coulomb_friction", 1] == pytest.approx(0.06)
+
+
+def test_friction_starts_above_nothing() -> None:
+    study, known = truth()
+    model = rigid_model(study, known, 0.01)
+    parameters = [
+        replace(p, value=0.0) if p.name == "motor_coulomb_friction" else p for p in model.parameters
+    ]
+    search = started(study, known, replace(model, parameters=tuple(parameters)))
+    start = search.values(np.zeros(len(search.unknowns)))
+    # a hundredth of what 10 V make
+    assert start["motor_coulomb_friction", 1] == pytest.approx(0.01 * 10.0 * 0.08)
+
+
+@pytest.mark.parametrize(("motor", "link"), [(-1e-4, 3.0), (2.6e-4, -0.1), (3e-4, 0.0), (0.0, 2.5)])
+def test_a_viscous_friction_that_is_not_positive_is_mended(motor: float, link: float) -> None:
+    study, known = truth()
+    odd = {**known, (VISCOUS[0], 1): motor, (VISCOUS[1], 1): link}
+    search = started(study, odd, rigid_model(study, known, 0.01))
+    start = search.values(np.zeros(len(search.unknowns)))
+    total = motor + 1e-4 * link
+    parts = (start[VISCOUS[0], 1], 1e-4 * start[VISCOUS[1], 1])
+    assert min(parts) >= 0.05 * total * (1.0 - 1e-12)
+    assert sum(parts) == pytest.approx(total)
+
+
+def test_holding_takes_unknowns_away() -> None:
+    _, _, search = mixed()
+    z = somewhere(search, 11)
+    values = search.values(z)
+    # some of them the rigid model speaks of
+    keys = [("beta", None), ("motor_coulomb_friction", 2), (SETTLING, 1), (VISCOUS[1], 1)]
+    held = search.holding({key: values[key] for key in keys})
+    assert held.keys == [key for key in search.keys if key not in keys]
+    there = held.coordinates(values)
+    assert held.values(there) == pytest.approx(values, rel=1e-9)
+    before = search.prior.rows @ search.parameters(z) - search.prior.target
+    after = held.prior.rows @ held.parameters(there) - held.prior.target
+    np.testing.assert_allclose(after, before, atol=1e-8 * np.max(np.abs(before)))
+    twice = held.holding({("gamma", None): 0.5})
+    assert twice.values(np.zeros(len(twice.unknowns)))["gamma", None] == 0.5
+    assert twice.values(np.zeros(len(twice.unknowns)))["beta", None] == values["beta", None]
+
+
+@pytest.mark.parametrize("knee", KNEES)
+def test_one_knee_can_be_held(knee: str) -> None:
+    _, _, search = mixed()
+    values = search.values(somewhere(search, 3))
+    held = search.holding({(knee, 1): values[knee, 1]})
+    assert held.values(held.coordinates(values)) == pytest.approx(values, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_prior_rows_weigh_what_the_rigid_model_tells(seed: int) -> None:
+    """|rows p - target|^2 is e' C^-1 e, e the rigid model's combinations of p less its values."""
+    rng = np.random.default_rng(seed)
+    study = mixed_study()
+    known = mixed_values(study)
+    model = rigid_model(study, known, 0.01)
+    n = len(model.parameters)
+    mixing = np.eye(n) + 0.3 * rng.normal(size=(n, n))
+    deviation = np.sqrt(np.diag(model.covariance))
+    covariance = deviation[:, None] * (mixing @ mixing.T) * deviation
+    model = replace(model, covariance=covariance)
+    search = with_settling(with_curves(started(study, known, model), study, LARGEST_TORQUE))
+
+    values = search.values(0.3 * somewhere(search, seed))
+    told = derived(values, study)  # by the sums that the simulation's own truth is made of
+    error = np.array([told[p.name, p.joint] for p in model.parameters]) - model.solution
+    whole = covariance + np.diag((FLOOR * model.solution) ** 2)
+    expected = error @ np.linalg.solve(whole, error)
+    p = np.array([values[key] for key in search.keys])
+    found = search.prior.rows @ p - search.prior.target
+    assert np.sum(found**2) == pytest.approx(expected, rel=1e-8)
+    # and e' C^-1 V C^-1 e the same of its own errors, which the floor does not widen
+    weighed = np.linalg.solve(whole, error)
+    own = found @ search.prior.errors @ found
+    assert own == pytest.approx(weighed @ covariance @ weighed, rel=1e-8)
+
+
+def test_the_floor_widens_the_prior() -> None:
+    study, known = truth()
+    joints = joint_models(study, known, 0.05, NONE_OFF)
+    sure = rigid_model(study, known, 1e-9)
+    for floor in (0.002, 0.05):
+        search = search_of(sure, joints, study, largest_voltage=[10.0, 10.0], floor=floor)
+        z = np.zeros(len(search.unknowns))
+        p = search.parameters(z)
+        p[search.keys.index(("gamma", None))] *= 1.0 + floor
+        off = search.prior.rows @ p - search.prior.target
+        # gamma alone is off, by one deviation
+        assert np.sum(off**2) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_what_the_rigid_model_does_not_tell_is_no_row() -> None:
+    study, known = truth()
+    model = rigid_model(study, known, 0.01)
+    unknown = [p.name for p in model.parameters].index("beta")
+    parameters = list(model.parameters)
+    parameters[unknown] = replace(parameters[unknown], value=None, std=None)
+    vague = model.covariance.copy()
+    friction = [(p.name, p.joint) for p in parameters].index(("total_viscous_friction", 2))
+    vague[friction, friction] = np.inf
+    model = replace(model, parameters=tuple(parameters), covariance=vague)
+    search = started(study, known, model)
+    assert search.prior.rows.shape == (len(parameters) - 2, len(search.unknowns))
+    columns = [search.keys.index(key) for key in [("beta", None), (VISCOUS[0], 2)]]
+    assert not np.any(search.prior.rows[:, columns])
+
+
+def alone(gravity: float | None) -> tuple[Study, Values, JointModel]:
+    """A single joint that is known."""
+    joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.08, encoder_counts=8192)
+    study = Study(Path("nowhere"), "", Arm("single-joint", gravity=gravity), (joint,), ())
+    _, rig = truth()
+    known: Values = {(name, 1): value for (name, number), value in rig.items() if number == 1}
+    known["link_inertia", 1] = 2.0
+    known["total_viscous_friction", 1] = known[VISCOUS[0], 1] + 1e-4 * known[VISCOUS[1], 1]
+    if gravity is not None:
+        known["gravity_torque_1", None] = 15.0
+    values = {name: value for (name, number), value in known.items() if number == 1}
+    return study, known, joint_model(study, 1, values, np.eye(7))
+
+
+def test_a_single_joint() -> None:
+    study, known, start = alone(9.81)
+    model = rigid_model(study, known, 0.01)
+    search = search_of(model, [start], study, largest_voltage=[10.0], floor=FLOOR)
+    p = search.parameters(np.zeros(len(search.unknowns)))
+    np.testing.assert_allclose(search.prior.rows @ p, search.prior.target, rtol=1e-10)
+    assert len(search.prior.target) == 5
+    p[search.keys.index(("link_inertia", 1))] += 0.1
+    off = search.prior.rows @ p - search.prior.target
+    # the joint's inertia on the side of the motor is J_M + n^2 m_L
+    inertia = known["motor_inertia", 1] + 1e-4 * 2.0
+    deviation = np.hypot(0.01, FLOOR) * inertia
+    assert np.sqrt(np.sum(off**2)) == pytest.approx(1e-4 * 0.1 / deviation, rel=1e-6)
+
+
+def test_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
+    study, known, start = alone(None)
+    search = search_of(None, [start], study, largest_voltage=[10.0], floor=FLOOR)
+    assert search.prior.rows.shape == (0, len(search.unknowns))
+    values = search.values(np.zeros(len(search.unknowns)))
+    assert values["motor_inertia", 1] == known["motor_inertia", 1]
+    study, known, start = alone(9.81)
+    with pytest.raises(NotIdentifiable, match="needs gravity_torque_1, which"):
+        search_of(None, [start], study, largest_voltage=[10.0], floor=FLOOR)
+
+
+def test_starts_that_are_missing_or_impossible() -> None:
+    study, known = truth()
+    model = rigid_model(study, known, 0.01)
+    joints = joint_models(study, known, 0.05, NONE_OFF)
+    voltage = [10.0, 10.0]
+    with pytest.raises(NotIdentifiable, match="joint 2 has none"):
+        search_of(model, joints[:1], study, largest_voltage=voltage, floor=FLOOR)
+    rigid = replace(study, joints=(study.joints[0], replace(study.joints[1], spring="rigid")))
+    with pytest.raises(NotIdentifiable, match="joint 2 has none"):
+        search_of(model, joints, rigid, largest_voltage=voltage, floor=FLOOR)
+    for name, value in [("gear_damping", -1.0), ("gear_stiffness", np.nan), ("motor_inertia", 0.0)]:
+        wrong = replace(joints[1], values={**joints[1].values, name: value})
+        begun = starts_of(model, [joints[0], wrong], study)
+        assert list(begun.rejected) == [(name, 2)]
+        # usual values are within the reach of a search: a factor of three
+        assert 1.0 / 3.0 < begun.values[name, 2] / known[name, 2] < 3.0
+        (said,) = rejected_starts(begun, study)
+        assert said.where == f"{name} of joint 2"
+    # beta + 2 gamma is more than all that joint 1 carries
+    light = replace(joints[0], values={**joints[0].values, "link_inertia": 1.0})
+    begun = starts_of(model, [light, joints[1]], study)
+    assert list(begun.rejected) == [("alpha", None)]
+    assert begun.values["alpha", None] == pytest.approx(known["alpha", None], rel=0.1)
+    nothing = replace(joints[1], values={**joints[1].values, "link_inertia": -1.0})
+    beta = tuple(replace(p, value=-1.0) if p.name == "beta" else p for p in model.parameters)
+    solution = np.array([p.value for p in beta], dtype=float)
+    with pytest.raises(NotIdentifiable, match="beta is -1"):
+        starts_of(replace(model, parameters=beta, solution=solution), [joints[0], nothing], study)

@@ -1,0 +1,61 @@
+"""Intervals predicted before any record, beside those of fits to such records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from strainwave.domain import Log, Parameter, Study
+from strainwave.identification.whole_arm import predicted_parameters, tune
+from tuning_runs import joint_models, rigid_model, shaken
+
+FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
+MOTOR = ("u1", "u2", "theta_m1", "theta_m2")
+
+
+def seen_by(study: Study, logs: tuple[Log, ...], channels: tuple[str, ...]) -> list[Log]:
+    return [replace(log, channels={c: log.channels[c] for c in channels}) for log in logs]
+
+
+def relative(parameters: tuple[Parameter, ...]) -> dict[tuple[str, int | None], float]:
+    """Deviations of gears and inertias, as shares of the values."""
+    wanted = ("gear_", "motor_inertia", "link_inertia")
+    return {
+        (p.name, p.joint): p.std / p.value
+        for p in parameters
+        if p.name.startswith(wanted) and p.value and p.std
+    }
+
+
+@pytest.mark.parametrize("spring", ["linear", "three-slope"])
+@pytest.mark.parametrize("channels", [MOTOR, (*MOTOR, "a1", "a2")])
+def test_a_fit_s_intervals_are_those_predicted(spring: str, channels: tuple[str, ...]) -> None:
+    study, known, logs = shaken(spring)
+    records = seen_by(study, logs, channels)
+    predicted = relative(predicted_parameters(records, study, known))
+    joints = joint_models(study, known, 0.02, FACTORS)
+    found = relative(tune(records, rigid_model(study, known, 0.002), joints, study).parameters)
+    shared = predicted.keys() & found.keys()
+    assert len(shared) >= 8
+    for key in shared:
+        # errors of the integrator and what a fit cannot be sure of make its own a little wider
+        assert 0.5 < predicted[key] / found[key] < 1.5, key
+
+
+def test_without_link_sensors_gears_are_known_less_well() -> None:
+    study, known, logs = shaken()
+    alone, more = (
+        relative(predicted_parameters(seen_by(study, logs, channels), study, known))
+        for channels in (MOTOR, (*MOTOR, "a1", "a2"))
+    )
+    for joint in (1, 2):
+        assert alone["gear_stiffness", joint] > 1.5 * more["gear_stiffness", joint]
+        assert alone["gear_damping", joint] > 1.5 * more["gear_damping", joint]
+
+
+def test_records_that_excite_no_gear_predict_nothing() -> None:
+    study, known, logs = shaken()
+    motion = [replace(log, experiment=replace(log.experiment, use="motion")) for log in logs]
+    assert predicted_parameters(motion, study, known) == ()

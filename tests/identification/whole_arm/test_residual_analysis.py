@@ -1,0 +1,139 @@
+"""What a fit leaves and what might explain it: tests of the tests, on series and on virtual arms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from effect_runs import SIZES, tuned
+from strainwave.domain import Effect, FloatArray, ResidualTest
+from strainwave.domain.parameters import EFFECT_PARAMETERS
+from strainwave.identification.whole_arm.dataset import low_pass_kernels
+from strainwave.identification.whole_arm.effects import sizes_of
+from strainwave.identification.whole_arm.residual_analysis import (
+    coloured_alike,
+    follows,
+    residual_cautions,
+    spectral_density,
+)
+
+T = 1e-3
+KERNELS = low_pass_kernels(60.0, T)
+ROW = KERNELS.step * T
+
+
+def behind(noise: FloatArray) -> FloatArray:
+    return KERNELS.rows(noise, rate=False)
+
+
+def test_a_spectral_density_is_welchs() -> None:
+    x = np.random.default_rng(0).normal(size=1440)
+    frequency, density = spectral_density(x, T)
+    f, expected = signal.welch(x, 1.0 / T, "hann", 320)
+    np.testing.assert_allclose(frequency, f)
+    np.testing.assert_allclose(density[1:-1], expected[1:-1], rtol=1e-9)
+
+
+def test_noise_has_the_colour_of_noise() -> None:
+    """The probability is that: as often below a twentieth as it says."""
+    rng = np.random.default_rng(1)
+    odds = [
+        coloured_alike(behind(rng.normal(size=3000)), ROW, KERNELS.smooth, T, 48.0)
+        for _ in range(400)
+    ]
+    for share in (0.05, 0.1):
+        spread = np.sqrt(share * (1.0 - share) / len(odds))
+        assert np.mean(np.array(odds) < share) == pytest.approx(share, abs=3.0 * spread)
+    assert np.median(odds) == pytest.approx(0.5, abs=0.15)
+
+
+def test_a_forgotten_mode_has_another_colour() -> None:
+    rng = np.random.default_rng(2)
+    ringing = signal.lfilter([1.0], [1.0, -1.95, 0.96], rng.normal(size=3000))
+    left = behind(rng.normal(size=3000) + 0.3 * ringing / np.std(ringing))
+    assert coloured_alike(left, ROW, KERNELS.smooth, T, 48.0) < 1e-3
+
+
+def test_what_is_independent_of_inputs_follows_none() -> None:
+    rng = np.random.default_rng(3)
+    odds = []
+    for _ in range(300):
+        inputs = np.column_stack([behind(rng.normal(size=3000)) for _ in range(2)])
+        odds.append(follows(behind(rng.normal(size=3000)), inputs, ROW)[3])
+    # odds for all delays together are an upper end
+    assert np.mean(np.array(odds) < 0.05) < 0.05 + 3.0 * np.sqrt(0.05 / 300.0)
+
+
+@pytest.mark.parametrize("delay", [0, 3, 9])
+def test_what_follows_an_input_says_which_and_how_late(delay: int) -> None:
+    rng = np.random.default_rng(4)
+    inputs = np.column_stack([behind(rng.normal(size=6000)) for _ in range(2)])
+    left = rng.normal(size=len(inputs)) * np.std(inputs)
+    left[delay:] -= 0.5 * inputs[: len(inputs) - delay, 1]
+    joint, correlation, late, odds = follows(left, inputs, ROW)
+    assert joint == 2
+    assert correlation < -0.2
+    assert late == pytest.approx(delay * ROW, abs=0.1 * ROW)
+    assert odds < 1e-6
+
+
+def test_a_still_channel_follows_nothing() -> None:
+    assert follows(np.zeros(100), np.ones((100, 2)), ROW) == (1, 0.0, 0.0, 1.0)
+    assert coloured_alike(np.zeros(100), ROW, KERNELS.smooth, T, 48.0) == 1.0
+
+
+def left_over(channel: str, deviation: float, odds: float) -> ResidualTest:
+    nothing = np.zeros(2)
+    return ResidualTest(
+        "prbs", channel, deviation, 1.0, nothing, nothing, nothing, 21.0, 0.5, 2, 0.4, 0.004, odds
+    )
+
+
+def test_only_what_is_loud_is_worth_a_word() -> None:
+    tests = [left_over("a1", 2.0, 1e-9), left_over("a2", 5.0, 1e-9), left_over("a2", 4.0, 0.5)]
+    (said,) = residual_cautions(tests)
+    assert said.code == "residual-not-noise"
+    assert "a2 are 5 times" in said.message
+    assert "near 21 Hz" in said.message
+    assert "joint 2's input by 4 ms" in said.message
+    (unforeseen,) = residual_cautions([replace(tests[1], input_probability=0.5)])
+    assert "without linear dependence on an input" in unforeseen.message
+
+
+@pytest.mark.parametrize("effect", list(EFFECT_PARAMETERS))
+def test_an_effect_that_is_not_in_the_model_is_named(effect: Effect) -> None:
+    """It comes first, by about its size, and the warning says what to do."""
+    model = tuned((effect,), ())
+    assert model.criticism is not None
+    first = model.criticism.score_tests[0]
+    assert (first.joint, first.effect) == (1, effect)
+    assert first.evident
+    for key in sizes_of((1, effect)):
+        size, std = first.sizes[key[0]], first.stds[key[0]]
+        # one linear step, and from parameters that have taken up a part of it
+        assert 0.3 < size / SIZES[key] < 2.0
+        assert std < 0.1 * abs(size)
+    said = {c.code: c for c in model.warnings}[f"{effect}-likely"]
+    assert said.where == "joint 1"
+    assert f'effects = ["{effect}"]' in said.message
+
+
+def test_an_arm_without_effects_gives_no_evidence_of_any() -> None:
+    model = tuned((), ())
+    assert model.criticism is not None
+    assert len(model.criticism.score_tests) == 6
+    assert not any(one.evident for one in model.criticism.score_tests)
+    assert max(one.gain for one in model.criticism.score_tests) < 16.0
+    assert not any(c.code.endswith("-likely") for c in model.warnings)
+
+
+def test_what_is_fitted_is_no_longer_a_candidate() -> None:
+    model = tuned(("hysteresis",), ("hysteresis",))
+    assert model.criticism is not None
+    tested = {(one.joint, one.effect) for one in model.criticism.score_tests}
+    assert (1, "hysteresis") not in tested
+    assert len(tested) == 5
+    assert not any(one.evident for one in model.criticism.score_tests)

@@ -1,0 +1,78 @@
+"""What a link sensor would buy, beside what it does buy where a virtual arm has it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from strainwave.domain import ArmModel, Log, Parameter
+from strainwave.identification.whole_arm import tune
+from tuning_runs import joint_models, rigid_model, shaken
+
+FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
+GEARS = [(name, joint) for name in ("gear_stiffness", "gear_damping") for joint in (1, 2)]
+
+
+def without_links(logs: tuple[Log, ...], joints: set[int]) -> list[Log]:
+    """The records without the link channels of some joints."""
+    gone = {f"{name}{i}" for name in ("a", "gyro") for i in joints}
+    return [
+        replace(log, channels={n: x for n, x in log.channels.items() if n not in gone})
+        for log in logs
+    ]
+
+
+@cache
+def tuned(*missing: int, spring: str = "linear") -> ArmModel:
+    study, known, logs = shaken(spring)
+    records = without_links(logs, set(missing))
+    joints = joint_models(study, known, 0.05, FACTORS)
+    return tune(records, rigid_model(study, known, 0.01, 1.0), joints, study)
+
+
+def std_of(model: ArmModel, name: str, joint: int) -> float:
+    found: dict[tuple[str, int | None], Parameter] = {
+        (p.name, p.joint): p for p in model.parameters
+    }
+    std = found[name, joint].std
+    assert std is not None
+    return std
+
+
+def predicted(model: ArmModel, link: int, name: str, joint: int) -> float:
+    gains = [
+        g.predicted_std
+        for g in model.sensor_gains
+        if (g.sensor, g.link, g.name, g.joint) == ("accelerometer", link, name, joint)
+    ]
+    assert len(gains) == 1
+    return gains[0]
+
+
+@pytest.mark.parametrize("link", [1, 2])
+def test_an_accelerometer_buys_what_is_predicted(link: int) -> None:
+    without, with_it = tuned(1, 2), tuned(3 - link)
+    ratios = [predicted(without, link, *one) / std_of(with_it, *one) for one in GEARS]
+    assert all(1.0 / 1.5 < ratio < 1.5 for ratio in ratios), ratios
+
+
+def test_a_place_where_the_link_hardly_moves_buys_nothing() -> None:
+    """At 0.27 m the accelerometer sits near the second link's centre of percussion."""
+    without, with_it = tuned(1, 2), tuned(1)
+    for one in GEARS:
+        assert predicted(without, 2, *one) > 0.8 * std_of(without, *one)
+        assert std_of(with_it, *one) > 0.8 * std_of(without, *one)
+
+
+def test_a_link_with_a_sensor_needs_no_other() -> None:
+    assert tuned().sensor_gains == ()
+    assert {gain.link for gain in tuned(1).sensor_gains} == {1}
+
+
+def test_no_sensor_makes_an_interval_wider() -> None:
+    gains = tuned(1, 2).sensor_gains
+    assert {gain.sensor for gain in gains} == {"accelerometer", "link-encoder", "gyro"}
+    assert all(0.0 < gain.predicted_std <= gain.std for gain in gains)

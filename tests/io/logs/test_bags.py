@@ -1,0 +1,364 @@
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import studies
+import virtual_arms
+from strainwave import pipeline
+from strainwave.domain import FloatArray, Log
+from strainwave.errors import InvalidInput
+from strainwave.io.logs import read_logs, write_log
+from strainwave.io.study import read_study, write_study
+
+pytest.importorskip("rosbags", reason="the extra `bags` is not installed")
+import bags
+
+
+def read(folder: Path, file: str, channels: str = bags.CHANNELS, window: str = "") -> Log:
+    text = studies.STUDY.replace("motion.csv", file) + channels
+    text = text.replace('use = "motion"\n', f'use = "motion"\n{window}', 1)
+    study = read_study(studies.write(folder, text))
+    return read_logs(study, study.experiments[:1])[0]
+
+
+def ticks(period: float, samples: int) -> FloatArray:
+    return period * np.arange(samples, dtype=np.float64)
+
+
+def signals(time: FloatArray) -> dict[str, FloatArray]:
+    return {
+        "t": time,
+        "u1": np.sign(np.sin(300.0 * time)),
+        "u2": np.cos(7.0 * time),
+        "theta_m1": np.sin(20.0 * time),
+        "theta_m2": np.cos(20.0 * time),
+        "a1": np.sin(30.0 * time),
+    }
+
+
+def expect(log: Log) -> None:
+    for name, values in studies.columns().items():
+        found = log.time if name == "t" else log.channels[name]
+        np.testing.assert_allclose(found, values, rtol=0.0, atol=1e-12)
+    # the commands have no stamp of their own, and this recorder was not late
+    assert [w.code for w in log.warnings] == ["recorder-stamps"]
+
+
+def test_reads_both_storages_as_directory_and_as_file(tmp_path: Path) -> None:
+    messages = bags.of_columns(studies.columns())
+    for storage, suffix in (("MCAP", "mcap"), ("SQLITE3", "db3")):
+        bags.write(tmp_path / storage, messages, storage)
+        expect(read(tmp_path, storage))
+        if suffix == "mcap":  # a .db3 of this age leaves its connections to metadata.yaml
+            shutil.copy(tmp_path / storage / f"{storage}.{suffix}", tmp_path / f"single.{suffix}")
+            expect(read(tmp_path, f"single.{suffix}"))
+
+
+def test_reads_a_ros1_bag(tmp_path: Path) -> None:
+    time = ticks(0.001, 40)
+    channels = "\n[channels]\n" + "".join(
+        f'{channel} = {{ topic = "/js", field = "{field}", name = "{name}" }}\n'
+        for channel, field, name in (
+            ("theta_m1", "position", "a"),
+            ("theta_m2", "position", "b"),
+            ("u1", "effort", "a"),
+            ("u2", "effort", "b"),
+        )
+    )
+    bags.write_ros1(
+        tmp_path / "run.bag",
+        [
+            ("/js", ns, bags.joint_state(ns, {"a": t, "b": -t}, (), (t**2, 1.0), bags.STORE1))
+            for ns, t in zip(bags.stamps(time), time, strict=True)
+        ],
+    )
+    log = read(tmp_path, "run.bag", channels)
+    np.testing.assert_allclose(log.channels["u1"], time**2, atol=1e-15)
+    assert not log.warnings  # every number has a stamp
+
+
+def test_the_whole_rigid_step_says_the_same_of_a_bag_as_of_a_csv(tmp_path: Path) -> None:
+    study = virtual_arms.rigid_two_link()
+    log = virtual_arms.motion_log(study, virtual_arms.values_of(study, 1), 1, duration=6.0)
+    columns = {"t": log.time, **log.channels, "a1": np.zeros(len(log))}
+    experiment = virtual_arms.MOTION
+    study = replace(study, path=tmp_path / "study.toml", experiments=(experiment,), channels={})
+    write_log(tmp_path / "motion.csv", {name: columns[name] for name in ("t", *log.channels)})
+    write_study(study, study.path)
+    from_csv = pipeline.identify(study.path, stages=("rigid",))
+    bags.write(tmp_path / "run", bags.of_columns(columns))
+    text = study.path.read_text().replace("motion.csv", "run") + bags.CHANNELS
+    study.path.write_text("".join(x for x in text.splitlines(True) if not x.startswith("a1")))
+    from_bag = pipeline.identify(study.path, stages=("rigid",))
+    assert from_bag.rigid is not None
+    assert from_csv.rigid is not None
+    for ours, theirs in zip(from_bag.rigid.parameters, from_csv.rigid.parameters, strict=True):
+        assert ours.value is not None
+        # positions are divided by 100 and multiplied again
+        assert ours.value == pytest.approx(theirs.value, rel=1e-6, abs=1e-9)
+        assert ours.std == pytest.approx(theirs.std, rel=1e-4)
+
+
+# --- time -------------------------------------------------------------------------------------
+
+
+def test_topics_of_other_rates_come_to_the_motor_angles_stamps(tmp_path: Path) -> None:
+    fast, slow = ticks(0.001, 400), 0.0003 + ticks(0.004, 99)
+    messages = [m for m in bags.of_columns(signals(fast)) if m[0] != "/imu1"]
+    messages += [
+        ("/imu1", ns, bags.imu(ns, np.sin(30.0 * t)))
+        for ns, t in zip(bags.stamps(slow), slow, strict=True)
+    ]
+    bags.write(tmp_path / "run", sorted(messages, key=lambda m: m[1]))
+    log = read(tmp_path, "run")
+    assert log.sample_time == pytest.approx(0.001)
+    # only where every topic has something to say
+    assert log.time[[0, -1]] == pytest.approx([0.001, 0.392])
+    # a 5 Hz sine from 250 Hz: monotone cubics are of second order at its crests
+    np.testing.assert_allclose(log.channels["a1"], np.sin(30.0 * log.time), atol=5e-3)
+    np.testing.assert_allclose(log.channels["theta_m1"], 100.0 * np.sin(20 * log.time) / 100.0)
+    said = {w.code: w.message for w in log.warnings}
+    assert "/cmd" not in said["resampled"]  # it has the same stamps, only more of them
+    assert "/imu1 (250 Hz): brought to the stamps of /joint_states (1000 Hz)" in said["resampled"]
+
+
+def test_commands_are_held_and_a_silent_one_is_told(tmp_path: Path) -> None:
+    time = ticks(0.001, 400)
+    messages = [m for m in bags.of_columns(signals(time)) if m[0] != "/cmd"]
+    said = np.array([*ticks(0.002, 50), 0.3])
+    messages += [
+        ("/cmd", ns, bags.floats([k, -k])) for k, ns in enumerate(bags.stamps(said + 0.0004))
+    ]
+    bags.write(tmp_path / "run", sorted(messages, key=lambda m: m[1]))
+    log = read(tmp_path, "run")
+    expected = np.searchsorted(said + 0.0004, log.time, side="right") - 1
+    np.testing.assert_array_equal(log.channels["u1"], expected)
+    told = [w.message for w in log.warnings if w.code == "silent-command"]
+    assert len(told) == 1
+    assert "/cmd sends nothing from 0.0984 to 0.3004 s" in told[0]
+
+
+def test_a_window_keeps_the_command_set_before_it(tmp_path: Path) -> None:
+    time = ticks(0.001, 400)
+    messages = [m for m in bags.of_columns(signals(time)) if m[0] != "/cmd"]
+    messages += [("/cmd", ns, bags.floats([ns - bags.START, 0])) for ns in bags.stamps(time[::50])]
+    bags.write(tmp_path / "run", sorted(messages, key=lambda m: m[1]))
+    log = read(tmp_path, "run", window="start = 0.12\nstop = 0.23\n")
+    assert (log.time[0], log.time[-1]) == (pytest.approx(0.12), pytest.approx(0.23))
+    assert log.channels["u1"][0] == 100_000_000
+
+
+def test_a_late_recorder_is_measured_and_another_clock_refused(tmp_path: Path) -> None:
+    for delay, name in ((0.003, "late"), (-1.7e9, "simulated")):
+        late = round(delay * 1e9)
+        messages = bags.of_columns(signals(ticks(0.001, 60)))
+        messages = [
+            (topic, ns + late if topic == "/cmd" or delay > 0 else ns, m)
+            for topic, ns, m in messages
+        ]
+        for topic, ns, message in messages:
+            if delay < 0 and topic != "/cmd":
+                message.header = bags.header(ns - bags.START + 1)
+        bags.write(tmp_path / name, sorted(messages, key=lambda m: m[1]))
+    log = read(tmp_path, "late")
+    said = [w.message for w in log.warnings if w.code == "recorder-stamps"]
+    assert "3 ms after" in said[0]
+    with pytest.raises(InvalidInput, match=r"headers and recorder keep different time.* of /cmd"):
+        read(tmp_path, "simulated")
+
+
+def test_unset_headers_count_from_the_recorder(tmp_path: Path) -> None:
+    messages = bags.of_columns(studies.columns())
+    for _, _, message in messages:
+        if hasattr(message, "header"):
+            message.header = bags.header(0)
+    bags.write(tmp_path / "run", messages)
+    log = read(tmp_path, "run")
+    np.testing.assert_allclose(log.time, studies.columns()["t"], atol=1e-9)
+    assert not log.warnings
+
+
+def test_a_gap_in_one_topic_is_refused(tmp_path: Path) -> None:
+    messages = bags.of_columns(signals(ticks(0.001, 200)))
+    lost = range(bags.START + 50_000_000, bags.START + 80_000_000)
+    bags.write(tmp_path / "run", [m for m in messages if m[0] != "/imu1" or m[1] not in lost])
+    with pytest.raises(InvalidInput, match=r"a gap in /imu1 from 0.049 to 0.08 s, 31 samples"):
+        read(tmp_path, "run")
+
+
+@settings(max_examples=15)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    doubled=st.lists(st.integers(0, 59), max_size=5),
+    reach=st.integers(1, 20),
+)
+def test_the_order_of_messages_does_not_matter(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, doubled: list[int], reach: int
+) -> None:
+    folder = tmp_path_factory.mktemp("bag")
+    values = signals(ticks(0.001, 60))
+    messages = [m for m in bags.of_columns(values) if m[0] != "/cmd"]
+    # said again with another number a little before: the last counts
+    said_twice = [
+        ("/joint_states", m[1], bags.joint_state(m[1], {"shoulder": 9.9, "elbow": 9.9}))
+        for m in messages[::2]
+    ]
+    messages = [said_twice[k] for k in doubled] + messages
+    rng = np.random.default_rng(seed)
+    late = np.arange(len(messages)) + reach * rng.uniform(size=len(messages))
+    late[: len(doubled)] = -1.0
+    order = np.argsort(late, kind="stable")
+    recorded = [
+        (messages[k][0], bags.START + 10**6 * n, messages[k][2]) for n, k in enumerate(order)
+    ]
+    recorded += [
+        ("/cmd", bags.START, bags.floats([0, 0])),
+        ("/cmd", bags.START + 20 * 10**6, bags.floats([1, 2])),
+    ]
+    # the header of /cmd's neighbours is within a second of the recorder's time
+    bags.write(folder / "run", sorted(recorded, key=lambda m: m[1]))
+    log = read(folder, "run")
+    np.testing.assert_allclose(log.channels["theta_m1"], values["theta_m1"], atol=1e-12)
+    np.testing.assert_allclose(log.channels["a1"], values["a1"], atol=1e-12)
+    told = " ".join(w.message for w in log.warnings if w.code == "reordered")
+    assert "/joint_states" in told or not doubled
+
+
+def test_joints_that_several_nodes_publish_are_told_apart(tmp_path: Path) -> None:
+    """Half of the messages name one joint only, in another order."""
+    time = ticks(0.001, 120)
+    messages: list[bags.Message] = []
+    for k, (ns, t) in enumerate(zip(bags.stamps(time), time, strict=True)):
+        both = {"elbow": -t, "shoulder": t} if k % 3 else {"shoulder": t, "elbow": -t}
+        only = both if k % 2 else {"shoulder": t}
+        messages += [("/joint_states", ns, bags.joint_state(ns, only))]
+        messages += [("/cmd", ns, bags.floats([np.sin(99 * t), 0.0]))]
+        messages += [("/imu1", ns, bags.imu(ns, t))]
+    bags.write(tmp_path / "run", messages)
+    log = read(tmp_path, "run")
+    np.testing.assert_allclose(log.channels["theta_m1"], 100.0 * log.time, atol=1e-9)
+    np.testing.assert_allclose(log.channels["theta_m2"], -log.time, atol=1e-9)
+
+
+# --- faults -----------------------------------------------------------------------------------
+
+
+def line(channel: str, topic: str, field: str, name: str = "") -> str:
+    named = f', name = "{name}"' if name else ""
+    return f'{channel} = {{ topic = "{topic}", field = "{field}"{named} }}\n'
+
+
+FAULTS = {
+    "topic": (
+        line("a1", "/imu", "linear_acceleration.y"),
+        r"no topic '/imu', which .channels. names for 'a1'.*/imu1 \(sensor_msgs/msg/Imu, 40\)"
+        r".*mean '/imu1'",
+    ),
+    "field": (
+        line("a1", "/imu1", "acceleration.y"),
+        r"no field 'acceleration.y' in the topic '/imu1'.*linear_acceleration.y",
+    ),
+    "joint": (
+        line("a1", "/joint_states", "position", "knee"),
+        r"no field 'position\[knee\]' in the topic '/joint_states'.*position\[shoulder\]",
+    ),
+    "empty array": (
+        line("a1", "/joint_states", "effort", "elbow"),
+        r"no field 'effort\[elbow\]' in the topic '/joint_states'",
+    ),
+    "index": (line("a1", "/cmd", "data[2]"), r"no field 'data\[2\]'.*data\[0\], data\[1\]"),
+    "no field": ('a1 = { topic = "/imu1" }\n', "the key 'field' is missing"),
+    "both": (
+        'a1 = { topic = "/imu1", field = "x", column = "y" }\n',
+        "the key 'column' is not known",
+    ),
+    "time": ('t = "/imu1.header"\n', "no field 'header'"),
+    "own time": (line("t", "/imu1", "linear_acceleration.y"), "stamps of their own"),
+    "nothing mapped": (line("torque2", "/cmd", "data[1]"), "no 'theta_m1', which every log needs"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_tells_what_is_not_in_the_bag(fault: str, tmp_path: Path) -> None:
+    text, said = FAULTS[fault]
+    bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
+    kept = [
+        each
+        for each in bags.CHANNELS.splitlines(True)
+        if not each.startswith(text.split(" ")[0]) and fault != "nothing mapped"
+    ]
+    channels = "[channels]\n" if fault == "nothing mapped" else "".join(kept)
+    with pytest.raises(InvalidInput, match=said) as caught:
+        read(tmp_path, "run", channels + text)
+    assert caught.value.remedy
+
+
+def test_tells_where_a_value_is_no_number(tmp_path: Path) -> None:
+    messages = bags.of_columns(studies.columns())
+    messages[3 * 7 + 1] = ("/imu1", messages[3 * 7 + 1][1], bags.imu(messages[3 * 7][1], np.nan))
+    bags.write(tmp_path / "run", messages)
+    with pytest.raises(InvalidInput, match=r"run, message 8, column '/imu1.linear_acceleration.y'"):
+        read(tmp_path, "run")
+    read(tmp_path, "run", window="start = 0.01\n")  # as the remedy says
+
+
+def test_tells_an_empty_topic(tmp_path: Path) -> None:
+    messages = [m for m in bags.of_columns(studies.columns()) if m[0] != "/imu1"]
+    bags.write(tmp_path / "run", messages, silent={"/imu1": "sensor_msgs/msg/Imu"})
+    with pytest.raises(InvalidInput, match="the topic '/imu1' has no messages"):
+        read(tmp_path, "run")
+
+
+def test_tells_a_damaged_bag_and_a_directory_that_is_none(tmp_path: Path) -> None:
+    bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
+    data = (tmp_path / "run" / "run.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    with pytest.raises(InvalidInput, match=r"is no bag, or a damaged one.*mcap recover"):
+        read(tmp_path, "cut.mcap")
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    with pytest.raises(InvalidInput, match=r"directory without metadata.yaml.*the .mcap or .db3"):
+        read(tmp_path, "run")
+
+
+def test_the_command_line_refuses_in_one_sentence(tmp_path: Path) -> None:
+    bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
+    text = studies.STUDY.replace("motion.csv", "run") + bags.CHANNELS.replace("/imu1", "/imu7")
+    path = studies.write(tmp_path, text)
+    arguments = ["identify", str(path), "--out", str(tmp_path / "out")]
+    done = subprocess.run(
+        [sys.executable, "-m", "strainwave", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "no topic '/imu7'" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_bag_without_its_library_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(InvalidInput, match=r"pip install 'strainwave\[bags\]'"):
+        read(tmp_path, "run")
+
+
+def test_a_study_of_a_bag_reads_back_equal(tmp_path: Path) -> None:
+    study = read_study(studies.write(tmp_path, studies.STUDY + bags.CHANNELS))
+    write_study(study, study.path)
+    assert read_study(study.path).channels == study.channels
+    assert study.channels["u1"].column == "/cmd.data[0]"
+    assert json.dumps(study.channels["theta_m1"].scale) == "100.0"

@@ -1,0 +1,346 @@
+from __future__ import annotations
+
+import gzip
+import io
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+
+import studies
+from strainwave.domain import FloatArray, Log, Study
+from strainwave.errors import InvalidInput
+from strainwave.io.logs import read_log, read_logs, tables, write_log
+from strainwave.io.study import read_study
+
+
+def read(folder: Path, log: str | bytes | None = None, study: str = studies.STUDY) -> Log:
+    parsed = read_study(studies.write(folder, study, log))
+    return read_log(parsed, parsed.experiments[0])
+
+
+def renamed(folder: Path, name: str, data: bytes, study: str = studies.STUDY) -> Log:
+    """The same study with its log under another name."""
+    path = studies.write(folder, study.replace("motion.csv", name))
+    (folder / name).write_bytes(data)
+    parsed = read_study(path)
+    return read_log(parsed, parsed.experiments[0])
+
+
+def parquet(values: dict[str, FloatArray]) -> bytes:
+    sink = io.BytesIO()
+    pq.write_table(pa.table(values), sink)
+    return sink.getvalue()
+
+
+def expect(log: Log) -> None:
+    """The channels of `studies.columns` to the digits a CSV holds."""
+    for name, values in studies.columns().items():
+        found = log.time if name == "t" else log.channels[name]
+        np.testing.assert_allclose(found, values, atol=1e-8)
+    assert log.sample_time == pytest.approx(0.001)
+    assert not log.warnings
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_reads_csv_whatever_parts_its_columns(delimiter: str, tmp_path: Path) -> None:
+    expect(read(tmp_path, studies.csv_text(studies.columns(), delimiter)))
+
+
+def test_reads_what_spreadsheets_make_of_csv(tmp_path: Path) -> None:
+    text = studies.csv_text(studies.columns(), ";").replace(".", ",").replace("\n", "\r\n")
+    log = read(tmp_path, b"\xef\xbb\xbf# rig 3\r\n\r\n" + text.encode())
+    expect(log)
+
+
+def test_reads_quoted_names_and_leaves_out_other_columns(tmp_path: Path) -> None:
+    text = studies.csv_text(studies.columns() | {"t": studies.columns()["t"]})
+    lines = text.splitlines()
+    lines[0] = ", ".join(f'"{name}"' for name in lines[0].split(","))
+    lines = [f"{line},{'note' if k == 0 else 'ok'}" for k, line in enumerate(lines)]
+    expect(read(tmp_path, "\n".join(lines)))
+
+
+def test_reads_gzip_parquet_mat_and_hdf5(tmp_path: Path) -> None:
+    values = studies.columns()
+    text = studies.csv_text(values).encode()
+    expect(renamed(tmp_path, "log.csv.gz", gzip.compress(text)))
+    expect(renamed(tmp_path, "log.parquet", parquet(values)))
+    sink = io.BytesIO()
+    scipy.io.savemat(sink, dict(values))
+    expect(renamed(tmp_path, "log.mat", sink.getvalue()))
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "made.h5", "w") as file:
+        for name, column in values.items():
+            file[name] = column[:, None]  # MATLAB's vectors have two dimensions
+    data = (tmp_path / "made.h5").read_bytes()
+    expect(renamed(tmp_path, "log.h5", data))
+    expect(renamed(tmp_path, "log.mat", data))  # v7.3 is HDF5
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.csv.gz", "log.parquet"])
+def test_what_is_written_reads_back(name: str, tmp_path: Path) -> None:
+    path = studies.write(tmp_path, studies.STUDY.replace("motion.csv", name))
+    write_log(tmp_path / name, studies.columns())
+    study = read_study(path)
+    log = read_log(study, study.experiments[0])
+    for channel, values in log.channels.items():
+        np.testing.assert_array_equal(values, studies.columns()[channel])
+
+
+def test_will_not_write_another_kind(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="cannot be written"):
+        write_log(tmp_path / "log.xlsx", studies.columns())
+
+
+def test_maps_scales_shifts_and_adds(tmp_path: Path) -> None:
+    values = studies.columns()
+    values = {"time_ms": 1000.0 * values["t"]} | values | {"push": np.full(40, 0.5)}
+    del values["t"]
+    text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nadd = { u1 = "push" }')
+    text += '[channels]\nt = { column = "time_ms", scale = 0.001 }\n'
+    text += 'u1 = { column = "u1", scale = -2.0, offset = 3.0 }\n'
+    log = read(tmp_path, studies.csv_text(values), text)
+    np.testing.assert_allclose(log.channels["u1"], -2.0 * (studies.columns()["u1"] + 0.5) + 3.0)
+    assert log.time[-1] == pytest.approx(0.039)
+
+
+def test_cuts_the_window_out(tmp_path: Path) -> None:
+    text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nstart = 0.01\nstop = 0.03')
+    log = read(tmp_path, None, text)
+    assert (log.time[0], log.time[-1], len(log)) == (pytest.approx(0.01), pytest.approx(0.03), 21)
+
+
+# --- time -------------------------------------------------------------------------------------
+
+
+def timed(folder: Path, time: FloatArray, of: FloatArray | None = None) -> Log:
+    """A log with these stamps, of samples taken then, or at other times."""
+    values = studies.columns(len(time)) | {"t": time}
+    taken = time if of is None else of
+    values["u1"] = np.sign(np.sin(300.0 * taken))
+    values["theta_m1"] = np.sin(20.0 * taken)
+    values["theta_m2"] = taken**2
+    values["a1"] = np.cos(30.0 * taken)
+    return renamed(folder, "log.parquet", parquet(values))
+
+
+def test_rounded_stamps_are_uniform(tmp_path: Path) -> None:
+    log = timed(tmp_path, np.round(0.00100002406 * np.arange(500), 6))
+    assert not log.warnings
+    assert log.sample_time == pytest.approx(0.00100002406, rel=1e-5)
+
+
+def test_jittered_stamps_are_resampled_and_told(tmp_path: Path) -> None:
+    jitter = np.random.default_rng(0).uniform(0.0, 0.6, 600)
+    log = timed(tmp_path, 0.001 * (np.arange(600) + jitter))
+    assert [w.code for w in log.warnings] == ["resampled"]
+    np.testing.assert_allclose(np.diff(log.time), log.sample_time)
+    # monotone cubic interpolation of a 3 Hz sine from 1 kHz: better than its largest step squared
+    np.testing.assert_allclose(log.channels["theta_m1"], np.sin(20.0 * log.time), atol=1e-3)
+    assert set(np.unique(log.channels["u1"])) <= {-1.0, 1.0}  # held, as the drive held it
+
+
+@pytest.mark.parametrize("jitter", [0.01, 0.03, 0.1, 0.3])
+def test_stamps_that_jitter_go_back_to_a_clock_of_round_numbers(
+    jitter: float, tmp_path: Path
+) -> None:
+    """The samples are even, their stamps are not: the samples stay as they are."""
+    off = np.random.default_rng(1).uniform(-jitter, jitter, 600)
+    taken: FloatArray = 0.00025 * np.arange(600, dtype=np.float64)
+    log = timed(tmp_path, taken + 0.00025 * off, of=taken)
+    assert [w.code for w in log.warnings] == (["resampled"] if jitter > 0.02 else [])
+    assert log.sample_time == pytest.approx(0.00025, rel=1e-9)
+    np.testing.assert_allclose(log.channels["theta_m1"], np.sin(20.0 * taken), atol=1e-9)
+
+
+def test_a_missing_sample_is_resampled_and_a_gap_refused(tmp_path: Path) -> None:
+    time = np.delete(0.001 * np.arange(100), [50, 51])
+    assert [w.code for w in timed(tmp_path, time).warnings] == ["resampled"]
+    time = np.delete(0.001 * np.arange(100), range(50, 70))
+    with pytest.raises(InvalidInput, match=r"a gap from 0.049 to 0.07 s, 21 samples long"):
+        timed(tmp_path, time)
+
+
+# --- faults -----------------------------------------------------------------------------------
+
+
+def edited(line: int, text: str) -> str:
+    """The log with one line replaced; lines count from 1, as in an editor."""
+    lines = studies.csv_text(studies.columns()).splitlines()
+    lines[line - 1] = text
+    return "\n".join(lines) + "\n"
+
+
+FAULTS: dict[str, tuple[str | bytes, str]] = {
+    "empty": ("", "is empty"),
+    "header only": ("t,u1,u2,theta_m1,theta_m2\n", r"has 0 row|cannot be read|is empty"),
+    "two rows": (
+        "\n".join(studies.csv_text(studies.columns()).splitlines()[:3]),
+        r"has 2 row\(s\)",
+    ),
+    "no header": (
+        "\n".join(studies.csv_text(studies.columns()).splitlines()[1:]),
+        "holds numbers, not",
+    ),
+    "same name twice": (edited(1, "t,u1,u1,theta_m1,theta_m2,a1"), "two columns named 'u1'"),
+    "missing column": (
+        edited(1, "t,u1,u2,theta_m1,thetam2,a1"),
+        r"no column 'theta_m2'.*mean 'thetam2'",
+    ),
+    "no input": (
+        edited(1, "t,x,u2,theta_m1,theta_m2,a1"),
+        "no column 'u1' or 'torque1', the drive's input",
+    ),
+    "NaN": (edited(9, "0.007,nan,0,0.07,-0.03,1"), r"line 9, column 'u1': the value is nan"),
+    "infinite": (
+        edited(9, "0.007,0,0,-inf,-0.03,1"),
+        r"line 9, column 'theta_m1': the value is -inf",
+    ),
+    "text": (
+        edited(9, "0.007,0,0,high,-0.03,1"),
+        r"line 9, column 'theta_m1': 'high' is no number",
+    ),
+    "nothing": (edited(9, "0.007,0,,0.07,-0.03,1"), r"line 9, column 'u2': there is no value"),
+    "too few values": (edited(9, "0.007,0,0"), r"line 9: 3 values where the header names 6"),
+    "cut off": (edited(41, "0.039,0.1,0.9,0.3"), r"line 41: the log is cut off: 4 values"),
+    "time stands": (
+        edited(9, "0.006,0,0,0.07,-0.03,1"),
+        r"line 9: time does not increase: 0.006 s after",
+    ),
+    "not UTF-8": (
+        edited(9, "x").encode().replace(b"x", b"\xe9"),
+        "line 9: is not UTF-8: byte 0xe9",
+    ),
+    "null bytes": (edited(9, "0.007,0,0,\0,-0.03,1"), r"line 9, column 'theta_m1': .*is no number"),
+    "still": (
+        studies.csv_text(studies.columns() | {"theta_m1": np.ones(40), "theta_m2": np.ones(40)}),
+        "'theta_m1' never changes",
+    ),
+    "no excitation": (
+        studies.csv_text(studies.columns() | {"u1": np.ones(40), "u2": np.zeros(40)}),
+        "the drive's input never changes",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_tells_every_fault(fault: str, tmp_path: Path) -> None:
+    log, said = FAULTS[fault]
+    with pytest.raises(InvalidInput, match=said) as caught:
+        read(tmp_path, log)
+    assert "motion.csv" in str(caught.value)
+    assert "Remedy: " in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        ("log.parquet", b"t,u1\n1,2\n", "is no Parquet file"),
+        ("log.parquet", parquet(studies.columns())[:-40], "is no Parquet file"),
+        (
+            "log.parquet",
+            parquet(studies.columns() | {"u1": np.array(["x"] * 40)}),
+            "holds .*string",
+        ),
+        ("log.parquet", b"", "is no Parquet file"),
+        ("log.csv.gz", b"t,u1\n", "cannot be unpacked"),
+        (
+            "log.csv.gz",
+            gzip.compress(studies.csv_text(studies.columns()).encode())[:-20],
+            "unpacked",
+        ),
+        ("log.mat", b"MATLAB 5.0 MAT-file", "is no MAT file"),
+        ("log.h5", b"\x89HDF but not really", "is no HDF5 file"),
+        ("log.xlsx", b"PK", "is of no known kind"),
+    ],
+)
+def test_tells_what_a_file_is_not(name: str, data: bytes, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        renamed(tmp_path, name, data)
+
+
+def test_a_null_in_a_parquet_file_has_its_row(tmp_path: Path) -> None:
+    table = pa.table(studies.columns())
+    index = table.schema.get_field_index("u1")
+    holed = pa.array([None if k == 6 else float(k) for k in range(40)])
+    sink = io.BytesIO()
+    pq.write_table(table.set_column(index, "u1", holed), sink)
+    with pytest.raises(InvalidInput, match=r"column 'u1', row 7: there is no value"):
+        renamed(tmp_path, "log.parquet", sink.getvalue())
+
+
+def test_hdf5_without_its_library_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    with pytest.raises(InvalidInput, match=r"pip install 'strainwave\[hdf5\]'"):
+        renamed(tmp_path, "log.h5", b"\x89HDF\r\n\x1a\n")
+
+
+def test_an_empty_window_names_what_the_log_holds(tmp_path: Path) -> None:
+    text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nstart = 7.0')
+    with pytest.raises(InvalidInput, match=r"window 7 to inf s: the log runs from 0 to 0.039 s"):
+        read(tmp_path, None, text)
+
+
+def test_a_channel_map_must_name_a_column(tmp_path: Path) -> None:
+    text = studies.STUDY + '[channels]\ntheta_m2 = "pos_2"\n'
+    named = r"no column 'pos_2', which .channels. names for 'theta_m2'"
+    with pytest.raises(InvalidInput, match=named):
+        read(tmp_path, None, text)
+    text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nadd = { u1 = "push" }')
+    with pytest.raises(InvalidInput, match="no column 'push', which is to be added to 'u1'"):
+        read(tmp_path, None, text)
+
+
+def test_a_mapped_column_may_be_missing_from_some_logs_but_not_from_all(tmp_path: Path) -> None:
+    own = studies.columns()
+    text = studies.STUDY.replace('"prbs"\nfile = "motion.csv"', '"prbs"\nfile = "prbs.csv"')
+    text += '[channels]\na2 = "accel_2"\n'
+    (tmp_path / "prbs.csv").write_text(studies.csv_text(own))
+    with pytest.raises(InvalidInput, match=r"no log has the column 'accel_2', .* for 'a2'"):
+        read_logs(read_study(studies.write(tmp_path, text)))
+    (tmp_path / "prbs.csv").write_text(studies.csv_text({**own, "accel_2": own["a1"]}))
+    motion, prbs = read_logs(read_study(studies.write(tmp_path, text)))
+    assert "a2" not in motion.channels
+    np.testing.assert_allclose(prbs.channels["a2"], own["a1"], atol=1e-8)
+
+
+def test_a_voltage_needs_its_torque(tmp_path: Path) -> None:
+    text = studies.STUDY.replace("torque_per_volt = 0.03\n", "")
+    with pytest.raises(InvalidInput, match="joint 2 has a voltage log but no torque_per_volt"):
+        read(tmp_path, None, text)
+
+
+def test_a_dead_sensor_is_doubtful_but_a_free_joint_is_not(tmp_path: Path) -> None:
+    values = studies.columns() | {"a1": np.full(40, 0.13), "u2": np.zeros(40)}
+    log = read(tmp_path, studies.csv_text(values))
+    assert [(w.code, "'a1'" in w.message) for w in log.warnings] == [("constant-channel", True)]
+
+
+def test_the_excited_joint_must_move(tmp_path: Path) -> None:
+    values = studies.columns() | {"theta_m1": np.ones(40)}
+    study: Study = read_study(studies.write(tmp_path, log=studies.csv_text(values)))
+    read_log(study, study.experiments[0])
+    with pytest.raises(InvalidInput, match=r"'theta_m1' never changes.*exchange .* 'theta_m2'"):
+        read_log(study, study.experiments[1])
+
+
+def test_reads_every_log_of_the_measured_data(shared_data: Path) -> None:
+    told = {}
+    for path in sorted(shared_data.glob("*/*/study.toml")):
+        logs = read_logs(read_study(path))
+        told[path.parent.name] = {warning.code for log in logs for warning in log.warnings}
+    assert told.pop("dfki-double-pendulum") == {"resampled"}
+    assert not any(told.values())
+
+
+def test_arrow_holds_no_object_of_pythons() -> None:
+    """Its threads would need the interpreter to let go of one, and may come too late for that."""
+    data = b"t,u1\n" * 1000
+    assert tables._reader(data).read_buffer().address != pa.py_buffer(data).address
+    assert tables._reader(data).read() == data

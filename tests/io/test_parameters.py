@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from strainwave.domain import Joint
+from strainwave.domain.parameters import completed, unit_of
+from strainwave.errors import InvalidInput
+from strainwave.io.parameters import read_parameters
+from strainwave.virtual import experiments as virtual
+from strainwave.virtual import scara
+
+
+def _write(tmp_path: Path, document: Any) -> Path:
+    path = tmp_path / "p.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    return path
+
+
+def test_reads_the_list_of_a_result_and_leaves_out_what_is_not_known(tmp_path: Path) -> None:
+    path = _write(
+        tmp_path,
+        {
+            "parameters": [
+                {"name": "beta", "joint": None, "value": 0.5, "std": None},
+                {"name": "gear_damping", "joint": 2, "value": 4},
+                {"name": "gamma", "joint": None, "value": None},
+            ]
+        },
+    )
+    assert read_parameters(path) == {("beta", None): 0.5, ("gear_damping", 2): 4.0}
+
+
+def test_reads_a_table_of_known_values(tmp_path: Path) -> None:
+    path = _write(
+        tmp_path,
+        {
+            "alpha": 1.0,
+            "joints": [
+                {"gear_stiffness": [25000.0], "gear_knee_torque": []},
+                {"gear_stiffness": [1.0, 2.0, 3.0], "gear_knee_torque": [4.0, 5.0]},
+            ],
+        },
+    )
+    assert read_parameters(path) == {
+        ("alpha", None): 1.0,
+        ("gear_stiffness", 1): 25000.0,
+        ("gear_stiffness_k1", 2): 1.0,
+        ("gear_stiffness_k2", 2): 2.0,
+        ("gear_stiffness_k3", 2): 3.0,
+        ("gear_knee_t1", 2): 4.0,
+        ("gear_knee_t2", 2): 5.0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ([], "holds neither"),
+        ({"joints": 3}, "holds neither"),
+        ({"joints": [3]}, "entry 1: is no table"),
+        ({"joints": [{"gear_stiffness": [1, 2]}]}, "gear_stiffness has 2 values"),
+        ({"joints": [{"motor_inertia": "1e-4"}]}, "motor_inertia: '1e-4' is no finite number"),
+        ({"joints": [], "alpha": True}, "True is no finite number"),
+        ({"parameters": [{"value": 1}]}, "entry 1: has no name"),
+        ({"parameters": [{"name": "a", "joint": "one", "value": 1}]}, "'one' is no number"),
+    ],
+)
+def test_refuses_what_is_no_parameter_file(tmp_path: Path, document: Any, said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        read_parameters(_write(tmp_path, document))
+
+
+def test_refuses_a_missing_file_and_text_that_is_no_json(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="does not exist"):
+        read_parameters(tmp_path / "none.json")
+    (tmp_path / "p.json").write_bytes(b"{")
+    with pytest.raises(InvalidInput, match="is not JSON"):
+        read_parameters(tmp_path / "p.json")
+
+
+_json = st.recursive(
+    st.none() | st.booleans() | st.floats(allow_nan=True) | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(
+            st.sampled_from(["parameters", "joints", "name", "value", "joint", "gear_stiffness"]),
+            inner,
+            max_size=4,
+        )
+    ),
+    max_leaves=12,
+)
+
+
+@given(document=_json)
+def test_no_document_causes_anything_but_a_refusal(
+    tmp_path_factory: pytest.TempPathFactory, document: Any
+) -> None:
+    path = _write(tmp_path_factory.mktemp("p"), document)
+    try:
+        values = read_parameters(path)
+    except InvalidInput:
+        return
+    assert all(isinstance(value, float) for value in values.values())
+
+
+def test_an_identification_of_an_elastic_arm_can_be_simulated() -> None:
+    study = scara.study(Path("x"), "linear")
+    whole = scara.parameters(5, "linear")
+    derived = virtual.derived(whole, study)
+    told = {
+        key: value
+        for key, value in derived.items()
+        if key[0] not in ("alpha", "rigid_inertia")
+        and key not in {("motor_viscous_friction", 1), ("link_viscous_friction", 2)}
+    }
+    made = completed(told, study)
+    assert made["alpha", None] == pytest.approx(whole["alpha", None])
+    d_motor = whole["motor_viscous_friction", 1]
+    assert made["motor_viscous_friction", 1] == pytest.approx(d_motor)
+    assert made["motor_viscous_friction", 2] == whole["motor_viscous_friction", 2]
+    assert made["link_viscous_friction", 2] == 0.0
+    without_link = {k: v for k, v in derived.items() if k[0] not in ("alpha", "link_inertia")}
+    assert completed(without_link, study)["alpha", None] == pytest.approx(whole["alpha", None])
+
+
+def test_one_stiffness_stands_for_three_slopes() -> None:
+    study = scara.study(Path("x"), "three-slope")
+    made = completed(scara.parameters(5, "linear"), study)
+    slopes = {made[f"gear_stiffness_{k}", 1] for k in ("k1", "k2", "k3")}
+    assert slopes == {scara.parameters(5, "linear")["gear_stiffness", 1]}
+    assert made["gear_knee_t1", 1] < made["gear_knee_t2", 1]
+
+
+@pytest.mark.parametrize(
+    ("name", "revolute", "prismatic"),
+    [
+        ("stribeck_friction", "N m", "N"),
+        ("stribeck_velocity", "rad/s", "m/s"),
+        ("hysteresis_torque", "N m", "N"),
+        ("hysteresis_twist", "rad", "m"),
+        ("kinematic_error_cos", "rad", "m"),
+        ("kinematic_error_sin", "rad", "m"),
+        ("friction_settling_time", "s", "s"),
+        ("gear_damping", "N m s/rad", "N s/m"),
+    ],
+)
+def test_every_parameter_has_its_unit(name: str, revolute: str, prismatic: str) -> None:
+    assert unit_of(name, Joint("linear", 0.01)) == revolute
+    assert unit_of(name, Joint("linear", 0.01, motion="prismatic")) == prismatic

@@ -1,0 +1,175 @@
+"""result.json: the contract's keys, only JSON numbers, nothing invented."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from elastic_results import elastic_identification, joint_model
+from results import arm_model, identification
+from strainwave import pipeline
+from strainwave.domain import Parameter, RigidModel
+from strainwave.errors import InvalidInput
+from strainwave.io import results as result
+from strainwave.presentation import report
+
+
+def rigid(model: RigidModel | None) -> RigidModel:
+    assert model is not None
+    return model
+
+
+def test_the_contract_s_keys() -> None:
+    document = json.loads(result.to_json(identification()))
+    assert document["schema"] == "strainwave/result/1"
+    assert {"version", "study", "created", "parameters", "stages", "checks", "warnings"} <= set(
+        document
+    )
+    assert set(document["study"]) == {"path", "sha256"}
+    assert set(document["parameters"][0]) == {
+        "name",
+        "joint",
+        "value",
+        "std",
+        "ci95",
+        "unit",
+        "stage",
+    }
+    assert set(document["stages"]) == {"rigid"}
+    stage = document["stages"]["rigid"]
+    assert stage["parameters"] == document["parameters"]
+    assert stage["fit_percent"] == {"motion": {"torque1": 97.5}}
+    assert stage["condition_number"] == 12.5
+    assert stage["torque_ratio"] is None
+    assert document["checks"] == [
+        {"experiment": "check", "fit_percent": {"torque1": 91.25, "torque2": None}}
+    ]
+    assert document["status"] == "not-determined"  # an inertia, but of two links
+    assert document["verdict"]["identified"] == ["inertia 1"]
+    assert document["verdict"]["not_identified"][:2] == ["friction_offset 1", "beta"]
+    assert document["verdict"]["validated"] == {"rigid": True, "elastic": False}
+    assert document["verdict"]["rejected"] == document["verdict"]["suspected"] == []
+
+
+def test_joints_modelled_by_their_motors_have_an_entry_a_record() -> None:
+    joint = replace(joint_model(), method="motor-response", experiments=("a", "b"))
+    found = replace(elastic_identification(), records=(), sweeps=(), joints=(joint,))
+    document = result.to_document(found)
+    entries = document["stages"]["decoupled"]
+    assert [entry["experiment"] for entry in entries] == ["a", "b"]
+    assert all(entry["state_space"] is None for entry in entries)
+    assert joint.anti_resonance is not None
+    assert entries[0]["anti_resonance_hz"] == joint.anti_resonance.frequency_hz
+    assert entries[0]["fit_percent"] == list(joint.fit_percent.values())
+
+
+def test_what_is_not_finite_is_null() -> None:
+    one = identification()
+    model = replace(rigid(one.rigid), condition_number=np.inf)
+    unknown = Parameter("gamma", None, None, None, "kg m^2", "rigid")
+    text = result.to_json(replace(one, rigid=replace(model, parameters=(unknown,)))).decode()
+    assert "Infinity" not in text
+    assert "NaN" not in text
+    document = json.loads(text)
+    assert document["stages"]["rigid"]["condition_number"] is None
+    assert document["parameters"][0]["value"] is None
+    assert document["parameters"][0]["ci95"] is None
+
+
+def test_the_ratio_of_torques_is_published() -> None:
+    one = identification()
+    ratio = replace(one, rigid=replace(rigid(one.rigid), torque_ratio=(0.98, 0.004)))
+    stage = json.loads(result.to_json(ratio))["stages"]["rigid"]
+    assert stage["torque_ratio"] == {"value": 0.98, "std": 0.004}
+    said = "0.9800, standard deviation 0.004, of what the symmetry"
+    assert said in report.render(ratio)
+    assert said not in report.render(one)
+
+
+def test_numpy_numbers_become_numbers() -> None:
+    one = identification()
+    model = replace(rigid(one.rigid), condition_number=float(np.float64(3.5)))
+    document = json.loads(result.to_json(replace(one, rigid=model)))
+    assert document["stages"]["rigid"]["condition_number"] == 3.5
+
+
+def test_both_files_or_none(tmp_path: Path) -> None:
+    pipeline.write(identification(), tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "result.json"]
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert document["timing_s"]["report"] > 0.0
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InvalidInput, match="cannot write"):
+        pipeline.write(identification(), tmp_path / "file")
+    assert (tmp_path / "file").read_text() == ""
+
+
+def test_stages_are_a_beginning_of_all() -> None:
+    assert pipeline.check_stages(["rigid"]) == ("rigid",)
+    for wrong in ([], ["tuned"], ["rigid", "rigid"]):
+        with pytest.raises(InvalidInput, match="--stages"):
+            pipeline.check_stages(wrong)
+
+
+def told(name: str, value: float | None, std: float | None, joint: int = 1) -> Parameter:
+    return Parameter(name, joint, value, std, "-", "tuned")
+
+
+def test_the_whole_arm_fit_comes_first() -> None:
+    """Its value even where another stage claims to be surer, and its refusal too."""
+    one = identification()
+    tuned = arm_model(
+        (told("inertia", 0.03, 0.01), told("gear_damping", None, None)), np.diag([1e-4, np.inf])
+    )
+    found = {p.name: p for p in replace(one, tuned=tuned).parameters}
+    assert (found["inertia"].value, found["inertia"].stage) == (0.03, "tuned")
+    assert found["gear_damping"].value is None
+    silent = arm_model((told("inertia", None, None),), np.eye(1))
+    found = {p.name: p for p in replace(one, tuned=silent).parameters}
+    assert (found["inertia"].value, found["inertia"].stage) == (None, "tuned")
+
+
+def test_one_stiffness_does_not_stand_beside_three() -> None:
+    one = identification(name="gear_stiffness")
+    slopes = tuple(told(f"gear_stiffness_k{k}", 1e4 * k, 10.0) for k in (1, 2, 3))
+    names = [p.name for p in replace(one, tuned=arm_model(slopes, np.eye(3))).parameters]
+    assert "gear_stiffness" not in names
+    assert [name for name in names if "stiffness" in name] == [p.name for p in slopes]
+    # another joint's curve says nothing of this one
+    other = tuple(replace(p, joint=2) for p in slopes)
+    names = [p.name for p in replace(one, tuned=arm_model(other, np.eye(3))).parameters]
+    assert "gear_stiffness" in names
+
+
+def test_correlations_of_the_whole_arm_fit() -> None:
+    parameters = (told("a", 1.0, 2.0), told("b", 1.0, 3.0), told("c", 0.0, 0.0))
+    covariance = np.array([[4.0, -3.0, 0.0], [-3.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
+    one = replace(identification(), tuned=arm_model(parameters, covariance))
+    tuned = json.loads(result.to_json(one))["stages"]["tuned"]
+    assert tuned["correlations"] == [[1.0, -0.5, 0.0], [-0.5, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    assert [p["name"] for p in tuned["parameters"]] == ["a", "b", "c"]
+    assert (tuned["status"], tuned["iterations"]) == ("converged", 7)
+    assert tuned["fit_percent"]["prbs-j1"]["omega_m1"] == 99.0
+
+
+def test_what_nothing_tells_of_has_no_correlation() -> None:
+    parameters = (told("a", 1.0, 2.0), told("b", None, None))
+    vague = arm_model(parameters, np.array([[4.0, 0.0], [0.0, np.inf]]))
+    document = json.loads(result.to_json(replace(identification(), tuned=vague)))
+    assert document["stages"]["tuned"]["correlations"][0][0] == 1.0
+
+
+def test_a_criticism_is_told_without_its_spectra() -> None:
+    tuned = arm_model((told("a", 1.0, 2.0),), np.array([[4.0]]))
+    document = json.loads(result.to_json(replace(identification(), tuned=tuned)))
+    criticism = document["stages"]["tuned"]["criticism"]
+    (left,), (likely,) = criticism["residuals"], criticism["score_tests"]
+    assert (left["channel"], left["noise"], left["input_delay"]) == ("a1", 0.1, 0.006)
+    assert "density" not in left
+    assert likely["effect"] == "hysteresis"
+    assert likely["sizes"] == {"hysteresis_torque": 2.1}
+    assert likely["evident"] is True

@@ -1,0 +1,178 @@
+"""[options] of a study and --set: what is read, and what is refused and how."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import studies
+from strainwave.domain import (
+    LinearOptions,
+    LinkOptions,
+    Options,
+    PhysicalOptions,
+    Study,
+    TuningOptions,
+)
+from strainwave.domain.options import chosen_options
+from strainwave.domain.parameters import whole_arm_parameters
+from strainwave.errors import InvalidInput
+from strainwave.io.study import read_study, with_options, write_study
+from tuning_runs import joint_models, rigid_model, truth
+
+INLINE = """
+[options]
+links = { time_constant = 0.1, order = 1 }
+statespace = { method = "n4sid", order = 4, horizon = 25, decimation = 2, filter = "decimation" }
+tuning = { as_published = true, ranges = { gear_stiffness = [0.5, 2] }, hold = ["beta"] }
+"""
+TABLES = """
+[options.links]
+time_constant = 0.1
+order = 1
+"""
+
+
+def with_text(folder: Path, text: str) -> Study:
+    return read_study(studies.write(folder, studies.STUDY + text))
+
+
+def test_tables_of_stages_are_read(tmp_path: Path) -> None:
+    options = with_text(tmp_path, INLINE).options
+    assert options.links == LinkOptions(0.1, 1)
+    assert options.statespace == LinearOptions(
+        4, method="n4sid", horizon=25, decimation=2, filter="decimation"
+    )
+    assert options.tuning == TuningOptions(
+        as_published=True, ranges={"gear_stiffness": (0.5, 2.0)}, hold=("beta",)
+    )
+    assert options.physical == PhysicalOptions()
+    assert with_text(tmp_path, TABLES).options == Options(links=LinkOptions(0.1, 1))
+
+
+def test_without_options_all_are_the_defaults(tmp_path: Path) -> None:
+    options = read_study(studies.write(tmp_path)).options
+    assert options == Options()
+    assert chosen_options(options) == []
+
+
+def test_options_read_back_as_written(tmp_path: Path) -> None:
+    study = with_text(tmp_path, INLINE)
+    write_study(study, tmp_path / "again.toml")
+    assert read_study(tmp_path / "again.toml").options == study.options
+
+
+FAULTS = {
+    "unknown stage": ("link = { order = 1 }", r"line HERE, \[options\]: .*'link'.*mean 'links'"),
+    "unknown key": (
+        "links = { ordr = 1 }",
+        r"line HERE, \[options.links\]: the key 'ordr' is not known.*mean 'order'",
+    ),
+    "no table": ("links = 1", r"line HERE, \[options\]: 'links' is 1.*links = "),
+    "out of range": ("links = { order = 3 }", r"line HERE.*'order' is 3, but it should be 1 or 2"),
+    "wrong type": ("links = { order = true }", r"'order' is True"),
+    "negative": ("links = { time_constant = -1 }", r"'time_constant' is -1.*greater than 0"),
+    "not finite": ("tuning = { ranges = { beta = [0.5, inf] } }", r"'ranges' is .*finite number"),
+    "no such method": ('statespace = { method = "cva" }', r"'cva', but it should be 'pem'"),
+    "band upside down": (
+        "statespace = { band_hz = [60.0, 5.0] }",
+        r"line HERE, \[options.statespace\]: the band from 60 to 5 Hz is empty",
+    ),
+    "unknown parameter": (
+        'tuning = { hold = ["gear_stifness"] }',
+        r"'gear_stifness' is no parameter.*mean 'gear_stiffness'",
+    ),
+    "parameter of no joint": (
+        "tuning = { ranges = { 'gear_damping 3' = [0.5, 2] } }",
+        r"'gear_damping 3' is no parameter",
+    ),
+    "range beside the start": (
+        "tuning = { ranges = { beta = [1.5, 2] } }",
+        r"range of beta, 1.5 to 2 times.*leaves the start out",
+    ),
+    "range of an offset": (
+        "tuning = { ranges = { friction_offset = [0.5, 2] } }",
+        r"either sign.*hold it",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "expected"), FAULTS.values(), ids=FAULTS)
+def test_faults_name_file_line_and_key(text: str, expected: str, tmp_path: Path) -> None:
+    line = len(studies.STUDY.splitlines()) + 2
+    with pytest.raises(InvalidInput, match=expected.replace("line HERE", f"line {line}")) as fault:
+        with_text(tmp_path, f"[options]\n{text}\n")
+    assert "study.toml" in str(fault.value)
+    assert fault.value.remedy
+
+
+def test_flags_override_the_file(tmp_path: Path) -> None:
+    study = with_options(
+        with_text(tmp_path, INLINE),
+        [
+            "links.order=2",
+            "statespace.method=moesp",
+            'physical.route = "transfer-function"',
+            "tuning.ranges={ 'gear_stiffness 2' = [0.9, 1.1] }",
+            "tuning.as_published=false",
+        ],
+    )
+    assert study.options.links == LinkOptions(0.1, 2)  # the other key of the file stays
+    assert study.options.statespace.method == "moesp"
+    assert study.options.physical.route == "transfer-function"
+    assert study.options.tuning.ranges == {"gear_stiffness 2": (0.9, 1.1)}
+    assert not study.options.tuning.as_published
+
+
+FLAG_FAULTS = {
+    "no value": ("links.order", r"--set links.order: is not of the form"),
+    "no stage": ("order=1", r"--set order=1: is not of the form"),
+    "not TOML": ("links.order=[1", r"--set links.order=\[1: '\[1' is not a TOML value"),
+    "unknown stage": ("link.order=1", r"--set link.order=1: .*mean 'links'"),
+    "unknown key": ("links.ordre=1", r"--set links.ordre=1: .*mean 'order'"),
+    "out of range": ("links.order=3", r"--set links.order=3: 'order' is 3"),
+    "unknown parameter": ('tuning.hold=["k"]', r"--set tuning.hold=.*'k' is no parameter"),
+    "two values": ("links.order=1\norder=2", r"more than one value"),
+}
+
+
+@pytest.mark.parametrize(("flag", "expected"), FLAG_FAULTS.values(), ids=FLAG_FAULTS)
+def test_faults_of_a_flag_name_the_flag(flag: str, expected: str, tmp_path: Path) -> None:
+    study = read_study(studies.write(tmp_path))
+    with pytest.raises(InvalidInput, match=expected) as fault:
+        with_options(study, [flag])
+    assert fault.value.remedy
+
+
+def test_callers_give_records_or_tables(tmp_path: Path) -> None:
+    study = with_text(tmp_path, INLINE)
+    other = Options(links=LinkOptions(0.3))
+    assert with_options(study, other).options == other
+    changed = with_options(study, {"links": {"order": 2}}).options
+    assert changed == replace(study.options, links=LinkOptions(0.1, 2))
+    with pytest.raises(InvalidInput, match=r"options.links: the key 'orde' is not known"):
+        with_options(study, {"links": {"orde": 2}})
+    with pytest.raises(InvalidInput, match="'k' is no parameter"):
+        with_options(study, Options(tuning=TuningOptions(hold=("k",))))
+
+
+@pytest.mark.parametrize("spring", ["linear", "three-slope"])
+def test_parameters_of_the_fit_are_those_options_may_name(spring: str) -> None:
+    from strainwave.identification.whole_arm.parametrisation import search_of, with_curves
+
+    study, known = truth(spring)
+    joints = joint_models(study, known, 0.01, np.zeros((2, 6)))
+    rigid = rigid_model(study, known, 0.01)
+    search = search_of(rigid, joints, study, largest_voltage=[10.0, 10.0], floor=0.01)
+    if spring == "three-slope":
+        search = with_curves(search, study, [60.0, 20.0])
+    fitted = {name if joint is None else f"{name} {joint}" for name, joint in search.keys}
+    known_to_options = set(whole_arm_parameters(study))
+    assert fitted <= known_to_options
+    everywhere = {name for name, _ in search.keys}
+    if spring == "three-slope":  # one word for all slopes
+        everywhere |= {"gear_stiffness"} | {f"gear_stiffness {joint}" for joint in (1, 2)}
+    assert known_to_options == fitted | everywhere

@@ -1,0 +1,39 @@
+"""Functions of small matrices against NumPy's and SciPy's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from strainwave.numerics.linalg import exponential, triangular_factor
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (7, 7), (399, 4), (800, 3), (2501, 22), (1000, 450)])
+def test_blocks_have_the_factor_of_the_whole(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(shape[0])
+    table = rng.normal(size=shape) * 10.0 ** rng.uniform(-6.0, 6.0, shape[1])
+    whole, found = np.asarray(np.linalg.qr(table, mode="r")), triangular_factor(table)
+    assert found.shape == whole.shape
+    np.testing.assert_array_equal(found, np.triu(found))
+    size = np.linalg.norm(table, axis=0)
+    # a row may have either sign
+    np.testing.assert_allclose(np.abs(found) / size, np.abs(whole) / size, atol=1e-12)
+
+
+def test_a_factor_keeps_what_normal_equations_lose() -> None:
+    """Two columns that differ by 1e-10: the square of that is below rounding."""
+    rng = np.random.default_rng(1)
+    one = rng.normal(size=2000)
+    other = one + 1e-10 * rng.normal(size=2000)
+    R = triangular_factor(np.column_stack([one, other]))
+    expected = np.linalg.norm(other - one * (one @ other) / (one @ one))
+    assert abs(R[1, 1]) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-3, 1.0, 30.0])
+def test_the_exponential_is_scipys(size: float) -> None:
+    matrix = size * np.random.default_rng(2).normal(size=(4, 4))
+    expected = expm(matrix)
+    scale = np.max(np.abs(expected))
+    np.testing.assert_allclose(exponential(matrix) / scale, expected / scale, atol=1e-12)

@@ -1,0 +1,86 @@
+"""Independent work side by side, and a process of our own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from functools import partial
+
+import pytest
+
+from strainwave.numerics.parallel import Stopped, side_by_side, stop_if_asked
+
+
+def test_results_come_in_order() -> None:
+    assert side_by_side([partial(pow, k, 2) for k in range(7)]) == [0, 1, 4, 9, 16, 25, 36]
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is but one core")
+def test_jobs_run_at_the_same_time() -> None:
+    both = threading.Barrier(2, timeout=30.0)
+
+    def meet() -> bool:
+        both.wait()  # breaks unless the other comes
+        return True
+
+    assert side_by_side([meet, meet]) == [True, True]
+
+
+def test_a_job_that_fails_tells_who_asks() -> None:
+    def job() -> int:
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        side_by_side([lambda: 3, job])
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is but one core")
+def test_a_job_that_fails_ends_those_beside_it() -> None:
+    """Also those that such a job began itself; and those that wait never begin."""
+    begun = threading.Barrier(3, timeout=30.0)
+    ended = list[threading.Thread]()
+    late = list[int]()
+
+    def endless() -> None:
+        begun.wait()
+        try:
+            while True:
+                stop_if_asked()
+        except Stopped:
+            ended.append(threading.current_thread())
+            raise
+
+    def fails() -> None:
+        begun.wait()
+        raise ValueError("no")
+
+    def begins_two() -> None:
+        side_by_side([endless, endless])
+
+    jobs: list[Callable[[], object]] = [fails, begins_two, partial(late.append, 1)]
+    with pytest.raises(ValueError, match="no"):
+        side_by_side(jobs)
+    assert len(ended) == 2
+    assert not any(thread.is_alive() for thread in ended)
+    assert late in ([], [1])  # its turn may have come before the failure
+    stop_if_asked()  # outside of them nothing is stopped
+
+
+def test_a_process_of_our_own_begins_no_blas_threads() -> None:
+    code = """
+from strainwave.parallel import own_process
+own_process()
+import numpy
+from threadpoolctl import threadpool_info
+print(*{i["num_threads"] for i in threadpool_info() if i["internal_api"] == "openblas"})
+"""
+    free = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    found = subprocess.run(
+        [sys.executable, "-c", code], env=free, check=True, capture_output=True, text=True
+    )
+    if not found.stdout.strip():
+        pytest.skip("this NumPy has another BLAS")
+    assert found.stdout.split() == ["1"]

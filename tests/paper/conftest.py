@@ -1,0 +1,23 @@
+"""One short round of all comparisons for every test."""
+
+from __future__ import annotations
+
+import pytest
+
+from strainwave.domain import Comparison, Tally
+from strainwave.paper import ComparisonOptions, compare_seeds
+
+SEED = 1
+SHORT = ComparisonOptions(amplitudes=(4.0, 10.0), payloads=(5, 3), records=2)
+
+
+@pytest.fixture(scope="session")
+def tallies() -> tuple[Tally, ...]:
+    """By our own settings."""
+    return compare_seeds([SEED], options=SHORT)
+
+
+@pytest.fixture(scope="session")
+def comparisons(tallies: tuple[Tally, ...]) -> dict[int, Comparison]:
+    """By figure."""
+    return {tally.first.figure: tally.first for tally in tallies}

@@ -1,0 +1,59 @@
+"""Correlations: known ones come out, derived parameters stay out, pairs are named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from results import arm_model, identification
+from strainwave.domain import Parameter
+from strainwave.presentation.report import correlations
+from strainwave.presentation.report.correlations import Correlations
+
+
+def parameter(name: str, value: float | None = 1.0, joint: int | None = 1) -> Parameter:
+    return Parameter(name, joint, value, 0.1, "-", "tuned")
+
+
+def found(names: list[str], covariance: list[list[float]]) -> Correlations | None:
+    tuned = arm_model(tuple(parameter(name) for name in names), np.array(covariance))
+    return correlations.correlations(replace(identification(), tuned=tuned))
+
+
+def test_correlations_are_covariances_in_deviations() -> None:
+    told = found(["gear_stiffness", "gear_damping"], [[4.0, -5.88], [-5.88, 9.0]])
+    assert told is not None
+    assert told.names == ("gear stiffness 1", "gear damping 1")
+    assert told.matrix[0, 1] == pytest.approx(-0.98)
+    ((first, second, size),) = correlations.pairs(told)
+    assert (first, second) == told.names
+    assert size == pytest.approx(-0.98)
+    assert "gear stiffness 1 with gear damping 1 (-0.980)" in correlations.words(told)
+    drawn = correlations.heat_map(told)
+    assert drawn["data"][0]["z"][1] == [-0.98, 1.0]
+
+
+def test_what_is_hardly_alike_is_not_named() -> None:
+    told = found(["gear_stiffness", "gear_damping"], [[1.0, 0.9], [0.9, 1.0]])
+    assert told is not None
+    assert correlations.pairs(told) == []
+    assert "stands on its own" in correlations.words(told)
+
+
+def test_a_sum_is_left_out_beside_its_parts() -> None:
+    names = ["motor_viscous_friction", "gear_damping", "total_viscous_friction"]
+    told = found(names, np.eye(3).tolist())
+    assert told is not None
+    assert told.names == ("motor viscous friction 1", "gear damping 1")
+    alone = found(names[1:], np.eye(2).tolist())
+    assert alone is not None
+    assert alone.names == ("gear damping 1", "total viscous friction 1")
+
+
+def test_errors_that_are_not_known_have_no_correlation() -> None:
+    assert found(["gear_damping", "gear_stiffness"], [[np.inf, 0.0], [0.0, 1.0]]) is None
+    one = identification()  # of its two parameters one was not told
+    assert correlations.correlations(one) is None
+    assert correlations.correlations(replace(one, rigid=None)) is None

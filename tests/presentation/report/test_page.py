@@ -1,0 +1,239 @@
+"""The report: whole without a network, safe against names, laid out for eyes, keys and screen readers."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from elastic_results import elastic_identification
+from results import arm_model, identification, prediction
+from strainwave.domain import Diagnostic, Identification, Parameter
+from strainwave.presentation.report import figures, figures_of, parameters, render
+from strainwave.presentation.terminal import print_summary
+
+MOST_BYTES = 8_000_000
+
+
+def figures_in(page: str) -> dict[str, figures.Figure]:
+    found = re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    document: dict[str, figures.Figure] = json.loads(found[1].replace("\\u003c", "<"))
+    return document
+
+
+def sections(page: str) -> list[str]:
+    return re.findall(r'<section id="([^"]+)"', page)
+
+
+class Outline(HTMLParser):
+    """What is open, fetched, named and linked to."""
+
+    VOID = ("meta", "link", "br", "img")
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.fetched: list[str] = []
+        self.linked: list[str] = []
+        self.ids: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        own = dict(attrs)
+        self.elements.append((tag, own))
+        for key in ("src", "href"):
+            value = own.get(key) or ""
+            if value.startswith("#"):
+                self.linked.append(value[1:])
+            elif value and not value.startswith("data:"):
+                self.fetched.append(value)
+        if own.get("id"):
+            self.ids.append(str(own["id"]))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        return [own for name, own in self.elements if name == tag]
+
+
+@pytest.mark.parametrize("found", [identification(), elastic_identification()])
+def test_the_page_is_whole_and_fetches_nothing(found: Identification) -> None:
+    page = render(found)
+    outline = Outline(page)
+    assert outline.open == []
+    assert outline.fetched == []
+    policy = next(own for own in outline.of("meta") if "http-equiv" in own)
+    assert str(policy["content"]).startswith("default-src 'none'")
+    assert len(page.encode()) < MOST_BYTES
+
+
+def test_keys_and_screen_readers_find_their_way() -> None:
+    outline = Outline(render(elastic_identification()))
+    assert len(set(outline.ids)) == len(outline.ids)
+    assert set(outline.linked) <= set(outline.ids)
+    first = next(own for tag, own in outline.elements if tag == "a")
+    assert (first["class"], first["href"]) == ("skip", "#main")
+    assert len(outline.of("main")) == len(outline.of("nav")) == 1
+    named = {own["aria-labelledby"] for own in outline.of("section")}
+    assert named <= set(outline.ids)
+    for own in outline.of("div"):
+        if own.get("class") == "wide":
+            assert own["tabindex"] == "0"
+            assert own["aria-label"]
+        if own.get("class") == "plot":
+            assert own["role"] == "img"
+            assert own["aria-label"]
+    for own in outline.of("th"):
+        assert own["scope"] in ("col", "row", "rowgroup")
+
+
+def test_it_is_laid_out_as_it_is_read() -> None:
+    page = render(elastic_identification())
+    assert sections(page) == [
+        "verdict",
+        "parameters",
+        "responses",
+        "predictions",
+        "interaction",
+        "gears",
+        "residuals",
+        "correlations",
+        "warnings",
+        "making",
+    ]
+    contents = re.search(r"<nav.*?</nav>", page, re.DOTALL)
+    assert contents is not None
+    assert re.findall(r'href="#([^"]+)"', contents[0]) == sections(page)
+
+
+def test_where_there_is_nothing_there_is_no_section() -> None:
+    bare = replace(identification(), warnings=(), checks=(), fitted=())
+    assert sections(render(bare)) == ["verdict", "parameters", "making"]
+    assert figures_of(bare) == {}
+    assert "<script>" not in render(replace(bare, rigid=None))
+
+
+def test_the_page_shows_the_figures_that_files_are_made_of() -> None:
+    one = elastic_identification()
+    found = figures_in(render(one))
+    assert list(found) == list(figures_of(one))
+    assert {
+        "bode-joint-1",
+        "check-check",
+        "tuning-step-j1",
+        "fitted-motion",
+        "interaction-joint-1-time",
+        "interaction-joint-1-spectrum",
+        "gear-joint-1-slope",
+        "gear-joint-1-torsion",
+        "left-a1",
+        "correlations",
+    } == set(found)
+    assert all(re.fullmatch(r"[a-z0-9-]+", name) for name in found)
+
+
+def test_one_name_for_each_figure() -> None:
+    twice = replace(identification(), checks=(prediction("a b", 90.0), prediction("A/b", 80.0)))
+    assert list(figures_of(twice)) == ["check-a-b", "check-a-b-2", "fitted-motion"]
+
+
+def test_it_says_what_was_found_and_what_was_not() -> None:
+    page = render(identification())
+    for text in ("0.02010", "0.01970 … 0.02050", "not identified", "saturated", "91.2 %", "97.5 %"):
+        assert text in page, text
+    assert "nan" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL).lower()
+
+
+def test_a_value_without_an_interval_is_said_to_be_so() -> None:
+    one = identification()
+    assert one.rigid is not None
+    bare = Parameter("motor_inertia", 1, 1.5e-4, None, "kg m^2", "rigid")
+    page = render(replace(one, rigid=replace(one.rigid, parameters=(bare,))))
+    row = re.search(r"<tr><th[^>]*>motor_inertia.*?</tr>", page)
+    assert row is not None
+    assert "not known" in row[0]
+
+
+def test_names_cannot_leave_their_place() -> None:
+    evil = '</script><script>alert(1)</script>" onload="alert(1)'
+    one = replace(identification(evil), checks=(prediction(evil, 90.0),))
+    page = render(one)
+    assert evil not in page
+    assert "onload" not in {name for _, own in Outline(page).elements for name in own}
+    figures_in(page)
+
+
+def test_a_name_is_a_name_whatever_it_begins_with() -> None:
+    caution = Diagnostic("saturated", "#1.csv", "#2 is at its limit")
+    page = render(replace(identification(), warnings=(caution,)))
+    assert '<th scope="row">#1.csv</th><td class="text">#2 is at its limit</td>' in page
+
+
+def test_long_records_share_the_room() -> None:
+    many = tuple(prediction(f"r{k}", *([90.0] * 8)) for k in range(30))
+    page = render(replace(identification(), checks=many))
+    assert len(page.encode()) < MOST_BYTES
+
+
+def test_what_a_fit_leaves_is_shown_and_what_might_explain_it() -> None:
+    parameters = (Parameter("motor_inertia", 1, 1e-4, 1e-6, "kg m^2", "tuned", (0.9e-4, 1.1e-4)),)
+    tuned = arm_model(parameters, np.array([[1e-12]]))
+    page = render(replace(identification(), tuned=tuned))
+    for text in ("22 Hz", "p &lt; 0.001", "6 ms behind", "torque 2.10 ± 0.10", "30 %", "likely"):
+        assert text in page, text
+    drawn = [f for f in figures_in(page).values() if f["data"][0]["name"] == "left"]
+    assert len(drawn) == 1
+    # no frequency is zero on a logarithmic axis
+    assert min(drawn[0]["data"][0]["x"]) > 0.0
+    assert "What the fit leaves" not in render(identification())
+
+
+def test_fits_stand_before_and_after() -> None:
+    tuned = replace(arm_model((), np.zeros((0, 0))), criticism=None)
+    page = render(replace(identification(), tuned=tuned))
+    assert "80.0 % → 99.0 %" in page
+    assert "converged after 7 evaluations" in page
+
+
+def test_the_summary_names_all() -> None:
+    from io import StringIO
+    from pathlib import Path
+
+    from rich.console import Console
+
+    text = StringIO()
+    console = Console(file=text, width=80, highlight=False)
+    truth: dict[tuple[str, int | None], float] = {("inertia", 1): 0.02}
+    print_summary(identification(), Path("out"), truth=truth, figures=True, console=console)
+    printed = text.getvalue()
+    for said in (
+        "inertia",
+        "0.02010",
+        "0.00020",
+        "+0.50",
+        "91.2 %",
+        "saturated",
+        "out/result.json",
+        "out/figures",
+    ):
+        assert said in printed, said
+    assert max(len(line) for line in printed.splitlines()) <= 80
+
+
+def test_every_parameter_has_its_symbol_and_meaning() -> None:
+    """Of all that a result can have: names without a meaning would leave the table."""
+    found = identification()
+    page = render(found)
+    assert "What the parameters are" in page
+    for name in {p.name for p in found.parameters}:
+        assert name in parameters._MEANINGS, name
+        assert parameters._MEANINGS[name][1] in page, name

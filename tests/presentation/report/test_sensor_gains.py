@@ -1,0 +1,71 @@
+"""Sentences on what a link sensor would buy: where it does, and only there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from results import arm_model, identification
+from strainwave.domain import Identification, LinkSensor, Parameter, SensorGain
+from strainwave.io.results import to_document
+from strainwave.presentation.report import gain_sentences, render
+
+STIFFNESS = Parameter("gear_stiffness", 2, 6100.0, 28.0, "N m/rad", "tuned", (6045.0, 6155.0))
+DAMPING = Parameter("gear_damping", 2, 4.0, 0.08, "N m s/rad", "tuned", (3.84, 4.16))
+
+
+def gain(parameter: Parameter, share: float, sensor: LinkSensor, link: int) -> SensorGain:
+    assert parameter.value is not None
+    assert parameter.std is not None
+    return SensorGain(
+        sensor,
+        link,
+        "some data sheet",
+        parameter.name,
+        parameter.joint,
+        parameter.value,
+        parameter.std,
+        share * parameter.std,
+    )
+
+
+def found(*gains: SensorGain) -> Identification:
+    parameters = (STIFFNESS, DAMPING)
+    covariance = np.diag([p.std**2 for p in parameters if p.std is not None])
+    tuned = replace(arm_model(parameters, covariance), sensor_gains=gains)
+    return replace(identification(), tuned=tuned, stages=("rigid", "decoupled", "tuned"))
+
+
+def test_the_largest_gains_come_first() -> None:
+    gains = [gain(p, 0.22, "accelerometer", 2) for p in (STIFFNESS, DAMPING)]
+    (said,) = gain_sentences(found(*gains))
+    assert said == (
+        "with an accelerometer on link 2 (some data sheet) the interval of gear_damping 2 would "
+        "shrink from 3.9 to 0.86 %, that of gear_stiffness 2 from 0.9 to 0.2 %"
+    )
+
+
+def test_each_kind_of_sensor_is_named_on_its_best_link() -> None:
+    gains = [
+        gain(STIFFNESS, 0.5, "accelerometer", 1),
+        gain(STIFFNESS, 0.2, "accelerometer", 2),
+        gain(STIFFNESS, 0.6, "gyro", 1),
+    ]
+    first, second = gain_sentences(found(*gains))
+    assert first.startswith("with an accelerometer on link 2")
+    assert second.startswith("with a gyro on link 1")
+
+
+def test_what_buys_little_is_not_named() -> None:
+    narrow = replace(gain(STIFFNESS, 0.1, "accelerometer", 2), std=1.0, predicted_std=0.1)
+    assert gain_sentences(found(gain(STIFFNESS, 0.7, "gyro", 2), narrow)) == []
+    assert gain_sentences(found()) == []
+
+
+def test_the_report_and_the_result_have_them() -> None:
+    run = found(gain(STIFFNESS, 0.22, "accelerometer", 2))
+    assert "the interval of gear_stiffness 2 would shrink from 0.9 to 0.2 %" in render(run)
+    (entry,) = to_document(run)["stages"]["tuned"]["sensor_gains"]
+    assert entry["name"] == "gear_stiffness"
+    assert entry["predicted_std"] == 0.22 * 28.0

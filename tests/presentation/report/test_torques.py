@@ -1,0 +1,41 @@
+"""Interaction torques beside the motor's: the loudest record, both spectra at their lines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from elastic_results import decoupled, elastic_identification, record_model
+from strainwave.presentation.report import torques
+
+
+def test_of_each_joint_the_record_with_most_interaction() -> None:
+    (found,) = torques.interacting(elastic_identification())
+    assert found.experiment.name == "prbs-j1"
+    assert torques.share(found) == pytest.approx(0.5, rel=1e-6)
+    assert "50 % of the motor's torque" in torques.words(found)
+
+
+def test_sweeps_and_lone_joints_are_left_out() -> None:
+    loud = replace(record_model("sweep", 9.0), signals=decoupled("sweep", 9.0, use="sweep"))
+    lone = decoupled("lone", 9.0)
+    alone = replace(loud, signals=replace(lone, inputs=lone.inputs[:, :1]))
+    assert torques.interacting(replace(elastic_identification(), records=(loud, alone))) == []
+
+
+def test_both_are_drawn_as_the_motor_feels_them() -> None:
+    motor, other = torques.over_time(decoupled("a", 0.5))["data"]
+    assert max(motor["x"]) <= 0.5
+    # thinned rows are those of extremes of either line within a bin
+    assert (max(motor["y"]), max(other["y"])) == pytest.approx((1.0, 0.5), rel=3e-3)
+
+
+def test_the_spectra_peak_where_the_torques_are() -> None:
+    for trace, line in zip(
+        torques.over_frequency(decoupled("a", 0.5))["data"], (10.0, 20.0), strict=True
+    ):
+        f, density = np.array(trace["x"]), np.array(trace["y"])
+        assert f[np.argmax(density)] == pytest.approx(line, abs=f[1] - f[0])
+        assert f.max() <= 200.0  # five times the band in which the motor moves

@@ -1,0 +1,193 @@
+"""The verdict says what the numbers say, and every warning has a remedy."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import strainwave
+from elastic_results import elastic_identification
+from results import identification, prediction
+from strainwave.domain import Activity, Diagnostic, Identification, Parameter, Suspicion
+from strainwave.presentation.report import remedies
+from strainwave.presentation.report.verdict import named, verdict
+from virtual_arms import rigid_drive
+
+PACKAGE = Path(strainwave.__file__).parent
+ELSEWHERE = ("experiment_design", "export")  # their warnings never reach a report
+
+
+def of(*parameters: Parameter, **changed: object) -> str:
+    """The verdict on these parameters, without tags."""
+    one = identification()
+    assert one.rigid is not None
+    rigid = replace(one.rigid, parameters=parameters)
+    found: Identification = replace(one, rigid=rigid, **changed)  # type: ignore[arg-type]
+    return re.sub(r"<[^>]+>", "|", verdict(found))
+
+
+def told(name: str, value: float | None, half: float | None, joint: int | None = 1) -> Parameter:
+    interval = None if half is None or value is None else (value - half, value + half)
+    return Parameter(name, joint, value, half, "-", "rigid", interval)
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "said"),
+    [
+        (1.0, 0.009, "95 % half-width 1 % or better"),
+        (1.0, 0.011, "95 % half-width 10 % or better"),
+        (1.0, 0.5, "95 % half-width worse than 10 %"),
+        (1.0, 1.5, "Not identified: the 95 % interval is wider than the value"),
+        (1.0, None, "Not identified: the 95 % interval is wider than the value"),
+        (None, None, "Not identified"),
+        (-1.0, 0.1, "Rejected: do not use"),
+    ],
+)
+def test_each_parameter_is_classed_by_its_interval(
+    value: float | None, half: float | None, said: str
+) -> None:
+    text = of(told("gear_damping", value, half))
+    assert f"|{said}||gear damping (1)|" in text, text
+
+
+def test_it_counts_what_is_identified() -> None:
+    alpha = told("alpha", 1.0, 0.05, None)
+    assert "All 2 parameters are identified, 1 with a 95 % half-width of 10 %" in of(
+        alpha, told("beta", 1.0, 0.2)
+    )
+    assert "1 of 2 parameters are identified, 1 with" in of(alpha, told("beta", None, None))
+    assert "No parameter was estimated." in of()
+    assert "Not determined.| nothing moved; not identified: beta" in of(failures=("nothing moved",))
+
+
+def test_nearly_nothing_is_said_to_be_so() -> None:
+    active = (Activity(1, torque=1.0, velocity=50.0, acceleration=500.0),)
+    text = of(told("motor_coulomb_friction", 0.001, 0.015), activity=active)
+    assert "|Zero within 2 % of the joint torque||motor coulomb friction (1)|" in text
+
+
+def test_combinations_stand_beside_the_parameters() -> None:
+    pair = Diagnostic("only-together", "alpha and gear_damping of joint 1", "only the sum")
+    assert "Only the combination is identified||alpha and gear damping of joint 1|" in of(
+        warnings=(pair,)
+    )
+
+
+def test_names_are_gathered_over_the_joints() -> None:
+    both = [told("link_inertia", 1.0, 0.1, joint) for joint in (1, 2)]
+    assert named([told("alpha", 1.0, 0.1, None), *both]) == "alpha, link inertia (1, 2)"
+
+
+def test_fits_of_validation_data() -> None:
+    text = of(checks=(prediction("a", 91.25, 99.0), prediction("b", 95.0, float("nan"))))
+    assert "median fit 95.0 % of 3 channels, least 91.2 % (torque1 in “a”)" in text
+    assert "explains" not in text
+    assert "No record was kept" in of(checks=())
+    assert "hardly move" in of(checks=(prediction("a", float("nan")),))
+
+
+def test_the_grade_is_that_of_the_median() -> None:
+    for middle, grade in ((96.0, "very well"), (86.0, "well"), (61.0, "in part"), (5.0, "badly")):
+        text = of(checks=(prediction("a", 1.0, middle, 99.0),))
+        assert f"The rigid model predicts the torques of validation data {grade}: median" in text
+
+
+def test_only_validation_data_that_twist_the_gears_speak_for_the_elastic_model() -> None:
+    one = elastic_identification()
+    steps = replace(prediction("steps", 99.0, 99.0), channels=("omega_m1", "a1"))
+    steps = replace(steps, fit_percent={"omega_m1": 99.0, "a1": 98.0})
+    slow = replace(steps, stiffness_effect={1: 0.03, 2: 0.04})
+    half = replace(steps, stiffness_effect={1: 0.2, 2: 0.04})
+    for checks in ((), (prediction("a", 99.0),), (slow,), (half,)):
+        text = verdict(replace(one, checks=checks))
+        assert "very well" not in text.replace("torques of validation data very well", "")
+        assert not checks or "Elastic model not validated" in text
+        assert not replace(one, checks=checks).verdict.validated.elastic
+    full = replace(one, checks=(replace(steps, stiffness_effect={1: 0.2, 2: 0.3}),))
+    assert full.verdict.validated.elastic
+    assert not full.verdict.validated.rigid
+    text = verdict(full)
+    assert "The elastic model predicts the motion of validation data very well" in text
+    assert "not validated" not in text
+
+
+def drive(**changed: object) -> Identification:
+    """A rigid drive of which everything is identified."""
+    one = identification()
+    assert one.rigid is not None
+    names = ("inertia", "motor_viscous_friction", "motor_coulomb_friction")
+    rigid = replace(one.rigid, parameters=tuple(told(name, 1.0, 0.01) for name in names))
+    fine = replace(one, study=rigid_drive(), warnings=(), rigid=rigid)
+    return replace(fine, **changed)  # type: ignore[arg-type]
+
+
+def test_only_what_is_determined_and_predicted_is_green() -> None:
+    fine = drive()
+    assert fine.rigid is not None
+    vague = (*fine.rigid.parameters, told("friction_offset", 1.0, 2.0))
+    for found, mark in (
+        (fine, ""),
+        (replace(fine, rigid=replace(fine.rigid, parameters=vague)), "doubt"),
+        (replace(fine, checks=(prediction("a", 50.0),)), "doubt"),
+        (replace(fine, warnings=identification().warnings), "doubt"),
+        (replace(fine, warnings=(Diagnostic("resampled", "a.csv", "uneven"),)), ""),
+        (replace(fine, failures=("nothing moved",)), "bad"),
+    ):
+        assert f'class="verdict {mark}"' in verdict(found)
+
+
+def test_a_fault_of_the_input_comes_first() -> None:
+    fault = Suspicion(
+        code="wrong-unit", where="u1", message="u1 is 9.81 of it.", remedy="Set scale = 9.81."
+    )
+    text = re.sub(r"<[^>]+>", "|", verdict(drive(suspected=(fault,))))
+    assert "The input contradicts itself." in text
+    assert "|u1|: u1 is 9.81 of it. Set scale = 9.81." in text
+
+
+def test_the_most_serious_warning_is_named() -> None:
+    mild = Diagnostic("resampled", "a.csv", "uneven steps")
+    grave = Diagnostic("implausible", "data/b.csv", "negative")
+    text = of(warnings=(mild, grave))
+    assert "2 warnings|; the most serious, of b.csv: negative." in text
+    assert "1 warning|; of a.csv: uneven steps." in of(warnings=(mild,))
+    # what nobody has thought of comes before all
+    unheard = Diagnostic("unheard-of", "c", "odd")
+    assert remedies.most_serious((grave, unheard)) is unheard
+
+
+def test_warnings_stand_in_their_order_with_what_to_do() -> None:
+    rows = remedies.warnings_table(
+        [
+            Diagnostic("resampled", "a.csv", "uneven"),
+            Diagnostic("saturated", "b.csv", "at its limit"),
+        ]
+    )
+    assert rows.index("b.csv") < rows.index("a.csv")
+    assert "Lower the amplitude" in rows
+    assert "See the message" in remedies.warnings_table([Diagnostic("unheard-of", "c", "odd")])
+
+
+def codes() -> set[str]:
+    """Of every warning that a stage gives."""
+    found: set[str] = set()
+    for path in PACKAGE.rglob("*.py"):
+        if path.relative_to(PACKAGE).parts[0] in ELSEWHERE:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
+                continue
+            first = node.args[0] if node.args else None
+            if isinstance(first, ast.Constant) and node.func.id in ("Diagnostic", "Check", "tried"):
+                found.add(str(first.value))
+    return found
+
+
+def test_every_warning_has_a_remedy() -> None:
+    assert {"saturated", "sliding", "modes-failed"} <= codes()
+    assert remedies.REMEDIES.keys() >= remedies.MILD
+    assert codes() - remedies.REMEDIES.keys() == set()

@@ -1,0 +1,114 @@
+"""Every figure of the package without a browser: what is drawn, where, and what is refused."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from elastic_results import elastic_identification
+from results import identification
+from strainwave.errors import InvalidInput
+from strainwave.presentation.matplotlib_backend import draw, images, require_matplotlib
+from strainwave.presentation.report import curves, figures, figures_of
+
+pytest.importorskip("matplotlib", reason="the extra 'plot' is not installed")
+
+
+def test_lines_points_and_gaps_come_through() -> None:
+    data = [
+        figures.line([0.0, 1.0, 2.0], np.array([1.0, np.nan, 3.0]), "a", "#0072B2", dash="6px,3px"),
+        figures.dots([0.5], np.array([2.0]), "b", "#D55E00"),
+    ]
+    drawn = draw({"data": data, "layout": figures.panels("time [s]", ["torque [N m]"])})
+    (axes,) = drawn.axes
+    line, points = axes.get_lines()
+    assert np.asarray(line.get_xdata()).tolist() == [0.0, 1.0, 2.0]
+    assert np.isnan(np.asarray(line.get_ydata())).tolist() == [False, True, False]
+    assert (line.get_color(), points.get_linestyle(), points.get_marker()) == (
+        "#0072B2",
+        "None",
+        "o",
+    )
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time [s]", "torque [N m]")
+    (legend,) = drawn.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
+
+
+def test_a_bode_plot_has_panels_bands_and_marks() -> None:
+    drawn = draw(figures_of(elastic_identification())["bode-joint-1"])
+    assert [axes.get_ylabel() for axes in drawn.axes] == [
+        "dB re rad/s/(N m)",
+        "phase [°]",
+        "coherence",
+    ]
+    assert all(axes.get_xscale() == "log" for axes in drawn.axes)
+    assert drawn.axes[2].get_ylim() == (0.0, 1.05)
+    assert len(drawn.axes[0].patches) == 1  # the band
+    words = [text for axes in drawn.axes for text in axes.texts]
+    assert [text.get_text().split()[0] for text in words] == ["anti-resonance", "resonance"]
+    marked: Any = words[0]
+    assert marked.xy[0] == pytest.approx(12.9, abs=0.1)  # [Hz], not its logarithm
+    tops = [axes.get_position().y0 for axes in drawn.axes]
+    assert tops == sorted(tops, reverse=True)
+
+
+def test_bars_and_heat_maps_are_drawn() -> None:
+    found = figures_of(elastic_identification())
+    slope = draw(found["gear-joint-1-slope"]).axes
+    assert len(slope[1].patches) == 60
+    assert slope[1].get_yscale() == "log"
+    correlations = draw(found["correlations"])
+    (image,) = correlations.axes[0].images
+    assert image.get_clim() == (-1.0, 1.0)
+    assert correlations.axes[0].get_yticklabels()[0].get_text() == "gear stiffness k1 1"
+
+
+def test_error_bars_are_drawn() -> None:
+    points = curves.Points("a", np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([0.1, 0.2]))
+    (axes,) = draw(curves.scatter([points], "x", "y", "caption")).axes
+    (bars,) = axes.containers
+    assert bars.has_yerr  # type: ignore[attr-defined]
+
+
+def test_every_figure_becomes_two_files_and_the_same_twice() -> None:
+    for name, figure in figures_of(elastic_identification()).items():
+        files = images(figure)
+        assert files["png"].startswith(b"\x89PNG"), name
+        assert b"<svg" in files["svg"], name
+    once, again = (images(figures_of(identification())["check-check"]) for _ in range(2))
+    assert once == again
+
+
+def test_names_are_not_taken_for_formulas() -> None:
+    data = [figures.line([0.0, 1.0], np.ones(2), name, "#0072B2") for name in ("$x", "$y$")]
+    svg = images({"data": data, "layout": figures.panels("$t$", ["$q"])})["svg"].decode()
+    for text in ("$x", "$y$", "$t$", "$q"):
+        assert text in svg
+
+
+def test_what_cannot_be_drawn_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="'pie'"):
+        draw({"data": [{"type": "pie"}], "layout": {}})
+
+
+def test_title_height_and_names_along_the_axis() -> None:
+    data = [figures.dots([], np.array([1.0, 2.0]), "a", "#0072B2") | {"x": ["one", "two"]}]
+    layout = figures.panels("", ["y"])
+    layout["xaxis"]["tickangle"] = -90
+    drawn = draw({"data": data, "layout": layout | {"meta": "caption", "height": 480}})
+    assert drawn.get_suptitle() == "caption"
+    assert drawn.get_figheight() == 5.0  # [in], of 96 pixels each
+    labels = drawn.axes[0].get_xticklabels()
+    assert [(label.get_text(), label.get_rotation()) for label in labels] == [
+        ("one", 90.0),
+        ("two", 90.0),
+    ]
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(InvalidInput, match=r"pip install 'strainwave\[plot\]'"):
+        require_matplotlib()

@@ -1,0 +1,179 @@
+"""Records show themselves: tables that say what they hold, pictures of what is in them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from elastic_runs import log_of, prbs_run, rig
+from joint_records import case
+from results import arm_model, identification, prediction
+from strainwave.domain import (
+    Diagnostic,
+    FrequencyResponse,
+    JointModel,
+    RecordModel,
+    Sweep,
+    SweepPoint,
+)
+from strainwave.domain.display import Shown
+from strainwave.errors import InvalidInput
+from strainwave.identification import frequency
+from strainwave.identification import joint_model as physical
+
+
+@cache
+def joint_model() -> JointModel:
+    met = case(1)
+    return physical.identify_joint(met.records, met.model, met.study)
+
+
+@cache
+def sweep() -> Sweep:
+    points = tuple(
+        SweepPoint(f"at-{size}", float(size), 6000.0 + 50.0 * size, 20.0, 24000.0 + size, 80.0)
+        for size in (2, 5, 10)
+    )
+    return Sweep(1, points, 50.0, 3.0, "hardening")
+
+
+NAMES = (
+    "log",
+    "rigid",
+    "decoupled",
+    "joint",
+    "record",
+    "response",
+    "sweep",
+    "tuned",
+    "prediction",
+    "identification",
+)
+
+
+@cache
+def shown() -> dict[str, tuple[Shown, list[str]]]:
+    """Records by name, and what their tables must say."""
+    rigid = identification().rigid
+    assert rigid is not None
+    met = case(1)
+    return {
+        "log": (log_of(prbs_run(rig())), ["theta_m2", "0.25 ms"]),
+        "rigid": (rigid, ["partly-determined", "0.02010", "not known", "kg m^2"]),
+        "decoupled": (met.decoupled, ["joint 1 on its own", met.decoupled.checks[0].message[:12]]),
+        "joint": (joint_model(), ["gear_stiffness", "anti-resonance", "determined"]),
+        "record": (RecordModel(met.decoupled, joint_model(), None, None, None), ["gear_damping"]),
+        "response": (frequency.respond([met.decoupled]), ["frequency response by", "averages"]),
+        "sweep": (sweep(), ["hardening", "24002 ± 80"]),
+        "tuned": (arm_model(rigid.parameters, np.eye(2)), ["converged after 7", "0.00020"]),
+        "prediction": (prediction("check", 91.25, float("nan")), ["91.2 %", "not known"]),
+        "identification": (identification("<b>"), ["&lt;b&gt;", "<code>saturated</code>"]),
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_table_says_what_the_record_holds(name: str) -> None:
+    record, texts = shown()[name]
+    html = record._repr_html_()
+    assert [text for text in texts if text not in html] == []
+    assert html.count("<td>") == html.count("</td>")
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "joint"])
+def test_a_picture_has_lines_and_titled_axes(name: str) -> None:
+    axes = shown()[name][0].plot().axes
+    assert any(ax.lines or ax.containers for ax in axes)
+    assert axes[-1].get_ylabel()
+
+
+def test_a_joint_is_drawn_with_its_gear_ratio_and_what_was_measured() -> None:
+    met = case(1)
+    alone = joint_model().plot(gear_ratio=0.01)
+    beside = joint_model().plot(gear_ratio=0.01, measured=frequency.respond([met.decoupled]))
+    assert [ax.get_ylabel() for ax in beside.axes][2:] == ["coherence"]
+    for one, other in zip(alone.axes, beside.axes, strict=False):
+        names = [set(ax.get_legend_handles_labels()[1]) for ax in (one, other)]
+        assert "measured" in names[1] - names[0]
+
+
+def test_a_prediction_shows_the_channel_that_fits_worst_unless_one_is_named() -> None:
+    made = prediction("check", 91.0, 55.0)
+    assert "torque2" in title(made.plot())
+    assert "torque1" in title(made.plot(channel="torque1"))
+    with pytest.raises(InvalidInput, match="take one of torque1, torque2"):
+        made.plot(channel="a1")
+
+
+def test_a_response_shows_what_is_asked_for_and_known() -> None:
+    response = frequency.respond([case(1).decoupled])
+    first, second = response.plot(band_hz=(5.0, 60.0)), response.plot(output=1)
+    assert "input 0 to output 1" in title(second)
+    drawn = np.asarray(first.axes[0].lines[0].get_xdata(), dtype=float)
+    assert 5.0 <= drawn.min() < drawn.max() <= 60.0
+    assert response.noise_variance is not None
+    known = np.sqrt(response.noise_variance / 2.0)[:, 1, 0] < 0.3 * np.abs(
+        response.response[:, 1, 0]
+    )
+    assert 0 < len(np.asarray(second.axes[0].lines[0].get_xdata())) == known.sum() < known.size
+    with pytest.raises(InvalidInput, match="no point"):
+        response.plot(band_hz=(1e6, 2e6))
+
+
+def test_a_model_s_response_has_the_band_of_its_covariance() -> None:
+    f = np.geomspace(1.0, 100.0, 30)
+    response = np.asarray(10.0 / (1.0 + 1j * f), dtype=np.complex128)[:, None, None]
+    spread = 1e-4 * np.abs(response[..., None, None]) ** 2 * np.eye(2)
+    sure = FrequencyResponse(f, response, covariance=spread)
+    assert len(sure.plot().axes[0].patches) == 1
+    assert len(replace(sure, covariance=None).plot().axes[0].patches) == 0
+    with pytest.raises(InvalidInput, match="no point"):
+        replace(sure, covariance=1e4 * spread).plot()
+
+
+def test_a_record_without_a_model_says_why_and_draws_nothing() -> None:
+    cautions = (Diagnostic("grey-box-failed", "prbs", "the motor stands"),)
+    empty = RecordModel(case(1).decoupled, None, None, None, None, warnings=cautions)
+    assert "the motor stands" in empty._repr_html_()
+    with pytest.raises(InvalidInput, match="no physical model to draw"):
+        empty.plot()
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(InvalidInput, match=r"strainwave\[plot\]"):
+        prediction("check", 91.0).plot()
+
+
+def test_what_has_no_view_says_so() -> None:
+    class Other(Shown):
+        pass
+
+    with pytest.raises(TypeError, match="Other"):
+        Other()._repr_html_()
+    with pytest.raises(TypeError, match="Other"):
+        Other().plot()
+
+
+def test_looking_is_what_loads_the_pictures() -> None:
+    code = (
+        "import strainwave.pipeline, sys; print('strainwave.presentation.notebook' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_parameters_without_a_size_are_not_drawn() -> None:
+    rigid = identification().rigid
+    assert rigid is not None
+    nothing = replace(rigid, parameters=rigid.parameters[1:]).plot()
+    assert len(nothing.axes[0].lines[0].get_xdata(orig=True)) == 0  # type: ignore[arg-type]
+
+
+def title(figure: Figure) -> str:
+    return figure.get_suptitle()

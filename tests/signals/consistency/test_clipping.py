@@ -1,0 +1,45 @@
+"""Turning points of an encoder are no end of its range; a sensor at its end is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from strainwave.domain import Arm, Experiment, FloatArray, Joint, Log, Study
+from strainwave.signals.consistency import clipping
+
+TIME = np.arange(8000) / 4000.0
+
+
+def found(angle: FloatArray) -> list[str]:
+    joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.1)
+    study = Study(Path("nowhere"), "0", Arm("single-joint"), (joint,), ())
+    step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
+    log = Log(step, TIME, TIME[1], {"theta_l1": angle})
+    return [each.where for each in clipping.clipped([log], study)]
+
+
+def rounded(angle: FloatArray, counts: int) -> FloatArray:
+    return np.round(angle / (2.0 * np.pi) * counts) * (2.0 * np.pi / counts)
+
+
+@given(
+    size=st.floats(0.01, 1.0),
+    hz=st.floats(0.6, 20.0),
+    decay=st.floats(0.0, 6.0),
+    counts=st.sampled_from([2048, 8192, 131072, 1048576]),
+)
+def test_an_angle_that_turns_is_not_clipped(
+    size: float, hz: float, decay: float, counts: int
+) -> None:
+    swing = size * np.exp(-decay * TIME) * np.sin(2.0 * np.pi * hz * TIME)
+    assert found(rounded(swing, counts)) == []
+
+
+@given(share=st.floats(0.4, 0.8), hz=st.floats(0.6, 20.0))
+def test_an_angle_at_its_end_is_clipped(share: float, hz: float) -> None:
+    swing = np.sin(2.0 * np.pi * 1.0137 * hz * TIME)  # no period of whole samples
+    assert found(rounded(np.clip(swing, -share, share), 131072)) == ["theta_l1"]

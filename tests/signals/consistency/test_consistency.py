@@ -1,0 +1,231 @@
+"""Faults of the input are named by the right code and number; clean input is silent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from consistency_inputs import Input, changed, delayed
+from strainwave import pipeline
+from strainwave.domain import Suspicion
+from strainwave.identification import rigid
+from strainwave.io.logs import read_logs, write_log
+from strainwave.io.study import read_study, write_study
+from strainwave.signals.consistency import check
+from strainwave.signals.motor import motor_side
+
+DEGREE = np.pi / 180.0
+
+
+def the_one(given: Input) -> Suspicion:
+    found = check(*given).suspected
+    assert len(found) == 1, [each.message for each in found]
+    return found[0]
+
+
+def with_joint(given: Input, joint: int, **keys: Any) -> Input:
+    logs, study = given
+    joints = list(study.joints)
+    joints[joint - 1] = replace(joints[joint - 1], **keys)
+    return logs, replace(study, joints=tuple(joints))
+
+
+def swapped(given: Input, kind: str) -> Input:
+    logs, study = given
+    other = {f"{kind}1": f"{kind}2", f"{kind}2": f"{kind}1"}
+    return tuple(
+        replace(log, channels={other.get(k, k): v for k, v in log.channels.items()}) for log in logs
+    ), study
+
+
+def test_clean_input_is_silent(arm: Input) -> None:
+    assert check(*arm).suspected == ()
+
+
+@pytest.mark.parametrize(
+    "name", ["scara-linear-5kg", "scara-strainwave-3kg", "vertical-linear-0kg"]
+)
+def test_lab_arms_are_silent(name: str, shared_data: Path) -> None:
+    study = read_study(shared_data / "lab" / name / "study.toml")
+    assert check(read_logs(study), study).suspected == ()
+
+
+@pytest.mark.parametrize("name", ["dfki-double-pendulum", "emps", "ist-flexible-arm"])
+def test_real_arms_are_silent(name: str, shared_data: Path) -> None:
+    study = read_study(shared_data / "real" / name / "study.toml")
+    assert check(read_logs(study), study).suspected == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "code", "said"),
+    [
+        ("a1", 1.0 / 9.80665, "wrong-unit", "logged in g?"),
+        ("a2", 1.0 / 9.80665, "wrong-unit", "logged in g?"),
+        ("a1", -1.0, "wrong-sign", "its sign is wrong"),
+        ("a2", -1.0, "wrong-sign", "its sign is wrong"),
+        ("gyro2", 1.0 / DEGREE, "wrong-unit", "logged in deg/s?"),
+        ("theta_m1", 1.0 / DEGREE, "wrong-unit", "logged in degrees?"),
+        ("theta_m2", 8192.0 / (2.0 * np.pi), "wrong-unit", "logged in encoder counts?"),
+        ("theta_m2", 0.5 / np.pi, "wrong-unit", "logged in turns?"),
+        ("theta_m1", -1.0, "wrong-sign", "its sign is wrong"),
+        ("u1", -1.0, "wrong-sign", "its sign is wrong"),
+        ("u2", -1.0, "wrong-sign", "its sign is wrong"),
+    ],
+)
+def test_units_and_signs_are_named(
+    arm: Input, name: str, factor: float, code: str, said: str
+) -> None:
+    found = the_one(changed(arm, **{name: factor}))
+    assert (found.code, found.where) == (code, name)
+    assert found.factor == pytest.approx(factor, rel=1e-3)
+    assert said in found.message
+    # mended as it says, nothing is left to say
+    assert f'channels.{name} = {{ column = "{name}", scale = {1.0 / factor:.7g}' in found.remedy
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])
+def test_the_unit_of_time_is_named(arm: Input, factor: float, unit: str) -> None:
+    logs, study = arm
+    slow = tuple(
+        replace(log, time=factor * log.time, sample_time=factor * log.sample_time) for log in logs
+    )
+    found = the_one((slow, study))
+    assert (found.code, found.where) == ("wrong-unit", "t")
+    assert found.factor == pytest.approx(factor)
+    assert unit in found.message
+
+
+@pytest.mark.parametrize("kind", ["a", "u", "theta_m"])
+def test_swapped_joints_are_named(arm: Input, kind: str) -> None:
+    found = the_one(swapped(arm, kind))
+    assert (found.code, found.where) == ("swapped-channels", f"{kind}1, {kind}2")
+    assert f'channels.{kind}1 = "{kind}2"' in found.remedy
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize("ratio", [1.0, 0.02, 0.005])
+def test_gear_ratios_are_named(arm: Input, joint: int, ratio: float) -> None:
+    found = the_one(with_joint(arm, joint, gear_ratio=ratio))
+    assert (found.code, found.where) == ("wrong-gear-ratio", f"joint {joint} gear_ratio")
+    assert found.factor == pytest.approx(ratio / 0.01, rel=0.03)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_distance_from_the_wrong_axis_is_named(arm: Input, joint: int) -> None:
+    right = arm[1].joints[joint - 1].accelerometer_distance or 0.0
+    found = the_one(with_joint(arm, joint, accelerometer_distance=right + 0.35))
+    assert (found.code, found.where) == ("wrong-geometry", f"joint {joint} accelerometer_distance")
+    assert found.factor == pytest.approx((right + 0.35) / right, rel=0.03)
+    assert "measured from axis 1" in found.message
+
+
+@pytest.mark.parametrize(("joint", "factor"), [(1, 1.05), (2, 1.05), (2, 0.9)])
+def test_the_rigid_fit_holds_torque_constants_against_each_other(
+    arm: Input, tmp_path: Path, joint: int, factor: float
+) -> None:
+    e = arm[1].joints[joint - 1].torque_per_volt or 1.0
+    logs, study = with_joint(arm, joint, torque_per_volt=factor * e)
+    for log in logs:
+        write_log(tmp_path / log.experiment.file, {"t": log.time, **log.channels})
+    write_study(study, tmp_path / "study.toml")
+    found = pipeline.identify(tmp_path / "study.toml", stages=["rigid"])
+    assert found.verdict.status == "inconsistent-input"
+    (torques,) = found.suspected
+    assert (torques.code, torques.where) == ("wrong-torque-constant", "torque_per_volt")
+    assert torques.factor == pytest.approx(factor if joint == 1 else 1.0 / factor, rel=0.01)
+    assert "[[joint]] 2 by it" in torques.remedy
+
+
+def test_right_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
+    logs, study = small_arm
+    motion = [log for log in logs if log.experiment.use == "motion"]
+    found = rigid.fit([motor_side(log, study) for log in motion], study)
+    assert found.torque_ratio is not None
+    value, std = found.torque_ratio
+    assert abs(value - 1.0) < 4.0 * std + 1e-3
+    assert std < 0.01
+
+
+def test_a_factor_of_ten_is_named_before_any_estimate(small_arm: Input) -> None:
+    e = small_arm[1].joints[0].torque_per_volt or 1.0
+    found = the_one(with_joint(small_arm, 1, torque_per_volt=10.0 * e))
+    assert found.code == "wrong-torque-constant"
+    assert "about" in found.remedy
+    assert found.factor == pytest.approx(10.0, rel=0.3)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 50.0])
+def test_gear_ratios_of_a_small_arm_are_named(small_arm: Input, factor: float) -> None:
+    n = small_arm[1].joints[1].gear_ratio
+    found = the_one(with_joint(small_arm, 2, gear_ratio=factor * n))
+    assert (found.code, found.where) == ("wrong-gear-ratio", "joint 2 gear_ratio")
+    assert found.factor == pytest.approx(factor, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("length", "scale", "where"), [(1.3, 1.0, "link_length"), (1.0, 0.85, "a2")]
+)
+def test_geometry_and_scale_are_no_gear_ratio(
+    small_arm: Input, length: float, scale: float, where: str
+) -> None:
+    logs, study = changed(small_arm, a2=scale)
+    longer = replace(study.arm, link_length=length * (study.arm.link_length or 0.0))
+    found = the_one((logs, replace(study, arm=longer)))
+    assert found.where == where
+    assert found.factor == pytest.approx(length * scale, rel=0.02)
+
+
+def test_a_millisecond_is_left_to_the_whole_arm_fit(arm: Input) -> None:
+    late = delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 1e-3, 0.0)
+    assert check(*late).suspected == ()
+
+
+def test_a_large_delay_is_named(arm: Input) -> None:
+    found = the_one(delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 2e-2, 0.0))
+    assert found.code == "misaligned"
+    assert found.delay_s == pytest.approx(2e-2, rel=0.1)
+
+
+def test_another_clock_is_named(arm: Input) -> None:
+    found = the_one(delayed(arm, ("a1", "a2"), 0.0, 1e-3))
+    assert (found.code, found.where) == ("clock-drift", "a1, a2")
+    assert found.factor == pytest.approx(1.001, abs=3e-4)
+
+
+def test_a_clipped_sensor_is_named(arm: Input) -> None:
+    logs, study = arm
+    top = max(float(log.channels["a2"].max()) for log in logs)
+    low = tuple(
+        replace(log, channels={**log.channels, "a2": np.minimum(log.channels["a2"], 0.6 * top)})
+        for log in logs
+    )
+    found = check(low, study).suspected
+    assert [(each.code, each.where) for each in found] == [("clipped", "a2")]
+
+
+def test_a_fault_ends_in_exit_code_3_with_its_remedy(arm: Input, tmp_path: Path) -> None:
+    """The rigid model asks nothing of the accelerometers and is given; nothing else is."""
+    logs, study = changed(arm, a1=1.0 / 9.80665)
+    for log in logs:
+        write_log(tmp_path / log.experiment.file, {"t": log.time, **log.channels})
+    write_study(study, tmp_path / "study.toml")
+    found = pipeline.identify(tmp_path / "study.toml")
+    assert found.verdict.status == "inconsistent-input"
+    assert [each.where for each in found.suspected] == ["a1"]
+    assert found.rigid is not None
+    assert not found.joints
+    assert found.tuned is None
+
+
+def test_time_in_milliseconds_leaves_no_traceback(arm: Input, tmp_path: Path) -> None:
+    logs, study = arm
+    for log in logs:
+        write_log(tmp_path / log.experiment.file, {"t": 1e3 * log.time, **log.channels})
+    write_study(study, tmp_path / "study.toml")
+    found = pipeline.identify(tmp_path / "study.toml")
+    assert found.verdict.status == "inconsistent-input"
+    assert found.rigid is None

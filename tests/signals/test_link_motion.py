@@ -1,0 +1,395 @@
+"""Link motion from what sensors tell, and channels that do not lie in time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from elastic_runs import SAMPLE, log_of, prbs_run, rig
+from strainwave.domain import FloatArray, Fusion, Lag, Log, Study
+from strainwave.dynamics.simulation import Quantity, Trajectory
+from strainwave.errors import InvalidInput
+from strainwave.io.logs import read_log
+from strainwave.io.study import read_study
+from strainwave.numerics.filters import (
+    Between,
+    band_pass,
+    band_passes,
+    differentiate,
+    lagged,
+    unaliased,
+)
+from strainwave.signals import link_motion as links
+from strainwave.signals.fusion import bias_of, complement, fuse
+
+INNER = slice(400, -400)
+SHARED = (Lag(2, 300.0),)
+
+
+@cache
+def run_of(
+    gravity: float | None = None, counts: float | None = 8192.0, joint: int = 1
+) -> tuple[Study, Trajectory]:
+    study = rig(gravity, counts=counts)
+    return study, prbs_run(study, joint)
+
+
+def shifted(log: Log, name: str, samples: int = 1) -> Log:
+    moved = {k: np.roll(v, samples) if k.startswith(name) else v for k, v in log.channels.items()}
+    return replace(log, channels=moved)
+
+
+# --- filters ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_lags_have_their_step_response(order: int) -> None:
+    w, t = 2.0 * np.pi * 300.0, SAMPLE * np.arange(100)
+    step = np.r_[0.0, np.ones(100)]
+    cutoff = Lag(1 if order == 1 else 2, 300.0)
+    passed = lagged(step, [cutoff], SAMPLE, held=True)[1:]
+    if order == 1:
+        exact = 1.0 - np.exp(-w * t)
+    else:
+        d = w / np.sqrt(2.0)
+        exact = 1.0 - np.exp(-d * t) * (np.cos(d * t) + np.sin(d * t))
+    assert passed == pytest.approx(exact, abs=1e-12)
+
+
+def test_a_straight_signal_comes_late_by_the_lag() -> None:
+    t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
+    ramp = lagged(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE)
+    late = 1.0 / (2.0 * np.pi * 1000.0) + np.sqrt(2.0) / (2.0 * np.pi * 300.0)
+    assert ramp[-1] == pytest.approx(t[-1] - late, abs=1e-9)
+
+
+def test_the_current_loop_is_the_drives() -> None:
+    _, run = run_of(None, None)
+    torque = lagged(0.08 * run["voltage"][:, 0], [Lag(1, 1000.0)], SAMPLE, held=True)
+    # before the first sample there was no voltage
+    assert torque[40:] == pytest.approx(run["motor_torque"][40:, 0], abs=1e-9)
+
+
+def test_an_angle_keeps_its_size_behind_a_lag() -> None:
+    """At a tenth of the sampling rate, where straight lines take (w T)^2 / 12 = 3.3 % of it."""
+    T, lag = 1e-3, Lag(2, 300.0)
+    t = T * np.arange(2000)
+    turns = 100.0 / lag.cutoff_hz
+    response = 1.0 / (1.0 + np.sqrt(2.0) * 1j * turns - turns**2)
+    exact = (response * np.exp(200j * np.pi * t)).imag
+    straight = lagged(np.sin(200.0 * np.pi * t), [lag], T)
+    passed = unaliased(np.sin(200.0 * np.pi * t), [lag], T, "smooth")
+    inner = slice(200, -200)
+    assert passed[inner] == pytest.approx(exact[inner], abs=2e-4)
+    assert np.abs(straight - exact)[inner].max() > 0.02
+
+
+@pytest.mark.parametrize("between", ["smooth", "held", "straight"])
+def test_a_straight_line_comes_late_by_the_lags_and_the_hold(between: Between) -> None:
+    t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
+    passed = unaliased(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE, between)
+    late = 1.0 / (2.0 * np.pi * 1000.0) + np.sqrt(2.0) / (2.0 * np.pi * 300.0)
+    late += 0.5 * SAMPLE if between == "held" else 0.0
+    assert passed[2000] == pytest.approx(t[2000] - late, abs=1e-8)
+
+
+def test_a_held_voltage_leaves_no_aliases() -> None:
+    """Against the same voltage at sixteen times the rate, whose spectrum needs no folding."""
+    T, finer, lags = 1e-3, 16, [Lag(1, 800.0)]
+    rng = np.random.default_rng(3)
+    voltage = rng.choice([-10.0, 10.0], 2000)
+    fine = lagged(np.repeat(voltage, finer), lags, T / finer, held=True)
+    exact = band_pass(fine, 20.0, 300.0, T / finer)[::finer]
+    errors = []
+    for torque in (unaliased(voltage, lags, T, "held"), lagged(voltage, lags, T, held=True)):
+        error = (band_pass(torque, 20.0, 300.0, T) - exact)[200:-200]
+        errors.append(error.std() / exact.std())
+    assert errors[0] < 0.005
+    assert errors[1] > 0.05
+
+
+def test_several_signals_pass_one_band_with_their_integrals_and_derivatives() -> None:
+    t = SAMPLE * np.arange(8000)
+    w = 2.0 * np.pi * 20.0
+    signals = np.column_stack([np.sin(w * t), np.cos(w * t)])
+    wanted = [(0, 0), (0, -1), (0, -2), (1, 0), (1, 1)]
+    passed = band_passes(signals, wanted, 5.0, 80.0, SAMPLE)
+    for column, (k, integrals) in enumerate(wanted[::3]):
+        alone = band_pass(signals[:, k], 5.0, 80.0, SAMPLE, integrals=integrals)
+        assert passed[:, 3 * column] == pytest.approx(alone, abs=1e-12)
+    sine, velocity, acceleration = passed[2400:-2400, :3].T
+    gain = (1.0 + 0.25**8) ** -2.0
+    assert sine == pytest.approx(gain * np.sin(w * t)[2400:-2400], abs=1e-4)
+    assert velocity == pytest.approx(gain * w * np.cos(w * t)[2400:-2400], abs=1e-4 * w)
+    assert acceleration == pytest.approx(-(w**2) * sine, abs=1e-4 * w**2)
+    # fourth differences of the integral: (w T)^4 / 30
+    assert differentiate(passed[:, 4], SAMPLE)[9:-9] == pytest.approx(passed[9:-9, 3], abs=1e-5)
+
+
+# --- fusion -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_fusing_a_signal_with_its_own_slope_changes_nothing(order: int) -> None:
+    t = SAMPLE * np.arange(8000)
+    fusion = Fusion(0.2, 1 if order == 1 else 2)
+    fused = fuse(30.0 * np.cos(30.0 * t), np.sin(30.0 * t) + 5.0, fusion, SAMPLE)
+    assert fused == pytest.approx(np.sin(30.0 * t) + 5.0, abs=2e-5)  # the trapezoid's (w T)^2 / 12
+
+
+@pytest.mark.parametrize(("order", "offset"), [(1, 0.2 * 0.5), (2, 0.2 * 0.5 * np.sqrt(2.0))])
+def test_a_bias_ends_as_an_offset(order: int, offset: float) -> None:
+    fusion = Fusion(0.2, 1 if order == 1 else 2)
+    fused = fuse(np.full(40000, 0.5), np.zeros(40000), fusion, SAMPLE)
+    assert fused[-1] == pytest.approx(offset, rel=1e-3)
+
+
+def test_the_complement_rolls_off_with_its_order() -> None:
+    t = SAMPLE * np.arange(40000)
+    w = 2.0 * np.pi * 15.0
+    for order, gain in ((1, 1.0 / (w * 0.2)), (2, 1.0 / (w * 0.2) ** 2)):
+        fusion = Fusion(0.2, 1 if order == 1 else 2)
+        passed = complement(np.sin(w * t), fusion, SAMPLE)[20000:]
+        assert np.sqrt(2.0) * passed.std() == pytest.approx(gain, rel=0.01)
+
+
+def test_a_bias_is_found_beside_a_vibration() -> None:
+    t = SAMPLE * np.arange(16000)
+    w = 2.0 * np.pi * 13.0
+    motor = 0.4 * np.sin(2.0 * t)
+    link = 0.8 * np.cos(2.0 * t) + 20.0 * np.cos(w * t)
+    assert bias_of(link + 0.37, motor, SAMPLE, 10) == pytest.approx(0.37, abs=1e-4)
+
+
+# --- links ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gravity", [None, 9.81])
+def test_ideal_sensors_give_the_links_motion(gravity: float | None) -> None:
+    study, run = run_of(gravity, None)
+    seen = links.link_side(log_of(run), study)
+    assert seen.shared == SHARED
+    assert seen.sources == ("accelerometer", "accelerometer")
+    assert not any(seen.held)
+    # q2 and dq1 pass the filter before the products of (9), not after: that is second order
+    names: tuple[Quantity, ...] = ("link_acceleration", "link_velocity", "link_angle")
+    for name in names:
+        truth = lagged(run[name], SHARED, SAMPLE)[INNER]
+        found = getattr(seen, name)[INNER]
+        error = (found - truth).std(axis=0) / truth.std(axis=0)
+        # the fusion is wrong below its corner: by the angle's deflection, and the velocity's
+        limit = dict(zip(names, (0.004, 0.01, 0.03), strict=True))[name]
+        assert np.all(error < limit), (name, error)
+
+
+def test_biases_are_taken_off_and_told() -> None:
+    study, run = run_of()
+    log = log_of(run)
+    a1 = log.channels["a1"] + 0.12
+    a2 = log.channels["a2"] - 0.20
+    seen = links.link_side(replace(log, channels={**log.channels, "a1": a1, "a2": a2}), study)
+    plain = links.link_side(log, study)
+    assert seen.bias - plain.bias == pytest.approx([0.12 / 0.33, -0.20 / 0.27 - 0.0], abs=2e-3)
+    assert seen.link_velocity == pytest.approx(plain.link_velocity, abs=5e-3)
+
+
+def test_the_fusion_tells_how_wrong_it_is() -> None:
+    study, run = run_of(None, None)
+    truth = lagged(run["link_velocity"], SHARED, SAMPLE)
+    errors = []
+    for order, time_constant in ((1, 0.05), (1, 0.2), (2, 0.2)):
+        options = links.LinkOptions(time_constant, 1 if order == 1 else 2)
+        seen = links.link_side(log_of(run), study, options)
+        error = (seen.link_velocity - truth)[INNER].std(axis=0)
+        assert seen.fusion == (Fusion(time_constant, options.order),) * 2
+        # the estimate takes the fused velocity for the true one
+        assert np.all(np.abs(np.log(seen.fusion_error / error)) < np.log(1.6))
+        errors.append(error)
+    assert np.all(errors[0] > errors[1])
+    assert np.all(errors[1] > errors[2])
+
+
+def test_accelerometers_of_two_bandwidths_share_both() -> None:
+    study = rig(None, counts=None)
+    slower = replace(study.joints[1], accelerometer_hz=150.0)
+    study = replace(study, joints=(study.joints[0], slower))
+    run = prbs_run(study)
+    seen = links.link_side(log_of(run), study)
+    assert seen.shared == (Lag(2, 300.0), Lag(2, 150.0))
+    truth = lagged(run["link_acceleration"], seen.shared, SAMPLE)[INNER]
+    error = (seen.link_acceleration[INNER] - truth).std(axis=0) / truth.std(axis=0)
+    assert np.all(error < 0.02)
+
+
+@pytest.mark.parametrize("channel", ["theta_l", "deflection", "gyro"])
+def test_other_sensors_of_a_link_serve_as_well(channel: str) -> None:
+    study, run = run_of(None, None)
+    angle, velocity = run["link_angle"], run["link_velocity"]
+    reading = {
+        "theta_l": angle,
+        "deflection": angle - 0.01 * run["encoder"],
+        "gyro": np.cumsum(velocity, axis=1),
+    }[channel]
+    joints = tuple(replace(joint, gyro_hz=None) for joint in study.joints)
+    log = log_of(run)
+    kept = {k: v for k, v in log.channels.items() if not k.startswith("a")}
+    kept |= {f"{channel}{i + 1}": reading[:, i] for i in range(2)}
+    options = links.LinkOptions(bandwidth_hz=200.0)
+    seen = links.link_side(replace(log, channels=kept), replace(study, joints=joints), options)
+    assert set(seen.sources) == {"encoder" if channel == "theta_l" else channel}
+    assert seen.fusion == (None, None)
+    assert seen.bandwidth_hz == 200.0
+    error = (seen.link_velocity - velocity)[INNER].std(axis=0) / velocity.std(axis=0)
+    assert np.all(error < 0.01)
+
+
+def test_without_a_link_sensor_the_motor_stands_in_with_a_warning() -> None:
+    study, run = run_of()
+    log = log_of(run)
+    kept = {k: v for k, v in log.channels.items() if not k.startswith("a")}
+    seen = links.link_side(replace(log, channels=kept), study)
+    assert seen.sources == ("motor", "motor")
+    assert [w.code for w in seen.warnings] == ["no-link-sensor"] * 2
+    assert seen.link_velocity == pytest.approx(0.01 * seen.motor_velocity)
+
+
+# --- alignment --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_aligned_channels_give_no_warning(joint: int) -> None:
+    study, run = run_of(joint=joint)
+    seen = links.link_side(log_of(run, joint, seed=3), study)
+    assert not seen.warnings
+    for delay in (*seen.sensor_delay, seen.drive_delay[joint - 1]):
+        assert delay is not None
+        assert abs(delay.value) < 0.3 * SAMPLE
+    assert seen.drive_delay[2 - joint] is None  # that joint was not excited
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize("samples", [-4, 4])
+def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
+    study, run = run_of(joint=joint)
+    log = log_of(run, joint, seed=3)
+    plain = links.link_side(log, study)
+    late = links.link_side(shifted(log, f"a{joint}", samples), study)
+    assert "misaligned" in {w.code for w in late.warnings}
+    found, before = late.sensor_delay[joint - 1], plain.sensor_delay[joint - 1]
+    assert found is not None
+    assert before is not None
+    before_it = before.value / SAMPLE
+    # one linear step of what is not linear
+    assert found.value / SAMPLE - before_it == pytest.approx(samples, rel=0.45)
+    assert late.motor_velocity == pytest.approx(plain.motor_velocity)
+    drive = links.link_side(shifted(log, "u", -samples), study)
+    assert "misaligned" in {w.code for w in drive.warnings}
+    told = drive.drive_delay[joint - 1]
+    assert told is not None
+    assert told.value / SAMPLE == pytest.approx(samples, rel=0.35)
+
+
+def test_late_link_sensors_are_moved_back_in_all_records() -> None:
+    """By one delay for each sensor, several linear steps of the estimate."""
+    pairs = [run_of(joint=joint) for joint in (1, 2)]
+    study, logs = pairs[0][0], [log_of(run, j, seed=3) for j, (_, run) in enumerate(pairs, 1)]
+    late = [shifted(shifted(log, "a1", 8), "a2", -4) for log in logs]
+    plain, none = links.both_sides(logs, study)
+    found, delays = links.both_sides(late, study)
+    assert [delay.value for delay in none] == [0.0, 0.0]
+    assert not list(links.corrected(none))
+    for delay, samples in zip(delays, (8, -4), strict=True):
+        assert delay.value == pytest.approx(samples * SAMPLE, abs=4.0 * delay.std)
+        assert delay.std < 0.1e-3
+    constants = links.constants_of(found, delays)
+    assert constants == {("accelerometer_delay", j): d.value for j, d in enumerate(delays, 1)}
+    said = list(links.corrected(delays))
+    assert [(c.code, c.where) for c in said] == [("sensor-delay", f"joint {j}") for j in (1, 2)]
+    for before, after in zip(plain, found, strict=True):
+        assert not after.warnings
+        assert after.removed_delay == delays
+        for i in (0, 1):
+            expected = before.link_acceleration[INNER, i]
+            off = after.link_acceleration[INNER, i] - expected
+            assert np.std(off) < 0.05 * np.std(expected)
+
+
+def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
+    study, run = run_of()
+    log = log_of(run, 1, seed=3)
+    (seen,), delays = links.both_sides([shifted(log, "a", 24)], study)
+    assert [delay.value for delay in delays] == [0.0, 0.0]
+    assert "misaligned" in {w.code for w in seen.warnings}
+    assert not list(links.corrected(delays))
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_bent_spring_tells_a_delay_only_of_the_joint_that_was_excited(joint: int) -> None:
+    study, run = run_of(joint=joint)
+    joints = tuple(replace(own, spring="three-slope") for own in study.joints)
+    seen = links.link_side(log_of(run, joint, seed=3), replace(study, joints=joints))
+    told = seen.sensor_delay[joint - 1]
+    assert told is not None
+    assert abs(told.value) < 0.3 * SAMPLE
+    assert seen.sensor_delay[2 - joint] is None
+
+
+def test_a_bandwidth_left_out_of_the_study_shows_as_a_delay() -> None:
+    study, run = run_of()
+    joints = tuple(replace(joint, accelerometer_hz=None) for joint in study.joints)
+    seen = links.link_side(log_of(run, seed=1), replace(study, joints=joints))
+    delay = seen.sensor_delay[0]
+    assert delay is not None
+    assert delay.value == pytest.approx(np.sqrt(2.0) / (2.0 * np.pi * 300.0), rel=0.15)
+    assert any("accelerometer_hz" in w.message for w in seen.warnings)
+
+
+def test_a_voltage_logged_below_its_clock_is_told() -> None:
+    study, run = run_of()
+    log = log_of(run)
+    coarse = {k: v[::8] for k, v in log.channels.items()}
+    seen = links.link_side(
+        replace(log, time=log.time[::8], sample_time=8 * SAMPLE, channels=coarse), study
+    )
+    assert "sub-sampled" in {w.code for w in seen.warnings}
+
+
+@pytest.mark.parametrize(
+    ("arm", "record"),
+    [
+        ("scara-linear-5kg", "prbs-j1"),
+        ("scara-strainwave-3kg", "prbs-j2"),
+        ("vertical-linear-0kg", "prbs-j1"),
+    ],
+)
+def test_lab_channels_are_aligned_until_one_is_moved(
+    shared_data: Path, arm: str, record: str
+) -> None:
+    study = read_study(shared_data / "lab" / arm / "study.toml")
+    (experiment,) = [e for e in study.experiments if e.name == record]
+    log = read_log(study, experiment)
+    assert not links.link_side(log, study).warnings
+    for name in ("a", "u"):
+        codes = {w.code for w in links.link_side(shifted(log, name, 2), study).warnings}
+        assert codes == {"misaligned"}
+
+
+# --- refusals ---------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_used_is_refused() -> None:
+    study, run = run_of()
+    log = log_of(run)
+    nowhere = tuple(replace(joint, accelerometer_distance=None) for joint in study.joints)
+    with pytest.raises(InvalidInput, match="accelerometer_distance"):
+        links.link_side(log, replace(study, joints=nowhere))
+    powerless = tuple(replace(joint, torque_per_volt=None) for joint in study.joints)
+    with pytest.raises(InvalidInput, match="torque_per_volt"):
+        links.link_side(log, replace(study, joints=powerless))
+    short: dict[str, FloatArray] = {k: v[:60] for k, v in log.channels.items()}
+    with pytest.raises(InvalidInput, match="too few"):
+        links.link_side(replace(log, time=log.time[:60], channels=short), study)

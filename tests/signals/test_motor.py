@@ -1,0 +1,248 @@
+"""Logs to signals: filters without phase, the drive's delays, stiction, saturation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from strainwave.domain import FloatArray, Log
+from strainwave.errors import InvalidInput
+from strainwave.numerics import filters
+from strainwave.numerics.filters import differentiate, low_pass, noise_deviation, signal_band
+from strainwave.signals import motor as signals
+from strainwave.signals.standstill import free_friction, responses, sliding_direction
+from strainwave.virtual import scara
+from virtual_arms import CLOCK, DRIVE, motion_log, rigid_drive
+
+TIME: FloatArray = CLOCK * np.arange(8000, dtype=np.float64)
+INNER = slice(1000, -1000)
+
+
+def log_of(channels: dict[str, FloatArray]) -> Log:
+    n = len(next(iter(channels.values())))
+    return Log(DRIVE, TIME[:n], CLOCK, channels)
+
+
+# --- filters ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("relative", [0.2, 0.5, 1.0, 2.0])
+def test_the_low_pass_has_no_phase_and_the_promised_gain(relative: float) -> None:
+    cutoff = 10.0
+    w = 2.0 * np.pi * relative * cutoff
+    passed = low_pass(np.sin(w * TIME), cutoff, CLOCK)[INNER]
+    gain = 1.0 / (1.0 + relative**8)
+    # the bilinear transform warps frequencies by (pi f T)^2 / 3, the gain by 8 times that
+    assert passed == pytest.approx(gain * np.sin(w * TIME)[INNER], abs=0.02)
+    quadrature = np.mean(passed * np.cos(w * TIME)[INNER])
+    assert abs(quadrature) < 1e-3 * max(gain, 1e-2)
+
+
+def test_a_cutoff_beyond_nyquist_passes_everything() -> None:
+    noise = np.random.default_rng(0).normal(size=100)
+    np.testing.assert_array_equal(low_pass(noise, 500.0, CLOCK), noise)
+
+
+def test_differences_are_of_fourth_order() -> None:
+    errors = []
+    for T in (0.02, 0.01):
+        t = T * np.arange(200)
+        errors.append(np.abs(differentiate(np.sin(3.0 * t), T) - 3.0 * np.cos(3.0 * t))[5:-5].max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.2)
+
+
+def test_encoder_noise_and_band_are_found() -> None:
+    rng = np.random.default_rng(0)
+    angle = 50.0 * np.sin(2.0 * np.pi * 1.0 * TIME) + rng.normal(0.0, 1e-3, TIME.shape)
+    assert noise_deviation(angle) == pytest.approx(1e-3, rel=0.1)
+    assert 1.0 <= signal_band(angle, CLOCK) <= 10.0
+    quieter = angle - rng.normal(0.0, 1e-3, TIME.shape) * 0.0
+    wide = (
+        quieter + 0.1 * np.sin(2.0 * np.pi * 40.0 * TIME) + 0.1 * np.sin(2.0 * np.pi * 20.0 * TIME)
+    )
+    assert signal_band(wide, CLOCK) >= signal_band(angle, CLOCK)
+
+
+# --- drive ------------------------------------------------------------------------------------
+
+
+def test_held_voltages_come_half_a_sample_and_the_lag_later() -> None:
+    joint = replace(rigid_drive().joints[0], torque_per_volt=2.0, current_loop_hz=200.0)
+    w = 2.0 * np.pi * 5.0
+    torque = signals.drive_torque(np.sin(w * TIME), joint, CLOCK)
+    late = 0.5 * CLOCK + 1.0 / (2.0 * np.pi * 200.0)
+    # to second order in frequency the lag is a delay; (w tau)^2 / 2 = 3e-4 of gain is left
+    assert torque[INNER] == pytest.approx(2.0 * np.sin(w * (TIME - late))[INNER], abs=2e-3)
+
+
+def test_a_constant_voltage_is_a_constant_torque() -> None:
+    joint = replace(rigid_drive().joints[0], torque_per_volt=0.1, current_loop_hz=300.0)
+    assert signals.drive_torque(np.full(50, 3.0), joint, CLOCK) == pytest.approx(0.3)
+
+
+def test_a_voltage_needs_its_torque_constant() -> None:
+    with pytest.raises(InvalidInput, match="torque_per_volt"):
+        signals.drive_torque(np.zeros(5), rigid_drive().joints[0], CLOCK)
+
+
+# --- motion -----------------------------------------------------------------------------------
+
+
+def test_signals_follow_a_known_motion() -> None:
+    w = 2.0 * np.pi * 1.0
+    angle = np.round(30.0 * np.sin(w * TIME) / 1e-3) * 1e-3
+    seen = signals.motor_side(
+        log_of({"theta_m1": angle, "torque1": np.cos(w * TIME)}), rigid_drive()
+    )
+    assert seen.motor_velocity[INNER, 0] == pytest.approx(
+        30.0 * w * np.cos(w * TIME)[INNER], abs=0.3
+    )
+    peak = 30.0 * w**2
+    accelerated = seen.motor_acceleration[INNER, 0] + peak * np.sin(w * TIME)[INNER]
+    assert np.sqrt(np.mean(accelerated**2)) < 0.01 * peak
+    assert not seen.valid[0, 0]
+    assert seen.valid[4000, 0]
+    assert seen.torque_channel == ("torque1",)
+
+
+def test_the_bandwidth_option_changes_the_outcome() -> None:
+    log = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": np.cos(9.0 * TIME)})
+    study = rigid_drive()
+    seen = [
+        signals.motor_side(log, study, signals.SignalOptions(bandwidth_hz=f)) for f in (2.0, 20.0)
+    ]
+    assert [s.bandwidth_hz for s in seen] == [2.0, 20.0]
+    assert np.std(seen[0].motor_velocity) < np.std(seen[1].motor_velocity)
+
+
+@pytest.mark.parametrize("missing", ["theta_m1", "torque1"])
+def test_a_missing_channel_is_named(missing: str) -> None:
+    channels = {"theta_m1": np.sin(TIME), "torque1": np.cos(TIME)}
+    del channels[missing]
+    with pytest.raises(InvalidInput, match=missing):
+        signals.motor_side(log_of(channels), rigid_drive())
+
+
+def test_a_record_shorter_than_its_filter_is_refused() -> None:
+    short = {"theta_m1": np.sin(TIME[:60]), "torque1": np.cos(TIME[:60])}
+    with pytest.raises(InvalidInput, match="too few"):
+        signals.motor_side(log_of(short), rigid_drive(), signals.SignalOptions(bandwidth_hz=1.0))
+
+
+# --- stiction ---------------------------------------------------------------------------------
+
+
+def test_directions_are_certain_only_where_the_motor_slides() -> None:
+    count = 1e-3
+    angle = np.concatenate(
+        [np.linspace(0.0, 1.0, 1000), np.full(500, 1.0), np.linspace(1.0, 0.0, 1000)]
+    )
+    direction = sliding_direction(np.floor(angle / count) * count, 1.5 * count, 20)
+    assert np.all(direction[20:980] == 1.0)
+    assert np.all(direction[1000:1500] == 0.0)
+    assert np.all(direction[1520:-20] == -1.0)
+
+
+def test_a_stop_without_reversal_is_found() -> None:
+    angle = np.concatenate([np.linspace(0, 1, 500), np.ones(200), np.linspace(1, 2, 500)])
+    direction = sliding_direction(angle, 3e-3, 20)
+    assert np.all(direction[510:690] == 0.0)
+    assert np.all(direction[5:490] == 1.0)
+    assert np.all(direction[710:-5] == 1.0)
+
+
+def test_a_still_encoder_has_no_direction() -> None:
+    assert not np.any(sliding_direction(np.zeros(100), 1e-3, 20))
+
+
+def test_responses_are_the_shapes_through_the_filter() -> None:
+    """Constant shapes, triangles and both at the record's ends, at rows that need not be even."""
+    rng = np.random.default_rng(4)
+    kernel = rng.normal(size=41)
+    direction = np.ones(300)
+    for uncertain in (slice(0, 3), slice(40, 41), slice(90, 150), slice(200, 207), slice(296, 300)):
+        direction[uncertain] = 0.0
+    shapes = free_friction(direction, 10)
+    assert min(len(shape) for _, shape in shapes) == 1
+    assert any(shape.min() < 1.0 for _, shape in shapes)
+    rows = np.arange(5, 300, 7)
+    for (first, shape), found in zip(
+        shapes, responses(shapes, rows, kernel).dense().T, strict=True
+    ):
+        whole = np.zeros(300)
+        whole[first : first + len(shape)] = shape
+        # sums of 41 numbers of size one
+        assert found == pytest.approx(np.convolve(whole, kernel, mode="same")[rows], abs=1e-12)
+
+
+@pytest.mark.parametrize("kept", [slice(None), slice(7, None, 13)])
+@pytest.mark.parametrize("cutoff", [2.0, 40.0, 450.0])
+def test_a_long_signal_passes_piece_by_piece_as_in_one(cutoff: float, kept: slice) -> None:
+    signal = np.cumsum(np.random.default_rng(5).normal(size=(300_000, 2)), axis=0)
+    whole = signal if cutoff >= 450.0 else filters._passed(signal, cutoff * 1e-3, 1)
+    found = low_pass(signal, cutoff, 1e-3, kept=kept)
+    assert found.shape == whole[kept].shape
+    # near the ends each has its own transients, fourteen periods away less than rounding
+    edge = int(14.0 / (cutoff * 1e-3))
+    at = np.arange(len(signal))[kept]
+    inside = (at >= edge) & (at < len(signal) - edge)
+    off = np.abs(found - whole[kept])[inside].max()
+    assert off < 1e-11 * np.abs(signal).max()
+
+
+@given(st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=1, max_size=200), st.integers(2, 40))
+def test_free_friction_spans_constants_where_and_only_where_uncertain(
+    directions: list[float], spacing: int
+) -> None:
+    direction = np.array(directions)
+    total = np.zeros(len(direction))
+    for first, shape in free_friction(direction, spacing):
+        total[first : first + len(shape)] += shape
+    assert total == pytest.approx((direction == 0.0).astype(float))
+
+
+def test_sticking_is_found_where_the_arm_sticks() -> None:
+    study = scara.study(Path("nowhere"), "linear")
+    seen = signals.motor_side(motion_log(study, scara.parameters(5, "linear"), 0), study)
+    certain = seen.direction != 0.0
+    assert 0.7 < certain.mean() < 0.999
+    moving = np.abs(seen.motor_velocity) > 5.0
+    agree = seen.direction[moving & certain] == np.sign(seen.motor_velocity[moving & certain])
+    assert agree.all()
+
+
+# --- saturation -------------------------------------------------------------------------------
+
+
+def test_servo_limits_are_left_out_with_a_warning() -> None:
+    study = scara.study(Path("nowhere"), "linear")
+    log = motion_log(study, scara.parameters(0, "linear"), 0, duration=4.0)
+    voltage = log.channels["u1"].copy()
+    voltage[2000:2300] = 10.0
+    limited = replace(log, channels={**log.channels, "u1": voltage})
+    seen = signals.motor_side(limited, study)
+    assert not seen.valid[2000:2300, 0].any()
+    assert seen.valid[2000:2300, 1].all()
+    assert [w.code for w in seen.warnings] == ["saturated"]
+
+
+def test_flat_tops_count_as_saturation_and_a_free_joint_does_not() -> None:
+    torque = np.clip(2.0 * np.sin(9.0 * TIME), -1.5, 1.5)
+    seen = signals.motor_side(
+        log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": torque}), rigid_drive()
+    )
+    assert [w.code for w in seen.warnings] == ["saturated"]
+    idle = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": np.zeros_like(TIME)})
+    assert not signals.motor_side(idle, rigid_drive()).warnings
+
+
+def test_an_open_loop_test_may_sit_at_its_extremes() -> None:
+    experiment = replace(DRIVE, control=("open",))
+    square = np.sign(np.sin(9.0 * TIME + 0.1))
+    log = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": square})
+    assert not signals.motor_side(replace(log, experiment=experiment), rigid_drive()).warnings

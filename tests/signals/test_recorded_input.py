@@ -1,0 +1,108 @@
+"""Records gone through again: the drive of a log, and models compared with what it shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from strainwave.domain import Control, Log, Prbs
+from strainwave.errors import InvalidInput
+from strainwave.identification.closed_loop import as_known, observe, predict_closed_loop
+from strainwave.signals.recorded_input import missing_for_replay, replay
+from tuning_runs import rig_logs, truth
+
+
+def log_named(name: str) -> Log:
+    return next(log for log in rig_logs()[1] if log.name == name)
+
+
+def test_a_servoed_log_is_replayed_by_its_references() -> None:
+    study, _ = rig_logs()
+    log = log_named("step-j1")
+    drive = replay(study, log)
+    assert drive.servo == (True, True)
+    assert drive.tick == log.sample_time
+    np.testing.assert_array_equal(drive.reference[:, 0], log.channels["ref1"])
+    np.testing.assert_array_equal(drive.voltage, 0.0)
+    assert drive.motor_angle == (log.channels["theta_m1"][0], log.channels["theta_m2"][0])
+    assert drive.initial_voltage == (log.channels["u1"][0], log.channels["u2"][0])
+
+
+def test_an_open_joint_is_replayed_by_its_voltage_and_a_servoed_one_by_its_prbs() -> None:
+    study, _ = rig_logs()
+    log = log_named("step-j1")
+    open_servo: tuple[Control, Control] = ("open", "servo")
+    opened = replace(log, experiment=replace(log.experiment, control=open_servo))
+    drive = replay(study, opened)
+    np.testing.assert_array_equal(drive.voltage[:, 0], log.channels["u1"])
+    # the first sample's voltage begins with the record; before it there was none
+    assert drive.initial_voltage[0] == 0.0
+    prbs = Prbs(order=4, clock=1e-3, periods=2, amplitude=5.0)
+    excited = replace(log, experiment=replace(log.experiment, prbs=prbs))
+    assert set(np.unique(replay(study, excited).voltage[:, 0])) == {-5.0, 5.0}
+
+
+def test_what_replaying_needs_is_named() -> None:
+    study, _ = rig_logs()
+    log = log_named("step-j1")
+    assert missing_for_replay(study, log) is None
+    assert missing_for_replay(replace(study, servo=None), log) == "the study describes no servo"
+    for channel, said in [
+        ("ref1", "reference ref1"),
+        ("u2", "torque2 nor u2"),
+        ("theta_m1", "theta_m1"),
+    ]:
+        channels = {name: signal for name, signal in log.channels.items() if name != channel}
+        with pytest.raises(InvalidInput, match=said):
+            observe(replace(log, channels=channels), study)
+    # nobody moved joint 2
+    channels = {name: signal for name, signal in log.channels.items() if name != "ref2"}
+    assert missing_for_replay(study, replace(log, channels=channels)) is None
+
+
+@pytest.mark.parametrize("name", ["step-check-j1", "step-check-j2", "motion-check"])
+def test_the_true_arm_predicts_its_own_records(name: str) -> None:
+    study, _ = rig_logs()
+    prediction = predict_closed_loop(truth()[1], log_named(name), study)
+    assert prediction.channels == ("omega_m1", "omega_m2", "a1", "a2")
+    # counts and the accelerometers' noise are all that is left
+    assert min(prediction.fit_percent.values()) > 97.0
+    assert prediction.measured.shape == prediction.predicted.shape
+    assert len(prediction.time) == len(prediction.measured)
+    bias = prediction.measured.mean(axis=0) - prediction.predicted.mean(axis=0)
+    assert bias[2:] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_an_open_loop_record_is_predicted_too() -> None:
+    study, _ = rig_logs()
+    log = log_named("step-j1")
+    both: tuple[Control, Control] = ("open", "servo")
+    opened = replace(log, experiment=replace(log.experiment, control=both))
+    assert predict_closed_loop(truth()[1], opened, study).fit_percent["omega_m1"] > 95.0
+
+
+def test_a_motor_that_stands_gets_no_fit() -> None:
+    study, _ = rig_logs()
+    log = log_named("step-j1")
+    still = {**log.channels, "theta_m2": np.zeros(len(log))}
+    prediction = predict_closed_loop(truth()[1], replace(log, channels=still), study)
+    assert np.isnan(prediction.fit_percent["omega_m2"])
+    assert np.isfinite(prediction.fit_percent["omega_m1"])
+    assert [c.code for c in prediction.warnings] == ["nothing-to-predict"]
+
+
+def test_the_cutoff_is_from_the_record_or_as_asked() -> None:
+    study, _ = rig_logs()
+    log = log_named("step-j1")
+    assert observe(log, study, 40.0).cutoff_hz == 40.0
+    # above the gears' 26 Hz, below what the counts' noise covers
+    assert 40.0 < observe(log, study).cutoff_hz < 400.0
+
+
+def test_one_stiffness_makes_a_three_slope_spring_linear() -> None:
+    study, values = truth("three-slope")
+    assert as_known(study, values) == study
+    one = {key: v for key, v in values.items() if not key[0].startswith("gear_")}
+    assert [joint.spring for joint in as_known(study, one).joints] == ["linear", "linear"]
