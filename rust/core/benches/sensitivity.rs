@@ -7,7 +7,7 @@ use std::time::Instant;
 use common::{member, task, telegraph, widths};
 use strainwave_core::dispatch::{sensitivities, simulate};
 use strainwave_core::experiment::{Member, Quantity, Source};
-use strainwave_core::thinning::Thinning;
+use strainwave_core::sensors::decimation::Decimation;
 
 /// A second: short, so that among many runs some are left alone by whatever else the machine does.
 const STEPS: usize = 8000;
@@ -53,7 +53,7 @@ fn main() {
         .collect();
     assert_eq!(all.len(), 25);
     // as wide as the whole-arm fit's own; what its taps are costs nothing
-    let low_pass = Thinning::new(vec![vec![0.01; 14 * 8]; 2], 8);
+    let low_pass = Decimation::new(vec![vec![0.01; 14 * 8]; 2], 8);
     for (name, task, member, low_pass) in [
         ("two links", &plain, at_once, None),
         ("with sensors", &sensed, at_once, None),

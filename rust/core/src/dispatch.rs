@@ -8,15 +8,16 @@ use std::marker::PhantomData;
 use rayon::prelude::*;
 
 use crate::arm::Arm;
+use crate::experiment::simulate::SideBySide;
 use crate::experiment::{Diverged, Member, Record, Source, Task, values};
-use crate::follow::Followed;
 #[cfg(target_arch = "x86_64")]
-use crate::lanes::{F64x4, F64x8, Fused};
-use crate::onset::without_effects;
-use crate::real::{Lanes, Real};
-use crate::sensitivity::{Sensitivities, by_duals};
-use crate::simulate::SideBySide;
-use crate::thinning::Thinning;
+use crate::scalar::lanes::{F64x4, F64x8, Fused};
+use crate::scalar::{Lanes, Real};
+use crate::sensitivity::Sensitivities;
+use crate::sensitivity::dual_simulation::by_duals;
+use crate::sensitivity::effect::without_effects;
+use crate::sensitivity::forward::ForwardSensitivity;
+use crate::sensors::decimation::Decimation;
 
 /// Registers' worth of arms that take turns.
 const GROUPS: usize = 2;
@@ -177,11 +178,11 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     directions: &[Source],
-    thinning: Option<&Thinning>,
+    decimation: Option<&Decimation>,
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
-    let quantities = thinning.map_or(task.record.len(), Thinning::quantities);
+    let quantities = decimation.map_or(task.record.len(), Decimation::quantities);
     assert_eq!(
         quantities,
         task.record.len(),
@@ -189,7 +190,7 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
     );
     let asked = (task, member);
     if task.config.is_elastic() && !task.config.has_effects() {
-        return followed::<A, N, false>(task, member, asked, directions, thinning, width);
+        return forward_at::<A, N, false>(task, member, asked, directions, decimation, width);
     }
     if task.config.is_elastic()
         && let Some((config, parameters)) = without_effects(&task.config, member.parameters)
@@ -203,10 +204,10 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
             parameters: &parameters,
             ..*member
         };
-        return followed::<A, N, true>(&plain, &member, asked, directions, thinning, width);
+        return forward_at::<A, N, true>(&plain, &member, asked, directions, decimation, width);
     }
     let found = by_duals_at(task, member, directions, width)?;
-    Ok(found.thinned(thinning, directions.len()))
+    Ok(found.decimated(decimation, directions.len()))
 }
 
 /// What [`sensitivities`] gives of all samples, by the chain over numbers with derivatives alone:
@@ -243,27 +244,27 @@ fn duals<A: Arm<N>, const N: usize, const EFFECTS: bool>(
     }
 }
 
-fn followed<A: Arm<N>, const N: usize, const EFFECTS: bool>(
+fn forward_at<A: Arm<N>, const N: usize, const EFFECTS: bool>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     asked: (&Task<A, N>, &Member<'_, N>),
     directions: &[Source],
-    thinning: Option<&Thinning>,
+    decimation: Option<&Decimation>,
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
-    let follow = match width {
-        Width::Portable => columns::<A, f64, f64, f64, N, EFFECTS>,
+    let run = match width {
+        Width::Portable => forward::<A, f64, f64, f64, N, EFFECTS>,
         #[cfg(target_arch = "x86_64")]
-        Width::Avx2 => columns::<A, Fused, F64x4, F64x4, N, EFFECTS>,
+        Width::Avx2 => forward::<A, Fused, F64x4, F64x4, N, EFFECTS>,
         #[cfg(target_arch = "x86_64")]
-        Width::Avx512 => columns::<A, Fused, F64x8, F64x4, N, EFFECTS>,
+        Width::Avx512 => forward::<A, Fused, F64x8, F64x4, N, EFFECTS>,
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     };
-    follow(task, member, asked, directions, thinning)
+    run(task, member, asked, directions, decimation)
 }
 
-fn columns<
+fn forward<
     A: Arm<N>,
     S: Lanes<One = S>,
     V: Lanes,
@@ -275,14 +276,14 @@ fn columns<
     member: &Member<'_, N>,
     asked: (&Task<A, N>, &Member<'_, N>),
     directions: &[Source],
-    thinning: Option<&Thinning>,
+    decimation: Option<&Decimation>,
 ) -> Result<Sensitivities<N>, Diverged> {
-    V::scope(Followed::<A, S, V, L, N, EFFECTS> {
+    V::scope(ForwardSensitivity::<A, S, V, L, N, EFFECTS> {
         task,
         member,
         asked,
         directions,
-        thinning,
+        decimation,
         scalars: PhantomData,
     })
 }

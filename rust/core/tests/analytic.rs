@@ -4,8 +4,8 @@ mod common;
 
 use common::{Run, at_rest, config};
 use strainwave_core::arm::OneLink;
-use strainwave_core::config::GearKind;
 use strainwave_core::experiment::{Initial, Quantity};
+use strainwave_core::plant::config::GearKind;
 
 const N: f64 = 0.01;
 

@@ -5,10 +5,10 @@ mod common;
 use common::{Draw, Run, at_rest, config, scara, with_effects};
 use proptest::prelude::*;
 use strainwave_core::arm::{OneLink, TwoLink};
-use strainwave_core::config::{Config, GearKind};
 use strainwave_core::dispatch::{Width, simulate};
-use strainwave_core::effects::EffectKinds;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Task};
+use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::plant::config::{Config, GearKind};
 
 const N: f64 = 0.01;
 const NONE: EffectKinds = EffectKinds {

@@ -5,12 +5,12 @@ mod common;
 use common::{Draw, Run, at_rest, config, scara, with_effects};
 use proptest::prelude::*;
 use strainwave_core::arm::{Arm, OneLink, TwoLink};
-use strainwave_core::config::{Config, GearKind};
 use strainwave_core::dispatch::{Width, simulate};
-use strainwave_core::effects::EffectKinds;
 use strainwave_core::experiment::{Clock, Member, Quantity, Task};
+use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::plant::config::{Config, GearKind};
+use strainwave_core::plant::rigid::{base_regressor, inverse_dynamics};
 use strainwave_core::plant::{Modes, Plant, State};
-use strainwave_core::rigid::{base_regressor, inverse_dynamics};
 
 const STATE: [Quantity; 4] = [
     Quantity::MotorAngle,

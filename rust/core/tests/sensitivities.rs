@@ -6,13 +6,13 @@ use std::iter::zip;
 
 use common::{Draw, config};
 use proptest::prelude::*;
+use strainwave_core::actuation::servo::Servo;
 use strainwave_core::arm::{Arm, OneLink, TwoLink};
-use strainwave_core::config::Config;
-use strainwave_core::config::GearKind::{self, Linear, Rigid, ThreeSlope};
 use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
-use strainwave_core::drive::Servo;
-use strainwave_core::effects::EffectKinds;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Source, Task};
+use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::plant::config::Config;
+use strainwave_core::plant::config::GearKind::{self, Linear, Rigid, ThreeSlope};
 use strainwave_core::sensitivity::Sensitivities;
 
 const RECORDED: [Quantity; 17] = [

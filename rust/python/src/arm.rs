@@ -6,17 +6,19 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyRe
 use pyo3::exceptions::{PyFloatingPointError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use strainwave_core::actuation::servo::Servo;
+use strainwave_core::arm;
 use strainwave_core::arm::{OneLink, TwoLink};
-use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::{self, Width};
-use strainwave_core::drive::Servo;
-use strainwave_core::effects::EffectKinds;
 use strainwave_core::experiment::{
     Clock, Diverged, Initial, Member, Quantity, Record, Source, Task,
 };
+use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::joint::gear;
+use strainwave_core::plant::config::{Config, GearKind, JointConfig};
+use strainwave_core::plant::rigid;
 use strainwave_core::sensitivity::Sensitivities;
-use strainwave_core::thinning::Thinning;
-use strainwave_core::{arm, gear, rigid};
+use strainwave_core::sensors::decimation::Decimation;
 
 type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
@@ -243,16 +245,16 @@ impl Arm {
             initial_voltage,
             record: quantities(&record)?,
         };
-        let thinning = match taps {
+        let decimation = match taps {
             None => None,
             Some(taps) if taps.len() == experiment.record.len() => {
-                let found = Thinning::new(taps, samples_per_row);
+                let found = Decimation::new(taps, samples_per_row);
                 Some(found.ok_or_else(|| PyValueError::new_err(TAPS))?)
             }
             Some(_) => return Err(PyValueError::new_err(TAPS)),
         };
         let columns = each!(&self.0, config => follow(
-            py, config, &parameters, &with_respect_to, &experiment, thinning.as_ref(),
+            py, config, &parameters, &with_respect_to, &experiment, decimation.as_ref(),
         ))?;
         let result = PyDict::new(py);
         for (name, column) in record.iter().zip(columns) {
@@ -388,7 +390,7 @@ fn follow<'py, A: arm::Arm<N>, const N: usize>(
     parameters: &Vector<'_>,
     with_respect_to: &[Direction],
     experiment: &Experiment<'_>,
-    thinning: Option<&Thinning>,
+    decimation: Option<&Decimation>,
 ) -> PyResult<Vec<WithTangents<'py>>> {
     let values = parameters.as_array().to_vec();
     check_values(config, &values)?;
@@ -405,9 +407,11 @@ fn follow<'py, A: arm::Arm<N>, const N: usize>(
         initial: experiment.initial()?,
     };
     let Sensitivities { values, tangents } = py
-        .detach(|| dispatch::sensitivities(&task, &member, &directions, thinning, Width::detect()))
+        .detach(|| {
+            dispatch::sensitivities(&task, &member, &directions, decimation, Width::detect())
+        })
         .map_err(divergence)?;
-    let samples = thinning.map_or(task.clock.samples, |all| all.rows(task.clock.samples));
+    let samples = decimation.map_or(task.clock.samples, |all| all.rows(task.clock.samples));
     values
         .into_iter()
         .zip(tangents)

@@ -10,6 +10,6 @@ use pyo3::prelude::*;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<arm::Arm>()?;
     statespace::register(module)?;
-    module.add("GEAR_CORNER", strainwave_core::gear::CORNER)?;
+    module.add("GEAR_CORNER", strainwave_core::joint::gear::CORNER)?;
     Ok(())
 }

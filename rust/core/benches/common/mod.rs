@@ -4,11 +4,11 @@
 use std::marker::PhantomData;
 
 use strainwave_core::arm::TwoLink;
-use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::Width;
-use strainwave_core::effects::EffectKinds;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Task};
-use strainwave_core::gear::CORNER;
+use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::joint::gear::CORNER;
+use strainwave_core::plant::config::{Config, GearKind, JointConfig};
 
 /// Integrator steps from one sample, and from one voltage, to the next.
 const STEPS_PER_TICK: usize = 8;

@@ -4,11 +4,11 @@
 use std::marker::PhantomData;
 
 use strainwave_core::arm::Arm;
-use strainwave_core::config::{Config, GearKind, JointConfig};
 use strainwave_core::dispatch::{Width, simulate};
-use strainwave_core::effects::EffectKinds;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Task};
-use strainwave_core::gear::CORNER;
+use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::joint::gear::CORNER;
+use strainwave_core::plant::config::{Config, GearKind, JointConfig};
 
 /// A joint with ideal electronics and sensors.
 pub fn joint(gear: GearKind) -> JointConfig {

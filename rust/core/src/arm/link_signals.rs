@@ -1,0 +1,97 @@
+//! What any accelerometer on a link of a planar arm reads a linear combination of.
+//!
+//! At (x, y) in the link's frame, along the direction c in that plane, an accelerometer reads
+//! c_x (f_x - alpha y - w^2 x) + c_y (f_y + alpha x - w^2 y): f is the specific force at the link's
+//! own axis, alpha and w are the link's angular acceleration and rate in space. Where a sensor sits
+//! and how it is turned is in the four factors alone.
+
+use crate::arm::{Accelerometers, Arm, Turns};
+use crate::scalar::Real;
+
+/// f_x, f_y [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2] of each link.
+pub const LINK_SIGNALS: usize = 4;
+
+/// How one link's signals depend on the motion: by joint.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkSignalSlopes<R, const N: usize> {
+    /// By the angles.
+    pub angle: [[R; N]; LINK_SIGNALS],
+    /// By the velocities.
+    pub velocity: [[R; N]; LINK_SIGNALS],
+    /// By the accelerations.
+    pub acceleration: [[R; N]; LINK_SIGNALS],
+}
+
+/// The link signals of each link, its own axis at the end of the links before it.
+///
+/// Of two links at most, the first's axis fixed.
+#[inline(always)]
+pub fn link_signals<A: Arm<N>, R: Real, const N: usize>(
+    places: &Accelerometers<N>,
+    at: &A::Posture<R>,
+    dq: &[R; N],
+    ddq: &[R; N],
+) -> [[R; N]; LINK_SIGNALS] {
+    let Turns { space, joint } = A::turns(at);
+    let (g, length) = (felt::<A, R, N>(places), R::splat(places.link_length));
+    let rates = A::absolute_rates(dq);
+    let mut all = [[R::splat(0.0); N]; LINK_SIGNALS];
+    all[2] = A::absolute_rates(ddq);
+    for i in 0..N {
+        let (sin, cos) = space[i];
+        (all[0][i], all[1][i]) = (g * sin, g * cos);
+        all[3][i] = rates[i] * rates[i];
+        if i > 0 {
+            let (sin, cos) = joint[i];
+            let (across, inward) = (length * ddq[0], length * (dq[0] * dq[0]));
+            all[0][i] = all[0][i] + (across * sin - inward * cos);
+            all[1][i] = all[1][i] + (across * cos + inward * sin);
+        }
+    }
+    all
+}
+
+/// Gravity in the plane of motion; none where the arm lies flat.
+#[inline(always)]
+fn felt<A: Arm<N>, R: Real, const N: usize>(places: &Accelerometers<N>) -> R {
+    R::splat(if A::FELT[0] { places.gravity } else { 0.0 })
+}
+
+/// How the link signals of each link depend on angles, velocities and accelerations.
+#[inline(always)]
+pub fn link_signal_slopes<A: Arm<N>, R: Real, const N: usize>(
+    places: &Accelerometers<N>,
+    at: &A::Posture<R>,
+    dq: &[R; N],
+    ddq: &[R; N],
+) -> [LinkSignalSlopes<R, N>; N] {
+    let zero = R::splat(0.0);
+    let Turns { space, joint } = A::turns(at);
+    let (g, length) = (felt::<A, R, N>(places), R::splat(places.link_length));
+    let rates = A::absolute_rates(dq);
+    let still = LinkSignalSlopes {
+        angle: [[zero; N]; LINK_SIGNALS],
+        velocity: [[zero; N]; LINK_SIGNALS],
+        acceleration: [[zero; N]; LINK_SIGNALS],
+    };
+    let mut all = [still; N];
+    for i in 0..N {
+        let (sin, cos) = space[i];
+        let own = &mut all[i];
+        for j in 0..=i {
+            (own.angle[0][j], own.angle[1][j]) = (g * cos, -(g * sin));
+            own.acceleration[2][j] = R::splat(1.0);
+            own.velocity[3][j] = rates[i] + rates[i];
+        }
+        if i > 0 {
+            let (sin, cos) = joint[i];
+            let (across, inward) = (length * ddq[0], length * (dq[0] * dq[0]));
+            let twice = length * (dq[0] + dq[0]);
+            own.angle[0][i] = own.angle[0][i] + (across * cos + inward * sin);
+            own.angle[1][i] = own.angle[1][i] + (inward * cos - across * sin);
+            (own.velocity[0][0], own.velocity[1][0]) = (-(twice * cos), twice * sin);
+            (own.acceleration[0][0], own.acceleration[1][0]) = (length * sin, length * cos);
+        }
+    }
+    all
+}

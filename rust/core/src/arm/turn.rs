@@ -1,0 +1,47 @@
+//! Sines and cosines of joint angles, and of angles a little further on.
+
+use crate::scalar::Real;
+
+/// Sine and cosine of one angle.
+#[derive(Clone, Copy, Debug)]
+pub struct Turn<R> {
+    pub(super) sin: R,
+    pub(super) cos: R,
+}
+
+impl<R: Real> Turn<R> {
+    #[inline(always)]
+    pub(super) fn of(angle: R) -> Self {
+        let (sin, cos) = angle.sin_cos();
+        Self { sin, cos }
+    }
+
+    #[inline(always)]
+    pub(super) fn spread<L: Real>(self) -> Turn<L> {
+        Turn {
+            sin: L::splat(self.sin.lane(0)),
+            cos: L::splat(self.cos.lane(0)),
+        }
+    }
+
+    /// The sum of two angles.
+    #[inline(always)]
+    pub(super) fn plus(self, other: Self) -> Self {
+        Self {
+            sin: self.sin.mul_add(other.cos, self.cos * other.sin),
+            cos: self.cos.mul_add(other.cos, -(self.sin * other.sin)),
+        }
+    }
+
+    /// A small angle more: Taylor series whose first neglected term is x^8/8!.
+    #[inline(always)]
+    pub(super) fn further(self, x: R) -> Self {
+        let c = R::splat;
+        let square = x * x;
+        let sin = square.mul_add(c(-1.0 / 5040.0), c(1.0 / 120.0));
+        let sin = sin.mul_add(square, c(-1.0 / 6.0)).mul_add(square, c(1.0)) * x;
+        let cos = square.mul_add(c(-1.0 / 720.0), c(1.0 / 24.0));
+        let cos = cos.mul_add(square, c(-0.5)).mul_add(square, c(1.0));
+        self.plus(Self { sin, cos })
+    }
+}

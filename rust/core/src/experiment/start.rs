@@ -1,0 +1,118 @@
+//! How an experiment begins: the arm's motion, and a servo that already holds it.
+
+use crate::actuation::current_loop::CurrentLoop;
+use crate::actuation::servo::ServoState;
+use crate::arm::Arm;
+use crate::experiment::{Initial, Member, Source, Task};
+use crate::plant::friction::Motion;
+use crate::plant::{Plant, State};
+use crate::scalar::Real;
+use crate::sensors::encoder::encoder_angle;
+
+impl<const N: usize> Member<'_, N> {
+    /// A servo whose integral already commands the initial voltage.
+    pub(crate) fn servo_at_rest<A: Arm<N>, S: Real>(
+        &self,
+        task: &Task<A, N>,
+        motor_angle: &[S; N],
+    ) -> ServoState<S, N> {
+        let mut state = ServoState {
+            integral: [S::splat(0.0); N],
+            last_angle: *motor_angle,
+        };
+        for i in 0..N {
+            let counts = task.config.joints[i].encoder_counts;
+            state.last_angle[i] = encoder_angle(motor_angle[i], counts);
+            if let Some(servo) = &task.servo
+                && servo.active[i]
+                && servo.ki[i] > 0.0
+            {
+                state.integral[i] = S::splat(self.initial.voltage[i] / servo.ki[i]);
+            }
+        }
+        state
+    }
+}
+
+/// The motion an experiment begins with.
+pub(crate) fn start<
+    A: Arm<N>,
+    S: Real,
+    const N: usize,
+    const ELASTIC: bool,
+    const EFFECTS: bool,
+>(
+    plant: &Plant<A, S, N, ELASTIC, EFFECTS>,
+    current: &CurrentLoop<S, N>,
+    initial: &Initial<N>,
+    given: &impl Fn(Source, f64) -> S,
+) -> Motion<S, N> {
+    let each = |source: fn(usize) -> Source, values: &[f64; N]| -> [S; N] {
+        std::array::from_fn(|i| given(source(i), values[i]))
+    };
+    let mut state = State {
+        motor_angle: each(Source::MotorAngle, &initial.motor_angle),
+        motor_velocity: each(Source::MotorVelocity, &initial.motor_velocity),
+        link_angle: each(Source::LinkAngle, &initial.link_angle.unwrap_or([0.0; N])),
+        link_velocity: each(Source::LinkVelocity, &initial.link_velocity),
+        hysteresis: [S::splat(0.0); N],
+    };
+    if initial.link_angle.is_none() {
+        let hanging = hanging(plant, &state.motor_angle);
+        for i in 0..N {
+            state.link_angle[i] = hanging[i] + state.link_angle[i];
+        }
+    }
+    for i in 0..N {
+        if plant.is_rigid(i) {
+            state.link_angle[i] = plant.joints[i].ratio * state.motor_angle[i];
+            state.link_velocity[i] = plant.joints[i].ratio * state.motor_velocity[i];
+        }
+    }
+    let torque = std::array::from_fn(|i| S::splat(current.torque_per_volt[i] * initial.voltage[i]));
+    let modes = plant.modes_at(&state, &torque);
+    for i in 0..N {
+        // Friction stops a standing motor however it is nudged: no derivative either.
+        if modes.free[i].lane(0) == 0.0 {
+            state.motor_velocity[i] = S::splat(0.0);
+        }
+    }
+    Motion {
+        state,
+        torque,
+        modes,
+    }
+}
+
+/// Link angles at which gravity's torques and the gears' balance, for motors held where they are.
+///
+/// Each round takes gravity at the last angles and twists the gears by what holds it. Gravity's own
+/// stiffness is some thousandth of theirs, so a round gains three digits. Once the angles have
+/// settled it goes on as long again: a derivative that they carry settles as fast, but begins late.
+fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    plant: &Plant<A, S, N, ELASTIC, EFFECTS>,
+    motor_angle: &[S; N],
+) -> [S; N] {
+    let untwisted: [S; N] = std::array::from_fn(|i| plant.untwisted(motor_angle[i], i));
+    let mut angle = untwisted;
+    let mut settled = None;
+    for round in 0..400 {
+        let at = A::posture(&angle);
+        let gravity = A::bias(&plant.base, &at, &[S::splat(0.0); N]);
+        let mut change = 0.0f64;
+        for i in 0..N {
+            if !plant.is_rigid(i) {
+                let next = untwisted[i] - plant.joints[i].spring.twist(gravity[i]);
+                change = change.max((next - angle[i]).lane(0).abs());
+                angle[i] = next;
+            }
+        }
+        if change < 1e-15 && settled.is_none() {
+            settled = Some(round);
+        }
+        if settled.is_some_and(|at| round > 2 * at) {
+            break;
+        }
+    }
+    angle
+}

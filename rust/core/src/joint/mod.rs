@@ -1,0 +1,8 @@
+//! One joint: its gear, what gears and motors have beyond springs and dry friction, and both together.
+
+pub mod effects;
+pub mod gear;
+mod transmission;
+
+pub(crate) use transmission::Gear;
+pub use transmission::Joint;

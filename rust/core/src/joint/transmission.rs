@@ -1,0 +1,99 @@
+//! One joint's drive train, and what its motor's friction and its gear do at one instant.
+
+use crate::joint::effects::{Effects, Twist};
+use crate::joint::gear::Spring;
+use crate::scalar::Real;
+
+/// One joint's drive train.
+#[derive(Clone, Copy, Debug)]
+pub struct Joint<R> {
+    /// n, link turns per motor turn.
+    pub ratio: R,
+    /// m_M [kg m^2] at the motor.
+    pub motor_inertia: R,
+    /// 1/m_M: a division in the innermost loop would cost as much as all else in its line.
+    pub motor_mobility: R,
+    /// d_M [N m s/rad] at the motor.
+    pub motor_viscous: R,
+    /// f_M [N m] at the motor.
+    pub coulomb: R,
+    /// tau [s]: how fast a motor that friction stops comes to rest; zero: at once.
+    pub settling_time: R,
+    /// 1/tau, huge where it stops at once.
+    pub settling_rate: R,
+    /// f_0 [N m] at the motor.
+    pub offset: R,
+    /// d_L [N m s/rad] at the link.
+    pub link_viscous: R,
+    /// Whether the gear is rigid; its spring and damping then mean nothing.
+    pub rigid: bool,
+    /// T(delta).
+    pub spring: Spring<R>,
+    /// d_G [N m s/rad].
+    pub gear_damping: R,
+    /// What it has beyond these.
+    pub effects: Effects<R>,
+}
+
+/// One gear at one instant.
+pub(crate) struct Gear<R> {
+    /// How far it is twisted.
+    pub(crate) twist: Twist<R>,
+    /// Link turns per motor turn just there: torque at the motor per torque at the link.
+    pub(crate) lever: R,
+}
+
+/// `EFFECTS` says at compile time whether the joint may have any.
+impl<R: Real> Joint<R> {
+    /// What dry friction can take up at most [N m] at a velocity of the motor [rad/s], and does
+    /// take up while the motor slides: f_M + f_S exp(-(dtheta_M/w_s)^2).
+    #[inline(always)]
+    pub fn dry_friction<const EFFECTS: bool>(&self, velocity: R) -> R {
+        match &self.effects.stribeck {
+            Some(stribeck) if EFFECTS => self.coulomb + stribeck.at(velocity),
+            _ => self.coulomb,
+        }
+    }
+
+    /// Link angle [rad] at which an elastic gear is not twisted: n theta_M + e(theta_M).
+    pub fn untwisted<const EFFECTS: bool>(&self, motor_angle: R) -> R {
+        let angle = self.ratio * motor_angle;
+        match &self.effects.kinematic_error {
+            Some(error) if EFFECTS => angle + error.at(motor_angle)[0],
+            _ => angle,
+        }
+    }
+
+    /// delta = n theta_M + e(theta_M) - theta_L, its rate, and n + e'(theta_M), from the angles and
+    /// the velocities of motor and link.
+    #[inline(always)]
+    pub(crate) fn gear<const EFFECTS: bool>(
+        &self,
+        [motor_angle, link_angle]: [R; 2],
+        [motor_velocity, link_velocity]: [R; 2],
+    ) -> Gear<R> {
+        let mut lever = self.ratio;
+        let mut angle = lever.mul_add(motor_angle, -link_angle);
+        if EFFECTS && let Some(error) = &self.effects.kinematic_error {
+            let [off, slope] = error.at(motor_angle);
+            (angle, lever) = (angle + off, lever + slope);
+        }
+        let rate = lever.mul_add(motor_velocity, -link_velocity);
+        Gear {
+            twist: Twist { angle, rate },
+            lever,
+        }
+    }
+
+    /// T(delta) + d_G ddelta + T_h z.
+    #[inline(always)]
+    pub(crate) fn transmitted<const EFFECTS: bool>(&self, twist: &Twist<R>, z: R) -> R {
+        let torque = self
+            .gear_damping
+            .mul_add(twist.rate, self.spring.torque(twist.angle));
+        match &self.effects.hysteresis {
+            Some(hysteresis) if EFFECTS => hysteresis.torque.mul_add(z, torque),
+            _ => torque,
+        }
+    }
+}

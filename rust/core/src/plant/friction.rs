@@ -1,0 +1,413 @@
+//! Coulomb friction as the set-valued law it is: sliding, standing, and the events between.
+//!
+//! The friction torque on a motor is `f_M Sgn(dtheta_M)` with `Sgn(0) = [-1, 1]`; where the motor has
+//! Stribeck's friction, `f_M` is [`Plant::dry_friction`] here and in what follows. Within a part of a
+//! step every motor either slides one way or stands, so the equations are smooth there and the
+//! integrator keeps its order. The step is cut
+//!
+//! - where the velocity of a sliding motor comes to zero: the motor stands if the torque it takes to
+//!   hold it is within `f_M`, else it slides on the other way;
+//! - where the torque that holds a standing motor leaves `[-f_M, f_M]`: it slides that way.
+//!
+//! A motor may be given a settling time tau: friction then does not stop it at once but as fast as
+//! `ddtheta_M = -dtheta_M / tau`, for as long as that takes no more than `f_M`. The torque is
+//! `clamp(H + m_M dtheta_M / tau, -f_M, f_M)`, with H what keeps the motor at rest: one backward Euler
+//! step of length tau of the set-valued law (its Yosida regularisation). Unlike a steep function of
+//! the velocity it lets nothing creep: under any load below `f_M` the motor comes to rest. Friction
+//! changes sides some tau before the motor does. As tau goes to zero the law is the set-valued one,
+//! and its events are the same two.
+//!
+//! The instants are roots of the integrator's own step as a function of its length, found to
+//! rounding, so that the cut keeps the order, and the result is a smooth function of all parameters
+//! between changes of the events' sequence. Over a scalar with derivatives the instants have theirs,
+//! by the implicit function theorem on that very step.
+
+use crate::actuation::current_loop::CurrentLoop;
+use crate::arm::Arm;
+use crate::plant::{Instant, Modes, Plant, State, Watch};
+use crate::scalar::{Real, Work};
+
+/// Most events within one step; beyond, the motor that asks again is held until the step ends.
+///
+/// Chattering needs a torque that changes sign many times within a step, which the step could not
+/// resolve anyway.
+const MOST_EVENTS: usize = 12;
+
+/// Part of a leg after which the slope of a margin at its beginning is taken.
+const SOON: f64 = 1e-4;
+
+/// One arm in motion: its state, its motors' torques and their friction modes.
+#[derive(Clone, Copy, Debug)]
+pub struct Motion<R, const N: usize> {
+    /// Angles and velocities.
+    pub state: State<R, N>,
+    /// Motor torques [N m].
+    pub torque: [R; N],
+    /// Friction modes.
+    pub modes: Modes<R, N>,
+}
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
+    Plant<A, R, N, ELASTIC, EFFECTS>
+{
+    /// Modes that fit a state: moving motors slide, resting ones stand if friction can hold them.
+    pub fn modes_at(&self, x: &State<R, N>, torque: &[R; N]) -> Modes<R, N> {
+        const { assert!(R::LANES == 1) };
+        let mut modes = Modes {
+            direction: x.motor_velocity.map(|v| sign(v.lane(0))),
+            free: [R::splat(1.0); N],
+        };
+        for i in 0..N {
+            if self.dry_friction(R::splat(0.0), i).lane(0) == 0.0 {
+                modes.direction[i] = R::splat(0.0);
+            } else if x.motor_velocity[i].lane(0) == 0.0 {
+                modes.free[i] = R::splat(0.0);
+            }
+        }
+        self.release(x, torque, &mut modes);
+        modes
+    }
+
+    /// Sets free the standing motors that friction can no longer hold; says whether there were any.
+    pub fn release(&self, x: &State<R, N>, torque: &[R; N], modes: &mut Modes<R, N>) -> bool {
+        let mut any = false;
+        for i in 0..N {
+            if modes.free[i].lane(0) == 0.0 {
+                let holding = self.holding_torques(x, torque, modes)[i].lane(0);
+                if holding.abs() > self.dry_friction(x.motor_velocity[i], i).lane(0) {
+                    modes.direction[i] = sign(holding);
+                    modes.free[i] = R::splat(1.0);
+                    any = true;
+                }
+            }
+        }
+        any
+    }
+
+    /// How far the end of a step is from breaking its modes; negative where it does.
+    ///
+    /// A sliding motor's margin is its velocity in its direction, a held one's the friction left; of
+    /// a motor that takes its time to settle, the first is `dtheta_M + tau ddtheta_M`. `standing` says
+    /// whether any motor is held: then the holding torques are worth their cost.
+    #[inline(always)]
+    pub fn margins(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+        standing: bool,
+    ) -> [R; N] {
+        let mut margin = x.motor_velocity;
+        for i in 0..N {
+            margin[i] = margin[i] * modes.direction[i];
+        }
+        if standing || self.settles {
+            let holding = self.holding_torques(x, torque, modes);
+            for i in 0..N {
+                let joint = &self.joints[i];
+                let most = self.dry_friction(x.motor_velocity[i], i);
+                let left = most - holding[i].abs();
+                let held = (R::splat(1.0) - modes.free[i]) * left;
+                // 1 where it stops at once, 0 where it settles
+                let at_once = R::splat(1.0) - joint.settling_time * joint.settling_rate;
+                let beyond = modes.direction[i] * holding[i] - most;
+                let lever = joint.settling_time * joint.motor_mobility * modes.free[i];
+                margin[i] = at_once.mul_add(margin[i], lever.mul_add(beyond, held));
+            }
+        }
+        margin
+    }
+
+    /// Advances one trajectory by `h` [s] through whatever events the time holds; `stretches` gets
+    /// what lies between them.
+    pub fn advance(
+        &self,
+        motion: &Motion<R, N>,
+        target: &[R; N],
+        current: &CurrentLoop<R, N>,
+        h: f64,
+        stretches: &mut Vec<Stretch<R, N>>,
+    ) -> Motion<R, N> {
+        let mut now = *motion;
+        let mut left = R::splat(h);
+        for _ in 0..MOST_EVENTS {
+            let leg = Leg::new(self, &now, target, current, left);
+            let (end, margins) = leg.end(R::splat(1.0));
+            let event = leg.first_event(&margins);
+            stretches.push(Stretch::new(&now, left, event));
+            let Some((part, joint)) = event else {
+                return end;
+            };
+            // what begins in another mode than the leg's does so at a fixed time
+            let part = if part > 0.0 {
+                R::root(part, |part| leg.end(part).1[joint])
+            } else {
+                R::splat(part)
+            };
+            now = leg.end(part).0;
+            self.turn(&mut now, joint);
+            left = left * (R::splat(1.0) - part);
+            if left.lane(0) <= 1e-15 * h {
+                return now;
+            }
+        }
+        self.hold_restless(&mut now);
+        stretches.push(Stretch::new(&now, left, None));
+        Leg::new(self, &now, target, current, left)
+            .end(R::splat(1.0))
+            .0
+    }
+
+    /// Goes through a stretch once more, for somebody to look on: where it ends, and the margins
+    /// there, over a part of its longest length.
+    #[inline(always)]
+    pub(crate) fn retrace(
+        &self,
+        from: &Motion<R, N>,
+        target: &[R; N],
+        current: &CurrentLoop<R, N>,
+        (length, part): (R, R),
+        watch: &mut impl Watch<R, N>,
+    ) -> (Motion<R, N>, [R; N]) {
+        Leg::new(self, from, target, current, length).integrate(part, watch)
+    }
+
+    /// Changes the mode of the joint whose event this is.
+    fn turn(&self, motion: &mut Motion<R, N>, joint: usize) {
+        if motion.modes.free[joint].lane(0) != 0.0 {
+            motion.modes.direction[joint] = R::splat(0.0);
+            motion.modes.free[joint] = R::splat(0.0);
+            if self.joints[joint].settling_time.lane(0) > 0.0 {
+                return;
+            }
+            motion.state.motor_velocity[joint] = R::splat(0.0);
+            if self.is_rigid(joint) {
+                motion.state.link_velocity[joint] = R::splat(0.0);
+            }
+            self.release(&motion.state, &motion.torque, &mut motion.modes);
+        } else {
+            let holding = self.holding_torques(&motion.state, &motion.torque, &motion.modes)[joint];
+            motion.modes.direction[joint] = sign(holding.lane(0));
+            motion.modes.free[joint] = R::splat(1.0);
+        }
+    }
+
+    /// Ends a chatter: motors that hardly move stand until the step is over.
+    fn hold_restless(&self, motion: &mut Motion<R, N>) {
+        for i in 0..N {
+            let rests = motion.state.motor_velocity[i].lane(0).abs() < 1e-9;
+            if rests && self.dry_friction(R::splat(0.0), i).lane(0) > 0.0 {
+                motion.state.motor_velocity[i] = R::splat(0.0);
+                motion.modes.direction[i] = R::splat(0.0);
+                motion.modes.free[i] = R::splat(0.0);
+            }
+        }
+    }
+}
+
+/// Where the modes change: which part of the leg that begins at the last event, and whose joint.
+pub type Event = (f64, usize);
+
+/// What lies between two events of a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Stretch<R, const N: usize> {
+    /// Where it begins.
+    pub from: Motion<R, N>,
+    /// What was left of the step there [s].
+    pub length: f64,
+    /// The event that ends it; `None` where the step does.
+    pub event: Option<Event>,
+}
+
+impl<R: Real, const N: usize> Stretch<R, N> {
+    fn new(from: &Motion<R, N>, length: R, event: Option<Event>) -> Self {
+        Self {
+            from: *from,
+            length: length.lane(0),
+            event,
+        }
+    }
+}
+
+/// A stretch of time with fixed modes, and the integrator's step over any part of it.
+struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> {
+    plant: &'a Plant<A, R, N, ELASTIC, EFFECTS>,
+    from: &'a Motion<R, N>,
+    target: &'a [R; N],
+    current: &'a CurrentLoop<R, N>,
+    length: R,
+    begin: Instant<A, R, N>,
+    standing: bool,
+}
+
+struct BeginOf<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    &'a Plant<A, R, N, ELASTIC, EFFECTS>,
+    &'a Motion<R, N>,
+);
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for BeginOf<'_, A, R, N, ELASTIC, EFFECTS>
+{
+    type Output = Instant<A, R, N>;
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.instant(&self.1.state, &self.1.torque, &self.1.modes)
+    }
+}
+
+struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    &'l Leg<'a, A, R, N, ELASTIC, EFFECTS>,
+    R,
+);
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for EndOf<'_, '_, A, R, N, ELASTIC, EFFECTS>
+{
+    type Output = (Motion<R, N>, [R; N]);
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.integrate(self.1, &mut ())
+    }
+}
+
+impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
+    Leg<'a, A, R, N, ELASTIC, EFFECTS>
+{
+    fn new(
+        plant: &'a Plant<A, R, N, ELASTIC, EFFECTS>,
+        from: &'a Motion<R, N>,
+        target: &'a [R; N],
+        current: &'a CurrentLoop<R, N>,
+        length: R,
+    ) -> Self {
+        Self {
+            plant,
+            from,
+            target,
+            current,
+            length,
+            begin: R::scope(BeginOf(plant, from)),
+            standing: from.modes.free.iter().any(|free| free.lane(0) == 0.0),
+        }
+    }
+
+    /// Where the leg is after a part of its length, and the margins there.
+    fn end(&self, part: R) -> (Motion<R, N>, [R; N]) {
+        R::scope(EndOf(self, part))
+    }
+
+    #[inline(always)]
+    fn integrate(&self, part: R, watch: &mut impl Watch<R, N>) -> (Motion<R, N>, [R; N]) {
+        let t = part * self.length;
+        let torque = self.current.over(&self.from.torque, self.target, t);
+        let modes = &self.from.modes;
+        let state = self
+            .plant
+            .runge_kutta(&self.from.state, &self.begin, &torque, modes, t, watch);
+        let margins = self
+            .plant
+            .margins(&state, &torque.end, modes, self.standing);
+        let motion = Motion {
+            state,
+            torque: torque.end,
+            modes: *modes,
+        };
+        (motion, margins)
+    }
+
+    /// The earliest event.
+    fn first_event(&self, margins_at_end: &[R; N]) -> Option<Event> {
+        let at_begin = self.plant.margins(
+            &self.from.state,
+            &self.from.torque,
+            &self.from.modes,
+            self.standing,
+        );
+        (0..N)
+            .filter(|&i| margins_at_end[i].lane(0) < 0.0)
+            .map(|i| {
+                let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
+                let margin = |part| self.end(R::splat(part)).1[i].lane(0);
+                let slope = if self.plant.joints[i].settling_time.lane(0) > 0.0 {
+                    (margin(SOON) - ends[0]) / SOON
+                } else {
+                    // The margin of a sliding motor is its speed.
+                    let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
+                    slope.lane(0) * self.length.lane(0)
+                };
+                (root(margin, ends, slope), i)
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+    }
+}
+
+/// Where a function that ends below zero comes there from above, on [0, 1].
+///
+/// The first guess is the root of the parabola through both ends with the given slope at the
+/// beginning; from there regula falsi in Anderson and Bjorck's form, which keeps a bracket and
+/// scales down the value at the end that stays, so that it converges superlinearly. What is left of
+/// the function there is 1e-12 of its ends, and the caller sets it to zero.
+fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
+    let tiny = 1e-12 * (begin.abs() + end.abs());
+    let bend = end - begin - slope;
+    let (mut kept, mut f_kept) = (0.0, begin);
+    let (mut last, mut f_last) = (1.0, end);
+    if begin <= tiny {
+        // It begins below zero, where a torque jumps, or at zero. If it rises from there, the event
+        // is where it comes back: beyond the top, which half the parabola's way may already have
+        // passed.
+        if slope <= 0.0 || begin < -1e3 * tiny || bend >= 0.0 {
+            return 0.0;
+        }
+        let mut part = -0.5 * slope / bend;
+        let mut value = f(part);
+        while value <= tiny {
+            (last, f_last) = (part, value);
+            part *= 0.25;
+            if part < 1e-12 {
+                return 0.0;
+            }
+            value = f(part);
+        }
+        (kept, f_kept) = (part, value);
+    }
+    let discriminant = slope * slope - 4.0 * bend * begin;
+    // The form of the quadratic's root that does not cancel.
+    let guess = if begin <= tiny {
+        -slope / bend
+    } else {
+        2.0 * begin / (discriminant.max(0.0).sqrt() - slope)
+    };
+    let chord = kept + (last - kept) * f_kept / (f_kept - f_last);
+    let mut next = if guess > kept && guess < last {
+        guess
+    } else {
+        chord
+    };
+    for _ in 0..60 {
+        let value = f(next);
+        if value.abs() <= tiny || (next - last).abs() < 1e-15 {
+            return next;
+        }
+        if value * f_last < 0.0 {
+            (kept, f_kept) = (last, f_last);
+        } else {
+            let factor = 1.0 - value / f_last;
+            f_kept *= if factor > 0.0 { factor } else { 0.5 };
+        }
+        (last, f_last) = (next, value);
+        next = last - f_last * (last - kept) / (f_last - f_kept);
+    }
+    last
+}
+
+/// +1, -1 or 0.
+pub(crate) fn sign<R: Real>(value: f64) -> R {
+    R::splat(if value > 0.0 {
+        1.0
+    } else if value < 0.0 {
+        -1.0
+    } else {
+        0.0
+    })
+}

@@ -1,0 +1,532 @@
+//! Motors, gears and links together: (1) and (2) for given friction modes, and the Runge-Kutta step.
+
+pub mod config;
+pub mod friction;
+pub mod rigid;
+
+use crate::actuation::current_loop::StepTorque;
+use crate::arm::Arm;
+use crate::joint::effects::Twist;
+use crate::joint::{Gear, Joint};
+use crate::scalar::{Real, Work, solve};
+
+/// Angles [rad] and velocities [rad/s] of motors and links, and what the gears remember.
+#[derive(Clone, Copy, Debug)]
+pub struct State<R, const N: usize> {
+    /// theta_M.
+    pub motor_angle: [R; N],
+    /// dtheta_M.
+    pub motor_velocity: [R; N],
+    /// theta_L.
+    pub link_angle: [R; N],
+    /// dtheta_L.
+    pub link_velocity: [R; N],
+    /// z, the gear's hysteresis torque over its largest, within [-1, 1]; zero where it has none.
+    pub hysteresis: [R; N],
+}
+
+/// Accelerations [rad/s^2] of motors and links.
+#[derive(Clone, Copy, Debug)]
+pub struct Acceleration<R, const N: usize> {
+    /// ddtheta_M.
+    pub motor: [R; N],
+    /// ddtheta_L.
+    pub link: [R; N],
+}
+
+/// What each motor's friction does during a step.
+///
+/// `direction` is +1 or -1 while the motor slides that way and the Coulomb torque opposes it, and 0
+/// while it is held; `free` is 1 where the motor slides and 0 where it is held: where it stands, or
+/// settles at the rate `-dtheta_M / tau`. A joint without Coulomb friction is always free and has
+/// direction 0.
+#[derive(Clone, Copy, Debug)]
+pub struct Modes<R, const N: usize> {
+    /// Sign that Coulomb friction opposes.
+    pub direction: [R; N],
+    /// 1 sliding, 0 held.
+    pub free: [R; N],
+}
+
+impl<R: Real, const N: usize> Modes<R, N> {
+    /// Whether a motor slides in every lane.
+    #[inline(always)]
+    fn all_free(&self, joint: usize) -> bool {
+        !(self.free[joint] - R::splat(1.0)).any_negative()
+    }
+}
+
+/// Something that looks on while a step is made.
+pub trait Watch<R, const N: usize> {
+    /// The `k`-th stage, from 0. Implementations are `#[inline(always)]`.
+    fn stage(&mut self, k: usize, x: &State<R, N>, a: &Acceleration<R, N>);
+}
+
+/// Nobody looks on.
+impl<R, const N: usize> Watch<R, N> for () {
+    #[inline(always)]
+    fn stage(&mut self, _: usize, _: &State<R, N>, _: &Acceleration<R, N>) {}
+}
+
+/// The arm at one instant.
+#[derive(Clone, Copy)]
+pub struct Instant<A: Arm<N>, R: Real, const N: usize> {
+    /// Sines and cosines of the link angles.
+    pub posture: A::Posture<R>,
+    /// Accelerations there.
+    pub acceleration: Acceleration<R, N>,
+}
+
+/// An arm with its joints. `ELASTIC` says at compile time that no gear is rigid, which takes a
+/// branch out of the innermost loop; `EFFECTS` says whether any joint has one of
+/// [`crate::joint::effects`], which takes a scalar of one lane.
+#[derive(Clone, Copy)]
+pub struct Plant<
+    A: Arm<N>,
+    R: Real,
+    const N: usize,
+    const ELASTIC: bool,
+    const EFFECTS: bool = false,
+> {
+    /// Its inertial and gravity parameters.
+    pub base: A::Base<R>,
+    /// Its drive trains.
+    pub joints: [Joint<R>; N],
+    /// Whether any motor takes its time to come to rest.
+    pub settles: bool,
+}
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
+    Plant<A, R, N, ELASTIC, EFFECTS>
+{
+    /// Whether a joint's gear is rigid.
+    #[inline(always)]
+    pub fn is_rigid(&self, joint: usize) -> bool {
+        !ELASTIC && self.joints[joint].rigid
+    }
+
+    /// [`Joint::dry_friction`] of one joint.
+    #[inline(always)]
+    pub fn dry_friction(&self, velocity: R, joint: usize) -> R {
+        self.joints[joint].dry_friction::<EFFECTS>(velocity)
+    }
+
+    /// [`Joint::untwisted`] of one joint.
+    pub fn untwisted(&self, motor_angle: R, joint: usize) -> R {
+        self.joints[joint].untwisted::<EFFECTS>(motor_angle)
+    }
+
+    /// The `i`-th joint's gear.
+    #[inline(always)]
+    pub(crate) fn gear(&self, x: &State<R, N>, i: usize) -> Gear<R> {
+        self.joints[i].gear::<EFFECTS>(
+            [x.motor_angle[i], x.link_angle[i]],
+            [x.motor_velocity[i], x.link_velocity[i]],
+        )
+    }
+
+    /// Torque through the `i`-th joint's gear.
+    #[inline(always)]
+    pub(crate) fn transmitted(&self, x: &State<R, N>, i: usize, twist: &Twist<R>) -> R {
+        self.joints[i].transmitted::<EFFECTS>(twist, x.hysteresis[i])
+    }
+
+    /// z of each gear at a stage `t` after the beginning.
+    #[inline(always)]
+    fn twisted(&self, begin: &State<R, N>, stage: &State<R, N>, t: R) -> [R; N] {
+        let mut z = begin.hysteresis;
+        for i in 0..N {
+            if let Some(hysteresis) = &self.joints[i].effects.hysteresis {
+                let (from, to) = (self.gear(begin, i).twist, self.gear(stage, i).twist);
+                z[i] = hysteresis.after(z[i], &from, &to, t);
+            }
+        }
+        z
+    }
+
+    /// Posture and accelerations for given motor torques and friction modes.
+    #[inline(always)]
+    pub fn instant(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> Instant<A, R, N> {
+        let posture = A::posture(&x.link_angle);
+        Instant {
+            posture,
+            acceleration: self.accelerations_at(x, &posture, torque, modes),
+        }
+    }
+
+    /// Accelerations; where there are effects, in a function of their own.
+    #[inline(always)]
+    fn accelerations_at(
+        &self,
+        x: &State<R, N>,
+        at: &A::Posture<R>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> Acceleration<R, N> {
+        if EFFECTS {
+            apart::<R, _>(Accelerating(self, x, at, torque, modes))
+        } else {
+            self.accelerations(x, at, torque, modes)
+        }
+    }
+
+    /// Accelerations from (1) and (2).
+    ///
+    /// A rigid gear has no row of its own: its motor's inertia and friction join the link's row as
+    /// m_M/n^2 and d_M/n^2, (5). A standing motor behind a rigid gear holds its link: that link's
+    /// row and column leave the equations.
+    #[inline(always)]
+    fn accelerations(
+        &self,
+        x: &State<R, N>,
+        at: &A::Posture<R>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> Acceleration<R, N> {
+        let mut inertia = A::inertia(&self.base, at);
+        let bias = A::bias(&self.base, at, &x.link_velocity);
+        let mut motor = [R::splat(0.0); N];
+        let mut force = [R::splat(0.0); N];
+        for i in 0..N {
+            let joint = &self.joints[i];
+            let dry = self
+                .dry_friction(x.motor_velocity[i], i)
+                .mul_add(modes.direction[i], joint.offset);
+            let drive = (-joint.motor_viscous).mul_add(x.motor_velocity[i], torque[i] - dry);
+            let load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
+            if self.is_rigid(i) {
+                let row = R::splat(1.0) / joint.ratio;
+                inertia[i][i] = (joint.motor_inertia * row).mul_add(row, inertia[i][i]);
+                force[i] = modes.free[i] * (drive * row - load);
+                for j in 0..N {
+                    if j != i {
+                        inertia[i][j] = inertia[i][j] * modes.free[i];
+                        inertia[j][i] = inertia[j][i] * modes.free[i];
+                    }
+                }
+            } else {
+                let gear = self.gear(x, i);
+                let transmitted = self.transmitted(x, i, &gear.twist);
+                let net = (-gear.lever).mul_add(transmitted, drive);
+                let settling = (modes.free[i] - R::splat(1.0)) * joint.settling_rate;
+                motor[i] = settling.mul_add(
+                    x.motor_velocity[i],
+                    modes.free[i] * joint.motor_mobility * net,
+                );
+                force[i] = transmitted - load;
+            }
+        }
+        let link = solve(&inertia, &force);
+        for i in 0..N {
+            if self.is_rigid(i) {
+                motor[i] = link[i] / self.joints[i].ratio;
+            }
+        }
+        Acceleration { motor, link }
+    }
+
+    /// Torque [N m] that friction must take up at each motor to hold it, offset apart: to keep it
+    /// at rest, or to let it settle.
+    ///
+    /// The motor is held while this stays within +-[`Plant::dry_friction`]: Sgn(0) is the whole
+    /// interval [-1, 1].
+    #[inline(always)]
+    pub fn holding_torques(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> [R; N] {
+        let mut holding = [R::splat(0.0); N];
+        for i in 0..N {
+            let joint = &self.joints[i];
+            holding[i] = torque[i] - joint.offset;
+            if !self.is_rigid(i) {
+                let brake = joint.motor_inertia * joint.settling_rate - joint.motor_viscous;
+                let gear = self.gear(x, i);
+                let transmitted = self.transmitted(x, i, &gear.twist);
+                holding[i] = (-gear.lever).mul_add(transmitted, holding[i]);
+                holding[i] = brake.mul_add(x.motor_velocity[i], holding[i]);
+            }
+        }
+        if !ELASTIC {
+            self.subtract_rigid_loads(x, torque, modes, &mut holding);
+        }
+        holding
+    }
+
+    /// Behind a rigid gear the load is what the link's row needs with that link at rest.
+    fn subtract_rigid_loads(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+        holding: &mut [R; N],
+    ) {
+        let at = A::posture(&x.link_angle);
+        let inertia = A::inertia(&self.base, &at);
+        let bias = A::bias(&self.base, &at, &x.link_velocity);
+        for i in 0..N {
+            if !self.is_rigid(i) {
+                continue;
+            }
+            let mut held = *modes;
+            held.direction[i] = R::splat(0.0);
+            held.free[i] = R::splat(0.0);
+            let others = self.accelerations_at(x, &at, torque, &held).link;
+            let mut load = bias[i];
+            for j in 0..N {
+                if j != i {
+                    load = inertia[i][j].mul_add(others[j], load);
+                }
+            }
+            holding[i] = holding[i] - self.joints[i].ratio * load;
+        }
+    }
+
+    /// One classical Runge-Kutta step with fixed friction modes.
+    ///
+    /// For q'' = a(q, q', t) the four stages need the positions only through earlier stages'
+    /// velocities, and collapse to
+    /// q+ = q + h q' + h^2/6 (a1 + a2 + a3), q'+ = q' + h/6 (a1 + 2 a2 + 2 a3 + a4).
+    /// `watch` sees each stage.
+    #[inline(always)]
+    pub fn runge_kutta(
+        &self,
+        x: &State<R, N>,
+        now: &Instant<A, R, N>,
+        torque: &StepTorque<R, N>,
+        modes: &Modes<R, N>,
+        h: R,
+        watch: &mut impl Watch<R, N>,
+    ) -> State<R, N> {
+        let a1 = &now.acceleration;
+        watch.stage(0, x, a1);
+        let half = R::splat(0.5) * h;
+        let reached = |(stage, turned): Stage<R, N>, t: R| {
+            let mut held = self.held(x, stage, modes, t);
+            if EFFECTS {
+                held.hysteresis = apart::<R, _>(Twisting(self, x, &held, t));
+            }
+            (held, turned)
+        };
+        let second = reached(x.drifted(half, a1), half);
+        let a2 = self.after(now, &second, &torque.middle, modes);
+        watch.stage(1, &second.0, &a2);
+        let third = reached(x.moved(half, half * half, a1, half, &a2), half);
+        let a3 = self.after(now, &third, &torque.middle, modes);
+        watch.stage(2, &third.0, &a3);
+        let fourth = reached(x.moved(h, h * half, &a2, h, &a3), h);
+        let a4 = self.after(now, &fourth, &torque.end, modes);
+        watch.stage(3, &fourth.0, &a4);
+        let sixth = h * R::splat(1.0 / 6.0);
+        let inner = a2.plus(&a3);
+        let for_angle = a1.plus(&inner);
+        let for_velocity = for_angle.plus(&inner).plus(&a4);
+        reached(x.moved(h, h * sixth, &for_angle, sixth, &for_velocity), h).0
+    }
+
+    /// A stage `t` after the beginning in which the held motors are where they settle:
+    /// dtheta_M(t) = dtheta_M(0) exp(-t/tau), whatever the rest of the arm does.
+    ///
+    /// Solved rather than integrated, so that tau may be any part of the step.
+    #[inline(always)]
+    fn held(
+        &self,
+        begin: &State<R, N>,
+        mut stage: State<R, N>,
+        modes: &Modes<R, N>,
+        t: R,
+    ) -> State<R, N> {
+        if !self.settles {
+            return stage;
+        }
+        for i in 0..N {
+            if modes.all_free(i) {
+                continue;
+            }
+            let joint = &self.joints[i];
+            let (free, one) = (modes.free[i], R::splat(1.0));
+            let left = (-joint.settling_rate * t).exp();
+            let velocity = begin.motor_velocity[i] * left;
+            let way = joint.settling_time * begin.motor_velocity[i] * (one - left);
+            let angle = begin.motor_angle[i] + way;
+            stage.motor_velocity[i] = free.mul_add(stage.motor_velocity[i] - velocity, velocity);
+            stage.motor_angle[i] = free.mul_add(stage.motor_angle[i] - angle, angle);
+        }
+        stage
+    }
+
+    /// Accelerations at a later stage, whose links have turned a little since `now`.
+    #[inline(always)]
+    fn after(
+        &self,
+        now: &Instant<A, R, N>,
+        (x, turned): &Stage<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> Acceleration<R, N> {
+        self.accelerations_at(x, &A::near(&now.posture, turned), torque, modes)
+    }
+
+    /// Kinetic, elastic and gravitational energy [J].
+    pub fn energy(&self, x: &State<R, N>) -> R {
+        let at = A::posture(&x.link_angle);
+        let inertia = A::inertia(&self.base, &at);
+        let half = R::splat(0.5);
+        let mut energy = A::potential(&self.base, &at);
+        for i in 0..N {
+            let joint = &self.joints[i];
+            let v = x.motor_velocity[i];
+            energy = energy + half * joint.motor_inertia * v * v;
+            for j in 0..N {
+                energy = energy + half * inertia[i][j] * x.link_velocity[i] * x.link_velocity[j];
+            }
+            if !self.is_rigid(i) {
+                energy = energy + joint.spring.energy(self.gear(x, i).twist.angle);
+                if let Some(hysteresis) = &joint.effects.hysteresis {
+                    energy = energy + hysteresis.energy(x.hysteresis[i]);
+                }
+            }
+        }
+        energy
+    }
+
+    /// Power [W] that friction and damping take out, given the friction modes.
+    pub fn dissipation(&self, x: &State<R, N>, modes: &Modes<R, N>) -> R {
+        let mut power = R::splat(0.0);
+        for (i, joint) in self.joints.iter().enumerate() {
+            let v = x.motor_velocity[i];
+            let w = x.link_velocity[i];
+            power = power + joint.motor_viscous * v * v + joint.link_viscous * w * w;
+            power = power + (self.dry_friction(v, i) * modes.direction[i] + joint.offset) * v;
+            if !self.is_rigid(i) {
+                let rate = self.gear(x, i).twist.rate;
+                power = power + joint.gear_damping * rate * rate;
+                if let Some(hysteresis) = &joint.effects.hysteresis {
+                    power = power + hysteresis.loss(x.hysteresis[i], rate);
+                }
+            }
+        }
+        power
+    }
+
+    /// Torque [N m] each gear passes to its link; a rigid gear's is left at zero.
+    pub fn gear_torques(&self, x: &State<R, N>) -> [R; N] {
+        std::array::from_fn(|i| {
+            if self.is_rigid(i) {
+                R::splat(0.0)
+            } else {
+                self.transmitted(x, i, &self.gear(x, i).twist)
+            }
+        })
+    }
+}
+
+/// [`Plant::accelerations`].
+struct Accelerating<
+    'p,
+    A: Arm<N>,
+    R: Real,
+    const N: usize,
+    const ELASTIC: bool,
+    const EFFECTS: bool,
+>(
+    &'p Plant<A, R, N, ELASTIC, EFFECTS>,
+    &'p State<R, N>,
+    &'p A::Posture<R>,
+    &'p [R; N],
+    &'p Modes<R, N>,
+);
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for Accelerating<'_, A, R, N, ELASTIC, EFFECTS>
+{
+    type Output = Acceleration<R, N>;
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.accelerations(self.1, self.2, self.3, self.4)
+    }
+}
+
+/// Work in a function of its own: the exponentials and sines of effects in every stage of every step
+/// would be half of the program.
+#[inline(never)]
+fn apart<R: Real, W: Work>(work: W) -> W::Output {
+    R::scope(work)
+}
+
+/// [`Plant::twisted`].
+struct Twisting<'p, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+    &'p Plant<A, R, N, ELASTIC, EFFECTS>,
+    &'p State<R, N>,
+    &'p State<R, N>,
+    R,
+);
+
+impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
+    for Twisting<'_, A, R, N, ELASTIC, EFFECTS>
+{
+    type Output = [R; N];
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.twisted(self.1, self.2, self.3)
+    }
+}
+
+/// A state within a step, and by how much its links have turned since the step began.
+type Stage<R, const N: usize> = (State<R, N>, [R; N]);
+
+impl<R: Real, const N: usize> State<R, N> {
+    /// q + t q', q' + t a: the second stage.
+    #[inline(always)]
+    fn drifted(&self, t: R, a: &Acceleration<R, N>) -> Stage<R, N> {
+        let mut next = *self;
+        let mut turned = self.link_velocity;
+        for i in 0..N {
+            turned[i] = t * self.link_velocity[i];
+            next.motor_angle[i] = t.mul_add(self.motor_velocity[i], self.motor_angle[i]);
+            next.link_angle[i] = self.link_angle[i] + turned[i];
+            next.motor_velocity[i] = t.mul_add(a.motor[i], self.motor_velocity[i]);
+            next.link_velocity[i] = t.mul_add(a.link[i], self.link_velocity[i]);
+        }
+        (next, turned)
+    }
+
+    /// q + t q' + s a, q' + r b: the later stages and the end.
+    #[inline(always)]
+    fn moved(
+        &self,
+        t: R,
+        s: R,
+        a: &Acceleration<R, N>,
+        r: R,
+        b: &Acceleration<R, N>,
+    ) -> Stage<R, N> {
+        let mut next = *self;
+        let mut turned = self.link_velocity;
+        for i in 0..N {
+            turned[i] = s.mul_add(a.link[i], t * self.link_velocity[i]);
+            next.motor_angle[i] = s.mul_add(
+                a.motor[i],
+                t.mul_add(self.motor_velocity[i], self.motor_angle[i]),
+            );
+            next.link_angle[i] = self.link_angle[i] + turned[i];
+            next.motor_velocity[i] = r.mul_add(b.motor[i], self.motor_velocity[i]);
+            next.link_velocity[i] = r.mul_add(b.link[i], self.link_velocity[i]);
+        }
+        (next, turned)
+    }
+}
+
+impl<R: Real, const N: usize> Acceleration<R, N> {
+    #[inline(always)]
+    fn plus(&self, other: &Self) -> Self {
+        let mut sum = *self;
+        for i in 0..N {
+            sum.motor[i] = sum.motor[i] + other.motor[i];
+            sum.link[i] = sum.link[i] + other.link[i];
+        }
+        sum
+    }
+}

@@ -1,0 +1,13 @@
+//! The scalars that the arm's equations are written over.
+
+mod aligned;
+mod dual;
+#[cfg(target_arch = "x86_64")]
+pub(crate) mod lanes;
+mod real;
+mod solve;
+
+pub(crate) use aligned::Aligned;
+pub use dual::Dual;
+pub use real::{Lanes, MOST_LANES, Real, Work, gather};
+pub(crate) use solve::solve;

@@ -1,0 +1,310 @@
+//! The scalar that the arm's equations are written over.
+//!
+//! One source serves a single trajectory (`f64`, or one with the machine's fused multiply-add), a
+//! batch side by side in vector lanes and derivatives with respect to parameters ([`crate::scalar::Dual`]).
+//! Everything is branch-free: a lane cannot take another path than its neighbour.
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// Work for [`Real::scope`]: a closure, but one whose `run` can be forced inline.
+pub trait Work {
+    /// What it gives.
+    type Output;
+    /// Does it. Implementations are `#[inline(always)]`.
+    fn run(self) -> Self::Output;
+}
+
+/// Most lanes that any scalar has.
+pub const MOST_LANES: usize = 8;
+
+/// A real number, or several side by side.
+pub trait Real:
+    Copy
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+    /// How many numbers stand side by side.
+    const LANES: usize;
+    /// What stands in one lane.
+    type One: Real<One = Self::One>;
+    /// Runs work compiled for the processor features that this scalar's operations need.
+    ///
+    /// Outside of such a scope each operation would be a call, so every hot function that is not
+    /// inlined into one opens its own. Only [`crate::dispatch`] picks the scalar, after asking the
+    /// processor.
+    fn scope<W: Work>(work: W) -> W::Output;
+    /// The same number in every lane.
+    fn splat(value: f64) -> Self;
+    /// `self * factor + term`, rounded once where the hardware can.
+    fn mul_add(self, factor: Self, term: Self) -> Self;
+    /// Magnitude.
+    fn abs(self) -> Self;
+    /// The smaller of two.
+    fn min(self, other: Self) -> Self;
+    /// The larger of two.
+    fn max(self, other: Self) -> Self;
+    /// This magnitude with the sign of another.
+    fn copysign(self, sign: Self) -> Self;
+    /// Whether any lane is less than zero.
+    fn any_negative(self) -> bool;
+    /// The number in one lane.
+    fn lane(self, index: usize) -> f64;
+    /// Replaces the number in one lane. A derivative that is carried along stays as it is.
+    fn set_lane(&mut self, index: usize, value: f64);
+    /// What stands in one lane, with its derivatives.
+    fn one(self, index: usize) -> Self::One;
+    /// Replaces what stands in one lane, with its derivatives.
+    fn set_one(&mut self, index: usize, one: Self::One);
+
+    /// The first numbers of a list, one a lane.
+    #[inline(always)]
+    fn load(from: &[f64]) -> Self {
+        let mut all = Self::splat(0.0);
+        for lane in 0..Self::LANES {
+            all.set_lane(lane, from[lane]);
+        }
+        all
+    }
+    /// The lanes' numbers to the beginning of a list.
+    #[inline(always)]
+    fn store(self, to: &mut [f64]) {
+        for lane in 0..Self::LANES {
+            to[lane] = self.lane(lane);
+        }
+    }
+
+    /// The root of a function whose value is known, as a function of all that the function holds.
+    ///
+    /// Only a scalar with derivatives has something to do here: they follow from the function's
+    /// own at the root.
+    #[inline(always)]
+    fn root(root: f64, _: impl Fn(Self) -> Self) -> Self {
+        Self::splat(root)
+    }
+
+    /// Exponential function.
+    #[inline(always)]
+    fn exp(self) -> Self {
+        let mut all = self;
+        for lane in 0..Self::LANES {
+            all.set_lane(lane, self.lane(lane).exp());
+        }
+        all
+    }
+
+    /// Sine and cosine, within 4e-16 for arguments below 1e5.
+    ///
+    /// The argument is reduced by a multiple of pi (Cody and Waite, three parts) and halved; the
+    /// Taylor series on [-pi/4, pi/4] end below the rounding; the double angle and the parity of
+    /// the multiple give the result without a branch.
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        // Adding and taking away 1.5 * 2^52 rounds to the nearest whole number.
+        let magic = Self::splat(6_755_399_441_055_744.0);
+        let turns = self.mul_add(Self::splat(std::f64::consts::FRAC_1_PI), magic) - magic;
+        let mut rest = turns.mul_add(Self::splat(-3.141_592_502_593_994), self);
+        rest = turns.mul_add(Self::splat(-1.509_957_883_172_319_3e-7), rest);
+        rest = turns.mul_add(Self::splat(-1.078_060_571_631_623_8e-14), rest);
+        let half = rest * Self::splat(0.5);
+        let square = half * half;
+        let sine = half * series(square, &SINE);
+        let cosine = series(square, &COSINE);
+        let even = turns.mul_add(Self::splat(0.5), magic) - magic;
+        let parity = (turns - (even + even)).abs();
+        let sign = parity.mul_add(Self::splat(-2.0), Self::splat(1.0));
+        let twice = sine + sine;
+        (
+            sign * (twice * cosine),
+            sign * (-twice).mul_add(sine, Self::splat(1.0)),
+        )
+    }
+}
+
+/// 1/1!, -1/3!, 1/5!, ... highest power first.
+const SINE: [f64; 8] = [
+    -7.647_163_731_819_816e-13,
+    1.605_904_383_682_161_3e-10,
+    -2.505_210_838_544_172e-8,
+    2.755_731_922_398_589_3e-6,
+    -1.984_126_984_126_984e-4,
+    8.333_333_333_333_333e-3,
+    -1.666_666_666_666_666_6e-1,
+    1.0,
+];
+/// 1/0!, -1/2!, 1/4!, ... highest power first.
+const COSINE: [f64; 9] = [
+    4.779_477_332_387_385e-14,
+    -1.147_074_559_772_972_5e-11,
+    2.087_675_698_786_81e-9,
+    -2.755_731_922_398_589e-7,
+    2.480_158_730_158_73e-5,
+    -1.388_888_888_888_889e-3,
+    4.166_666_666_666_666_4e-2,
+    -0.5,
+    1.0,
+];
+
+#[inline(always)]
+fn series<R: Real>(x: R, coefficients: &[f64]) -> R {
+    let mut sum = R::splat(coefficients[0]);
+    for &coefficient in &coefficients[1..] {
+        sum = sum.mul_add(x, R::splat(coefficient));
+    }
+    sum
+}
+
+/// What registers can do beyond arithmetic, and numbers with derivatives need not: move numbers
+/// from lane to lane.
+pub trait Lanes: Real {
+    /// Which lanes take which of four numbers.
+    type Pick: Copy + Send + Sync;
+    /// Lane `l` takes number `from[l]`, or nothing.
+    fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick;
+    /// The same, but for the lanes that take one of `four` numbers.
+    fn picked(self, pick: &Self::Pick, four: &[f64; 4]) -> Self;
+    /// Stores the numbers that stand in lane `l` of all four to `rows[l]`.
+    #[inline(always)]
+    fn store_rows(four: &[Self; 4], rows: &mut [[f64; 4]]) {
+        for lane in 0..Self::LANES {
+            rows[lane] = four.map(|number| number.lane(lane));
+        }
+    }
+}
+
+/// A number per lane.
+#[inline(always)]
+pub fn gather<R: Real>(value: impl Fn(usize) -> R::One) -> R {
+    let mut all = R::splat(0.0);
+    for lane in 0..R::LANES {
+        all.set_one(lane, value(lane));
+    }
+    all
+}
+
+/// [`Lanes`] of a scalar.
+macro_rules! one_lane {
+    ($type:ty) => {
+        impl $crate::scalar::Lanes for $type {
+            type Pick = Option<usize>;
+            #[inline(always)]
+            fn pick(from: [Option<usize>; MOST_LANES]) -> Option<usize> {
+                from[0]
+            }
+            #[inline(always)]
+            fn picked(self, pick: &Option<usize>, four: &[f64; 4]) -> Self {
+                pick.map_or(self, |k| Self::splat(four[k]))
+            }
+        }
+    };
+}
+
+pub(crate) use one_lane;
+
+one_lane!(f64);
+
+impl Real for f64 {
+    const LANES: usize = 1;
+    type One = Self;
+    #[inline(always)]
+    fn scope<W: Work>(work: W) -> W::Output {
+        work.run()
+    }
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        value
+    }
+    /// Rounded twice: without the instruction, `f64::mul_add` would be a call into libm.
+    #[inline(always)]
+    fn mul_add(self, factor: Self, term: Self) -> Self {
+        self * factor + term
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        f64::abs(self)
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        if self < other { self } else { other }
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        if self > other { self } else { other }
+    }
+    #[inline(always)]
+    fn copysign(self, sign: Self) -> Self {
+        f64::copysign(self, sign)
+    }
+    #[inline(always)]
+    fn any_negative(self) -> bool {
+        self < 0.0
+    }
+    #[inline(always)]
+    fn lane(self, _: usize) -> f64 {
+        self
+    }
+    #[inline(always)]
+    fn set_lane(&mut self, _: usize, value: f64) {
+        *self = value;
+    }
+    #[inline(always)]
+    fn one(self, _: usize) -> Self {
+        self
+    }
+    #[inline(always)]
+    fn set_one(&mut self, _: usize, one: Self) {
+        *self = one;
+    }
+}
+
+/// Implements the four operations and the sign lane by lane for a type that wraps its parts.
+macro_rules! operators {
+    ($type:ty, |$a:ident, $b:ident| $add:expr, $sub:expr, $mul:expr, $div:expr, $neg:expr) => {
+        impl std::ops::Add for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn add(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $add
+            }
+        }
+        impl std::ops::Sub for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn sub(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $sub
+            }
+        }
+        impl std::ops::Mul for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn mul(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $mul
+            }
+        }
+        impl std::ops::Div for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn div(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $div
+            }
+        }
+        impl std::ops::Neg for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                let $a = self;
+                $neg
+            }
+        }
+    };
+}
+pub(crate) use operators;

@@ -1,0 +1,137 @@
+//! How the margin of an event of friction moves with the motion and with its joint's parameters.
+
+use crate::arm::Arm;
+use crate::joint::gear::Spring;
+use crate::plant::Plant;
+use crate::plant::config::{GearKind, JointConfig};
+use crate::plant::friction::Motion;
+use crate::scalar::Real;
+use crate::sensitivity::effect::EffectSensitivity;
+use crate::sensitivity::holding::Holding;
+use crate::sensitivity::tangent::Tangent;
+
+/// Most parameters that a joint has: five of motor and link, seven of its gear, six of effects.
+const MOST_OF_A_JOINT: usize = 18;
+
+/// The linear form that [`Plant::margins`] is where an event ends a stretch.
+pub(crate) struct EventSensitivity {
+    pub(crate) joint: usize,
+    /// By the joint's twist, and by n dtheta_M and dtheta_L times half a step.
+    twist: f64,
+    motor: f64,
+    link: f64,
+    /// By its motor torque.
+    torque: f64,
+    /// By each of its parameters, in the order of their names.
+    by_parameter: [f64; MOST_OF_A_JOINT],
+}
+
+impl EventSensitivity {
+    /// Of the event of a joint at the end of a stretch, `half` [s] being half a step; `asked` is the
+    /// joint with the effects that may be asked about.
+    ///
+    /// A motor that stops at once has its speed for a margin. Else it is what friction has left
+    /// beside the torque that holds the motor; of a sliding motor that will settle, times
+    /// -tau/m_M.
+    #[inline(always)]
+    pub(crate) fn new<A: Arm<N>, S: Real<One = S>, const N: usize>(
+        plant: &Plant<A, S, N, true>,
+        asked: &JointConfig,
+        effects: Option<&EffectSensitivity<N>>,
+        end: &Motion<S, N>,
+        (joint, half): (usize, f64),
+    ) -> Self {
+        let mut slopes = Self {
+            joint,
+            twist: 0.0,
+            motor: 0.0,
+            link: 0.0,
+            torque: 0.0,
+            by_parameter: [0.0; MOST_OF_A_JOINT],
+        };
+        let drive = &plant.joints[joint];
+        let plain = |number: S| number.lane(0);
+        let slides = plain(end.modes.free[joint]) != 0.0;
+        let time = plain(drive.settling_time);
+        if slides && time == 0.0 {
+            slopes.motor = plain(end.modes.direction[joint]) / plain(drive.ratio) / half;
+            return slopes;
+        }
+        let held = Holding::new(plant, end, joint);
+        let (side, scale) = if slides {
+            let mobility = plain(drive.motor_mobility);
+            (plain(end.modes.direction[joint]), time * mobility)
+        } else {
+            (held.torque.signum(), -1.0)
+        };
+        let by_torque = side * scale;
+        slopes.torque = by_torque;
+        slopes.twist = by_torque * held.by_twist;
+        slopes.motor = by_torque * held.by_motor / half;
+        slopes.link = by_torque * held.by_link / half;
+        slopes.by_parameter =
+            by_parameters(&drive.spring, asked, effects, &held, [by_torque, scale]);
+        slopes
+    }
+
+    /// Along given derivatives of the motion and the torques.
+    #[inline(always)]
+    pub(crate) fn along<V: Real, const N: usize>(&self, x: &Tangent<V, N>, torque: &[V; N]) -> V {
+        let (c, i) = (V::splat, self.joint);
+        let moved = c(self.motor).mul_add(x.motor[i], c(self.link) * x.link[i]);
+        let moved = c(self.twist).mul_add(x.twist[i], moved);
+        c(self.torque).mul_add(torque[i], moved)
+    }
+
+    /// By the parameters of some directions, each a joint and a place among its parameters.
+    #[inline(always)]
+    pub(crate) fn by_parameters<V: Real>(&self, own: &[Option<(usize, usize)>]) -> V {
+        let mut all = V::splat(0.0);
+        for (lane, own) in own.iter().enumerate() {
+            if let &Some((joint, place)) = own
+                && joint == self.joint
+            {
+                all.set_lane(lane, self.by_parameter[place]);
+            }
+        }
+        all
+    }
+}
+
+/// How a margin moves with the parameters of its joint, which is held in some way, if it moves with
+/// the holding torque by `by_torque` and against what friction can take up by `scale`.
+#[inline(always)]
+fn by_parameters<S: Real<One = S>, const N: usize>(
+    spring: &Spring<S>,
+    asked: &JointConfig,
+    effects: Option<&EffectSensitivity<N>>,
+    held: &Holding<S>,
+    [by_torque, scale]: [f64; 2],
+) -> [f64; MOST_OF_A_JOINT] {
+    let mut by = [0.0; MOST_OF_A_JOINT];
+    let (speed, by_gear) = (by_torque * held.speed, -by_torque * held.ratio);
+    by[..4].copy_from_slice(&[speed * held.settling, -speed, -scale, -by_torque]);
+    // the link's friction does not hold the motor
+    let mut next = 5;
+    if asked.gear == GearKind::ThreeSlope {
+        for slope in spring.by_parameters(held.twist, &spring.per_slope()) {
+            by[next] = by_gear * slope.lane(0);
+            next += 1;
+        }
+    } else {
+        by[next] = by_gear * held.twist.lane(0);
+        next += 1;
+    }
+    by[next] = by_gear * held.rate;
+    by[next + 1] = -speed * held.settling * held.settling * held.inertia;
+    if let Some(effects) = effects {
+        let effects = effects.at_an_event(held.joint, held);
+        for (k, [friction, transmitted, lever]) in effects.into_iter().enumerate() {
+            if let Some(place) = asked.effects.place(k) {
+                let gear = by_gear * transmitted - by_torque * lever * held.transmitted;
+                by[next + 2 + place] = gear - scale * friction;
+            }
+        }
+    }
+    by
+}

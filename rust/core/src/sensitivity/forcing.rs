@@ -1,0 +1,153 @@
+//! Where parameters enter the variational equations, and how blocks of directions take them in.
+//!
+//! What each parameter adds to its row is worked out once for all blocks, by four parameters of a
+//! row at a time; a block then picks its own.
+
+use std::collections::BTreeMap;
+
+use crate::arm::{Arm, MOST_BASE};
+use crate::experiment::Source;
+use crate::plant::config::{Config, GearKind, SETTLING};
+use crate::scalar::{Lanes, MOST_LANES};
+
+/// The row of the equations that a parameter enters.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Row {
+    /// The gear's torque.
+    Gear,
+    /// The motor's acceleration.
+    Motor,
+    /// The torque that a link takes.
+    Link,
+}
+
+/// What four parameters of a row add to it at each of the four stages; a stage's are side by side.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+pub(crate) struct Quad(pub(crate) [[f64; 4]; 4]);
+
+/// By motor inertia, viscous and Coulomb friction, offset.
+pub(crate) const MOTOR: usize = 0;
+/// By the stiffnesses and knees of the spring, then by the damping: two quads.
+pub(crate) const GEAR: usize = 1;
+/// By the link's viscous friction, then by the arm's base parameters: two quads.
+pub(crate) const LINK: usize = 3;
+/// By the sizes of Stribeck's friction and, at [`KINEMATIC`], the kinematic error.
+pub(crate) const MOTOR_EFFECTS: usize = 5;
+/// By the sizes of hysteresis and, at [`KINEMATIC`], the kinematic error.
+pub(crate) const GEAR_EFFECTS: usize = 6;
+/// The kinematic error's first size, among the effects.
+pub(crate) const KINEMATIC: usize = 1;
+
+const _: () = assert!(MOST_BASE < 8, "two quads for a link");
+
+/// One joint's quads.
+pub(crate) type Quads = [Quad; 7];
+
+/// Nothing at all.
+pub(crate) const NOTHING: Quads = [Quad([[0.0; 4]; 4]); 7];
+
+fn row(quad: usize) -> Row {
+    match quad {
+        MOTOR | MOTOR_EFFECTS => Row::Motor,
+        GEAR..LINK | GEAR_EFFECTS => Row::Gear,
+        _ => Row::Link,
+    }
+}
+
+/// Where a parameter enters: a joint's quad, and its slot there.
+#[derive(Clone, Copy)]
+struct Place {
+    joint: usize,
+    quad: usize,
+    slot: usize,
+}
+
+/// The places of each of a configuration's parameters.
+fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
+    let at = |joint, quad, slot| Place {
+        joint,
+        quad: quad + slot / 4,
+        slot: slot % 4,
+    };
+    let place = |(k, (name, joint)): (usize, (&str, Option<usize>))| {
+        let i = joint.unwrap_or(1) - 1;
+        match name {
+            "motor_inertia" => vec![at(i, MOTOR, 0)],
+            "motor_viscous_friction" => vec![at(i, MOTOR, 1)],
+            "motor_coulomb_friction" => vec![at(i, MOTOR, 2)],
+            "friction_offset" => vec![at(i, MOTOR, 3)],
+            "link_viscous_friction" => vec![at(i, LINK, 0)],
+            "gear_stiffness" | "gear_stiffness_k1" => vec![at(i, GEAR, 0)],
+            "gear_stiffness_k2" => vec![at(i, GEAR, 1)],
+            "gear_stiffness_k3" => vec![at(i, GEAR, 2)],
+            "gear_knee_t1" => vec![at(i, GEAR, 3)],
+            "gear_knee_t2" => vec![at(i, GEAR, 4)],
+            "gear_damping" => vec![at(i, GEAR, damping_slot(config.joints[i].gear))],
+            "stribeck_friction" => vec![at(i, MOTOR_EFFECTS, 0)],
+            "hysteresis_torque" => vec![at(i, GEAR_EFFECTS, 0)],
+            "kinematic_error_cos" | "kinematic_error_sin" => {
+                let slot = KINEMATIC + usize::from(name.ends_with("sin"));
+                vec![at(i, GEAR_EFFECTS, slot), at(i, MOTOR_EFFECTS, slot)]
+            }
+            // the first acts on held motors alone, the others not at all where the effect itself
+            // is nothing
+            SETTLING | "stribeck_velocity" | "hysteresis_twist" => Vec::new(),
+            _ => (0..N).map(|j| at(j, LINK, 1 + k)).collect(),
+        }
+    };
+    let names = config.parameter_names();
+    names.into_iter().enumerate().map(place).collect()
+}
+
+/// Where the damping stands behind the spring's own parameters.
+fn damping_slot(gear: GearKind) -> usize {
+    if gear == GearKind::ThreeSlope { 5 } else { 1 }
+}
+
+/// Most quads that one row has.
+const MOST_QUADS: usize = 3;
+
+/// From which quads a row takes numbers, and how; the first ones.
+type Picks<P> = [Option<(usize, P)>; MOST_QUADS];
+
+/// What a block's parameters add to the gears', motors' and links' rows.
+pub(crate) struct Forcing<V: Lanes, const N: usize> {
+    picks: [[Picks<V::Pick>; N]; 3],
+}
+
+impl<V: Lanes, const N: usize> Forcing<V, N> {
+    /// By the first `V::LANES` directions.
+    pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
+        let places = places(config);
+        let mut wanted: BTreeMap<(usize, usize), [Option<usize>; MOST_LANES]> = BTreeMap::new();
+        for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
+            if let &Source::Parameter(k) = direction {
+                for place in &places[k] {
+                    let slots = wanted.entry((place.joint, place.quad)).or_default();
+                    slots[lane] = Some(place.slot);
+                }
+            }
+        }
+        let mut picks = [[[None; MOST_QUADS]; N]; 3];
+        for ((joint, quad), slots) in wanted {
+            let own = &mut picks[row(quad) as usize][joint];
+            let next = own.iter().position(Option::is_none);
+            own[next.expect("no row has more quads")] = Some((quad, V::pick(slots)));
+        }
+        Self { picks }
+    }
+
+    /// What is added to a joint's row at a stage of a step with these quads.
+    #[inline(always)]
+    pub(crate) fn of(&self, quads: &[Quads; N], row: Row, joint: usize, stage: usize) -> V {
+        let mut sum = V::splat(0.0);
+        for own in &self.picks[row as usize][joint] {
+            let Some((quad, pick)) = own else {
+                break;
+            };
+            sum = sum.picked(pick, &quads[joint][*quad].0[stage]);
+        }
+        sum
+    }
+}

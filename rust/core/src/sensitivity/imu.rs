@@ -1,0 +1,120 @@
+//! What an IMU's sensors read of blocks of directions.
+
+use crate::arm::link_signals::{LINK_SIGNALS, LinkSignalSlopes, link_signal_slopes};
+use crate::arm::{Accelerometers, Arm};
+use crate::plant::{Instant, State};
+use crate::scalar::Real;
+use crate::sensitivity::tangent::{Response, Tangent};
+use crate::sensors::imu::{MOUNTED, Mounted, Signals};
+use crate::sensors::low_pass::{Feedthrough, LowPass};
+
+/// The low-passes and slopes that all blocks share.
+pub(crate) struct MountedSensing<V, const N: usize> {
+    filters: [[Option<Feedthrough<V, 2>>; N]; MOUNTED],
+    slopes: [LinkSignalSlopes<f64, N>; N],
+}
+
+/// One block's states of the low-passes, and its readings.
+#[derive(Clone)]
+pub(crate) struct MountedSensed<V, const N: usize> {
+    states: [[[V; 2]; N]; MOUNTED],
+    pub(crate) readings: Signals<V, N>,
+}
+
+impl<V: Real, const N: usize> MountedSensing<V, N> {
+    /// Of the low-passes of a plain simulation.
+    pub(crate) fn new<S: Real>(plain: &Mounted<S, N>) -> Self {
+        let none = LinkSignalSlopes {
+            angle: [[0.0; N]; LINK_SIGNALS],
+            velocity: [[0.0; N]; LINK_SIGNALS],
+            acceleration: [[0.0; N]; LINK_SIGNALS],
+        };
+        let of = |one: &Option<LowPass<S, 2>>| Some(one.as_ref()?.feedthrough());
+        Self {
+            filters: plain.filters.each_ref().map(|row| row.each_ref().map(of)),
+            slopes: [none; N],
+        }
+    }
+
+    /// Takes how the signals of an instant depend on the motion, in half steps of 1/`rate` [s].
+    #[inline(always)]
+    pub(crate) fn take<A: Arm<N>, S: Real>(
+        &mut self,
+        places: &Accelerometers<N>,
+        rate: f64,
+        x: &State<S, N>,
+        now: &Instant<A, S, N>,
+    ) {
+        let (dq, ddq) = (&x.link_velocity, &now.acceleration.link);
+        let slopes = link_signal_slopes::<A, S, N>(places, &now.posture, dq, ddq);
+        for (own, from) in self.slopes.iter_mut().zip(&slopes) {
+            for k in 0..LINK_SIGNALS {
+                for j in 0..N {
+                    own.angle[k][j] = from.angle[k][j].lane(0);
+                    own.velocity[k][j] = rate * from.velocity[k][j].lane(0);
+                    own.acceleration[k][j] = rate * rate * from.acceleration[k][j].lane(0);
+                }
+            }
+        }
+    }
+
+    /// The signals' derivatives before any low-pass.
+    #[inline(always)]
+    fn tangents<A: Arm<N>>(
+        &self,
+        rate: f64,
+        x: &Tangent<V, N>,
+        response: &Response<V, N>,
+    ) -> Signals<V, N> {
+        let mut all = [[V::splat(0.0); N]; MOUNTED];
+        for (i, slopes) in self.slopes.iter().enumerate() {
+            for k in 0..LINK_SIGNALS {
+                for j in 0..=i {
+                    let mut sum = all[k][i];
+                    sum = V::splat(slopes.velocity[k][j]).mul_add(x.link[j], sum);
+                    if A::FELT[j] {
+                        sum = V::splat(slopes.angle[k][j]).mul_add(x.angle[j], sum);
+                    }
+                    let turning = V::splat(slopes.acceleration[k][j]);
+                    all[k][i] = turning.mul_add(response.link[j], sum);
+                }
+            }
+        }
+        all[LINK_SIGNALS] = A::absolute_rates(&x.link.map(|one| V::splat(rate) * one));
+        all
+    }
+}
+
+impl<V: Real, const N: usize> MountedSensed<V, N> {
+    /// At rest at the derivatives of the first signals.
+    pub(crate) fn at_rest(sensing: &MountedSensing<V, N>, first: Signals<V, N>) -> Self {
+        let rest = |k: usize, i: usize| match &sensing.filters[k][i] {
+            Some(filter) => filter.at_rest(first[k][i]),
+            None => [V::splat(0.0); 2],
+        };
+        Self {
+            states: std::array::from_fn(|k| std::array::from_fn(|i| rest(k, i))),
+            readings: first,
+        }
+    }
+
+    /// The readings of an instant, and what the low-passes make of them.
+    #[inline(always)]
+    pub(crate) fn sense<A: Arm<N>>(
+        &mut self,
+        sensing: &MountedSensing<V, N>,
+        rate: f64,
+        x: &Tangent<V, N>,
+        response: &Response<V, N>,
+    ) {
+        self.readings = sensing.tangents::<A>(rate, x, response);
+        for k in 0..MOUNTED {
+            for i in 0..N {
+                if let Some(filter) = &sensing.filters[k][i] {
+                    let reading = &mut self.readings[k][i];
+                    *reading = filter.update(&mut self.states[k][i], *reading);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! Experiments with the derivatives of all that is recorded, consistent with the integrator step by
+//! step: [`dual_simulation`] runs the whole chain over numbers with derivatives, [`forward`] follows
+//! the plain simulation with variational equations.
+//!
+//! The instants of friction's events move with the parameters, and their derivatives are in. Where
+//! a change of a parameter, however small, changes the sequence of events, there is no derivative;
+//! the one given then is that of the sequence seen. An encoder's is that of the angle it reads.
+
+mod block_trajectory;
+pub(crate) mod dual_simulation;
+pub(crate) mod effect;
+mod event;
+mod forcing;
+pub(crate) mod forward;
+mod holding;
+mod imu;
+mod sample_buffer;
+mod sensing;
+mod step_length;
+mod tangent;
+mod tangent_block;
+mod trace;
+mod variational;
+
+use crate::experiment::{Record, RecordOf, values};
+use crate::scalar::{Dual, Real};
+use crate::sensors::decimation::Decimation;
+
+/// What was recorded, and how it depends on what was asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sensitivities<const N: usize> {
+    /// As [`crate::dispatch::simulate`] gives it, or its rows behind a low-pass.
+    pub values: Record<N>,
+    /// For each quantity samples, or rows, times joints times directions, the last running fastest.
+    pub tangents: Vec<Vec<f64>>,
+}
+
+/// A record's rows behind a low-pass, if there is one.
+#[inline(always)]
+pub(crate) fn decimated<V: Real, const N: usize>(
+    record: Record<N>,
+    decimation: Option<&Decimation>,
+) -> Record<N> {
+    let Some(decimation) = decimation else {
+        return record;
+    };
+    let mut all = Vec::with_capacity(record.len());
+    for (k, samples) in record.iter().enumerate() {
+        let rows = decimation.of::<V>(k, samples.as_flattened(), N);
+        all.push(rows.as_chunks::<N>().0.to_vec());
+    }
+    all
+}
+
+impl<const N: usize> Sensitivities<N> {
+    /// The rows behind a low-pass, if there is one.
+    pub(crate) fn decimated(self, decimation: Option<&Decimation>, directions: usize) -> Self {
+        let Some(low_pass) = decimation else {
+            return self;
+        };
+        let rows =
+            |(k, samples): (usize, Vec<f64>)| low_pass.of::<f64>(k, &samples, N * directions);
+        Self {
+            values: decimated::<f64, N>(self.values, decimation),
+            tangents: self.tangents.into_iter().enumerate().map(rows).collect(),
+        }
+    }
+
+    /// Puts in the directions from the `first`, of `width` in all.
+    fn take<S: Real, V: Real>(
+        &mut self,
+        record: &RecordOf<Dual<S, V>, N>,
+        first: usize,
+        width: usize,
+    ) {
+        let lanes = V::LANES.min(width - first);
+        for (quantity, rows) in self.tangents.iter_mut().zip(record) {
+            let cells = rows.as_flattened();
+            for (own, cell) in quantity.chunks_mut(width.max(1)).zip(cells) {
+                for lane in 0..lanes {
+                    own[first + lane] = cell.tangent.lane(lane);
+                }
+            }
+        }
+        self.values = values(record);
+    }
+}

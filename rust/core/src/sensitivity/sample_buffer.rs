@@ -1,0 +1,61 @@
+//! The derivatives of what is recorded, sample by sample.
+
+use crate::scalar::{Aligned, Real};
+use crate::sensors::decimation::{Decimation, Decimator};
+
+/// One sample of all blocks, and all samples, or their rows behind a low-pass, before it.
+pub(crate) struct SampleBuffer<const N: usize> {
+    directions: usize,
+    /// Directions with the lanes that the last block has too many.
+    places: usize,
+    /// Quantity by quantity and joint by joint the directions.
+    sample: Aligned,
+    decimated: Option<Decimator>,
+    /// For each quantity samples, or rows, times joints times directions.
+    pub(crate) tangents: Vec<Vec<f64>>,
+}
+
+impl<const N: usize> SampleBuffer<N> {
+    /// Of so many quantities, samples, directions and lanes a block.
+    pub(crate) fn new(
+        [quantities, samples, directions, lanes]: [usize; 4],
+        decimation: Option<&Decimation>,
+    ) -> Self {
+        let places = directions.next_multiple_of(lanes);
+        let rows = decimation.map_or(samples, |decimation| decimation.rows(samples));
+        Self {
+            directions,
+            places,
+            sample: Aligned::zeros(quantities * N * places),
+            decimated: decimation
+                .filter(|_| directions > 0)
+                .map(|decimation| Decimator::new(decimation, N * places, samples)),
+            tangents: (0..quantities)
+                .map(|_| Vec::with_capacity(rows * N * directions))
+                .collect(),
+        }
+    }
+
+    /// Where a quantity's derivatives go, those of one joint.
+    #[inline(always)]
+    pub(crate) fn place(&mut self, quantity: usize, joint: usize) -> &mut [f64] {
+        &mut self.sample[(quantity * N + joint) * self.places..][..self.places]
+    }
+
+    /// The sample is whole.
+    pub(crate) fn take<V: Real>(&mut self) {
+        let whole = match &mut self.decimated {
+            None => Some(&self.sample[..]),
+            Some(decimated) => decimated.push::<V>(&self.sample),
+        };
+        let Some(numbers) = whole.filter(|_| self.places > 0) else {
+            return;
+        };
+        let quantities = numbers.chunks_exact(N * self.places);
+        for (all, joints) in self.tangents.iter_mut().zip(quantities) {
+            for joint in joints.chunks_exact(self.places) {
+                all.extend_from_slice(&joint[..self.directions]);
+            }
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! What accelerometers and gyros read of blocks of directions.
+
+use crate::arm::Arm;
+use crate::experiment::simulate::Sensors;
+use crate::experiment::{Quantity, Task};
+use crate::plant::{Instant, State};
+use crate::scalar::Real;
+use crate::sensitivity::imu::{MountedSensed, MountedSensing};
+use crate::sensitivity::tangent::{Response, Tangent};
+use crate::sensors::low_pass::Feedthrough;
+
+/// The filters of one kind of sensor, of M states, joint by joint.
+type Filters<V, const N: usize, const M: usize> = [Option<Feedthrough<V, M>>; N];
+
+/// The sensors that are recorded, alike for all blocks.
+pub(crate) struct Sensing<V, const N: usize> {
+    /// Half steps a second: the motion's derivatives are in half steps.
+    rate: f64,
+    accelerometers: Option<Filters<V, N, 2>>,
+    gyros: Option<Filters<V, N, 1>>,
+    pub(crate) mounted: Option<MountedSensing<V, N>>,
+    slopes: ReadingSlopes<N>,
+}
+
+/// One block's sensors: the states of their filters, and what they read now.
+#[derive(Clone)]
+pub(crate) struct Sensed<V, const N: usize> {
+    accelerometers: [[V; 2]; N],
+    gyros: [[V; 1]; N],
+    /// Of the accelerometers and of the gyros.
+    pub(crate) readings: [[V; N]; 2],
+    /// Boxed: where no IMU is recorded, it is not in the way.
+    pub(crate) mounted: Option<Box<MountedSensed<V, N>>>,
+}
+
+/// How the accelerometers' readings depend on the motion at an instant.
+struct ReadingSlopes<const N: usize> {
+    angle: [[f64; N]; N],
+    velocity: [[f64; N]; N],
+    acceleration: [[f64; N]; N],
+}
+
+impl<V: Real, const N: usize> Sensing<V, N> {
+    /// Of a task, and of the sensors of its plain simulation; `None` where neither is recorded.
+    pub(crate) fn new<A: Arm<N>, S: Real>(
+        task: &Task<A, N>,
+        sensors: Option<&Sensors<S, N>>,
+    ) -> Option<Self> {
+        let (sensors, reads) = (sensors?, |quantity| task.record.contains(&quantity));
+        let accelerometers = sensors.accelerometer.each_ref();
+        let gyros = sensors.gyro.each_ref();
+        Some(Self {
+            rate: 2.0 / task.clock.step,
+            accelerometers: reads(Quantity::Accelerometer)
+                .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
+            gyros: reads(Quantity::Gyro)
+                .then(|| gyros.map(|one| Some(one.as_ref()?.feedthrough()))),
+            mounted: sensors.mounted.as_ref().map(MountedSensing::new),
+            slopes: ReadingSlopes {
+                angle: [[0.0; N]; N],
+                velocity: [[0.0; N]; N],
+                acceleration: [[0.0; N]; N],
+            },
+        })
+    }
+
+    /// Takes how the readings of an instant depend on the motion.
+    #[inline(always)]
+    pub(crate) fn take<A: Arm<N>, S: Real>(
+        &mut self,
+        task: &Task<A, N>,
+        x: &State<S, N>,
+        now: &Instant<A, S, N>,
+    ) {
+        if let Some(mounted) = &mut self.mounted {
+            mounted.take(&task.config.accelerometers(), self.rate, x, now);
+        }
+        if self.accelerometers.is_none() {
+            return;
+        }
+        let (places, link) = (task.config.accelerometers(), &now.acceleration.link);
+        let (slopes, acceleration) =
+            A::accelerometer_slopes(&places, &now.posture, &x.link_velocity, link);
+        let (rate, own) = (self.rate, &mut self.slopes);
+        for i in 0..N {
+            for j in 0..N {
+                own.angle[i][j] = slopes.angle[i][j].lane(0);
+                own.velocity[i][j] = rate * slopes.velocity[i][j].lane(0);
+                own.acceleration[i][j] = rate * rate * acceleration[i][j].lane(0);
+            }
+        }
+    }
+}
+
+impl<V: Real, const N: usize> Sensed<V, N> {
+    /// At rest at the first readings of the accelerometers and of the gyros.
+    pub(crate) fn at_rest(sensing: &Sensing<V, N>, first: [[V; N]; 2]) -> Self {
+        let mut own = Self {
+            accelerometers: [[V::splat(0.0); 2]; N],
+            gyros: [[V::splat(0.0)]; N],
+            readings: first,
+            mounted: None,
+        };
+        for i in 0..N {
+            if let Some(Some(filter)) = sensing.accelerometers.as_ref().map(|all| &all[i]) {
+                own.accelerometers[i] = filter.at_rest(first[0][i]);
+            }
+            if let Some(Some(filter)) = sensing.gyros.as_ref().map(|all| &all[i]) {
+                own.gyros[i] = filter.at_rest(first[1][i]);
+            }
+        }
+        own
+    }
+
+    /// The readings of an instant, and what the filters make of them.
+    #[inline(always)]
+    pub(crate) fn sense<A: Arm<N>>(
+        &mut self,
+        sensing: &Sensing<V, N>,
+        x: &Tangent<V, N>,
+        response: &Response<V, N>,
+    ) {
+        if let Some(filters) = &sensing.accelerometers {
+            let ideal = sensing.slopes.tangents::<A, V>(x, response);
+            self.readings[0] = ideal;
+            for i in 0..N {
+                if let Some(filter) = &filters[i] {
+                    self.readings[0][i] = filter.update(&mut self.accelerometers[i], ideal[i]);
+                }
+            }
+        }
+        if let (Some(all), Some(own)) = (&sensing.mounted, &mut self.mounted) {
+            own.sense::<A>(all, sensing.rate, x, response);
+        }
+        if let Some(filters) = &sensing.gyros {
+            let ideal = A::absolute_rates(&x.link.map(|one| V::splat(sensing.rate) * one));
+            self.readings[1] = ideal;
+            for i in 0..N {
+                if let Some(filter) = &filters[i] {
+                    self.readings[1][i] = filter.update(&mut self.gyros[i], ideal[i]);
+                }
+            }
+        }
+    }
+}
+
+impl<const N: usize> ReadingSlopes<N> {
+    /// Of what [`Arm::accelerometer_slopes`] says is not zero.
+    #[inline(always)]
+    fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
+        let (c, mut sum) = (V::splat, [V::splat(0.0); N]);
+        for i in 0..N {
+            for j in 0..i {
+                sum[i] = c(self.velocity[i][j]).mul_add(x.link[j], sum[i]);
+            }
+            for j in 0..=i {
+                if A::FELT[j] {
+                    sum[i] = c(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
+                }
+            }
+            // known last
+            for j in 0..=i {
+                sum[i] = c(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
+            }
+        }
+        sum
+    }
+}

@@ -1,0 +1,95 @@
+//! How fast the end of a step moves as the step gets longer.
+//!
+//! The stages of a longer step lie further on, which is known from what the step went through; what
+//! follows from that goes through the variational equations like any other direction.
+
+use crate::arm::Arm;
+use crate::scalar::{Lanes, Real};
+use crate::sensitivity::tangent::Tangent;
+use crate::sensitivity::trace::{Stages, Trace};
+use crate::sensitivity::variational::Linearised;
+
+/// How fast the stages of a step move as it gets longer, and its end, with all accelerations held.
+pub(crate) struct StepLengthSensitivity<S, const N: usize> {
+    /// The second to the fourth stage.
+    pub(crate) stages: [Tangent<S, N>; 3],
+    pub(crate) end: Tangent<S, N>,
+    /// Motor torques at the middle and at the end.
+    pub(crate) torque: [[S; N]; 2],
+}
+
+impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
+    /// Of the step of length `h` that left a trace.
+    #[inline(always)]
+    pub(crate) fn new<A: Arm<N>, L: Lanes>(
+        trace: &Trace<N>,
+        step: &Linearised<A, L, N>,
+        torque: [[S; N]; 2],
+        h: f64,
+    ) -> Self {
+        let mut all = [Tangent::still(); 4];
+        for i in 0..N {
+            let link = Stretching::of(
+                trace.each(|stage| stage.velocity[i]),
+                trace.each(|stage| stage.link_acceleration[i]),
+                h,
+            );
+            let velocity = trace.each(|stage| stage.motor_velocity[i]);
+            let acceleration = trace.each(|stage| stage.motor_acceleration[i]);
+            let motor = if step.settling[i].is_some() {
+                Stretching::settling(velocity, acceleration)
+            } else {
+                Stretching::of(velocity, acceleration, h)
+            };
+            let n = trace.ratio[i];
+            for k in 0..4 {
+                let own = &mut all[k];
+                own.twist[i] = S::splat(n * motor.place[k] - link.place[k]);
+                own.angle[i] = S::splat(link.place[k]);
+                own.motor[i] = S::splat(step.half * n * motor.speed[k]);
+                own.link[i] = S::splat(step.half * link.speed[k]);
+            }
+        }
+        let [second, third, fourth, end] = all;
+        Self {
+            stages: [second, third, fourth],
+            end,
+            torque,
+        }
+    }
+}
+
+/// How fast a position and its velocity move as the step gets longer: at the second to the fourth
+/// stage, and at the end.
+struct Stretching {
+    place: Stages,
+    speed: Stages,
+}
+
+impl Stretching {
+    /// From the velocities and accelerations at the stages.
+    fn of(v: Stages, a: Stages, h: f64) -> Self {
+        Self {
+            place: [
+                0.5 * v[0],
+                0.5 * v[0] + 0.5 * h * a[0],
+                v[0] + h * a[1],
+                v[0] + h * (a[0] + a[1] + a[2]) / 3.0,
+            ],
+            speed: [
+                0.5 * a[0],
+                0.5 * a[1],
+                a[2],
+                (a[0] + 2.0 * (a[1] + a[2]) + a[3]) / 6.0,
+            ],
+        }
+    }
+
+    /// Of a held motor: its stages are where it settles, and so is its end.
+    fn settling(v: Stages, a: Stages) -> Self {
+        Self {
+            place: [0.5 * v[1], 0.5 * v[2], v[3], v[3]],
+            speed: [0.5 * a[1], 0.5 * a[2], a[3], a[3]],
+        }
+    }
+}

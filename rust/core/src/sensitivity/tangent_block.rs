@@ -1,0 +1,205 @@
+//! Directions of derivatives side by side, and what a step does to them.
+
+use crate::actuation::current_loop::StepTorque;
+use crate::arm::Arm;
+use crate::experiment::Source;
+use crate::plant::config::{Config, SETTLING};
+use crate::scalar::Lanes;
+use crate::sensitivity::forcing::{Forcing, Row};
+use crate::sensitivity::step_length::StepLengthSensitivity;
+use crate::sensitivity::tangent::{Response, Tangent};
+use crate::sensitivity::variational::Linearised;
+
+/// `V::LANES` directions.
+pub(crate) struct TangentBlock<V: Lanes, const N: usize> {
+    pub(crate) tangent: Tangent<V, N>,
+    forcing: Forcing<V, N>,
+    /// One where a direction is the joint's settling time.
+    settling: [V; N],
+}
+
+impl<V: Lanes, const N: usize> TangentBlock<V, N> {
+    pub(crate) fn new<A: Arm<N>>(
+        config: &Config<A, N>,
+        directions: &[Source],
+        tangent: Tangent<V, N>,
+    ) -> Self {
+        let names = config.parameter_names();
+        let mut settling = [V::splat(0.0); N];
+        for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
+            if let &Source::Parameter(k) = direction
+                && let (SETTLING, Some(joint)) = names[k]
+            {
+                settling[joint - 1].set_lane(lane, 1.0);
+            }
+        }
+        Self {
+            tangent,
+            forcing: Forcing::new(config, directions),
+            settling,
+        }
+    }
+
+    /// The equations of stage `k`.
+    #[inline(always)]
+    pub(crate) fn respond<A: Arm<N>, L: Lanes>(
+        &self,
+        step: &Linearised<A, L, N>,
+        k: usize,
+        x: &Tangent<V, N>,
+        torque: Option<&[V; N]>,
+    ) -> Response<V, N> {
+        let c = V::splat;
+        let zero = [c(0.0); N];
+        let mut response = Response {
+            gear: zero,
+            rate: zero,
+            motor: zero,
+            link: zero,
+        };
+        let forced = |row, joint| self.forcing.of(&step.quads, row, joint, k);
+        let mut load = zero;
+        for i in 0..N {
+            let rate = x.motor[i] - x.link[i];
+            let damped = c(step.damping[i]).mul_add(rate, forced(Row::Gear, i));
+            let gear = c(step.stiffness[i][k]).mul_add(x.twist[i], damped);
+            let mut motor = forced(Row::Motor, i);
+            if let Some(torque) = torque {
+                motor = c(step.motor[2][i]).mul_add(torque[i], motor);
+            }
+            let dragged = c(step.motor[1][i]).mul_add(x.motor[i], motor);
+            response.rate[i] = rate;
+            response.gear[i] = gear;
+            response.motor[i] = c(step.motor[0][i]).mul_add(gear, dragged);
+            let mut taken = forced(Row::Link, i);
+            for j in 0..N {
+                if A::FELT[j] {
+                    taken = c(step.by_angle[i][j][k]).mul_add(x.angle[j], taken);
+                }
+                taken = c(step.by_velocity[i][j][k]).mul_add(x.link[j], taken);
+            }
+            load[i] = gear - taken;
+        }
+        for i in 0..N {
+            let mut link = c(step.inverse[i][0][k]) * load[0];
+            for j in 1..N {
+                link = c(step.inverse[i][j][k]).mul_add(load[j], link);
+            }
+            response.link[i] = link;
+        }
+        response
+    }
+
+    /// The rest of a whole step after its first stage.
+    #[inline(always)]
+    pub(crate) fn advance<A: Arm<N>, L: Lanes>(
+        &mut self,
+        step: &Linearised<A, L, N>,
+        first: &Response<V, N>,
+        torque: Option<&StepTorque<V, N>>,
+    ) {
+        self.advance_part::<A, L, true>(step, first, torque, 1.0);
+    }
+
+    /// The rest of a part of a step after its first stage.
+    ///
+    /// The classical Runge-Kutta step, its stages half the part and the part on. `WHOLE` says that
+    /// the part is all, and takes a factor of one out of most sums.
+    #[inline(always)]
+    pub(crate) fn advance_part<A: Arm<N>, L: Lanes, const WHOLE: bool>(
+        &mut self,
+        step: &Linearised<A, L, N>,
+        first: &Response<V, N>,
+        torque: Option<&StepTorque<V, N>>,
+        part: f64,
+    ) {
+        let c = V::splat;
+        let on = |x: V, rate: V| {
+            if WHOLE {
+                x + rate
+            } else {
+                c(part).mul_add(rate, x)
+            }
+        };
+        let twice = |x: V, rate: V| c(2.0 * part).mul_add(rate, x);
+        let x = self.tangent;
+        let middle = torque.map(|torque| &torque.middle);
+        let end = torque.map(|torque| &torque.end);
+        let at = self.held(step, x.moved::<A>(on, &x, first), &x, (part, 0));
+        let second = self.respond(step, 1, &at, middle);
+        let next = x.moved::<A>(on, &at, &second);
+        let at = self.held(step, next, &at, (part, 0));
+        let third = self.respond(step, 2, &at, middle);
+        let next = x.moved::<A>(twice, &at, &third);
+        let at = self.held(step, next, &at, (2.0 * part, 1));
+        // before the fourth stage: the sums need fewer registers than what they are of
+        let [places, velocities] = first.sums(&second, &third);
+        let fourth = self.respond(step, 3, &at, end);
+        let (third_part, square) = (c(part / 3.0), c(part * part / 1.5));
+        let mut to = x;
+        for i in 0..N {
+            to.motor[i] = third_part.mul_add(velocities.motor[i] + fourth.motor[i], x.motor[i]);
+            to.link[i] = third_part.mul_add(velocities.link[i] + fourth.link[i], x.link[i]);
+            to.angle[i] = square.mul_add(places.link[i], twice(x.angle[i], x.link[i]));
+            let twist = places.motor[i] - places.link[i];
+            to.twist[i] = square.mul_add(twist, twice(x.twist[i], first.rate[i]));
+        }
+        self.tangent = self.held(step, to, &x, (0.0, 1));
+    }
+
+    /// How fast the end of a step of length `h` moves as it gets longer; for a block that no
+    /// parameter forces.
+    #[inline(always)]
+    pub(crate) fn by_step_length<A: Arm<N>, L: Lanes>(
+        &self,
+        step: &Linearised<A, L, N>,
+        by: &StepLengthSensitivity<V, N>,
+        h: f64,
+    ) -> Tangent<V, N> {
+        let (c, time) = (V::splat, h / step.half);
+        let [second, mut third, mut fourth] = by.stages;
+        let (half, sixth) = (c(0.5 * time), time / 6.0);
+        let [middle, end] = &by.torque;
+        let a2 = self.respond(step, 1, &second, Some(middle));
+        third.push(half, &a2);
+        let a3 = self.respond(step, 2, &third, Some(middle));
+        fourth.shift(c(0.5 * time * time), &a2);
+        fourth.push(c(time), &a3);
+        let a4 = self.respond(step, 3, &fourth, Some(end));
+        let mut to = by.end;
+        for a in [&a2, &a3] {
+            to.shift(c(time * sixth), a);
+            to.push(c(2.0 * sixth), a);
+        }
+        to.push(c(sixth), &a4);
+        to
+    }
+
+    /// A later stage, half of a step on or, with `end` at one, the whole, in which held motors have
+    /// settled. It was reached with the velocities of the stage `before`, over so many half steps.
+    #[inline(always)]
+    fn held<A: Arm<N>, L: Lanes>(
+        &self,
+        step: &Linearised<A, L, N>,
+        mut stage: Tangent<V, N>,
+        before: &Tangent<V, N>,
+        (moved, end): (f64, usize),
+    ) -> Tangent<V, N> {
+        let c = V::splat;
+        for i in 0..N {
+            let Some(settling) = &step.settling[i] else {
+                continue;
+            };
+            let motor = self.tangent.motor[i];
+            let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[end]));
+            // as far as a steady motor would have gone
+            let behind = motor - before.motor[i];
+            stage.twist[i] = c(moved).mul_add(behind, stage.twist[i]);
+            stage.twist[i] = c(settling.angle[end]).mul_add(motor, stage.twist[i]);
+            stage.twist[i] = by_time.mul_add(self.settling[i], stage.twist[i]);
+            stage.motor[i] = c(settling.velocity[end]).mul_add(motor, stage.motor[i]);
+            stage.motor[i] = velocity_by_time.mul_add(self.settling[i], stage.motor[i]);
+        }
+        stage
+    }
+}

@@ -1,0 +1,116 @@
+//! What the plain simulation's Runge-Kutta step went through, stage by stage.
+
+use crate::joint::effects::Twist;
+use crate::plant::{Acceleration, State, Watch};
+use crate::scalar::Real;
+
+/// A number at each of the four stages.
+pub(crate) type Stages = [f64; 4];
+
+/// What the nominal step went through.
+///
+/// Stage by stage, not quantity by quantity: a vector loaded from numbers that were just stored one
+/// by one would wait until the whole step has retired.
+#[derive(Clone, Copy)]
+pub(crate) struct Trace<const N: usize> {
+    pub(crate) ratio: [f64; N],
+    pub(crate) stages: [Stage<N>; 4],
+}
+
+/// One of its stages.
+#[derive(Clone, Copy)]
+pub(crate) struct Stage<const N: usize> {
+    pub(crate) angle: [f64; N],
+    pub(crate) velocity: [f64; N],
+    pub(crate) twist: [f64; N],
+    pub(crate) rate: [f64; N],
+    pub(crate) motor_velocity: [f64; N],
+    pub(crate) motor_acceleration: [f64; N],
+    pub(crate) link_acceleration: [f64; N],
+}
+
+impl<const N: usize> Trace<N> {
+    pub(crate) fn new(ratio: [f64; N]) -> Self {
+        let nothing = [0.0; N];
+        let stage = Stage {
+            angle: nothing,
+            velocity: nothing,
+            twist: nothing,
+            rate: nothing,
+            motor_velocity: nothing,
+            motor_acceleration: nothing,
+            link_acceleration: nothing,
+        };
+        Self {
+            ratio,
+            stages: [stage; 4],
+        }
+    }
+
+    /// A number at each stage.
+    #[inline(always)]
+    pub(crate) fn each(&self, number: impl Fn(&Stage<N>) -> f64) -> Stages {
+        [0, 1, 2, 3].map(|k| number(&self.stages[k]))
+    }
+
+    /// The same, stages side by side, from the `first`.
+    #[inline(always)]
+    pub(crate) fn across<L: Real>(&self, first: usize, number: impl Fn(&Stage<N>) -> f64) -> L {
+        L::load(&self.each(number)[first..])
+    }
+
+    /// The same of each joint.
+    #[inline(always)]
+    pub(crate) fn joints<L: Real>(
+        &self,
+        first: usize,
+        numbers: impl Fn(&Stage<N>) -> &[f64; N],
+    ) -> [L; N] {
+        let mut all = [L::splat(0.0); N];
+        for i in 0..N {
+            all[i] = self.across(first, |stage| numbers(stage)[i]);
+        }
+        all
+    }
+}
+
+impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
+    #[inline(always)]
+    fn stage(&mut self, k: usize, x: &State<S, N>, a: &Acceleration<S, N>) {
+        let stage = &mut self.stages[k];
+        for i in 0..N {
+            let n = S::splat(self.ratio[i]);
+            let twist = n.mul_add(x.motor_angle[i], -x.link_angle[i]);
+            let rate = n.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
+            stage.angle[i] = x.link_angle[i].lane(0);
+            stage.velocity[i] = x.link_velocity[i].lane(0);
+            stage.twist[i] = twist.lane(0);
+            stage.rate[i] = rate.lane(0);
+            stage.motor_velocity[i] = x.motor_velocity[i].lane(0);
+            stage.motor_acceleration[i] = a.motor[i].lane(0);
+            stage.link_acceleration[i] = a.link[i].lane(0);
+        }
+    }
+}
+
+impl<const N: usize> Trace<N> {
+    /// Of gear `i` at stage `k`.
+    #[inline(always)]
+    pub(crate) fn twist_at(&self, i: usize, k: usize) -> Twist<f64> {
+        let stage = &self.stages[k];
+        Twist {
+            angle: stage.twist[i],
+            rate: stage.rate[i],
+        }
+    }
+
+    /// Of gear `i` in a state.
+    #[inline(always)]
+    pub(crate) fn twist_of<S: Real>(&self, i: usize, x: &State<S, N>) -> Twist<f64> {
+        let n = S::splat(self.ratio[i]);
+        Twist {
+            angle: n.mul_add(x.motor_angle[i], -x.link_angle[i]).lane(0),
+            rate: n.mul_add(x.motor_velocity[i], -x.link_velocity[i]).lane(0),
+        }
+    }
+}

@@ -1,0 +1,222 @@
+//! The variational equations of the very Runge-Kutta step, for arms whose gears are all elastic.
+//!
+//! Within a step whose friction modes stay, the derivatives of the motion obey linear equations
+//! whose coefficients are the same in every direction. The nominal step leaves a [`Trace`] of its
+//! four stages; [`Linearised`] makes the coefficients of all four from it at once, stages side by
+//! side; and each [`crate::sensitivity::tangent_block::TangentBlock`] of directions goes through the stages with a few multiply-adds.
+//!
+//! The twists of the gears stand in place of the motors' angles: nothing depends on those alone.
+//! With s the gear torques, primes for derivatives, and what a parameter adds by itself left out:
+//!
+//! - s' = K twist' + d_G (n dtheta_M' - dtheta_L')
+//! - n ddtheta_M' = -(n^2/m_M) s' - (d_M/m_M) n dtheta_M'
+//! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L')
+
+use crate::arm::{Arm, MOST_BASE};
+use crate::joint::gear::PerSlope;
+use crate::plant::config::{Config, GearKind};
+use crate::plant::{Modes, Plant};
+use crate::scalar::{Lanes, Real, solve};
+use crate::sensitivity::effect::EffectSensitivity;
+use crate::sensitivity::forcing::{GEAR, LINK, MOTOR, NOTHING, Quads};
+use crate::sensitivity::trace::{Stages, Trace};
+
+/// Coefficients of the linear equations at the four stages, in the units of
+/// [`crate::sensitivity::tangent_block::Tangent`].
+pub(crate) struct Linearised<A: Arm<N>, L: Lanes, const N: usize> {
+    plant: Plant<A, L, N, true>,
+    per_slope: [PerSlope<L>; N],
+    gears: [GearKind; N],
+    /// Half of the integrator's step [s].
+    pub(crate) half: f64,
+    pub(crate) stiffness: [Stages; N],
+    pub(crate) inverse: [[Stages; N]; N],
+    /// What a link's row takes of the gear's torque, by the link angles and velocities.
+    pub(crate) by_angle: [[Stages; N]; N],
+    pub(crate) by_velocity: [[Stages; N]; N],
+    pub(crate) damping: [f64; N],
+    /// n ddtheta_M' per gear torque, per n dtheta_M' and per motor torque.
+    pub(crate) motor: [[f64; N]; 3],
+    /// What each parameter adds to its rows.
+    pub(crate) quads: [Quads; N],
+    /// What a little of the effects that the arm lacks would add.
+    pub(crate) effects: Option<EffectSensitivity<N>>,
+    pub(crate) settling: [Option<Settling>; N],
+}
+
+/// How a held motor that settles moves over half a step and over the whole, beside a steady one:
+/// its angle by v tau (1 - exp(-t/tau)) instead of v t, its velocity by v exp(-t/tau) instead of v.
+#[derive(Clone, Copy)]
+pub(crate) struct Settling {
+    /// Change of the angle per velocity, times the gear ratio as all that follows.
+    pub(crate) angle: [f64; 2],
+    /// Change of the velocity per velocity.
+    pub(crate) velocity: [f64; 2],
+    /// Both again, per settling time.
+    pub(crate) by_time: [[f64; 2]; 2],
+}
+
+impl Settling {
+    /// Over a step of length `h`, velocities being angles in `half` [s].
+    fn new(time: f64, speed: f64, h: f64, half: f64) -> Self {
+        let parts = [0.5 * h, h];
+        let left = parts.map(|t| (-t / time).exp());
+        let each = |f: &dyn Fn(f64, f64) -> f64| [f(parts[0], left[0]), f(parts[1], left[1])];
+        Self {
+            angle: each(&|t, left| (time * (1.0 - left) - t) / half),
+            velocity: each(&|_, left| left - 1.0),
+            by_time: [
+                each(&|t, left| speed * (1.0 - left - left * t / time)),
+                each(&|t, left| half * speed * left * t / (time * time)),
+            ],
+        }
+    }
+}
+
+impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
+    /// Of an arm without effects, for steps of length `step` [s]. Directions are by the parameters
+    /// of `asked`, which may have effects whose sizes are nothing.
+    pub(crate) fn new(
+        config: &Config<A, N>,
+        parameters: &[f64],
+        (asked, all): (&Config<A, N>, &[f64]),
+        step: f64,
+    ) -> Self {
+        let plant: Plant<A, L, N, true> = config.plant_of(|k| L::splat(parameters[k]));
+        let half = 0.5 * step;
+        Self {
+            per_slope: plant.joints.map(|joint| joint.spring.per_slope()),
+            gears: config.joints.map(|joint| joint.gear),
+            half,
+            stiffness: [[0.0; 4]; N],
+            inverse: [[[0.0; 4]; N]; N],
+            by_angle: [[[0.0; 4]; N]; N],
+            by_velocity: [[[0.0; 4]; N]; N],
+            damping: plant.joints.map(|joint| joint.gear_damping.lane(0) / half),
+            motor: [[0.0; N]; 3],
+            quads: [NOTHING; N],
+            effects: asked
+                .has_effects()
+                .then(|| EffectSensitivity::new(asked, all)),
+            settling: [None; N],
+            plant,
+        }
+    }
+
+    /// Makes the coefficients of a step that begins in a posture.
+    #[inline(always)]
+    pub(crate) fn update<S: Real>(
+        &mut self,
+        trace: &Trace<N>,
+        begin: &A::Posture<S>,
+        modes: &Modes<S, N>,
+        h: f64,
+    ) {
+        for i in 0..N {
+            self.motor(trace, modes, i, h);
+        }
+        for first in (0..4).step_by(L::LANES) {
+            self.links(trace, &A::spread(begin), first);
+            for i in 0..N {
+                self.gear(trace, i, first);
+            }
+        }
+        if let Some(effects) = &self.effects {
+            let push = std::array::from_fn(|i| -self.motor[2][i]);
+            effects.enter(&mut self.quads, &self.plant, (trace, h), modes, &push);
+        }
+    }
+
+    /// One motor, which slides or is held.
+    #[inline(always)]
+    fn motor<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, i: usize, h: f64) {
+        let (joint, half) = (&self.plant.joints[i], self.half);
+        let (time, n) = (joint.settling_time.lane(0), joint.ratio.lane(0));
+        self.settling[i] = None;
+        if time > 0.0 && modes.free[i].lane(0) == 0.0 {
+            let speed = n * trace.stages[0].motor_velocity[i];
+            self.settling[i] = Some(Settling::new(time, speed, h, half));
+        }
+        let free = modes.free[i].lane(0) * joint.motor_mobility.lane(0) * half;
+        let push = n * free * half;
+        self.motor[0][i] = -n * push;
+        self.motor[1][i] = -joint.motor_viscous.lane(0) * free;
+        self.motor[2][i] = push;
+        let direction = modes.direction[i].lane(0);
+        for k in 0..4 {
+            let stage = &trace.stages[k];
+            let (acceleration, velocity) = (stage.motor_acceleration[i], stage.motor_velocity[i]);
+            let by = [acceleration, velocity, direction, 1.0];
+            put::<L>(&mut self.quads[i][MOTOR].0[k], &by, -push);
+        }
+    }
+
+    /// Link side, for the stages from the `first`.
+    #[inline(always)]
+    fn links(&mut self, trace: &Trace<N>, begin: &A::Posture<L>, first: usize) {
+        let mut turned: [L; N] = trace.joints(first, |stage| &stage.angle);
+        for i in 0..N {
+            turned[i] = turned[i] - L::splat(trace.stages[0].angle[i]);
+        }
+        let dq = trace.joints(first, |stage| &stage.velocity);
+        let ddq = trace.joints(first, |stage| &stage.link_acceleration);
+        let at = A::near(begin, &turned);
+        let base = &self.plant.base;
+        let inertia = A::inertia(base, &at);
+        let mut slopes = A::slopes(base, &at, &dq, &ddq);
+        for i in 0..N {
+            slopes.velocity[i][i] = slopes.velocity[i][i] + self.plant.joints[i].link_viscous;
+        }
+        let (square, rate) = (L::splat(self.half * self.half), L::splat(1.0 / self.half));
+        for j in 0..N {
+            let mut column = [L::splat(0.0); N];
+            column[j] = square;
+            let column = solve(&inertia, &column);
+            for i in 0..N {
+                column[i].store(&mut self.inverse[i][j][first..]);
+                if A::FELT[j] {
+                    slopes.angle[i][j].store(&mut self.by_angle[i][j][first..]);
+                }
+                (rate * slopes.velocity[i][j]).store(&mut self.by_velocity[i][j][first..]);
+            }
+        }
+        let regressor: [[L; N]; MOST_BASE] = A::regressor(&at, &dq, &ddq);
+        for i in 0..N {
+            let mut by = [L::splat(0.0); 8];
+            by[0] = dq[i];
+            for b in 0..MOST_BASE {
+                by[1 + b] = regressor[b][i];
+            }
+            let (fours, _) = by.as_chunks::<4>();
+            for (k, four) in fours.iter().enumerate() {
+                L::store_rows(four, &mut self.quads[i][LINK + k].0[first..]);
+            }
+        }
+    }
+
+    /// One gear, for the stages from the `first`.
+    #[inline(always)]
+    fn gear(&mut self, trace: &Trace<N>, i: usize, first: usize) {
+        let (joint, quads) = (&self.plant.joints[i], &mut self.quads[i]);
+        let zero = L::splat(0.0);
+        let twist = trace.across::<L>(first, |stage| stage.twist[i]);
+        let rate = trace.across::<L>(first, |stage| stage.rate[i]);
+        let stiffness = joint.spring.stiffness(twist);
+        stiffness.store(&mut self.stiffness[i][first..]);
+        let mut four = [twist, rate, zero, zero];
+        if self.gears[i] == GearKind::ThreeSlope {
+            let [k1, k2, k3, t1, t2] = joint.spring.by_parameters(twist, &self.per_slope[i]);
+            four = [k1, k2, k3, t1];
+            L::store_rows(&[t2, rate, zero, zero], &mut quads[GEAR + 1].0[first..]);
+        }
+        L::store_rows(&four, &mut quads[GEAR].0[first..]);
+    }
+}
+
+/// Stores four numbers times a factor, as one vector where there are vectors.
+#[inline(always)]
+fn put<L: Real>(to: &mut [f64; 4], numbers: &[f64; 4], factor: f64) {
+    for first in (0..4).step_by(L::LANES) {
+        (L::load(&numbers[first..]) * L::splat(factor)).store(&mut to[first..]);
+    }
+}

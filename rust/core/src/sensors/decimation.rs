@@ -1,0 +1,280 @@
+//! Recorded samples through a low-pass, of which a row is kept for every few samples.
+//!
+//! Whoever compares an experiment with a measured one wants far fewer numbers than its samples'
+//! derivatives are; so these never leave the processor's caches.
+
+use std::ops::Range;
+
+use crate::scalar::{Aligned, Real, Work};
+
+/// A low-pass for each quantity: row r is the sum of taps[t] x[r step + t].
+#[derive(Clone, Debug)]
+pub struct Decimation {
+    taps: Vec<Vec<f64>>,
+    step: usize,
+}
+
+impl Decimation {
+    /// Of taps for each quantity, and samples from one row to the next; `None` where the lists are
+    /// not all as long as some multiple of that.
+    pub fn new(taps: Vec<Vec<f64>>, step: usize) -> Option<Self> {
+        let length = taps.first()?.len();
+        let whole = step > 0 && length > 0 && length.is_multiple_of(step);
+        let alike = taps.iter().all(|own| own.len() == length);
+        (whole && alike).then_some(Self { taps, step })
+    }
+
+    /// How many quantities it is for.
+    pub fn quantities(&self) -> usize {
+        self.taps.len()
+    }
+
+    /// Rows of so many samples: those that the low-pass reaches all samples of.
+    pub fn rows(&self, samples: usize) -> usize {
+        let length = self.taps[0].len();
+        if samples < length {
+            return 0;
+        }
+        (samples - length) / self.step + 1
+    }
+
+    /// Rows of a quantity's samples, each of `width` numbers.
+    #[inline(always)]
+    pub(crate) fn of<V: Real>(&self, quantity: usize, samples: &[f64], width: usize) -> Vec<f64> {
+        let taps = &self.taps[quantity];
+        let rows = self.rows(samples.len() / width.max(1));
+        let mut all = vec![0.0; rows * width];
+        let mut column = Vec::with_capacity(samples.len() / width.max(1));
+        for place in 0..width {
+            column.clear();
+            column.extend(samples[place..].iter().step_by(width));
+            for row in 0..rows {
+                all[row * width + place] = product::<V>(taps, &column[row * self.step..]);
+            }
+        }
+        all
+    }
+}
+
+/// Sum of taps times as many numbers.
+#[inline(always)]
+fn product<V: Real>(taps: &[f64], numbers: &[f64]) -> f64 {
+    let (taps, rest) = taps.split_at(taps.len() / V::LANES * V::LANES);
+    let (numbers, behind) = numbers.split_at(taps.len());
+    let mut sums = V::splat(0.0);
+    for (taps, numbers) in taps
+        .chunks_exact(V::LANES)
+        .zip(numbers.chunks_exact(V::LANES))
+    {
+        sums = V::load(taps).mul_add(V::load(numbers), sums);
+    }
+    let mut sum: f64 = (0..V::LANES).map(|lane| sums.lane(lane)).sum();
+    for (tap, number) in rest.iter().zip(behind) {
+        sum += tap * number;
+    }
+    sum
+}
+
+/// Samples on their way through a [`Decimation`]: `step` of them at a time are added to all rows that
+/// reach them.
+pub(crate) struct Decimator {
+    decimation: Decimation,
+    /// Numbers of one quantity in a sample, or in a row.
+    width: usize,
+    /// How many rows there will be.
+    rows: usize,
+    /// The samples since the last whole block: quantity by quantity, sample by sample.
+    block: Aligned,
+    filled: usize,
+    /// Whole blocks so far.
+    blocks: usize,
+    /// Rows under way, each in the place of its number modulo how many there are, with their
+    /// quantities.
+    begun: Aligned,
+}
+
+impl Decimator {
+    pub(crate) fn new(decimation: &Decimation, width: usize, samples: usize) -> Self {
+        let numbers = decimation.taps.len() * width;
+        Self {
+            width,
+            rows: decimation.rows(samples),
+            block: Aligned::zeros(numbers * decimation.step),
+            filled: 0,
+            blocks: 0,
+            begun: Aligned::zeros(numbers * (decimation.taps[0].len() / decimation.step)),
+            decimation: decimation.clone(),
+        }
+    }
+
+    /// Takes in a sample, quantity by quantity, and gives the row that it completes, if any.
+    pub(crate) fn push<V: Real>(&mut self, sample: &[f64]) -> Option<&[f64]> {
+        let (step, width) = (self.decimation.step, self.width);
+        for (k, own) in sample.chunks_exact(width).enumerate() {
+            self.block[(k * step + self.filled) * width..][..width].copy_from_slice(own);
+        }
+        self.filled += 1;
+        if self.filled < step {
+            return None;
+        }
+        V::scope(Adding::<V>(self, std::marker::PhantomData));
+        self.filled = 0;
+        self.blocks += 1;
+        let row = self.blocks.checked_sub(self.parts())?;
+        (row < self.rows).then(|| &self.begun[self.place(row)])
+    }
+
+    /// Blocks that a row reaches.
+    fn parts(&self) -> usize {
+        self.decimation.taps[0].len() / self.decimation.step
+    }
+
+    /// Where a row under way is.
+    fn place(&self, row: usize) -> Range<usize> {
+        let numbers = self.decimation.taps.len() * self.width;
+        let first = row % self.parts() * numbers;
+        first..first + numbers
+    }
+
+    /// Adds the block to all rows that reach it, two at a time: samples that are loaded for one row
+    /// serve the next.
+    #[inline(always)]
+    fn add<V: Real>(&mut self) {
+        let newest = self.place(self.blocks);
+        self.begun[newest].fill(0.0);
+        let first = (self.blocks + 1).saturating_sub(self.parts());
+        let mut rows = first..=self.blocks;
+        while let Some(row) = rows.next() {
+            match rows.next() {
+                Some(next) => self.add_to::<V, 2>([row, next]),
+                None => self.add_to::<V, 1>([row]),
+            }
+        }
+    }
+
+    /// Adds the block to some rows.
+    #[inline(always)]
+    fn add_to<V: Real, const R: usize>(&mut self, rows: [usize; R]) {
+        let (step, width) = (self.decimation.step, self.width);
+        let taps_from = rows.map(|row| (self.blocks - row) * step);
+        let places = rows.map(|row| self.place(row));
+        let Ok(mut sums) = self.begun.get_disjoint_mut(places) else {
+            unreachable!("rows have places of their own");
+        };
+        let blocks = self.block.chunks_exact(step * width);
+        for (k, (block, taps)) in blocks.zip(&self.decimation.taps).enumerate() {
+            let mut own = sums.each_mut().map(|sums| &mut sums[k * width..][..width]);
+            let taps = taps_from.map(|from| &taps[from..][..step]);
+            let mut first = 0;
+            add_products::<V, 4, R>(&mut own, block, &taps, &mut first);
+            add_products::<V, 2, R>(&mut own, block, &taps, &mut first);
+            add_products::<V, 1, R>(&mut own, block, &taps, &mut first);
+        }
+    }
+}
+
+/// Adds taps times samples to the sums of each row, from the `first` number on, as long as there
+/// are `C` registers of them: so many wait for one another's multiply-adds.
+#[inline(always)]
+fn add_products<V: Real, const C: usize, const R: usize>(
+    rows: &mut [&mut [f64]; R],
+    block: &[f64],
+    taps: &[&[f64]; R],
+    first: &mut usize,
+) {
+    let width = rows[0].len();
+    while *first + C * V::LANES <= width {
+        let mut sums = [[V::splat(0.0); C]; R];
+        for r in 0..R {
+            for c in 0..C {
+                sums[r][c] = V::load(&rows[r][*first + c * V::LANES..]);
+            }
+        }
+        for (t, sample) in block.chunks_exact(width).enumerate() {
+            let sample = &sample[*first..][..C * V::LANES];
+            for c in 0..C {
+                let number = V::load(&sample[c * V::LANES..]);
+                for r in 0..R {
+                    sums[r][c] = V::splat(taps[r][t]).mul_add(number, sums[r][c]);
+                }
+            }
+        }
+        for r in 0..R {
+            for c in 0..C {
+                sums[r][c].store(&mut rows[r][*first + c * V::LANES..]);
+            }
+        }
+        *first += C * V::LANES;
+    }
+}
+
+/// [`Decimator::add`].
+struct Adding<'t, V>(&'t mut Decimator, std::marker::PhantomData<V>);
+
+impl<V: Real> Work for Adding<'_, V> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.add::<V>();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers without a pattern.
+    fn drawn(count: usize) -> Vec<f64> {
+        (0..count).map(|k| ((k * k) as f64).sin()).collect()
+    }
+
+    #[test]
+    fn a_row_is_the_sum_of_taps_times_samples() {
+        let taps = vec![drawn(12), drawn(24)[12..].to_vec()];
+        let decimation = Decimation::new(taps.clone(), 4).expect("three blocks");
+        let samples = drawn(30);
+        assert_eq!(decimation.rows(30), 5);
+        assert_eq!(decimation.rows(11), 0);
+        for (k, taps) in taps.iter().enumerate() {
+            let rows = decimation.of::<f64>(k, &samples, 1);
+            for (r, row) in rows.iter().enumerate() {
+                let sum: f64 = (0..12).map(|t| taps[t] * samples[4 * r + t]).sum();
+                assert!((row - sum).abs() < 1e-13);
+            }
+        }
+    }
+
+    #[test]
+    fn samples_one_by_one_make_the_same_rows() {
+        let decimation =
+            Decimation::new(vec![drawn(12), drawn(24)[12..].to_vec()], 4).expect("whole");
+        let (samples, width) = (31, 3);
+        let quantities = [drawn(93), drawn(186)[93..].to_vec()];
+        let wanted: Vec<Vec<f64>> = (0..2)
+            .map(|k| decimation.of::<f64>(k, &quantities[k], width))
+            .collect();
+        let mut decimated = Decimator::new(&decimation, width, samples);
+        let mut row = 0;
+        for s in 0..samples {
+            let own = |k: usize| &quantities[k][s * width..][..width];
+            if let Some(found) = decimated.push::<f64>(&[own(0), own(1)].concat()) {
+                for k in 0..2 {
+                    for i in 0..width {
+                        let error = found[k * width + i] - wanted[k][row * width + i];
+                        assert!(error.abs() < 1e-13);
+                    }
+                }
+                row += 1;
+            }
+        }
+        assert_eq!(row, decimation.rows(samples));
+    }
+
+    #[test]
+    fn lists_that_do_not_fit_are_none() {
+        assert!(Decimation::new(vec![drawn(12), drawn(8)], 4).is_none());
+        assert!(Decimation::new(vec![drawn(10)], 4).is_none());
+        assert!(Decimation::new(vec![drawn(10)], 0).is_none());
+        assert!(Decimation::new(Vec::new(), 1).is_none());
+    }
+}

@@ -1,0 +1,68 @@
+//! What the sensors of an IMU read combinations of, behind its low-passes.
+
+use crate::arm::link_signals::{LINK_SIGNALS, link_signals};
+use crate::arm::{Accelerometers, Arm};
+use crate::plant::config::Config;
+use crate::scalar::Real;
+use crate::sensors::low_pass::LowPass;
+
+/// f_x, f_y, alpha, w^2, and the rate itself.
+pub(crate) const MOUNTED: usize = LINK_SIGNALS + 1;
+
+/// A number of each link for each of these signals.
+pub(crate) type Signals<R, const N: usize> = [[R; N]; MOUNTED];
+
+/// The low-passes of the plain simulation.
+pub(crate) struct Mounted<R, const N: usize> {
+    pub(crate) filters: [[Option<LowPass<R, 2>>; N]; MOUNTED],
+    pub(crate) readings: Signals<R, N>,
+}
+
+/// The signals before any low-pass.
+#[inline(always)]
+pub(crate) fn ideal<A: Arm<N>, R: Real, const N: usize>(
+    places: &Accelerometers<N>,
+    at: &A::Posture<R>,
+    dq: &[R; N],
+    ddq: &[R; N],
+) -> Signals<R, N> {
+    let [x, y, turning, square] = link_signals::<A, R, N>(places, at, dq, ddq);
+    [x, y, turning, square, A::absolute_rates(dq)]
+}
+
+impl<R: Real, const N: usize> Mounted<R, N> {
+    /// At rest at the first signals, for steps of `h` [s].
+    pub(crate) fn at_rest<A: Arm<N>>(
+        config: &Config<A, N>,
+        h: f64,
+        readings: Signals<R, N>,
+    ) -> Self {
+        let filter = |k: usize, i: usize| {
+            let joint = &config.joints[i];
+            let own = if k < LINK_SIGNALS {
+                joint.imu_accelerometer_hz
+            } else {
+                joint.imu_gyro_hz
+            };
+            own.map(|hz| LowPass::butterworth(hz, h, readings[k][i]))
+        };
+        Self {
+            filters: std::array::from_fn(|k| std::array::from_fn(|i| filter(k, i))),
+            readings,
+        }
+    }
+
+    /// Takes in the signals at the end of a step.
+    #[inline(always)]
+    pub(crate) fn update(&mut self, ideal: Signals<R, N>) {
+        self.readings = ideal;
+        for (filters, readings) in self.filters.iter_mut().zip(&mut self.readings) {
+            for i in 0..N {
+                if let Some(filter) = &mut filters[i] {
+                    filter.update(readings[i]);
+                    readings[i] = filter.output();
+                }
+            }
+        }
+    }
+}
