@@ -4,4 +4,17 @@ The stages are modules, each with one main function from records to a record; `p
 runs them in order. Importing this package is cheap: what is heavy is imported where it is used.
 """
 
+from __future__ import annotations
+
+from strainwave.display import Display, register
+
 __version__ = "0.1.0"
+
+
+def _notebook() -> Display:
+    from strainwave.presentation import notebook
+
+    return notebook
+
+
+register(_notebook)

@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from elastic_runs import log_of, prbs_run, rig
 from joint_records import case
 from results import arm_model, identification, prediction
+from strainwave import display
+from strainwave.display import Displayed
 from strainwave.domain import (
     Diagnostic,
     FrequencyResponse,
@@ -22,7 +24,6 @@ from strainwave.domain import (
     Sweep,
     SweepPoint,
 )
-from strainwave.domain.display import Shown
 from strainwave.errors import InvalidInput
 from strainwave.identification import frequency
 from strainwave.identification import joint_model as physical
@@ -58,7 +59,7 @@ NAMES = (
 
 
 @cache
-def shown() -> dict[str, tuple[Shown, list[str]]]:
+def shown() -> dict[str, tuple[Displayed, list[str]]]:
     """Records by name, and what their tables must say."""
     rigid = identification().rigid
     assert rigid is not None
@@ -151,13 +152,27 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_what_has_no_view_says_so() -> None:
-    class Other(Shown):
+    class Other(Displayed):
         pass
 
     with pytest.raises(TypeError, match="Other"):
         Other()._repr_html_()
     with pytest.raises(TypeError, match="Other"):
         Other().plot()
+
+
+def test_the_last_registered_displays(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Bare:
+        def table_of(self, record: object) -> str:
+            return f"<p>{type(record).__name__}</p>"
+
+        def picture_of(self, record: object, **which: object) -> Figure:
+            return Figure(label=f"{type(record).__name__} {which}")
+
+    monkeypatch.setattr(display, "_loaders", [])
+    display.register(Bare)
+    assert sweep()._repr_html_() == "<p>Sweep</p>"
+    assert sweep().plot(joint=1).get_label() == "Sweep {'joint': 1}"
 
 
 def test_looking_is_what_loads_the_pictures() -> None:

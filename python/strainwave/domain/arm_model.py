@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from strainwave.display import Displayed
 from strainwave.domain.arrays import ComplexArray, FloatArray
-from strainwave.domain.display import Shown
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.study import Effect
 
@@ -162,7 +162,7 @@ class SensorGain:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmModel(Shown):
+class ArmModel(Displayed):
     """All parameters of the arm, fitted at once to all records that excite its gears."""
 
     parameters: tuple[Parameter, ...]

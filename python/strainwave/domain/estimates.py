@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
-from strainwave.domain.display import Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction(Shown):
+class Prediction(Displayed):
     """What a model says a record's channels should have been."""
 
     experiment: str

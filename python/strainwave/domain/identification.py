@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from strainwave.display import Displayed
 from strainwave.domain.arm_model import ArmModel, MotorResponse
-from strainwave.domain.display import Shown
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.domain.final_table import Decision, decide
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
@@ -19,7 +19,7 @@ from strainwave.domain.verdict import Status, Validated, Verdict
 
 
 @dataclass(frozen=True, slots=True)
-class Identification(Shown):
+class Identification(Displayed):
     """Everything one run learnt: what result.json and the report are made of."""
 
     study: Study

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from strainwave.display import Displayed
 from strainwave.domain.arrays import BoolArray, FloatArray
-from strainwave.domain.display import Shown
 from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.linear_models import FrequencyResponse, Mode, ModelCheck, Modes, StateSpace
 from strainwave.domain.signals import Fusion, Lag
@@ -26,7 +26,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class Decoupled(Shown):
+class Decoupled(Displayed):
     """One joint on its own: the other links act on it as an input like any other.
 
     m_M ddtheta_M + d_M dtheta_M = u - n [k delta + d_G ddelta]
@@ -64,7 +64,7 @@ class Resonance:
 
 
 @dataclass(frozen=True, slots=True)
-class JointModel(Shown):
+class JointModel(Displayed):
     """One joint's physical parameters, as one or several records of it give them."""
 
     joint: int  # from 1
@@ -82,7 +82,7 @@ class JointModel(Shown):
 
 
 @dataclass(frozen=True, slots=True)
-class RecordModel(Shown):
+class RecordModel(Displayed):
     """Everything one record shows of the joint that was excited in it."""
 
     signals: Decoupled
@@ -115,7 +115,7 @@ class SweepPoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Sweep(Shown):
+class Sweep(Displayed):
     """How one joint's equivalent stiffness goes with the amplitude."""
 
     joint: int  # from 1

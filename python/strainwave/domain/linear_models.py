@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
-from strainwave.domain.display import Shown
 from strainwave.domain.estimates import Diagnostic
 
 Hold = Literal["zero", "first"]  # between samples: held, or joined by straight lines
@@ -129,7 +129,7 @@ class Modes:
 
 
 @dataclass(frozen=True, slots=True)
-class FrequencyResponse(Shown):
+class FrequencyResponse(Displayed):
     """Response of every output to every input, with its uncertainty."""
 
     frequencies_hz: FloatArray  # (n_frequencies,)

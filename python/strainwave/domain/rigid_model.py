@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
-from strainwave.domain.display import Shown
 from strainwave.domain.estimates import Diagnostic, Parameter
 
 
 @dataclass(frozen=True, slots=True)
-class RigidModel(Shown):
+class RigidModel(Displayed):
     """The rigid-joint arm (5)-(7) as estimated."""
 
     parameters: tuple[Parameter, ...]

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from strainwave.display import Displayed
 from strainwave.domain.arrays import BoolArray, FloatArray
-from strainwave.domain.display import Shown
 from strainwave.domain.estimates import Diagnostic
 from strainwave.domain.study import Experiment
 
 
 @dataclass(frozen=True, slots=True)
-class Log(Shown):
+class Log(Displayed):
     """One experiment's measured channels on a uniform time base, in SI units."""
 
     experiment: Experiment
