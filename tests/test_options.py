@@ -292,7 +292,7 @@ def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.Mo
     assert seen["identify_record"].linear == chosen.statespace
     assert seen["identify_record"].physical == chosen.physical
     assert seen["tune"] == chosen.tuning
-    document = json.loads(result.to_json(found))
+    document = json.loads(result.to_json(result.to_document(found)))
     assert document["options"]["rigid"] == {"bandwidth_hz": 4.0, "load_friction": None}
     assert document["options"]["tuning"]["max_iterations"] == 1
     assert document["stages"]["rigid"]["bandwidth_hz"] == 4.0
@@ -300,7 +300,7 @@ def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.Mo
 
 def test_sweep_records_have_models_responses_and_delays(small: Path) -> None:
     found = pipeline.identify(small, stages=("rigid", "decoupled"))
-    document = json.loads(result.to_json(found))
+    document = json.loads(result.to_json(result.to_document(found)))
     slow = next(e for e in document["stages"]["decoupled"] if e["experiment"] == "slow")
     model = slow["state_space"]
     assert model["status"] == "converged"

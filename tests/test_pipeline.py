@@ -13,6 +13,7 @@ import pytest
 
 from strainwave import pipeline
 from strainwave.domain import Identification, JointModel, Prbs
+from strainwave.domain.progress import ProgressEvent
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
 
@@ -39,9 +40,14 @@ def test_progress_says_which_part_of_how_many_runs(tmp_path: Path) -> None:
     chosen = [e for e in short if e.use in ("motion", "frequency")]
     study = replace(study, experiments=tuple(chosen))
     virtual.simulate_study(study, scara.parameters(5, "linear"), tmp_path, replay=False)
-    said: list[str] = []
-    found = pipeline.identify(tmp_path / "study.toml", progress=said.append)
-    pipeline.write(found, tmp_path / "out", progress=said.append)
+    events: list[ProgressEvent] = []
+    found = pipeline.identify(tmp_path / "study.toml", progress=events.append)
+    pipeline.write(found, tmp_path / "out", progress=events.append)
+    said = [str(event) for event in events]
+    fractions = [event.fraction for event in events]
+    assert fractions[0] == 0.0
+    assert fractions == sorted(fractions)
+    assert fractions[-1] < 1.0
     places = [int(text.split(" of ")[0]) for text in said]
     assert places == sorted(places)
     assert said[0] == "1 of 8: reading the logs"

@@ -286,7 +286,7 @@ def demo(
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+def _progress(quiet: bool) -> Iterator[Callable[[object], None]]:
     """One line on stderr that says what is being done, where a person watches."""
     if quiet or not sys.stderr.isatty():
         yield lambda _: None

@@ -53,3 +53,10 @@ class NotIdentifiable(StrainwaveError):  # noqa: N818
 
 class NumericalFailure(StrainwaveError):  # noqa: N818
     """A computation left the finite numbers or did not converge where it must (exit code 3)."""
+
+
+class Cancelled(StrainwaveError):  # noqa: N818
+    """A run ended without an answer because its caller asked for the end."""
+
+    def __init__(self) -> None:
+        super().__init__("the run was cancelled; nothing was written")

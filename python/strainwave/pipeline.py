@@ -7,7 +7,7 @@ decides what happens when one cannot answer.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -40,6 +40,7 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.diagnostics import published_warnings
+from strainwave.domain.progress import Progress, ProgressEvent, ignored
 from strainwave.dynamics.mounting import with_places
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import amplitude_sweep as sweep
@@ -47,10 +48,12 @@ from strainwave.identification import decoupling, frequency, rigid, validation
 from strainwave.identification import joint_model as physical
 from strainwave.identification import whole_arm as tuning
 from strainwave.identification.motor_responses import motor_response
-from strainwave.io import logs, study
-from strainwave.io import results as result
+from strainwave.io import logs
 from strainwave.io.atomic_files import write_whole
-from strainwave.numerics.parallel import one_blas_thread, side_by_side
+from strainwave.io.logs.in_memory import Data
+from strainwave.io.results import to_document, to_json
+from strainwave.io.study import read_study, with_options
+from strainwave.numerics.parallel import limited, one_blas_thread, side_by_side
 from strainwave.presentation.matplotlib_backend import images
 from strainwave.signals import consistency
 from strainwave.signals import link_motion as links
@@ -61,10 +64,6 @@ from strainwave.signals.recorded_input import missing_for_replay, missing_motor_
 
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
-
-Progress = Callable[[str], None]
-"""Called with what is being done, at the start of each part."""
-
 
 _Seen = tuple[Log, LinkSignals, tuple[Decoupled, ...]]
 """A record, both sides of its gears, and each joint on its own."""
@@ -97,25 +96,31 @@ def check_stages(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def identify(
-    study_path: Path,
+    study: Study | Path,
     *,
+    data: Data | None = None,
     stages: Sequence[str] = STAGES,
     options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
-    progress: Progress = lambda _: None,
+    progress: Progress = ignored,
+    threads: int | None = None,
 ) -> Identification:
     """Logs to models: every stage on one study.
 
     Parameters
     ----------
-    study_path : Path
-        The study file.
+    study : Study or Path
+        Checked, or the study file.
+    data : mapping, optional
+        Experiment's name -> its log, a table in memory or a path, in place of the study's file.
     stages : sequence of str
         A prefix of `STAGES`.
     options : Options, mapping or sequence of str, optional
         In place of the study's [options]: all of them, those that change (stage -> key -> value),
         or "stage.key=value" as on the command line.
     progress : callable
-        Called with what is being done, which part of how many.
+        Gets a `ProgressEvent` at the start of each part and at each evaluation of the last fit.
+    threads : int, optional
+        That may work at a time; one per core without.
 
     Returns
     -------
@@ -127,18 +132,17 @@ def identify(
     InvalidInput
         The study, a log or an argument is at fault.
     """
-    with one_blas_thread():  # once for all: threads must not set it for one another
+    with one_blas_thread(), limited(threads):  # once for all: threads must not set it for others
         run = _Run(check_stages(stages), progress)
         with run.timed("read", "reading the logs"):
-            the_study = study.read_study(study_path)
+            the_study = study if isinstance(study, Study) else read_study(study)
             if options is not None:
-                the_study = study.with_options(the_study, options)
-        return _identify(the_study, run)
+                the_study = with_options(the_study, options)
+            all_logs = logs.read_logs(the_study, data=data)
+        return _identify(the_study, all_logs, run)
 
 
-def _identify(the_study: Study, run: _Run) -> Identification:
-    with run.timed("read", "reading the logs"):
-        all_logs = logs.read_logs(the_study)
+def _identify(the_study: Study, all_logs: Sequence[Log], run: _Run) -> Identification:
     for log in all_logs:
         run.warnings.extend(log.warnings)
     input_check = _consistency(run, the_study, all_logs)
@@ -413,7 +417,8 @@ def _tuned(
     what = "fitting the whole arm to all records at once"
 
     def count(evaluation: int, most: int) -> None:
-        run.tell("tuned", f"{what}: evaluation {evaluation} of at most {most}")
+        said = f"{what}: evaluation {evaluation} of at most {most}"
+        run.report("tuned", said, evaluation / most)
 
     with run.timed("tuned", what):
         try:
@@ -513,7 +518,7 @@ def write(
     folder: Path,
     *,
     figures: bool = False,
-    progress: Progress = lambda _: None,
+    progress: Progress = ignored,
 ) -> None:
     """Result and report, and if wanted every figure as SVG and PNG: all whole or none.
 
@@ -525,7 +530,7 @@ def write(
     figures : bool
         Whether the report's figures go to `figures/` in the folder, too.
     progress : callable
-        Called with what is being done.
+        Gets a `ProgressEvent`.
 
     Raises
     ------
@@ -535,11 +540,11 @@ def write(
     from strainwave.presentation.report import figures_of, render
 
     parts = len(_planned(identification.stages))
-    progress(f"{parts} of {parts}: writing the report")
+    progress(ProgressEvent("report", (parts - 1) / parts, "writing the report", parts, parts))
     begin = time.perf_counter()
     page = render(identification).encode()
     timing = {**identification.timing_s, "report": time.perf_counter() - begin}
-    document = result.to_json(replace(identification, timing_s=timing))
+    document = to_json(to_document(replace(identification, timing_s=timing)))
     files = {"report.html": page, "result.json": document}
     if figures:
         for name, drawn in figures_of(identification).items():
@@ -564,18 +569,20 @@ class _Run:
 
     @contextmanager
     def timed(self, part: str, said: str) -> Iterator[None]:
-        self.tell(part, said)
+        self.report(part, said)
         begin = time.perf_counter()
         yield
         self.timing_s[part] = self.timing_s.get(part, 0.0) + time.perf_counter() - begin
 
-    def tell(self, part: str, said: str) -> None:
+    def report(self, part: str, said: str, within: float = 0.0) -> None:
         """Say what is being done, and how far that is: parts that cannot run are passed over."""
         planned = _planned(self.stages)
         begun = len(self.parts)
         if part in planned[begun:]:
             self.parts = planned[: planned.index(part, begun) + 1]
-        self.progress(f"{len(self.parts)} of {len(planned)}: {said}")
+        number, parts = len(self.parts), len(planned)
+        fraction = (number - 1 + min(within, 1.0)) / parts
+        self.progress(ProgressEvent(part, fraction, said, number, parts))
 
 
 def _planned(stages: Sequence[str]) -> list[str]:

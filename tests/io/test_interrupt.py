@@ -17,8 +17,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such signal 
 PROLOGUE = """
 import sys, threading, time
 from pathlib import Path
-from strainwave import atomic_files, interrupt
-from strainwave.parallel import side_by_side, stop_if_asked
+from strainwave.io import atomic_files, interrupt
+from strainwave.numerics.parallel import side_by_side, stop_if_asked
 interrupt.listen()
 def ready():
     print("ready", flush=True)
@@ -137,7 +137,7 @@ def test_a_process_in_the_background_ignores_it() -> None:
     code = """
 import signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
-from strainwave import interrupt
+from strainwave.io import interrupt
 interrupt.listen()
 print(signal.getsignal(signal.SIGINT) is signal.SIG_IGN)
 """

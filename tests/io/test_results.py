@@ -24,7 +24,7 @@ def rigid(model: RigidModel | None) -> RigidModel:
 
 
 def test_the_contract_s_keys() -> None:
-    document = json.loads(result.to_json(identification()))
+    document = json.loads(result.to_json(result.to_document(identification())))
     assert document["schema"] == "strainwave/result/1"
     assert {"version", "study", "created", "parameters", "stages", "checks", "warnings"} <= set(
         document
@@ -71,7 +71,9 @@ def test_what_is_not_finite_is_null() -> None:
     one = identification()
     model = replace(rigid(one.rigid), condition_number=np.inf)
     unknown = Parameter("gamma", None, None, None, "kg m^2", "rigid")
-    text = result.to_json(replace(one, rigid=replace(model, parameters=(unknown,)))).decode()
+    text = result.to_json(
+        result.to_document(replace(one, rigid=replace(model, parameters=(unknown,))))
+    ).decode()
     assert "Infinity" not in text
     assert "NaN" not in text
     document = json.loads(text)
@@ -83,7 +85,7 @@ def test_what_is_not_finite_is_null() -> None:
 def test_the_ratio_of_torques_is_published() -> None:
     one = identification()
     ratio = replace(one, rigid=replace(rigid(one.rigid), torque_ratio=(0.98, 0.004)))
-    stage = json.loads(result.to_json(ratio))["stages"]["rigid"]
+    stage = json.loads(result.to_json(result.to_document(ratio)))["stages"]["rigid"]
     assert stage["torque_ratio"] == {"value": 0.98, "std": 0.004}
     said = "0.9800, standard deviation 0.004, of what the symmetry"
     assert said in report.render(ratio)
@@ -93,7 +95,7 @@ def test_the_ratio_of_torques_is_published() -> None:
 def test_numpy_numbers_become_numbers() -> None:
     one = identification()
     model = replace(rigid(one.rigid), condition_number=float(np.float64(3.5)))
-    document = json.loads(result.to_json(replace(one, rigid=model)))
+    document = json.loads(result.to_json(result.to_document(replace(one, rigid=model))))
     assert document["stages"]["rigid"]["condition_number"] == 3.5
 
 
@@ -149,7 +151,7 @@ def test_correlations_of_the_whole_arm_fit() -> None:
     parameters = (told("a", 1.0, 2.0), told("b", 1.0, 3.0), told("c", 0.0, 0.0))
     covariance = np.array([[4.0, -3.0, 0.0], [-3.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
     one = replace(identification(), tuned=arm_model(parameters, covariance))
-    tuned = json.loads(result.to_json(one))["stages"]["tuned"]
+    tuned = json.loads(result.to_json(result.to_document(one)))["stages"]["tuned"]
     assert tuned["correlations"] == [[1.0, -0.5, 0.0], [-0.5, 1.0, 0.0], [0.0, 0.0, 0.0]]
     assert [p["name"] for p in tuned["parameters"]] == ["a", "b", "c"]
     assert (tuned["status"], tuned["iterations"]) == ("converged", 7)
@@ -159,13 +161,17 @@ def test_correlations_of_the_whole_arm_fit() -> None:
 def test_what_nothing_tells_of_has_no_correlation() -> None:
     parameters = (told("a", 1.0, 2.0), told("b", None, None))
     vague = arm_model(parameters, np.array([[4.0, 0.0], [0.0, np.inf]]))
-    document = json.loads(result.to_json(replace(identification(), tuned=vague)))
+    document = json.loads(
+        result.to_json(result.to_document(replace(identification(), tuned=vague)))
+    )
     assert document["stages"]["tuned"]["correlations"][0][0] == 1.0
 
 
 def test_a_criticism_is_told_without_its_spectra() -> None:
     tuned = arm_model((told("a", 1.0, 2.0),), np.array([[4.0]]))
-    document = json.loads(result.to_json(replace(identification(), tuned=tuned)))
+    document = json.loads(
+        result.to_json(result.to_document(replace(identification(), tuned=tuned)))
+    )
     criticism = document["stages"]["tuned"]["criticism"]
     (left,), (likely,) = criticism["residuals"], criticism["score_tests"]
     assert (left["channel"], left["noise"], left["input_delay"]) == ("a1", 0.1, 0.006)

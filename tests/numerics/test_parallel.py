@@ -71,7 +71,7 @@ def test_a_job_that_fails_ends_those_beside_it() -> None:
 
 def test_a_process_of_our_own_begins_no_blas_threads() -> None:
     code = """
-from strainwave.parallel import own_process
+from strainwave.numerics.parallel import own_process
 own_process()
 import numpy
 from threadpoolctl import threadpool_info

@@ -1,13 +1,14 @@
-"""Identification -> result.json."""
+"""Identification -> result.json, and back to what that holds."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,8 +28,14 @@ from strainwave.domain import (
     RecordModel,
     RigidModel,
     StateSpace,
+    Suspicion,
+    Validated,
     Verdict,
 )
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, read_bytes
+
+Record = TypeVar("Record")
 
 SCHEMA = "strainwave/result/1"
 
@@ -90,10 +97,135 @@ def to_document(identification: Identification) -> dict[str, Any]:
     return finite
 
 
-def to_json(identification: Identification) -> bytes:
-    """`to_document` as UTF-8 text that ends with a newline."""
-    text = json.dumps(to_document(identification), indent=2, ensure_ascii=False, allow_nan=False)
+def to_json(document: Mapping[str, Any]) -> bytes:
+    """A result's document as UTF-8 text that ends with a newline.
+
+    Parameters
+    ----------
+    document : mapping
+        As `to_document` gives it.
+
+    Returns
+    -------
+    bytes
+    """
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     return (_NUMBERS.sub(_on_one_line, text) + "\n").encode()
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """A result.json as plain JSON values.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict
+        In the layout of docs/result.md.
+
+    Raises
+    ------
+    InvalidInput
+        The file is missing, or no result of `strainwave identify`.
+    """
+    text = decode(read_bytes(path, "the result"), path)
+    remedy = "give a result.json that strainwave identify has written"
+    try:
+        document = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidInput(f"is not JSON ({error})", where=str(path), remedy=remedy) from error
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema != SCHEMA:
+        said = "names no schema" if schema is None else f"has the schema {schema!r}"
+        raise InvalidInput(f"{said}; this version reads {SCHEMA!r}", where=str(path), remedy=remedy)
+    return dict(document)
+
+
+def parameters_of(document: Mapping[str, Any]) -> tuple[Parameter, ...]:
+    """The final table of a result.
+
+    Parameters
+    ----------
+    document : mapping
+        As `to_document` gives it.
+
+    Returns
+    -------
+    tuple of Parameter
+
+    Raises
+    ------
+    InvalidInput
+        An entry lacks a key.
+    """
+    return tuple(_read(Parameter, each, "parameters") for each in document.get("parameters", ()))
+
+
+def warnings_of(document: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
+    """The warnings of a result.
+
+    Parameters
+    ----------
+    document : mapping
+        As `to_document` gives it.
+
+    Returns
+    -------
+    tuple of Diagnostic
+
+    Raises
+    ------
+    InvalidInput
+        An entry lacks a key.
+    """
+    return tuple(_read(Diagnostic, each, "warnings") for each in document.get("warnings", ()))
+
+
+def verdict_of(document: Mapping[str, Any]) -> Verdict:
+    """The verdict of a result.
+
+    Parameters
+    ----------
+    document : mapping
+        As `to_document` gives it.
+
+    Returns
+    -------
+    Verdict
+
+    Raises
+    ------
+    InvalidInput
+        The result has none, or one that lacks a key.
+    """
+    own = dict(document.get("verdict", {}))
+    own["validated"] = _read(Validated, own.get("validated", {}), "verdict.validated")
+    own["suspected"] = tuple(
+        _read(Suspicion, each, "verdict.suspected") for each in own.get("suspected", ())
+    )
+    reason = document.get("reason")
+    own["status"] = document.get("status")
+    own["reasons"] = tuple(reason.split("; ")) if reason else ()
+    return _read(Verdict, own, "verdict")
+
+
+def _read(kind: type[Record], table: Mapping[str, Any], place: str) -> Record:
+    """A record from a JSON table, whose lists become tuples; keys of later versions are passed."""
+    known = {
+        field.name: tuple(value) if isinstance(value, list) else value
+        for field in fields(kind)  # type: ignore[arg-type]
+        if (value := table.get(field.name)) is not None or field.name in table
+    }
+    try:
+        return kind(**known)
+    except TypeError as error:
+        raise InvalidInput(
+            f"{place} is incomplete ({error})",
+            where="the result",
+            remedy="give a result.json as strainwave identify has written it",
+        ) from error
 
 
 def _on_one_line(numbers: re.Match[str]) -> str:

@@ -7,9 +7,9 @@ import ctypes
 import gc
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from typing import TypeVar
 
 Result = TypeVar("Result")
@@ -70,15 +70,61 @@ class Stopped(BaseException):
 class _Group:
     """Jobs that end together, as part of a job of another group or of none."""
 
-    def __init__(self, parent: _Group | None) -> None:
+    def __init__(
+        self,
+        parent: _Group | None,
+        threads: int | None,
+        cancelled: Callable[[], bool] | None = None,
+    ) -> None:
         self.parent = parent
+        self.threads = threads  # None: as many as there are cores
+        self.cancelled = cancelled
         self.stopped = False
 
     def is_stopped(self) -> bool:
+        if self.cancelled is not None and self.cancelled():
+            self.stopped = True
         return self.stopped or (self.parent is not None and self.parent.is_stopped())
 
 
 _thread = threading.local()
+
+
+def _group() -> _Group | None:
+    """The group whose job this thread does."""
+    group: _Group | None = getattr(_thread, "group", None)
+    return group
+
+
+@contextmanager
+def limited(
+    threads: int | None = None, cancelled: Callable[[], bool] | None = None
+) -> Iterator[None]:
+    """Limit the threads of all `side_by_side` in this block, and let somebody else end it.
+
+    Parameters
+    ----------
+    threads : int, optional
+        At most so many work at a time, those of jobs within jobs included. None: a thread per core
+        in each `side_by_side`.
+    cancelled : callable, optional
+        Asked at every `stop_if_asked` whether the work is still wanted.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    Stopped
+        It is not wanted any more.
+    """
+    before = _group()
+    _thread.group = _Group(before, threads, cancelled)
+    try:
+        yield
+    finally:
+        _thread.group = before
 
 
 def stop_if_asked() -> None:
@@ -87,15 +133,16 @@ def stop_if_asked() -> None:
     Raises
     ------
     Stopped
-        A job of the same `side_by_side` failed, or its caller was interrupted.
+        A job of the same `side_by_side` failed, its caller was interrupted, or the work is
+        cancelled.
     """
-    group: _Group | None = getattr(_thread, "group", None)
+    group = _group()
     if group is not None and group.is_stopped():
         raise Stopped
 
 
 def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
-    """Do independent jobs on all cores.
+    """Do independent jobs on all cores, or on as many as `limited` allows.
 
     Threads, because NumPy and the core let go of the interpreter while they work. None of them
     outlives the call: where a job fails or the caller is interrupted, those that wait never begin,
@@ -110,16 +157,25 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     list
         Their results, in order. The first exception among them is raised.
     """
-    if len(jobs) == 1:  # a thread costs as much as a small job
-        return [jobs[0]()]
-    group = _Group(getattr(_thread, "group", None))
-    pool = ThreadPoolExecutor(os.cpu_count())
+    parent = _group()
+    allowed = None if parent is None else parent.threads
+    if len(jobs) <= 1 or allowed == 1:  # a thread costs as much as a small job
+        return [_one_after_another(job) for job in jobs]
+    workers = os.cpu_count() if allowed is None else min(allowed, len(jobs))
+    inside = None if allowed is None else max(1, allowed // min(allowed, len(jobs)))
+    group = _Group(parent, inside)
+    pool = ThreadPoolExecutor(workers)
     try:
         results = [pool.submit(_in_group, group, job) for job in jobs]
         return [each.result() for each in results]
     finally:
         group.stopped = True
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _one_after_another(job: Callable[[], Result]) -> Result:
+    stop_if_asked()
+    return job()
 
 
 def _in_group(group: _Group, job: Callable[[], Result]) -> Result:

@@ -16,6 +16,7 @@ import numpy as np
 from strainwave import pipeline
 from strainwave.domain import Experiment, FloatArray, Identification, Joint, Prbs, Study
 from strainwave.domain.parameters import Values, link_inertia
+from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics import excitation
 from strainwave.dynamics.mounting import Axis, axes_of, factors
 from strainwave.dynamics.simulation import (
@@ -189,8 +190,12 @@ def demonstrate(
     simulate_study(
         study, values, folder, seed=seed, noise=SensorNoise(), replay=False, progress=progress
     )
-    identification = pipeline.identify(folder / "study.toml", progress=progress)
-    pipeline.write(identification, folder, figures=figures, progress=progress)
+
+    def follow(event: ProgressEvent) -> None:
+        progress(str(event))
+
+    identification = pipeline.identify(folder / "study.toml", progress=follow)
+    pipeline.write(identification, folder, figures=figures, progress=follow)
     return identification, derived(values, study)
 
 

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from strainwave.domain import Channel, Diagnostic, Experiment, FloatArray, Log, 
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, one_clock
+from strainwave.io.logs.in_memory import Data, is_path, table_of
 from strainwave.io.logs.tables import Table, open_table, release_readers_memory, write_table
 from strainwave.numerics.parallel import side_by_side
 
@@ -24,13 +26,20 @@ _HELD = ("u", "ref")  # commanded by a clock, constant between its ticks
 _SENSORS = ("omega_m", "a", "theta_l", "deflection", "gyro")  # a dead one is constant
 
 
-def read_logs(study: Study, experiments: Sequence[Experiment] | None = None) -> tuple[Log, ...]:
+def read_logs(
+    study: Study,
+    experiments: Sequence[Experiment] | None = None,
+    *,
+    data: Data | None = None,
+) -> tuple[Log, ...]:
     """The logs of several experiments, of all by default.
 
     Parameters
     ----------
     study : Study
     experiments : sequence of Experiment, optional
+    data : mapping, optional
+        Experiment's name -> its log, a table in memory or a path, in place of the study's file.
 
     Returns
     -------
@@ -39,15 +48,26 @@ def read_logs(study: Study, experiments: Sequence[Experiment] | None = None) -> 
     Raises
     ------
     InvalidInput
-        A log is at fault, or a column that the study maps is in none of them.
+        A log is at fault, or a column that the study maps is in none of them, or `data` name an
+        experiment that the study does not have.
     """
     chosen = study.experiments if experiments is None else experiments
-    found = tuple(side_by_side([partial(read_log, study, each) for each in chosen]))
-    _check_mapped(study, found)
+    given = dict(data or {})
+    names = [each.name for each in study.experiments]
+    for name in given:
+        if name not in names:
+            raise InvalidInput(
+                f"the study has no experiment {name!r}",
+                where="data",
+                remedy=f"name one of its experiments: {', '.join(names)}",
+            )
+    jobs = [partial(read_log, study, each, given.get(each.name)) for each in chosen]
+    found = tuple(side_by_side(jobs))
+    _check_mapped(study, found, given)
     return found
 
 
-def read_log(study: Study, experiment: Experiment) -> Log:
+def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     """One experiment's log: columns to channels, window, uniform time.
 
     A channel's value is scale * column + offset; a column that `add` names is taken in the
@@ -58,6 +78,8 @@ def read_log(study: Study, experiment: Experiment) -> Log:
     ----------
     study : Study
     experiment : Experiment
+    data : table or path, optional
+        In place of the study's file.
 
     Returns
     -------
@@ -69,8 +91,7 @@ def read_log(study: Study, experiment: Experiment) -> Log:
     InvalidInput
         The file, a column or a value is at fault.
     """
-    path = study.log_path(experiment)
-    table = _open(path)
+    table, path = _open(study, experiment, data)
     sources = _sources(study, experiment, table, path)
     tracks, warnings = _tracks(table, sources, experiment)
     time, columns, told = one_clock(tracks, _held(sources, experiment), experiment, path)
@@ -86,8 +107,13 @@ def read_log(study: Study, experiment: Experiment) -> Log:
     return Log(experiment, time, sample_time, channels, tuple(warnings))
 
 
-def _open(path: Path) -> Table | Bag:
-    return Bag(path) if is_bag(path) else open_table(path)
+def _open(study: Study, experiment: Experiment, data: Any) -> tuple[Table | Bag, Path]:
+    """An experiment's table, and what a person knows it by."""
+    if data is not None and not is_path(data):
+        name = f"data[{experiment.name!r}]"
+        return table_of(data, name), Path(name)
+    path = study.log_path(experiment) if data is None else Path(data)
+    return (Bag(path) if is_bag(path) else open_table(path)), path
 
 
 def _tracks(
@@ -135,14 +161,15 @@ def _sources(
     return sources
 
 
-def _check_mapped(study: Study, read: Sequence[Log]) -> None:
+def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
     """A mapped column may be missing from some logs, not from all."""
     for name, channel in study.channels.items():
         if name == "t" or not read or any(name in log.channels for log in read):
             continue
-        path = study.log_path(read[0].experiment)
-        if len(read) == 1 or is_bag(path):  # a bag's error lists its topics, which serves better
-            raise _no_mapped(name, channel, _open(path), path)
+        first = read[0].experiment
+        table, path = _open(study, first, data.get(first.name))
+        if len(read) == 1 or isinstance(table, Bag):  # a bag's error lists its topics
+            raise _no_mapped(name, channel, table, path)
         raise InvalidInput(
             f"no log has the column '{channel.column}', which [channels] names for '{name}'",
             where=str(study.path),

@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from strainwave.io.study.checks import check_files, check_fit, check_options, ch
 from strainwave.io.study.flags import Flag, parsed
 from strainwave.io.study.reader import Reader
 
-__all__ = ["read_study", "with_options", "write_study"]
+__all__ = ["checked_study", "document_of", "read_study", "with_options", "write_study"]
 
 _TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)')
 
@@ -120,6 +120,40 @@ def _check_filled_in(text: str, path: Path) -> None:
         )
 
 
+def checked_study(study: Study, given: Collection[str] = ()) -> Study:
+    """A study that was built or changed in code, checked as a study file is.
+
+    Parameters
+    ----------
+    study : Study
+    given : collection of str
+        Experiments whose logs are given, and need no file.
+
+    Returns
+    -------
+    Study
+        With the SHA-256 of what `write_study` would write, where it was not read from a file.
+
+    Raises
+    ------
+    InvalidInput
+        A value is of another type or range than it may have, the parts do not fit each other, or
+        a log file does not exist.
+    """
+    import tomli_w
+
+    document = document_of(study)
+    text = tomli_w.dumps(document)
+    reader = Reader(study.path, "")
+    again = reader.study(tomllib.loads(text), study.sha256)
+    check_fit(again, reader)
+    check_sizes(again, reader)
+    others = tuple(each for each in study.experiments if each.name not in given)
+    check_files(dataclasses.replace(study, experiments=others), reader)
+    sha256 = study.sha256 or hashlib.sha256(text.encode()).hexdigest()
+    return dataclasses.replace(study, sha256=sha256)
+
+
 def write_study(study: Study, path: Path) -> None:
     """Write a study file that reads back equal.
 
@@ -135,6 +169,20 @@ def write_study(study: Study, path: Path) -> None:
     """
     import tomli_w
 
+    write_whole(path.parent, {path.name: tomli_w.dumps(document_of(study)).encode()})
+
+
+def document_of(study: Study) -> dict[str, Any]:
+    """A study as the tables of a study file; what has its default is left out.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    dict
+    """
     document: dict[str, Any] = {
         "arm": _table(study.arm),
         "joint": [_table(joint) for joint in study.joints],
@@ -147,7 +195,7 @@ def write_study(study: Study, path: Path) -> None:
     options = _table(study.options)
     if options:
         document["options"] = options
-    write_whole(path.parent, {path.name: tomli_w.dumps(document).encode()})
+    return document
 
 
 def _table(record: Any) -> dict[str, Any]:

@@ -41,6 +41,22 @@ def html_of(record: object) -> str:
     raise TypeError(f"no table is known of a {type(record).__name__}")
 
 
+def table_of_parameters(parameters: Iterable[Parameter], head: str = "") -> str:
+    """Parameters as a table.
+
+    Parameters
+    ----------
+    parameters : iterable of Parameter
+    head : str
+        Above the table.
+
+    Returns
+    -------
+    str
+    """
+    return _html(head, _PARAMETER_HEADS, _rows(parameters), ())
+
+
 @html_of.register
 def _(log: Log) -> str:
     rows = [
