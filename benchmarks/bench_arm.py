@@ -161,7 +161,7 @@ def _c_times(programs: list[str]) -> list[tuple[float, float]]:
 
 def _c_values() -> str:
     """The built-in arm's parameters as the C loop's constants; knees by their torsion."""
-    values, joints = scara.parameters(), scara.study(Path()).joints
+    values, joints = scara.parameters(), scara.study(Path()).arm.joints
 
     def pair(name: str) -> list[float]:
         return [values[name, joint] for joint in (1, 2)]
@@ -199,7 +199,7 @@ def _scipy() -> float:
     """The same arm; friction regularised, for no solver of SciPy's finds stick and slip."""
     from scipy.integrate import solve_ivp
 
-    values, joints = scara.parameters(), scara.study(Path()).joints
+    values, joints = scara.parameters(), scara.study(Path()).arm.joints
     p = {name: value for (name, joint), value in values.items() if joint is None}
     joint = [{name: v for (name, j), v in values.items() if j == i} for i in (1, 2)]
     voltage = _voltage()

@@ -152,7 +152,7 @@ def _models(study: Study, values: Values) -> tuple[JointModel, ...]:
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
     links = (alpha + beta + 2.0 * gamma, beta)
     models = []
-    for j in range(1, study.n_joints + 1):
+    for j in range(1, study.arm.n_joints + 1):
         known = {(name, j): value for (name, own), value in values.items() if own == j}
         stiffness = known.get(("gear_stiffness", j), known.get((CURVE[1], j)))
         own = {name: known.get((name, j), stiffness) for name in _JOINT}
@@ -210,7 +210,7 @@ def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
     search = search_of(
         _nothing(values), _models(study, values), study, largest_voltage=[10.0, 10.0], floor=1.0
     )
-    if study.joints[0].spring == "three-slope":
+    if study.arm.joints[0].spring == "three-slope":
         search = with_curves(search, study, [60.0, 15.0])
     misfit = Misfit.of(search, records).reweighted(search.coordinates(values))
     repeats = [np.sqrt(weights.repeats) for weights in misfit.weights]

@@ -28,7 +28,12 @@ SIZES: Values = {
 def rig(effects: tuple[Effect, ...]) -> Study:
     """The rig, whose first joint has effects."""
     study = truth()[0]
-    return replace(study, joints=(replace(study.joints[0], effects=effects), study.joints[1]))
+    return replace(
+        study,
+        arm=replace(
+            study.arm, joints=(replace(study.arm.joints[0], effects=effects), study.arm.joints[1])
+        ),
+    )
 
 
 @cache
@@ -43,7 +48,7 @@ def records(effects: tuple[Effect, ...]) -> tuple[Study, Values, tuple[Log, ...]
 def tuned(has: tuple[Effect, ...], asked: tuple[Effect, ...], most: int = 60) -> ArmModel:
     """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
     study, known, logs = records(has)
-    asks = replace(study, joints=rig(asked).joints)
+    asks = replace(study, arm=replace(study.arm, joints=rig(asked).arm.joints))
     joints = joint_models(asks, known, 0.05, FACTORS)
     return tune(
         logs, rigid_model(asks, known, 0.01, 1.0), joints, asks, TuningOptions(max_iterations=most)

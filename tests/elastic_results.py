@@ -69,7 +69,7 @@ def measured() -> FrequencyResponse:
 
 def joint_model(number: int = 1) -> JointModel:
     covariance = np.diag((SPREAD * JOINT.vector) ** 2)
-    own = study().joints[number - 1]
+    own = study().arm.joints[number - 1]
     parameters = tuple(
         Parameter(
             name, number, v, SPREAD * v, unit_of(name, own), "decoupled", (0.96 * v, 1.04 * v)

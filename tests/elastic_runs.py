@@ -20,8 +20,8 @@ PRBS = Prbs(order=10, clock=1e-3, periods=3, amplitude=10.0)
 
 def rig(gravity: float | None = None, *, counts: float | None = 8192.0) -> Study:
     study = scara.study(Path("nowhere"), "linear")
-    joints = tuple(replace(joint, encoder_counts=counts) for joint in study.joints)
-    return replace(study, arm=replace(study.arm, gravity=gravity), joints=joints)
+    joints = tuple(replace(joint, encoder_counts=counts) for joint in study.arm.joints)
+    return replace(study, arm=replace(study.arm, gravity=gravity, joints=joints))
 
 
 def rig_values(study: Study) -> Values:
@@ -78,7 +78,7 @@ def log_of(run: Trajectory, joint: int = 1, seed: int | None = None) -> Log:
 
 def true_model(study: Study, values: Values) -> RigidModel:
     """A rigid model that knows the truth."""
-    n = [joint.gear_ratio for joint in study.joints]
+    n = [joint.gear_ratio for joint in study.arm.joints]
     truth = dict(values)
     truth["rigid_inertia", 1] = values["alpha", None] + values["motor_inertia", 1] / n[0] ** 2
     for joint in (1, 2):

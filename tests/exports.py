@@ -7,7 +7,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from strainwave.domain import Arm, Experiment, Joint, Motion, Spring, Study
+from strainwave.domain import ArmDescription, Experiment, Joint, Motion, Spring, Study
 from strainwave.domain.parameters import Values, unit_of
 from strainwave.export import IdentifiedArm, read_result
 from strainwave.io.study import write_study
@@ -19,13 +19,13 @@ MOTION = Experiment("motion", "motion.csv", "motion", ("servo",))
 def two_links(folder: Path, spring: Spring = "linear", gravity: float | None = None) -> Study:
     """The built-in rig without a current loop."""
     study = scara.study(folder, spring)
-    joints = tuple(replace(joint, current_loop_hz=None) for joint in study.joints)
-    return replace(study, arm=replace(study.arm, gravity=gravity), joints=joints)
+    joints = tuple(replace(joint, current_loop_hz=None) for joint in study.arm.joints)
+    return replace(study, arm=replace(study.arm, gravity=gravity, joints=joints))
 
 
 def values_of(study: Study) -> Values:
     """The rig's parameters; G2 is 2 % off what one rigid body's would be."""
-    values = scara.parameters(5, study.joints[0].spring)
+    values = scara.parameters(5, study.arm.joints[0].spring)
     if study.arm.gravity is not None:
         values["gravity_torque_1", None] = 60.0
         first_moment = values["gamma", None] / scara.LINK_LENGTH[0]
@@ -41,8 +41,8 @@ def single(
 ) -> tuple[Study, Values]:
     """One joint, its torque logged."""
     joint = Joint(spring=spring, gear_ratio=0.1, motion=motion)
-    arm = Arm("single-joint", gravity=gravity)
-    study = Study(folder / "study.toml", "", arm, (joint,), (MOTION,))
+    arm = ArmDescription("single-joint", (joint,), gravity=gravity)
+    study = Study(folder / "study.toml", "", arm, (MOTION,))
     values: Values = {
         ("motor_viscous_friction", 1): 0.002,
         ("link_viscous_friction", 1): 0.1,
@@ -68,7 +68,7 @@ def document(study: Study, values: Values) -> dict[str, object]:
             "value": value,
             "std": 0.01 * abs(value),
             "ci95": None,
-            "unit": "kg m^2" if joint is None else unit_of(name, study.joints[joint - 1]),
+            "unit": "kg m^2" if joint is None else unit_of(name, study.arm.joints[joint - 1]),
             "stage": "tuned",
         }
         for (name, joint), value in values.items()

@@ -16,7 +16,7 @@ from elastic_runs import log_of, prbs_run, rig
 from joint_records import case
 from strainwave import pipeline
 from strainwave.domain import (
-    Arm,
+    ArmDescription,
     Experiment,
     FrequencyOptions,
     Joint,
@@ -64,9 +64,11 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     study = Study(
         path=folder / "study.toml",
         sha256="",
-        arm=Arm("single-joint"),
-        joints=(JOINT,),
-        servo=Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0),
+        arm=ArmDescription(
+            "single-joint",
+            (JOINT,),
+            servo=Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0),
+        ),
         experiments=(
             Experiment("motion", "motion.parquet", "motion", ("servo",)),
             excited("prbs", "frequency", 10.0),

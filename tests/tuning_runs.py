@@ -64,7 +64,7 @@ def shaken_study(
 ) -> Study:
     """The study with one period of a PRBS on each joint, open loop, in place of its experiments."""
     prbs = Prbs(order, 1e-3, 1, amplitude)
-    free: tuple[Control, ...] = tuple("open" for _ in study.joints)
+    free: tuple[Control, ...] = tuple("open" for _ in study.arm.joints)
     experiments = tuple(
         Experiment(f"prbs-j{j}", f"prbs-j{j}.parquet", "frequency", free, joint=j, prbs=prbs)
         for j in joints
@@ -96,8 +96,8 @@ def shaken(
     study, values = truth(spring)
     values |= {("friction_settling_time", i): t for i, t in enumerate(settling, start=1) if t}
     if not counts:
-        joints = tuple(replace(joint, encoder_counts=None) for joint in study.joints)
-        study = replace(study, joints=joints)
+        joints = tuple(replace(joint, encoder_counts=None) for joint in study.arm.joints)
+        study = replace(study, arm=replace(study.arm, joints=joints))
     wanted = shaken_study(study, amplitude, order=order)
     written, logs = written_logs(wanted, values, noise=SensorNoise() if noisy else None)
     return written, values, logs
@@ -150,11 +150,11 @@ def joint_models(
     A three-slope gear is known by one stiffness, between its first two.
     """
     models = []
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         if ("gear_stiffness_k1", joint) in known:
             low, high = (known[f"gear_stiffness_k{k}", joint] for k in (1, 2))
             known = {**known, ("gear_stiffness", joint): 0.5 * (low + high)}
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         true = np.array([known[name, joint] for name in JOINT_NAMES])
         wrong = true * (1.0 + share * np.append(factors[joint - 1], 0.0))
         deviation = share * true
@@ -171,8 +171,8 @@ def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) 
     """
     columns = columns_of(study)
     known = derived(known, study)
-    if study.n_joints == 1:
-        ratio = study.joints[0].gear_ratio
+    if study.arm.n_joints == 1:
+        ratio = study.arm.joints[0].gear_ratio
         known["inertia", 1] = known["motor_inertia", 1] + ratio**2 * known["link_inertia", 1]
     values = np.array([known[c.name, c.joint] for c in columns])
     # an offset of friction is zero: its deviation is a share of the friction

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import Arm, Experiment, FloatArray, Joint, Log, Signals, Study
+from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Log, Signals, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation, simulation
 from strainwave.virtual import scara
@@ -37,13 +37,15 @@ def rigid_two_link(gravity: float | None = None) -> Study:
 def rigid_drive(gravity: float | None = None) -> Study:
     """One rigid revolute joint whose torque is logged."""
     joint = Joint(spring="rigid", gear_ratio=0.5)
-    return Study(Path("nowhere"), "", Arm("single-joint", gravity=gravity), (joint,), (DRIVE,))
+    return Study(
+        Path("nowhere"), "", ArmDescription("single-joint", (joint,), gravity=gravity), (DRIVE,)
+    )
 
 
 def values_of(study: Study, seed: int) -> Values:
     """The built-in rig's parameters, each changed by up to a factor of about two."""
     rng = np.random.default_rng(seed)
-    spring = study.joints[0].spring
+    spring = study.arm.joints[0].spring
     values = scara.parameters(int(rng.integers(0, 6)), spring)
     for (name, joint), value in values.items():
         if joint is not None and name != "friction_offset" and "knee" not in name:
@@ -60,9 +62,9 @@ def values_of(study: Study, seed: int) -> Values:
 def rigid_truth(study: Study, values: Values) -> Values:
     """What the rigid model should find."""
     truth = dict(values)
-    n = study.joints[0].gear_ratio
+    n = study.arm.joints[0].gear_ratio
     truth["rigid_inertia", 1] = values["alpha", None] + values["motor_inertia", 1] / n**2
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         link = joint.gear_ratio**2 * values["link_viscous_friction", number]
         total = values["motor_viscous_friction", number] + link
         truth["total_viscous_friction", number] = total
@@ -88,12 +90,12 @@ def motion_log(study: Study, values: Values, seed: int, duration: float = 10.0) 
     start, held = (0.0, 0.0), (0.0, 0.0)
     if study.arm.gravity is not None:
         start = (-80.0, 50.0)
-        q1, q2 = (n.gear_ratio * q for n, q in zip(study.joints, start, strict=True))
+        q1, q2 = (n.gear_ratio * q for n, q in zip(study.arm.joints, start, strict=True))
         g2 = values["gravity_torque_2", None] * np.cos(q1 + q2)
         g1 = values["gravity_torque_1", None] * np.cos(q1) + g2
         held = tuple(
             joint.gear_ratio * g / (joint.torque_per_volt or 1.0)
-            for joint, g in zip(study.joints, (g1, g2), strict=True)
+            for joint, g in zip(study.arm.joints, (g1, g2), strict=True)
         )
     return servoed_log(study, values, reference, start, held)
 

@@ -70,7 +70,7 @@ class Problem:
     def sensed(self, samples: FloatArray, log: Log) -> FloatArray:
         """Accelerations, the last half of columns of a group of four, as the sensors give them."""
         found = samples.copy()
-        for i, joint in enumerate(self.study.joints):
+        for i, joint in enumerate(self.study.arm.joints):
             b, a = butter(2, joint.accelerometer_hz or 300.0, fs=1.0 / log.sample_time)
             found[..., 2 + i] = lfilter(b, a, samples[..., 2 + i], axis=0)
         return found
@@ -78,8 +78,8 @@ class Problem:
     def torques(self, log: Log) -> FloatArray:
         """Motor torques at the begin, middle and end of every substep: (n, substeps, 3, 2)."""
         h = log.sample_time / SUBSTEPS
-        e = np.array([joint.torque_per_volt or 1.0 for joint in self.study.joints])
-        w = 2.0 * np.pi * np.array([j.current_loop_hz or np.inf for j in self.study.joints])
+        e = np.array([joint.torque_per_volt or 1.0 for joint in self.study.arm.joints])
+        w = 2.0 * np.pi * np.array([j.current_loop_hz or np.inf for j in self.study.arm.joints])
         goal = np.column_stack([log.channels["u1"], log.channels["u2"]]) * e
         found, now = np.empty((len(goal), SUBSTEPS, 3, 2)), np.zeros(2)
         for k, wanted in enumerate(goal):
@@ -184,8 +184,8 @@ def _step(study: Study) -> Any:
     """(X, torques, p) -> (X after a sample, Y before it); columns: value and derivatives."""
     import casadi as ca
 
-    n = [joint.gear_ratio for joint in study.joints]
-    reach = [joint.accelerometer_distance or 1.0 for joint in study.joints]
+    n = [joint.gear_ratio for joint in study.arm.joints]
+    reach = [joint.accelerometer_distance or 1.0 for joint in study.arm.joints]
     l1 = study.arm.link_length or 0.0
     p, x = ca.SX.sym("p", len(KEYS)), ca.SX.sym("x", 8)
     tau = ca.SX.sym("tau", SUBSTEPS * 6)
@@ -241,7 +241,11 @@ def mujoco_sysid(problem: Problem) -> Values:
 
     step = 1.25e-4
     study = replace(
-        problem.study, joints=tuple(replace(j, current_loop_hz=None) for j in problem.study.joints)
+        problem.study,
+        arm=replace(
+            problem.study.arm,
+            joints=tuple(replace(j, current_loop_hz=None) for j in problem.study.arm.joints),
+        ),
     )
 
     def values(z: FloatArray) -> Values:
@@ -313,7 +317,7 @@ def _sequence(
     from mujoco import sysid
 
     per_sample = round(log.sample_time / step)
-    e = np.array([joint.torque_per_volt or 1.0 for joint in study.joints])
+    e = np.array([joint.torque_per_volt or 1.0 for joint in study.arm.joints])
     tau = problem.torques(log)  # Simpson's mean over each step is what an impulse needs
     mean = (tau[:, :, 0] + 4.0 * tau[:, :, 1] + tau[:, :, 2]) / 6.0
     control = np.repeat(mean, per_sample // SUBSTEPS, axis=1).reshape(-1, 2) / e

@@ -84,13 +84,18 @@ def simulated(folder: Path, seed: int, *, stribeck: bool) -> Study:
     kept = [replace(e, prbs=short) if e.use == "frequency" else e for e in kept]
     true = study = replace(study, experiments=tuple(kept))
     if stribeck:
-        true = replace(true, joints=tuple(replace(j, effects=("stribeck",)) for j in true.joints))
+        true = replace(
+            true,
+            arm=replace(
+                true.arm, joints=tuple(replace(j, effects=("stribeck",)) for j in true.arm.joints)
+            ),
+        )
         for i in (1, 2):
             values["stribeck_friction", i] = _STRIBECK * values["motor_coulomb_friction", i]
             values["stribeck_velocity", i] = _STRIBECK_VELOCITY
     simulate_study(true, values, folder, seed=seed, noise=SensorNoise(), replay=False)
     written = read_study(folder / "study.toml")
-    return replace(written, joints=study.joints)
+    return replace(written, arm=replace(written.arm, joints=study.arm.joints))
 
 
 def altered(study: Study, change: Change) -> Identification:

@@ -109,7 +109,7 @@ def with_logs(
             found = work(Path(folder) / "study.toml", values)
         except Exception as failure:  # a study reports, it does not stop
             found = {"failure": f"{type(failure).__name__}: {failure}"}
-    spring = study.joints[0].spring
+    spring = study.arm.joints[0].spring
     return {"seed": seed, "spring": spring, "classes": own.classes, **found}
 
 

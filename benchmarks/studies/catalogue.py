@@ -11,7 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.studies.arms import Rig
-from strainwave.domain import Arm, Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
+from strainwave.domain import (
+    ArmDescription,
+    Control,
+    Experiment,
+    Joint,
+    Prbs,
+    Servo,
+    Spring,
+    Study,
+    Use,
+)
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import SensorNoise
 
@@ -114,14 +124,17 @@ def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
     study = Study(
         path=Path("study.toml"),
         sha256="",
-        arm=Arm("planar-two-link", link_length=length[0]),
-        joints=tuple(joints),
-        servo=Servo(
-            "pi-velocity",
-            period=max(1e-3, sample_time),
-            kp=tuple(g[0] for g in gains),
-            ki=tuple(g[1] for g in gains),
-            limit=_VOLTS,
+        arm=ArmDescription(
+            "planar-two-link",
+            tuple(joints),
+            link_length=length[0],
+            servo=Servo(
+                "pi-velocity",
+                period=max(1e-3, sample_time),
+                kp=tuple(g[0] for g in gains),
+                ki=tuple(g[1] for g in gains),
+                limit=_VOLTS,
+            ),
         ),
         experiments=_experiments(spring, max(1e-3, sample_time)),
     )

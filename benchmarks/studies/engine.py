@@ -47,13 +47,13 @@ def in_mujoco(
     """One experiment, as `strainwave.dynamics.simulation.simulate` runs it."""
     model = _model(study, values)
     data = mujoco.MjData(model)
-    joints = range(1, study.n_joints + 1)
+    joints = range(1, study.arm.n_joints + 1)
     _hang(study, values, drive, data)
     per_tick, per_sample = round(drive.tick / STEP), round(sample_time / STEP)
     n = (samples - 1) * per_sample + 1
     servo, current = _Servo(study, drive), _CurrentLoop(study, drive)
     seen = np.empty((n, model.nsensordata))
-    voltage = np.empty((n, study.n_joints))
+    voltage = np.empty((n, study.arm.n_joints))
     motors = [model.joint(f"motor_joint{i}").qposadr[0] for i in joints]
     for k in range(n):
         if k % per_tick == 0:
@@ -72,11 +72,11 @@ def in_mujoco(
     made: dict[Quantity, Callable[[], FloatArray]] = {
         "voltage": lambda: voltage,
         "link_angle": lambda: sensed("theta_l", 0),
-        "encoder": lambda: _rounded(sensed("theta_m", 0), study.joints),
+        "encoder": lambda: _rounded(sensed("theta_m", 0), study.arm.joints),
         "accelerometer": lambda: _filtered(
-            sensed("a", 1), 2, [j.accelerometer_hz for j in study.joints]
+            sensed("a", 1), 2, [j.accelerometer_hz for j in study.arm.joints]
         ),
-        "gyro": lambda: _filtered(sensed("gyro", 2), 1, [j.gyro_hz for j in study.joints]),
+        "gyro": lambda: _filtered(sensed("gyro", 2), 1, [j.gyro_hz for j in study.arm.joints]),
     }
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
     return Trajectory(time, {name: made[name]()[::per_sample] for name in record})
@@ -87,12 +87,12 @@ def _model(study: Study, values: Values) -> Any:
         Parameter(name, joint, value, 0.0, "1", "truth") for (name, joint), value in values.items()
     )
     # currents are followed here
-    joints = tuple(replace(joint, current_loop_hz=None) for joint in study.joints)
-    arm = IdentifiedArm(replace(study, joints=joints), parameters, "truth")
+    joints = tuple(replace(joint, current_loop_hz=None) for joint in study.arm.joints)
+    arm = IdentifiedArm(replace(study, arm=replace(study.arm, joints=joints)), parameters, "truth")
     text = to_mjcf(arm).data.decode()
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.timestep = STEP
-    for i in range(1, study.n_joints + 1):
+    for i in range(1, study.arm.n_joints + 1):
         at = model.joint(f"motor_joint{i}").dofadr[0]
         model.dof_solref[at] = 2.0 * settling(values, i), 1.0
     return model
@@ -106,14 +106,14 @@ def settling(values: Values, joint: int) -> float:
 def _hang(study: Study, values: Values, drive: Drive, data: Any) -> None:
     """Links at rest on their gears, of linear stiffness where gravity pulls."""
     motor = np.array(drive.motor_angle)
-    untwisted = motor * [joint.gear_ratio for joint in study.joints]
+    untwisted = motor * [joint.gear_ratio for joint in study.arm.joints]
     link = untwisted
     for _ in range(100 if study.arm.gravity else 0):
         outer = values["gravity_torque_2", None] * np.cos(link[0] + link[1])
         inner = values["gravity_torque_1", None] * np.cos(link[0])
         stiffness = [values["gear_stiffness", i] for i in (1, 2)]
         link = untwisted - np.array([inner + outer, outer]) / stiffness
-    for i in range(study.n_joints):
+    for i in range(study.arm.n_joints):
         data.joint(f"joint{i + 1}").qpos[0] = link[i]
         data.joint(f"motor_joint{i + 1}").qpos[0] = motor[i]
 
@@ -122,7 +122,7 @@ class _CurrentLoop:
     """Voltages that would bring a current at once where the loop's own lags."""
 
     def __init__(self, study: Study, drive: Drive) -> None:
-        bandwidth = np.array([joint.current_loop_hz or np.inf for joint in study.joints])
+        bandwidth = np.array([joint.current_loop_hz or np.inf for joint in study.arm.joints])
         x = 2.0 * np.pi * bandwidth * STEP
         self.left, self.mean = np.exp(-x), -np.expm1(-x) / x
         self.now = np.array(drive.initial_voltage)
@@ -139,18 +139,18 @@ class _Servo:
 
     def __init__(self, study: Study, drive: Drive) -> None:
         self.study, self.drive = study, drive
-        self.last = _rounded(np.array([drive.motor_angle]), study.joints)[0]
-        ki = np.array(study.servo.ki) if study.servo else np.ones(study.n_joints)
+        self.last = _rounded(np.array([drive.motor_angle]), study.arm.joints)[0]
+        ki = np.array(study.arm.servo.ki) if study.arm.servo else np.ones(study.arm.n_joints)
         # what holds the arm at the start is in the integral
         self.integral = np.where(drive.servo, drive.initial_voltage / ki, 0.0)
 
     def command(self, tick: int, angle: FloatArray) -> FloatArray:
         tick = min(tick, len(self.drive.voltage) - 1)
         voltage: FloatArray = self.drive.voltage[tick].copy()
-        servo = self.study.servo
+        servo = self.study.arm.servo
         if servo is None:
             return voltage
-        encoder = _rounded(angle[None], self.study.joints)[0]
+        encoder = _rounded(angle[None], self.study.arm.joints)[0]
         error = self.drive.reference[tick] - (encoder - self.last) / servo.period
         self.last = encoder
         integral = self.integral + error * servo.period
@@ -239,7 +239,7 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
         return {"failure": identification.reason}
     study = read_study(path)
     known = derived(values, study)
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         known["friction_settling_time", joint] = settling(values, joint)
     rows = []
     for p in tuned.parameters:

@@ -63,7 +63,7 @@ def drawn_faults(logs: tuple[Log, ...], study: Study, rng: np.random.Generator) 
         _clipped,
     ]
     for k in rng.permutation(len(kinds)).tolist():
-        yield kinds[k](logs, study, int(rng.integers(1, study.n_joints + 1)), rng)
+        yield kinds[k](logs, study, int(rng.integers(1, study.arm.n_joints + 1)), rng)
 
 
 def _changed(
@@ -103,7 +103,7 @@ def _time_scale(logs: Any, study: Study, _: int, rng: np.random.Generator) -> Fa
 
 
 def _angle_unit(logs: Any, study: Study, joint: int, rng: np.random.Generator) -> Fault:
-    counts = float(study.joints[joint - 1].encoder_counts or 8192.0)
+    counts = float(study.arm.joints[joint - 1].encoder_counts or 8192.0)
     units = {"degrees": 180.0 / np.pi, "counts": counts / (2 * np.pi), "turns": 0.5 / np.pi}
     unit = str(rng.choice(list(units)))
     changed = _times(logs, f"theta_m{joint}", units[unit])
@@ -139,13 +139,13 @@ def _swapped(logs: Any, study: Study, _: int, rng: np.random.Generator) -> Fault
 
 
 def _with_joint(study: Study, joint: int, **keys: Any) -> Study:
-    joints = list(study.joints)
+    joints = list(study.arm.joints)
     joints[joint - 1] = replace(joints[joint - 1], **keys)
-    return replace(study, joints=tuple(joints))
+    return replace(study, arm=replace(study.arm, joints=tuple(joints)))
 
 
 def _gear_ratio(logs: Any, study: Study, joint: int, rng: np.random.Generator) -> Fault:
-    n = study.joints[joint - 1].gear_ratio
+    n = study.arm.joints[joint - 1].gear_ratio
     wrong, size = [(1.0, "left at 1"), (2.0 * n, "doubled"), (0.5 * n, "halved")][
         int(rng.integers(3))
     ]
@@ -154,7 +154,7 @@ def _gear_ratio(logs: Any, study: Study, joint: int, rng: np.random.Generator) -
 
 
 def _distance(logs: Any, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    distance = float(study.joints[joint - 1].accelerometer_distance or 0.0)
+    distance = float(study.arm.joints[joint - 1].accelerometer_distance or 0.0)
     length = float(study.arm.link_length or 0.0)
     changed = _with_joint(study, joint, accelerometer_distance=distance + length)
     size = f"x {1.0 + length / distance:.2f}"
@@ -163,7 +163,7 @@ def _distance(logs: Any, study: Study, joint: int, _: np.random.Generator) -> Fa
 
 def _torque_constant(logs: Any, study: Study, joint: int, rng: np.random.Generator) -> Fault:
     factor = float(rng.choice([0.9, 1.1]))
-    e = float(study.joints[joint - 1].torque_per_volt or 1.0)
+    e = float(study.arm.joints[joint - 1].torque_per_volt or 1.0)
     changed = _with_joint(study, joint, torque_per_volt=factor * e)
     return Fault("torque constant", f"x {factor}", ("wrong-torque-constant",), logs, changed)
 

@@ -79,7 +79,7 @@ def without_link_sensors(folder: Path, copy: Path) -> None:
     folder, copy : Path
     """
     study = read_study(folder / "study.toml")
-    gone = {f"{name}{i}" for name in _OF_LINKS for i in range(1, study.n_joints + 1)}
+    gone = {f"{name}{i}" for name in _OF_LINKS for i in range(1, study.arm.n_joints + 1)}
     experiments = []
     for experiment in study.experiments:
         log = logs.read_log(study, experiment)
@@ -89,9 +89,11 @@ def without_link_sensors(folder: Path, copy: Path) -> None:
         experiments.append(replace(experiment, file=file, start=None, stop=None, add={}))
     joints = tuple(
         replace(joint, accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None)
-        for joint in study.joints
+        for joint in study.arm.joints
     )
-    own = replace(study, joints=joints, experiments=tuple(experiments), channels={})
+    own = replace(
+        study, arm=replace(study.arm, joints=joints), experiments=tuple(experiments), channels={}
+    )
     write_study(own, copy / "study.toml")
 
 

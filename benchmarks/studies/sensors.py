@@ -66,8 +66,8 @@ def with_sensors(own: Rig, sensors: Sequence[str]) -> Rig:
     """
     study = own.study
     if "counts500" in sensors:
-        joints = tuple(replace(joint, encoder_counts=FEW_COUNTS) for joint in study.joints)
-        study = replace(study, joints=joints)
+        joints = tuple(replace(joint, encoder_counts=FEW_COUNTS) for joint in study.arm.joints)
+        study = replace(study, arm=replace(study.arm, joints=joints))
     if "steps" in sensors:
         kept = tuple(e for e in study.experiments if e.use not in ("frequency", "sweep"))
         study = replace(study, experiments=kept)
@@ -93,7 +93,7 @@ def reduced(folder: Path, own: Rig, sensors: Sequence[str]) -> None:
         path = folder / experiment.file
         log = logs.read_log(study, experiment)
         columns = dict(log.channels)
-        for i, joint in enumerate(study.joints, start=1):
+        for i, joint in enumerate(study.arm.joints, start=1):
             for name in (f"a{i}", f"gyro{i}", f"theta_l{i}"):
                 if name not in links:
                     columns.pop(name, None)
@@ -107,14 +107,14 @@ def reduced(folder: Path, own: Rig, sensors: Sequence[str]) -> None:
                 columns[f"torque{i}"] = torque + rng.normal(0.0, noise, len(torque))
         path.unlink()
         logs.write_log(path, {"t": log.time, **columns})
-    joints = tuple(replace(joint, gyro_hz=None) for joint in study.joints)
+    joints = tuple(replace(joint, gyro_hz=None) for joint in study.arm.joints)
     if not any(name.startswith("a") for name in links):
         joints = tuple(
             replace(joint, accelerometer_distance=None, accelerometer_hz=None) for joint in joints
         )
     if "torque" in sensors:
         joints = tuple(replace(joint, torque_per_volt=None) for joint in joints)
-    write_study(replace(study, joints=joints), study.path)
+    write_study(replace(study, arm=replace(study.arm, joints=joints)), study.path)
 
 
 def _link_channels(sensors: Sequence[str]) -> tuple[str, ...]:
@@ -171,7 +171,7 @@ def _apart(found: Identification, study: Study, values: Values) -> dict[str, Any
     assert found.tuned is not None
     every = logs.read_logs(study)
     joints = found.joints
-    if len(joints) < study.n_joints:
+    if len(joints) < study.arm.n_joints:
         joints = physical.models_from_catalogue(found.rigid, study)[0]
     joints = tuple(_true(joint, values, study) for joint in joints)
     options = study.options.tuning

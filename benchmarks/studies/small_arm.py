@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from benchmarks.studies.engine import in_mujoco
 from strainwave.domain import (
-    Arm,
+    ArmDescription,
     Channel,
     Control,
     Experiment,
@@ -102,9 +102,14 @@ def study(folder: Path) -> Study:
     return Study(
         path=folder / "study.toml",
         sha256="",
-        arm=Arm("planar-two-link", link_length=0.25),
-        joints=joints,
-        servo=Servo("pi-velocity", period=1e-3, kp=(0.0625, 0.045), ki=(0.78, 0.56), limit=10.0),
+        arm=ArmDescription(
+            "planar-two-link",
+            joints,
+            link_length=0.25,
+            servo=Servo(
+                "pi-velocity", period=1e-3, kp=(0.0625, 0.045), ki=(0.78, 0.56), limit=10.0
+            ),
+        ),
         experiments=_experiments(),
     )
 

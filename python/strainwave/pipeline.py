@@ -146,7 +146,7 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: _Run) -> Identific
     for log in all_logs:
         run.warnings.extend(log.warnings)
     input_check = _consistency(run, the_study, all_logs)
-    elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in the_study.joints)
+    elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in the_study.arm.joints)
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     model: RigidModel | None = None
     fitted: tuple[Prediction, ...] = ()
@@ -165,7 +165,7 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: _Run) -> Identific
     starts = joints
     if elastic and "tuned" in run.stages and not excited:
         starts = _from_catalogue(run, the_study, all_logs, model)
-    if "tuned" in run.stages and len(starts) == the_study.n_joints:
+    if "tuned" in run.stages and len(starts) == the_study.arm.n_joints:
         tuned = _tuned(run, the_study, all_logs, model, starts)
     if tuned is not None:
         checks = _with_elastic(run, the_study, all_logs, tuned, checks)
@@ -370,7 +370,7 @@ def _physical(
         own = [decoupling.without_friction(s, d, joint) for s, d in together[joint.joint]]
         response = _response(own, options.responses)
         responses |= {} if response is None else {joint.joint: response}
-    ratios = [each.gear_ratio for each in the_study.joints]
+    ratios = [each.gear_ratio for each in the_study.arm.joints]
     joints = [physical.compared(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints]
     records = _record_models(the_study, model, seen, fits)
     return records, joints, responses
@@ -510,7 +510,7 @@ def _single_and_excited(the_study: Study, all_logs: Sequence[Log]) -> bool:
 
 def _alone(the_study: Study) -> bool:
     """Whether nothing acts on the joint but its motor."""
-    return the_study.n_joints == 1 and the_study.arm.gravity is None
+    return the_study.arm.n_joints == 1 and the_study.arm.gravity is None
 
 
 def write(

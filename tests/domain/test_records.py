@@ -9,7 +9,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from strainwave import domain as records
-from strainwave.domain import Arm, Channel, Experiment, Joint, Study
+from strainwave.domain import ArmDescription, Channel, Experiment, Joint, Study
 
 
 def test_the_package_names_every_record_of_its_modules() -> None:
@@ -29,8 +29,7 @@ def test_a_record_survives_pickling() -> None:
     study = Study(
         path=Path("study.toml"),
         sha256="0" * 64,
-        arm=Arm("single-joint"),
-        joints=(Joint("linear", 0.01),),
+        arm=ArmDescription("single-joint", (Joint("linear", 0.01),)),
         experiments=(Experiment("swing", "swing.csv", "motion", ("open",)),),
         channels={"t": Channel("time")},
     )

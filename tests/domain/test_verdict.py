@@ -61,7 +61,7 @@ def made(
     name: str, joint: int | None, stage: str, size: float | None = 1.0, spread: float = 0.01
 ) -> Parameter:
     """A parameter so many times its true value, with a relative deviation."""
-    unit = "kg m^2" if joint is None else unit_of(name, ELASTIC.joints[joint - 1])
+    unit = "kg m^2" if joint is None else unit_of(name, ELASTIC.arm.joints[joint - 1])
     if size is None:
         return Parameter(name, joint, None, None, unit, stage)
     value, std = size * true(name, joint), spread * abs(true(name, joint))

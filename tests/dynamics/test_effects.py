@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from strainwave import pipeline
-from strainwave.domain import Arm, Effect, FloatArray, Joint, Study
+from strainwave.domain import ArmDescription, Effect, FloatArray, Joint, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import Drive, build_arm, sensitivities, simulate
 from strainwave.errors import InvalidInput
@@ -40,9 +40,8 @@ ALL: tuple[Effect, ...] = ("stribeck", "hysteresis", "kinematic-error")
 
 def one_joint(effects: tuple[Effect, ...] = ALL) -> Study:
     joint = Joint("linear", RATIO, torque_per_volt=0.1, effects=effects)
-    return Study(
-        Path("study.toml"), "", Arm("single-joint"), (joint,), scara.study(Path()).experiments
-    )
+    arm = ArmDescription("single-joint", (joint,))
+    return Study(Path("study.toml"), "", arm, scara.study(Path()).experiments)
 
 
 def drive(volts: FloatArray) -> Drive:
@@ -118,7 +117,9 @@ def test_every_effect_asks_for_its_parameters_and_changes_the_motion(effect: Eff
 
 def test_the_core_refuses_effects_that_are_none() -> None:
     study = one_joint()
-    rigid = replace(study, joints=(replace(study.joints[0], spring="rigid"),))
+    rigid = replace(
+        study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], spring="rigid"),))
+    )
     with pytest.raises(ValueError, match="a rigid gear has neither"):
         build_arm(rigid)
     unheard: tuple[Effect, ...] = ("backlash",)  # type: ignore[assignment]
@@ -152,16 +153,18 @@ def test_derivatives_reach_the_effects_parameters() -> None:
 
 def test_a_study_with_effects_is_simulated_from_its_files(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
-    first = replace(study.joints[0], effects=ALL)
+    first = replace(study.arm.joints[0], effects=ALL)
     step = tuple(e for e in study.experiments if e.name == "step-j1")
-    study = replace(study, joints=(first, study.joints[1]), experiments=step)
+    study = replace(
+        study, arm=replace(study.arm, joints=(first, study.arm.joints[1])), experiments=step
+    )
     with pytest.raises(InvalidInput, match="lack stribeck_friction of joint 1"):
         virtual.simulate_study(study, scara.parameters(), tmp_path / "none")
     virtual.simulate_study(study, scara.parameters() | EFFECTS, tmp_path / "with")
-    plain = replace(study, joints=scara.study(tmp_path).joints)
+    plain = replace(study, arm=replace(study.arm, joints=scara.study(tmp_path).arm.joints))
     virtual.simulate_study(plain, scara.parameters(), tmp_path / "without")
     back = read_study(tmp_path / "with" / "study.toml")
-    assert back.joints == study.joints
+    assert back.arm.joints == study.arm.joints
     with_them, without = (
         logs.read_logs(read_study(tmp_path / name / "study.toml"))[0].channels["theta_m1"]
         for name in ("with", "without")
@@ -171,9 +174,11 @@ def test_a_study_with_effects_is_simulated_from_its_files(tmp_path: Path) -> Non
 
 def test_the_rigid_step_takes_an_arm_whose_gears_have_effects(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
-    first = replace(study.joints[0], effects=ALL)
+    first = replace(study.arm.joints[0], effects=ALL)
     motion = tuple(e for e in study.experiments if e.use == "motion")
-    study = replace(study, joints=(first, study.joints[1]), experiments=motion)
+    study = replace(
+        study, arm=replace(study.arm, joints=(first, study.arm.joints[1])), experiments=motion
+    )
     virtual.simulate_study(study, scara.parameters() | EFFECTS, tmp_path)
     found = pipeline.identify(tmp_path / "study.toml", stages=pipeline.STAGES[:1])
     assert found.rigid is not None

@@ -36,9 +36,10 @@ def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
     """The rig with an ideal IMU on one of its links."""
     study = scara.study(Path("nowhere"))
     joints = tuple(
-        replace(own, imu=imu if i == joint else None) for i, own in enumerate(study.joints, start=1)
+        replace(own, imu=imu if i == joint else None)
+        for i, own in enumerate(study.arm.joints, start=1)
     )
-    return replace(study, joints=joints, arm=replace(study.arm, gravity=gravity))
+    return replace(study, arm=replace(study.arm, joints=joints, gravity=gravity))
 
 
 def axes(study: Study, joint: int) -> tuple[Axis, ...]:
@@ -142,8 +143,8 @@ def test_slopes_are_those_of_the_factors(gravity: float | None, joint: int) -> N
 def test_distances_by_the_slow_part() -> None:
     """Short records leave a start of the right size."""
     study, _, logs = shaken(order=10)
-    joints = tuple(replace(joint, accelerometer_distance=None) for joint in study.joints)
-    starts = mounting_starts(logs, replace(study, joints=joints))
+    joints = tuple(replace(joint, accelerometer_distance=None) for joint in study.arm.joints)
+    starts = mounting_starts(logs, replace(study, arm=replace(study.arm, joints=joints)))
     assert starts == {
         ("accelerometer_distance", 1): pytest.approx(0.33, rel=0.4),
         ("accelerometer_distance", 2): pytest.approx(0.27, rel=0.4),

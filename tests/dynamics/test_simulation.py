@@ -127,8 +127,8 @@ def test_the_step_divides_every_clock(clocks: list[float], step: float) -> None:
 def test_the_fastest_resonance_is_that_of_the_equations() -> None:
     """One joint in closed form; two against the eigenvalues of the whole arm, stretched or not."""
     study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
-    one = replace(study, arm=replace(study.arm, kind="single-joint"), joints=study.joints[:1])
-    motor, link, k, n = 1.5e-3, 3.0, 2e4, study.joints[0].gear_ratio
+    one = replace(study, arm=replace(study.arm, kind="single-joint", joints=study.arm.joints[:1]))
+    motor, link, k, n = 1.5e-3, 3.0, 2e4, study.arm.joints[0].gear_ratio
     alone: Values = {("motor_inertia", 1): motor, ("link_inertia", 1): link}
     alone["gear_stiffness", 1] = k
     expected = np.sqrt(k * (1.0 / link + n**2 / motor)) / (2.0 * np.pi)
@@ -139,7 +139,7 @@ def test_the_fastest_resonance_is_that_of_the_equations() -> None:
         coupled = beta + gamma * cosine
         links = np.array([[alpha + beta + 2.0 * gamma * cosine, coupled], [coupled, beta]])
         referred = [
-            values["motor_inertia", i] / study.joints[i - 1].gear_ratio ** 2 for i in (1, 2)
+            values["motor_inertia", i] / study.arm.joints[i - 1].gear_ratio ** 2 for i in (1, 2)
         ]
         spring = np.diag([values["gear_stiffness", i] for i in (1, 2)])
         flexible = (np.linalg.inv(links) + np.diag(1.0 / np.array(referred))) @ spring
@@ -209,7 +209,7 @@ def test_clocks_without_a_common_step_are_refused() -> None:
 
 
 def test_a_servo_must_be_described() -> None:
-    study = replace(scara.study(Path()), servo=None)
+    study = replace(scara.study(Path()), arm=replace(scara.study(Path()).arm, servo=None))
     held = replace(drive(20), servo=(True, True))
     with pytest.raises(InvalidInput, match="no servo"):
         simulate(study, scara.parameters(), held, sample_time=1e-3, samples=20, record=["encoder"])
@@ -243,7 +243,7 @@ def test_every_use_gets_its_excitation_without_a_log(tmp_path: Path) -> None:
         study.experiments
     )
     back = read_study(tmp_path / "study.toml")
-    assert back.joints == study.joints
+    assert back.arm.joints == study.arm.joints
     for log in logs.read_logs(back):
         assert {"u1", "theta_m2", "a1", "gyro2"} <= set(log.channels)
         if log.experiment.use == "frequency":
@@ -324,7 +324,7 @@ def test_an_independent_engine_moves_alike(
 def test_the_servo_is_the_one_that_made_the_logs(shared_data: Path) -> None:
     """Its law, replayed on logged encoder and reference, gives the logged voltage to the last digit."""
     study = _lab(shared_data, "scara-linear-5kg")
-    servo = study.servo
+    servo = study.arm.servo
     assert servo is not None
     log = logs.read_log(study, study.experiments[0])
     count = 2.0 * np.pi / 8192

@@ -16,7 +16,7 @@ import pytest
 
 from strainwave import experiment_design as design
 from strainwave import pipeline
-from strainwave.domain import Arm, Experiment, FloatArray, Joint, Servo, Study
+from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Servo, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation, simulation
 from strainwave.errors import InvalidInput
@@ -75,7 +75,9 @@ def drive(**changes: float) -> tuple[Study, Values]:
     }
     for name, value in changes.items():
         values[name, None if name.startswith("gravity") else 1] = value
-    return Study(Path("nowhere"), "", Arm("single-joint"), (joint,), (), servo), values
+    return Study(
+        Path("nowhere"), "", ArmDescription("single-joint", (joint,), servo=servo), ()
+    ), values
 
 
 def worst_use(study: Study, values: Values, limits: Limits, record: design.Planned) -> float:
@@ -204,7 +206,9 @@ def test_a_band_is_what_the_two_inertias_say() -> None:
     assert band.anti_resonance_hz == pytest.approx(np.sqrt(k / link) / (2 * np.pi), rel=1e-9)
     assert band.resonance_hz == pytest.approx(np.sqrt(k / link + k / motor) / (2 * np.pi), rel=1e-9)
     assert band.width_hz == pytest.approx(1e-6 / 0.3 / (2 * np.pi))
-    rigid = replace(study, joints=(replace(study.joints[0], spring="rigid"),))
+    rigid = replace(
+        study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], spring="rigid"),))
+    )
     assert band_of(rigid, values, 1) is None
 
 
@@ -233,7 +237,9 @@ def test_coarse_sensors_ask_for_more_periods() -> None:
     limits = Limits((3.0,), (200.0,), (2.0,), ANY[:1])
     band = band_of(study, values, 1)
     assert band is not None
-    coarse = replace(study, joints=(replace(study.joints[0], encoder_counts=200),))
+    coarse = replace(
+        study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], encoder_counts=200),))
+    )
     fine, rough = (
         voltage_record(s, values, limits, band, 1, kind="multisine", seed=0)
         for s in (study, coarse)
@@ -338,10 +344,17 @@ def test_intervals_are_those_of_the_sensors_that_the_study_declares(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     bare, values = drive()
-    bare = replace(bare, joints=(replace(bare.joints[0], encoder_counts=1000),))
+    bare = replace(
+        bare, arm=replace(bare.arm, joints=(replace(bare.arm.joints[0], encoder_counts=1000),))
+    )
     sensed = replace(
         bare,
-        joints=(replace(bare.joints[0], accelerometer_distance=0.3, accelerometer_hz=300.0),),
+        arm=replace(
+            bare.arm,
+            joints=(
+                replace(bare.arm.joints[0], accelerometer_distance=0.3, accelerometer_hz=300.0),
+            ),
+        ),
     )
     limits = Limits((1.5,), (200.0,), (10.0,), ANY[:1])
     widths, printed = [], []
@@ -360,10 +373,10 @@ def test_intervals_are_those_of_the_sensors_that_the_study_declares(
 
 
 def test_a_virtual_arm_has_the_sensors_that_are_declared(tmp_path: Path) -> None:
-    first, second = STUDY.joints
+    first, second = STUDY.arm.joints
     first = replace(first, accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None)
     one = tuple(e for e in STUDY.experiments if e.name == "step-j1")
-    study = replace(STUDY, joints=(first, second), experiments=one)
+    study = replace(STUDY, arm=replace(STUDY.arm, joints=(first, second)), experiments=one)
     virtual.simulate_study(study, GUESS, tmp_path)
     written = read_study(tmp_path / "study.toml")
     channels = set(logs.read_log(written, written.experiments[0]).channels)
@@ -374,7 +387,9 @@ def test_a_virtual_arm_has_the_sensors_that_are_declared(tmp_path: Path) -> None
 @pytest.mark.usefixtures("quick")
 def test_narrow_limits_are_warned_of() -> None:
     study, values = drive()
-    study = replace(study, joints=(replace(study.joints[0], spring="three-slope"),))
+    study = replace(
+        study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], spring="three-slope"),))
+    )
     values |= {("gear_knee_t1", 1): 5.0, ("gear_knee_t2", 1): 20.0}
     # 0.4 V overcome the friction, and a fifth is kept back
     found = design.design(study, values, Limits((1.5,), (200.0,), (0.8,), ANY[:1]))
@@ -426,8 +441,8 @@ def test_an_excitation_that_only_friction_holds_is_left_out_and_told() -> None:
 @pytest.mark.usefixtures("quick")
 def test_without_a_servo_voltages_are_planned_in_open_loop() -> None:
     study, values = drive()
-    limits = limits_of(replace(study, servo=None), "1.5", "200", "10", None)
-    found = design.design(replace(study, servo=None), values, limits)
+    limits = limits_of(replace(study, arm=replace(study.arm, servo=None)), "1.5", "200", "10", None)
+    found = design.design(replace(study, arm=replace(study.arm, servo=None)), values, limits)
     assert {r.experiment.use for r in found.records} == {"frequency", "sweep"}
     assert {r.experiment.control for r in found.records} == {("open",)}
     assert "no-servo" in {w.code for w in found.warnings}
@@ -489,7 +504,7 @@ def test_what_was_written_reads_back(designed: design.Design, tmp_path: Path) ->
     write(designed, tmp_path)
     again = read_study(tmp_path / "study.toml", logs_exist=False)
     assert again.experiments == designed.study.experiments
-    assert again.joints == STUDY.joints
+    assert again.arm.joints == STUDY.arm.joints
     header = (tmp_path / HEADER).read_text()
     for record in designed.records:
         table = open_table(tmp_path / command_table.table_name(record.experiment))
@@ -578,16 +593,19 @@ def test_the_table_says_how_long_and_why(
 
 
 def no_voltage() -> None:
-    limits_of(replace(STUDY, servo=None), "1", "1", None, None)
+    limits_of(replace(STUDY, arm=replace(STUDY.arm, servo=None)), "1", "1", None, None)
 
 
 def no_servo_under_gravity() -> None:
     study, values = upright()
-    design.design(replace(study, servo=None), values, LIMITS)
+    design.design(replace(study, arm=replace(study.arm, servo=None)), values, LIMITS)
 
 
 def no_servo_of_a_rigid_arm() -> None:
-    study = replace(scara.study(Path("nowhere"), "rigid"), servo=None)
+    study = replace(
+        scara.study(Path("nowhere"), "rigid"),
+        arm=replace(scara.study(Path("nowhere"), "rigid").arm, servo=None),
+    )
     design.design(study, scara.parameters(spring="rigid"), LIMITS)
 
 

@@ -32,10 +32,10 @@ def drive(study: Study, amplitude: float, seconds: float = 0.4) -> Drive:
     """Pseudo-random voltages on all joints, from rest."""
     samples = round(seconds / TICK)
     sequence = excitation.prbs(Prbs(10, TICK, 1, amplitude))
-    shifted = [np.roll(sequence, 341 * i)[:samples] for i in range(study.n_joints)]
+    shifted = [np.roll(sequence, 341 * i)[:samples] for i in range(study.arm.n_joints)]
     voltage = np.column_stack(shifted)
-    still = (0.0,) * study.n_joints
-    off = (False,) * study.n_joints
+    still = (0.0,) * study.arm.n_joints
+    off = (False,) * study.arm.n_joints
     # without joints' own link angles the core hangs the links on their gears; MuJoCo starts at zero
     return Drive(
         TICK, voltage, 0.0 * voltage, off, still, still, link_angle=still, link_velocity=still
@@ -48,11 +48,11 @@ def in_mujoco(
     """What MuJoCo makes of the exported file under the same voltages."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(exports.arm_of(study, values)).data.decode())
     data = mujoco.MjData(model)
-    numbers = range(1, study.n_joints + 1)
+    numbers = range(1, study.arm.n_joints + 1)
     links = [data.joint(f"joint{i}") for i in numbers]
-    rigid = study.joints[0].spring == "rigid"
+    rigid = study.arm.joints[0].spring == "rigid"
     motors = links if rigid else [data.joint(f"motor_joint{i}") for i in numbers]
-    ratio = np.array([joint.gear_ratio if rigid else 1.0 for joint in study.joints])
+    ratio = np.array([joint.gear_ratio if rigid else 1.0 for joint in study.arm.joints])
     found: dict[Quantity, list[FloatArray]] = {name: [] for name in RECORDED}
     for voltage in applied.voltage:
         found["motor_velocity"].append(np.array([m.qvel[0] for m in motors]) / ratio)
@@ -86,9 +86,9 @@ def test_sensors_read_what_our_channels_are(
     # sensors without lag and rounding; where the motor is rigid its channels are the link's
     joints = tuple(
         replace(joint, accelerometer_hz=None, gyro_hz=1e6, encoder_counts=None)
-        for joint in study.joints
+        for joint in study.arm.joints
     )
-    study = replace(study, joints=joints)
+    study = replace(study, arm=replace(study.arm, joints=joints))
     values = frictionless(exports.values_of(study))
     if gravity:  # one gravity for the torques and for the sensors
         values["gravity_torque_2", None] /= 1.02
@@ -166,7 +166,10 @@ def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> N
     for joint in (1, 2):
         assert np.abs(ours["gear_torque"][:, joint - 1]).max() > values["gear_knee_t2", joint]
     assert misfit(mujoco, study, values, 10.0) < 2e-5
-    middle = replace(study, joints=tuple(replace(j, spring="linear") for j in study.joints))
+    middle = replace(
+        study,
+        arm=replace(study.arm, joints=tuple(replace(j, spring="linear") for j in study.arm.joints)),
+    )
     linear = values | {("gear_stiffness", j): values["gear_stiffness_k2", j] for j in (1, 2)}
     (tmp_path / "linear").mkdir()
     middle = replace(middle, path=tmp_path / "linear" / "study.toml")
@@ -200,15 +203,18 @@ def test_the_current_loop_lags(
 ) -> None:
     """MuJoCo holds the torque over its step of 0.1 ms; a loop faster than that has no lag there."""
     study = exports.two_links(tmp_path)
-    lagging = tuple(replace(joint, current_loop_hz=bandwidth) for joint in study.joints)
+    lagging = tuple(replace(joint, current_loop_hz=bandwidth) for joint in study.arm.joints)
     values = frictionless(exports.values_of(study))
-    assert misfit(mujoco, replace(study, joints=lagging), values, 10.0) < tolerance
+    assert (
+        misfit(mujoco, replace(study, arm=replace(study.arm, joints=lagging)), values, 10.0)
+        < tolerance
+    )
 
 
 def test_a_current_loop_too_fast_for_the_step_is_told(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
-    fast = replace(study.joints[0], current_loop_hz=5000.0)
-    study = replace(study, joints=(fast, study.joints[1]))
+    fast = replace(study.arm.joints[0], current_loop_hz=5000.0)
+    study = replace(study, arm=replace(study.arm, joints=(fast, study.arm.joints[1])))
     cautions = to_mjcf(exports.arm_of(study, exports.values_of(study))).cautions
     assert [(c.code, c.where) for c in cautions] == [("left-out", "joint 1")]
     assert "5000 Hz" in cautions[0].message
@@ -216,8 +222,8 @@ def test_a_current_loop_too_fast_for_the_step_is_told(tmp_path: Path) -> None:
 
 def test_what_mujoco_lacks_is_told_once_a_joint(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
-    first = replace(study.joints[0], effects=("hysteresis", "kinematic-error"))
-    study = replace(study, joints=(first, study.joints[1]))
+    first = replace(study.arm.joints[0], effects=("hysteresis", "kinematic-error"))
+    study = replace(study, arm=replace(study.arm, joints=(first, study.arm.joints[1])))
     cautions = to_mjcf(exports.arm_of(study, exports.values_of(study))).cautions
     assert [(c.code, c.where) for c in cautions] == [("left-out", "joint 1")]
     assert "hysteresis, kinematic-error" in cautions[0].message

@@ -25,7 +25,7 @@ def test_study_and_parameters_come_back(tmp_path: Path) -> None:
     values = exports.values_of(study)
     arm = exports.arm_of(study, values)
     assert arm.values == values
-    assert arm.study.joints == study.joints
+    assert arm.study.arm.joints == study.arm.joints
     assert arm.cautions == ()
     assert arm.parameters[0].std == pytest.approx(0.01 * values["alpha", None])
 

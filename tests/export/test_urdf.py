@@ -114,7 +114,7 @@ def test_friction_and_gear_are_seen_from_the_link(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     values = exports.values_of(study)
     robot = parsed(exports.arm_of(study, values))
-    n = study.joints[1].gear_ratio
+    n = study.arm.joints[1].gear_ratio
     viscous = values["motor_viscous_friction", 2] / n**2 + values["link_viscous_friction", 2]
     place = "joint[@name='joint2']/dynamics"
     assert number(robot, place, "damping") == pytest.approx(viscous)

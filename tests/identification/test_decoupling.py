@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
-from strainwave.domain import Arm, Decoupled, FloatArray, Joint, RigidModel, Study
+from strainwave.domain import ArmDescription, Decoupled, FloatArray, Joint, RigidModel, Study
 from strainwave.dynamics import interaction_torque as interaction
 from strainwave.dynamics.simulation import Trajectory
 from strainwave.errors import NotIdentifiable
@@ -89,7 +89,7 @@ def test_inputs_explain_the_motor_and_the_link(gravity: float | None) -> None:
     study, _ = run_of(gravity)
     values = rig_values(study)
     for one in decoupled(gravity):
-        n = study.joints[one.joint - 1].gear_ratio
+        n = study.arm.joints[one.joint - 1].gear_ratio
         motor_inertia = values["motor_inertia", one.joint]
         assert one.total_inertia is not None
         link_inertia = (one.total_inertia - motor_inertia) / n**2
@@ -177,7 +177,9 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
 ) -> None:
     joint = Joint(spring="linear", gear_ratio=0.5)
     two_link = rig()
-    study = Study(Path("nowhere"), "", Arm("single-joint", gravity=gravity), (joint,), ())
+    study = Study(
+        Path("nowhere"), "", ArmDescription("single-joint", (joint,), gravity=gravity), ()
+    )
     run = prbs_run(two_link)
     seen = links.link_side(log_of(run), two_link)
     one = {

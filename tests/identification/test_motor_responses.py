@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from elastic_runs import log_of, prbs_run, rig, rig_values
-from strainwave.domain import Arm, ArmModel, Joint, Log, Study
+from strainwave.domain import ArmDescription, ArmModel, Joint, Log, Study
 from strainwave.domain.parameters import Values
 from strainwave.identification.motor_responses import modes_of_motor, motor_response
 from strainwave.presentation.report import motors
@@ -50,7 +50,7 @@ def test_one_joint_rings_as_in_closed_form(
 ) -> None:
     """Zeros sqrt(k / m_L), poles sqrt(k (1 / m_L + n^2 / m_M)), without damping."""
     joint = Joint(spring="linear", gear_ratio=ratio, torque_per_volt=0.1)
-    study = Study(Path("nowhere"), "0", Arm("single-joint"), (joint,), ())
+    study = Study(Path("nowhere"), "0", ArmDescription("single-joint", (joint,)), ())
     link, motor = (1.0 - share) * inertia, share * inertia * ratio**2
     k = (2.0 * np.pi * ring) ** 2 * link
     values: Values = {
@@ -76,10 +76,10 @@ def test_modes_of_the_rig_are_those_of_its_linear_motion() -> None:
 def test_a_servo_lies_between_a_free_and_a_held_motor() -> None:
     """No servo is a free motor, a very stiff one holds it, and both differ."""
     study = rig()
-    assert study.servo is not None
+    assert study.arm.servo is not None
     first = []
     for factor in (0.0, 1.0, 100.0, None):
-        servo = study.servo
+        servo = study.arm.servo
         stiffer = (
             None
             if factor is None
@@ -90,7 +90,11 @@ def test_a_servo_lies_between_a_free_and_a_held_motor() -> None:
             )
         )
         zeros, _ = modes_of_motor(
-            rig_values(study), replace(study, servo=stiffer), np.zeros(2), 1, servoed=True
+            rig_values(study),
+            replace(study, arm=replace(study.arm, servo=stiffer)),
+            np.zeros(2),
+            1,
+            servoed=True,
         )
         first.append(float(zeros[0]))
     free = modes_of_motor(rig_values(study), study, np.zeros(2), 1, servoed=False)[0][0]

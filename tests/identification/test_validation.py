@@ -58,7 +58,9 @@ def test_the_fit_is_that_of_the_arrays_it_comes_with() -> None:
 
 def test_logged_voltages_are_predicted_in_volts() -> None:
     study, model, exact = fitted()
-    drive = replace(study, joints=(replace(study.joints[0], torque_per_volt=0.1),))
+    drive = replace(
+        study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], torque_per_volt=0.1),))
+    )
     volts = replace(exact, torque_channel=("u1",))
     in_volts = validation.predict_rigid(model, volts, drive)
     in_torque = validation.predict_rigid(model, exact, study)

@@ -9,16 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import studies
-from strainwave.domain import Arm, Channel, Experiment, Joint, Prbs, Servo, Study
+from strainwave.domain import ArmDescription, Channel, Experiment, Joint, Prbs, Servo, Study
 from strainwave.errors import InvalidInput
 from strainwave.io.study import read_study, write_study
 
 
 def test_reads_what_is_written(tmp_path: Path) -> None:
     study = read_study(studies.write(tmp_path))
-    assert study.arm == Arm("planar-two-link", link_length=0.35)
-    assert study.joints[1] == Joint("linear", 0.01, torque_per_volt=0.03)
-    assert study.servo == Servo("pi-velocity", 0.001, (0.12, 0.1), (1.5, 1.5), 10.0)
+    assert (study.arm.kind, study.arm.link_length) == ("planar-two-link", 0.35)
+    assert study.arm.joints[1] == Joint("linear", 0.01, torque_per_volt=0.03)
+    assert study.arm.servo == Servo("pi-velocity", 0.001, (0.12, 0.1), (1.5, 1.5), 10.0)
     assert study.experiments[1].prbs == Prbs(10, 0.001, 4, 10.0)
     assert study.experiments[1].control == ("open", "open")
     assert len(study.sha256) == 64
@@ -257,22 +257,27 @@ experiment = st.builds(
     stop=st.none() | st.floats(2.0, 3.0),
     add=st.dictionaries(st.sampled_from(["u1", "torque2"]), names, max_size=2),
 )
+servo = st.builds(
+    Servo,
+    st.just("pi-velocity"),
+    st.floats(1e-4, 0.1),
+    st.tuples(sizes, sizes),
+    st.tuples(sizes, sizes),
+    sizes,
+)
 whole = st.builds(
     Study,
     path=st.just(Path("study.toml")),
     sha256=st.just(""),
-    arm=st.builds(Arm, st.just("planar-two-link"), sizes, st.none() | st.floats(0.0, 20.0)),
-    joints=st.tuples(joint, joint),
-    experiments=st.lists(experiment, min_size=1, max_size=3, unique_by=lambda e: e.name).map(tuple),
-    servo=st.none()
-    | st.builds(
-        Servo,
-        st.just("pi-velocity"),
-        st.floats(1e-4, 0.1),
-        st.tuples(sizes, sizes),
-        st.tuples(sizes, sizes),
+    arm=st.builds(
+        ArmDescription,
+        st.just("planar-two-link"),
+        st.tuples(joint, joint),
         sizes,
+        st.none() | st.floats(0.0, 20.0),
+        st.none() | servo,
     ),
+    experiments=st.lists(experiment, min_size=1, max_size=3, unique_by=lambda e: e.name).map(tuple),
     channels=st.dictionaries(
         st.sampled_from(["t", "u1", "theta_m2"]),
         st.builds(Channel, names, sizes, sizes),

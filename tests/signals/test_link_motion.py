@@ -215,8 +215,8 @@ def test_the_fusion_tells_how_wrong_it_is() -> None:
 
 def test_accelerometers_of_two_bandwidths_share_both() -> None:
     study = rig(None, counts=None)
-    slower = replace(study.joints[1], accelerometer_hz=150.0)
-    study = replace(study, joints=(study.joints[0], slower))
+    slower = replace(study.arm.joints[1], accelerometer_hz=150.0)
+    study = replace(study, arm=replace(study.arm, joints=(study.arm.joints[0], slower)))
     run = prbs_run(study)
     seen = links.link_side(log_of(run), study)
     assert seen.shared == (Lag(2, 300.0), Lag(2, 150.0))
@@ -234,12 +234,14 @@ def test_other_sensors_of_a_link_serve_as_well(channel: str) -> None:
         "deflection": angle - 0.01 * run["encoder"],
         "gyro": np.cumsum(velocity, axis=1),
     }[channel]
-    joints = tuple(replace(joint, gyro_hz=None) for joint in study.joints)
+    joints = tuple(replace(joint, gyro_hz=None) for joint in study.arm.joints)
     log = log_of(run)
     kept = {k: v for k, v in log.channels.items() if not k.startswith("a")}
     kept |= {f"{channel}{i + 1}": reading[:, i] for i in range(2)}
     options = links.LinkOptions(bandwidth_hz=200.0)
-    seen = links.link_side(replace(log, channels=kept), replace(study, joints=joints), options)
+    seen = links.link_side(
+        replace(log, channels=kept), replace(study, arm=replace(study.arm, joints=joints)), options
+    )
     assert set(seen.sources) == {"encoder" if channel == "theta_l" else channel}
     assert seen.fusion == (None, None)
     assert seen.bandwidth_hz == 200.0
@@ -330,8 +332,10 @@ def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_bent_spring_tells_a_delay_only_of_the_joint_that_was_excited(joint: int) -> None:
     study, run = run_of(joint=joint)
-    joints = tuple(replace(own, spring="three-slope") for own in study.joints)
-    seen = links.link_side(log_of(run, joint, seed=3), replace(study, joints=joints))
+    joints = tuple(replace(own, spring="three-slope") for own in study.arm.joints)
+    seen = links.link_side(
+        log_of(run, joint, seed=3), replace(study, arm=replace(study.arm, joints=joints))
+    )
     told = seen.sensor_delay[joint - 1]
     assert told is not None
     assert abs(told.value) < 0.3 * SAMPLE
@@ -340,8 +344,10 @@ def test_a_bent_spring_tells_a_delay_only_of_the_joint_that_was_excited(joint: i
 
 def test_a_bandwidth_left_out_of_the_study_shows_as_a_delay() -> None:
     study, run = run_of()
-    joints = tuple(replace(joint, accelerometer_hz=None) for joint in study.joints)
-    seen = links.link_side(log_of(run, seed=1), replace(study, joints=joints))
+    joints = tuple(replace(joint, accelerometer_hz=None) for joint in study.arm.joints)
+    seen = links.link_side(
+        log_of(run, seed=1), replace(study, arm=replace(study.arm, joints=joints))
+    )
     delay = seen.sensor_delay[0]
     assert delay is not None
     assert delay.value == pytest.approx(np.sqrt(2.0) / (2.0 * np.pi * 300.0), rel=0.15)
@@ -384,12 +390,12 @@ def test_lab_channels_are_aligned_until_one_is_moved(
 def test_what_cannot_be_used_is_refused() -> None:
     study, run = run_of()
     log = log_of(run)
-    nowhere = tuple(replace(joint, accelerometer_distance=None) for joint in study.joints)
+    nowhere = tuple(replace(joint, accelerometer_distance=None) for joint in study.arm.joints)
     with pytest.raises(InvalidInput, match="accelerometer_distance"):
-        links.link_side(log, replace(study, joints=nowhere))
-    powerless = tuple(replace(joint, torque_per_volt=None) for joint in study.joints)
+        links.link_side(log, replace(study, arm=replace(study.arm, joints=nowhere)))
+    powerless = tuple(replace(joint, torque_per_volt=None) for joint in study.arm.joints)
     with pytest.raises(InvalidInput, match="torque_per_volt"):
-        links.link_side(log, replace(study, joints=powerless))
+        links.link_side(log, replace(study, arm=replace(study.arm, joints=powerless)))
     short: dict[str, FloatArray] = {k: v[:60] for k, v in log.channels.items()}
     with pytest.raises(InvalidInput, match="too few"):
         links.link_side(replace(log, time=log.time[:60], channels=short), study)

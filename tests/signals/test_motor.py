@@ -72,7 +72,7 @@ def test_encoder_noise_and_band_are_found() -> None:
 
 
 def test_held_voltages_come_half_a_sample_and_the_lag_later() -> None:
-    joint = replace(rigid_drive().joints[0], torque_per_volt=2.0, current_loop_hz=200.0)
+    joint = replace(rigid_drive().arm.joints[0], torque_per_volt=2.0, current_loop_hz=200.0)
     w = 2.0 * np.pi * 5.0
     torque = signals.drive_torque(np.sin(w * TIME), joint, CLOCK)
     late = 0.5 * CLOCK + 1.0 / (2.0 * np.pi * 200.0)
@@ -81,13 +81,13 @@ def test_held_voltages_come_half_a_sample_and_the_lag_later() -> None:
 
 
 def test_a_constant_voltage_is_a_constant_torque() -> None:
-    joint = replace(rigid_drive().joints[0], torque_per_volt=0.1, current_loop_hz=300.0)
+    joint = replace(rigid_drive().arm.joints[0], torque_per_volt=0.1, current_loop_hz=300.0)
     assert signals.drive_torque(np.full(50, 3.0), joint, CLOCK) == pytest.approx(0.3)
 
 
 def test_a_voltage_needs_its_torque_constant() -> None:
     with pytest.raises(InvalidInput, match="torque_per_volt"):
-        signals.drive_torque(np.zeros(5), rigid_drive().joints[0], CLOCK)
+        signals.drive_torque(np.zeros(5), rigid_drive().arm.joints[0], CLOCK)
 
 
 # --- motion -----------------------------------------------------------------------------------

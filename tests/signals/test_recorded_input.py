@@ -48,7 +48,10 @@ def test_what_replaying_needs_is_named() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
     assert missing_for_replay(study, log) is None
-    assert missing_for_replay(replace(study, servo=None), log) == "the study describes no servo"
+    assert (
+        missing_for_replay(replace(study, arm=replace(study.arm, servo=None)), log)
+        == "the study describes no servo"
+    )
     for channel, said in [
         ("ref1", "reference ref1"),
         ("u2", "torque2 nor u2"),
@@ -105,4 +108,4 @@ def test_one_stiffness_makes_a_three_slope_spring_linear() -> None:
     study, values = truth("three-slope")
     assert as_known(study, values) == study
     one = {key: v for key, v in values.items() if not key[0].startswith("gear_")}
-    assert [joint.spring for joint in as_known(study, one).joints] == ["linear", "linear"]
+    assert [joint.spring for joint in as_known(study, one).arm.joints] == ["linear", "linear"]

@@ -356,7 +356,7 @@ def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_p
     assert "\n[servo]\n" in text
     assert "Needed: a, b, c, d moved under the servo" in text
     study = read_study(filled_in(tmp_path / "study.toml"))
-    assert study.servo is not None
+    assert study.arm.servo is not None
     uses = [(e.name, e.use, e.joint) for e in study.experiments]
     assert uses == [
         ("motion", "motion", None),
@@ -380,7 +380,7 @@ def test_encoder_counts_are_those_that_are_sold(counts: int, decimals: int, tmp_
     ]
     (tmp_path / "run.csv").write_text("\n".join(["t,pos1 [deg],u1", *lines]))
     start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
-    assert read_study(filled_in(tmp_path / "study.toml")).joints[0].encoder_counts == counts
+    assert read_study(filled_in(tmp_path / "study.toml")).arm.joints[0].encoder_counts == counts
 
 
 def test_counts_that_nobody_sells_are_not_believed() -> None:
@@ -402,7 +402,7 @@ def test_a_filled_in_stub_identifies_the_arm(tmp_path: Path) -> None:
         # the torque constant lie 0.66 ms ahead of that, which moves beta by up to 2 %
         torque = [
             drive_torque(log.channels[f"u{i}"], joint, log.sample_time)
-            for i, joint in enumerate(study.joints, start=1)
+            for i, joint in enumerate(study.arm.joints, start=1)
         ]
         columns = {
             "time_ms": 1e3 * log.time,
@@ -449,7 +449,7 @@ def test_the_labs_records_are_told_apart(rig: str, shared_data: Path, tmp_path: 
         assert (ours.use, ours.joint, ours.control) == (theirs.use, theirs.joint, theirs.control)
         if "open" in theirs.control:  # under a servo the sequence is hidden in the servo's output
             assert ours.prbs == theirs.prbs
-    assert [joint.encoder_counts for joint in found.joints] == [8192.0, 8192.0]
+    assert [joint.encoder_counts for joint in found.arm.joints] == [8192.0, 8192.0]
     assert not found.channels  # all have their own names
     read = read_logs(found)
     assert {name for log in read for name in log.channels} >= {"ref1", "a2", "gyro1", "theta_m2"}
@@ -465,7 +465,7 @@ def test_measured_rigs_get_the_channels_they_have(shared_data: Path, tmp_path: P
         told.pop("ref1", None)  # EMPS's is of position
         assert {name: channel.column for name, channel in found.channels.items()} == told
         assert found.arm.kind == known.arm.kind
-        assert [j.motion for j in found.joints] == [j.motion for j in known.joints]
+        assert [j.motion for j in found.arm.joints] == [j.motion for j in known.arm.joints]
         uses = {e.name: e.use for e in found.experiments}
         assert sorted(uses.values()) == sorted(
             {"dfki-double-pendulum": ["check", "motion", "motion"]}.get(
@@ -666,5 +666,5 @@ def test_axes_of_an_imu_under_their_own_names(tmp_path: Path) -> None:
     text = (tmp_path / "study.toml").read_text()
     assert "# imu = {" in text
     study = read_study(filled_in(tmp_path / "study.toml"))
-    assert [joint.spring for joint in study.joints] == ["linear", "linear"]
+    assert [joint.spring for joint in study.arm.joints] == ["linear", "linear"]
     assert {"ax2", "gz2"} <= set(read_logs(study)[0].channels)

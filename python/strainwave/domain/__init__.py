@@ -6,6 +6,18 @@ in rad. Joints are numbered from 1 where a person reads them and from 0 as array
 
 from __future__ import annotations
 
+from strainwave.domain.arm import (
+    ArmDescription,
+    ArmKind,
+    Effect,
+    Imu,
+    Joint,
+    Motion,
+    NonNegative,
+    Positive,
+    Servo,
+    Spring,
+)
 from strainwave.domain.arm_model import (
     CONDITIONS,
     AgreementTest,
@@ -79,20 +91,10 @@ from strainwave.domain.signals import (
 )
 from strainwave.domain.study import (
     CHANNELS,
-    Arm,
-    ArmKind,
     Channel,
     Control,
-    Effect,
     Experiment,
-    Imu,
-    Joint,
-    Motion,
-    NonNegative,
-    Positive,
     Prbs,
-    Servo,
-    Spring,
     Study,
     TopicChannel,
     Use,
@@ -106,7 +108,7 @@ __all__ = [
     "OUTCOMES",
     "Activity",
     "AgreementTest",
-    "Arm",
+    "ArmDescription",
     "ArmKind",
     "ArmModel",
     "BoolArray",

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from strainwave.display import Displayed
+from strainwave.domain.arm import Effect
 from strainwave.domain.arrays import ComplexArray, FloatArray
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
-from strainwave.domain.study import Effect
 
 
 @dataclass(frozen=True, slots=True)

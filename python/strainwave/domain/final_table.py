@@ -230,7 +230,7 @@ def _make_consistent(table: _Table, study: Study, decided: Sequence[JointModel])
     if alpha is None:
         return
     table["alpha", None] = _Entry(alpha)
-    n2 = study.joints[0].gear_ratio ** 2
+    n2 = study.arm.joints[0].gear_ratio ** 2
     total = _sum("rigid_inertia", 1, [*parts, (1.0 / n2, first.get("motor_inertia"))])
     if total is not None:
         table["rigid_inertia", 1] = _Entry(total)
@@ -257,7 +257,7 @@ def _sum(
 
 def _one_spring(table: _Table, study: Study, reached: bool) -> None:
     """One equivalent stiffness does not stand beside the slopes of a curve that was fitted."""
-    for number in range(1, study.n_joints + 1):
+    for number in range(1, study.arm.n_joints + 1):
         if reached and ("gear_stiffness_k1", number) in table:
             table.pop(("gear_stiffness", number), None)
 
@@ -329,7 +329,7 @@ def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
         level = levels.get(number)
         if level is None or level.torque <= 0.0:
             continue
-        n2 = study.joints[number - 1].gear_ratio ** 2
+        n2 = study.arm.joints[number - 1].gear_ratio ** 2
         per_unit = {
             "motor_coulomb_friction": 1.0,
             "friction_offset": 1.0,
@@ -340,6 +340,6 @@ def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
             "gamma": 2.0 * n2 * level.acceleration,
         }.get(p.name)
         if gravity and number <= int(gravity[1]):
-            per_unit = abs(study.joints[number - 1].gear_ratio)
+            per_unit = abs(study.arm.joints[number - 1].gear_ratio)
         if per_unit is not None:
             yield per_unit / level.torque

@@ -120,7 +120,7 @@ def verdict_of(found: Identification) -> Verdict:
 def _called_for(found: Identification) -> _Called:
     """Stages that the study needs of those requested, and the primary parameters these answer."""
     study = found.study
-    springs = [joint.spring for joint in study.joints]
+    springs = [joint.spring for joint in study.arm.joints]
     two = study.arm.kind == "planar-two-link"
     elastic = [number for number, spring in enumerate(springs, start=1) if spring != "rigid"]
     motion = any(e.use == "motion" for e in study.experiments)
@@ -131,12 +131,12 @@ def _called_for(found: Identification) -> _Called:
     if stages:
         names += ["beta", "gamma", "rigid_inertia 1", "motor_inertia 2"] if two else ["inertia 1"]
         if study.arm.gravity is not None:
-            names += [f"gravity_torque_{i}" for i in range(1, study.n_joints + 1)]
+            names += [f"gravity_torque_{i}" for i in range(1, study.arm.n_joints + 1)]
     for number, spring in enumerate(springs, start=1):
         lumped = not two and spring == "rigid"  # motor and link are one, and so is their friction
         viscous = "motor_viscous_friction" if lumped else "total_viscous_friction"
         names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
-    whole = "tuned" in found.stages and len(elastic) == study.n_joints
+    whole = "tuned" in found.stages and len(elastic) == study.arm.n_joints
     excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
     if fast and (excited or not whole):
         stages.append("decoupled")
@@ -176,7 +176,7 @@ def _reasons(
 
 
 def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
-    elastic = [n for n, j in enumerate(found.study.joints, start=1) if j.spring != "rigid"]
+    elastic = [n for n, j in enumerate(found.study.arm.joints, start=1) if j.spring != "rigid"]
     fitted = {joint.joint for joint in found.joints}
     if found.failures:
         return  # a stage that failed has said so, and those after it follow
@@ -201,7 +201,9 @@ would pass as well.
 
 def _validated(found: Identification) -> Validated:
     """Whether check records exercised each model."""
-    elastic = {n for n, joint in enumerate(found.study.joints, start=1) if joint.spring != "rigid"}
+    elastic = {
+        n for n, joint in enumerate(found.study.arm.joints, start=1) if joint.spring != "rigid"
+    }
     drives = [check for check in found.checks if check.of_drive]
     shown = {
         number

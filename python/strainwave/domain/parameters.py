@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from strainwave.domain.study import Effect, Joint, Study
+from strainwave.domain.arm import Effect, Joint
+from strainwave.domain.study import Study
 
 Values = dict[tuple[str, int | None], float]
 """Parameter values by (name, joint), joint from 1 or None for the arm's own."""
@@ -76,14 +77,14 @@ def whole_arm_parameters(study: Study) -> tuple[str, ...]:
     tuple of str
         "beta", "gear_stiffness", "gear_stiffness 1", ...
     """
-    names = ["alpha", "beta", "gamma"] if study.n_joints > 1 else []
+    names = ["alpha", "beta", "gamma"] if study.arm.n_joints > 1 else []
     if study.arm.gravity is not None:
-        names += [f"gravity_torque_{i}" for i in range(1, study.n_joints + 1)]
+        names += [f"gravity_torque_{i}" for i in range(1, study.arm.n_joints + 1)]
     of_joints: dict[str, list[int]] = {}
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         own = ["motor_inertia", "motor_viscous_friction", "motor_coulomb_friction"]
         own += ["friction_offset", "link_viscous_friction", "gear_stiffness", "gear_damping"]
-        if study.n_joints == 1:
+        if study.arm.n_joints == 1:
             own.append("link_inertia")
         if joint.spring == "three-slope":
             own += [f"gear_stiffness_k{k}" for k in (1, 2, 3)]
@@ -110,7 +111,7 @@ def link_inertia(values: Values, study: Study, joint: int) -> float:
     -------
     float [kg m^2], or [kg] of a prismatic joint
     """
-    if study.n_joints == 1:
+    if study.arm.n_joints == 1:
         return values["link_inertia", 1]
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
     return alpha + beta + 2.0 * gamma if joint == 1 else beta
@@ -136,10 +137,10 @@ def completed(values: Values, study: Study) -> Values:
         With what follows added; nothing that was there is changed.
     """
     known = dict(values)
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         _complete_joint(known, number, joint)
-    first, n2 = study.joints[0], study.joints[0].gear_ratio ** 2
-    if study.n_joints == 1 or ("alpha", None) in known:
+    first, n2 = study.arm.joints[0], study.arm.joints[0].gear_ratio ** 2
+    if study.arm.n_joints == 1 or ("alpha", None) in known:
         return known
     beta, gamma = known.get(("beta", None)), known.get(("gamma", None))
     if beta is None or gamma is None:

@@ -37,9 +37,9 @@ def base_parameters(model: RigidModel, study: Study) -> FloatArray:
             values.append(0.0)
         elif name == "alpha":
             values.append(known(model, "rigid_inertia", 1))
-        elif study.n_joints == 1 and not name.startswith("gravity"):
+        elif study.arm.n_joints == 1 and not name.startswith("gravity"):
             # its share of the total cancels likewise
-            values.append(known(model, "inertia", 1) / study.joints[0].gear_ratio ** 2)
+            values.append(known(model, "inertia", 1) / study.arm.joints[0].gear_ratio ** 2)
         else:
             values.append(known(model, name, joint))
     return np.array(values)
@@ -97,7 +97,7 @@ def base_variations(model: RigidModel, study: Study) -> FloatArray:
     named = {(p.name, p.joint): k for k, p in enumerate(model.parameters)}
     moved = np.zeros((len(base_parameters(model, study)), len(model.parameters)))
     for row, key in enumerate(arm.parameter_names[: len(moved)]):
-        if key in named and (study.n_joints > 1 or key[0].startswith("gravity")):
+        if key in named and (study.arm.n_joints > 1 or key[0].startswith("gravity")):
             moved[row, named[key]] = 1.0
     return moved
 
@@ -114,7 +114,7 @@ def own_inertias(study: Study, base: FloatArray) -> FloatArray:
     -------
     (n_joints,) [kg m^2]
     """
-    return np.diagonal(inertia_matrix(study, base, np.zeros(study.n_joints))).copy()
+    return np.diagonal(inertia_matrix(study, base, np.zeros(study.arm.n_joints))).copy()
 
 
 def total_inertias(model: RigidModel, study: Study) -> FloatArray:
@@ -135,7 +135,7 @@ def total_inertias(model: RigidModel, study: Study) -> FloatArray:
         A parameter it is made of is not known.
     """
     own = own_inertias(study, base_parameters(model, study)) * gear_ratios(study) ** 2
-    if study.n_joints > 1:
+    if study.arm.n_joints > 1:
         own[1] += known(model, "motor_inertia", 2)
     return np.asarray(own)
 

@@ -86,7 +86,7 @@ def axes_of(channels: Collection[str], study: Study, joint: int) -> tuple[Axis, 
     -------
     tuple of Axis
     """
-    own = study.joints[joint - 1]
+    own = study.arm.joints[joint - 1]
     if own.motion == "prismatic":
         return ()
     found = tuple(
@@ -122,7 +122,7 @@ def unknowns_of(axes: Sequence[Axis], study: Study) -> list[Key]:
     if not axes:
         return []
     joint = axes[0].joint
-    imu = study.joints[joint - 1].imu or Imu()
+    imu = study.arm.joints[joint - 1].imu or Imu()
     if axes[0].kind == "tangential":
         return [(DISTANCE, joint)]
     names: list[str] = []
@@ -150,7 +150,7 @@ def is_polar(study: Study, joint: int) -> bool:
     -------
     bool
     """
-    imu = study.joints[joint - 1].imu or Imu()
+    imu = study.arm.joints[joint - 1].imu or Imu()
     return joint == 1 and imu.xyz is None and imu.rpy is None
 
 
@@ -168,7 +168,7 @@ def scale_is_apart(axis: Axis, axes: Sequence[Axis], study: Study) -> bool:
     -------
     bool
     """
-    imu = study.joints[axis.joint - 1].imu or Imu()
+    imu = study.arm.joints[axis.joint - 1].imu or Imu()
     moves = axis.joint > 1 or bool(study.arm.gravity)
     count = sum(one.kind == "accelerometer" for one in axes)
     if axis.kind == "gyro":
@@ -220,7 +220,7 @@ def factors(axis: Axis, study: Study, values: Mapping[Key, float]) -> FloatArray
     (n_quantities,)
     """
     joint = axis.joint
-    imu = study.joints[joint - 1].imu or Imu()
+    imu = study.arm.joints[joint - 1].imu or Imu()
     if axis.kind == "tangential":
         tilt = values.get((TILT, joint), 0.0)
         return _at(-np.sin(tilt), np.cos(tilt), values[DISTANCE, joint], 0.0)
@@ -241,7 +241,7 @@ def factors(axis: Axis, study: Study, values: Mapping[Key, float]) -> FloatArray
 
 def _turned(study: Study, joint: int, values: Mapping[Key, float]) -> FloatArray:
     """The attitude of a link's IMU: (3, 3), its columns the sensor's axes in the link's frame."""
-    imu = study.joints[joint - 1].imu or Imu()
+    imu = study.arm.joints[joint - 1].imu or Imu()
     return attitude_of(values, joint) if imu.rpy is None else attitude(imu.rpy)
 
 
@@ -323,7 +323,7 @@ def with_places(study: Study, values: Mapping[Key, float]) -> Study:
         With bandwidths that were found, too.
     """
     joints = []
-    for i, joint in enumerate(study.joints, start=1):
+    for i, joint in enumerate(study.arm.joints, start=1):
         hz = values.get(("accelerometer_bandwidth", i), np.inf)
         wide = joint.accelerometer_hz is None and np.isfinite(hz)
         joints.append(
@@ -333,7 +333,7 @@ def with_places(study: Study, values: Mapping[Key, float]) -> Study:
                 accelerometer_hz=hz if wide else joint.accelerometer_hz,
             )
         )
-    return replace(study, joints=tuple(joints))
+    return replace(study, arm=replace(study.arm, joints=tuple(joints)))
 
 
 def attitude(rpy: Sequence[float]) -> FloatArray:

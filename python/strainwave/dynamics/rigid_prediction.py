@@ -173,7 +173,7 @@ def predict_torque(
     -------
     (n_samples, n_joints) [N m]
     """
-    share = np.zeros(study.n_joints)
+    share = np.zeros(study.arm.n_joints)
     for parameter in load_friction:
         share[(parameter.joint or 1) - 1] = parameter.value or 0.0
     direction = np.column_stack([_bridged(d) for d in signals.direction.T])
@@ -207,7 +207,7 @@ def _predicted(
         )
     )
     phi = body_regressor(study, angle * n, velocity * n, acceleration * n)
-    viscous, coulomb, offset = solution[first:].reshape(study.n_joints, FRICTION_COLUMNS).T
+    viscous, coulomb, offset = solution[first:].reshape(study.arm.n_joints, FRICTION_COLUMNS).T
     body = phi @ solution[:first]
     rest = body + viscous * velocity + offset
     dry = coulomb + load_friction * np.abs(body)

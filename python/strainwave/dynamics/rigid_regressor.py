@@ -37,7 +37,7 @@ def columns_of(study: Study) -> tuple[Column, ...]:
     tuple of Column
     """
     found = _body(study)
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         revolute = joint.motion == "revolute"
         alone = study.arm.kind == "single-joint" and joint.spring == "rigid"
         viscous = "motor_viscous_friction" if alone else "total_viscous_friction"
@@ -56,7 +56,7 @@ def n_body(study: Study) -> int:
 
 def _body(study: Study) -> list[Column]:
     if study.arm.kind == "single-joint":
-        revolute = study.joints[0].motion == "revolute"
+        revolute = study.arm.joints[0].motion == "revolute"
         body = [Column("inertia", 1, "kg m^2" if revolute else "kg")]
         if study.arm.gravity is not None:
             body.append(Column("gravity_torque_1", None, "N m" if revolute else "N"))
@@ -74,7 +74,7 @@ def _body(study: Study) -> list[Column]:
 
 def gear_ratios(study: Study) -> FloatArray:
     """n, link turns per motor turn: (n_joints,)."""
-    return np.array([joint.gear_ratio for joint in study.joints])
+    return np.array([joint.gear_ratio for joint in study.arm.joints])
 
 
 def body_regressor(
@@ -101,7 +101,7 @@ def body_regressor(
     names = [name for name, _ in arm.parameter_names]
     phi = arm.base_regressor(*(np.ascontiguousarray(x) for x in (angle, velocity, acceleration)))
     phi = n[:, None] * phi
-    if study.n_joints == 1:
+    if study.arm.n_joints == 1:
         phi[:, 0, 0] = acceleration[:, 0] / n[0]  # the inertia is the motor's side's
         return phi[:, :, : n_body(study)]
     motor = np.zeros((*angle.shape, 1))

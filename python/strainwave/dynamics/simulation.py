@@ -111,7 +111,7 @@ def build_arm(study: Study) -> _core.Arm:
     -------
     _core.Arm
     """
-    joints = study.joints
+    joints = study.arm.joints
     distance = [joint.accelerometer_distance or 1.0 for joint in joints]
     return _core.Arm(
         study.arm.kind,
@@ -132,7 +132,7 @@ def build_arm(study: Study) -> _core.Arm:
 
 def _imu_bandwidths(study: Study) -> dict[str, Any]:
     """What an arm needs to know of its IMUs' low-passes; nothing where it has no IMU."""
-    imus = [joint.imu for joint in study.joints]
+    imus = [joint.imu for joint in study.arm.joints]
     if not any(imus):
         return {}
     return {
@@ -198,13 +198,13 @@ def holding_voltage(
     """
     arm = build_arm(study)
     vector = parameter_vector(arm, values, study)
-    ratio = np.array([joint.gear_ratio for joint in study.joints])
-    still = np.zeros((1, study.n_joints))
+    ratio = np.array([joint.gear_ratio for joint in study.arm.joints])
+    still = np.zeros((1, study.arm.n_joints))
     try:
         holding = arm.inverse_dynamics(vector, np.array([motor_angle]) * ratio, still, still)[0]
     except ValueError as error:
         raise InvalidInput(str(error), where="--parameters", remedy="mend that value") from error
-    per_volt = [joint.torque_per_volt or 1.0 for joint in study.joints]
+    per_volt = [joint.torque_per_volt or 1.0 for joint in study.arm.joints]
     return tuple(float(t / e) for t, e in zip(holding, per_volt, strict=True))
 
 
@@ -292,11 +292,11 @@ def fastest_resonance(study: Study, values: Values) -> float:
     float [Hz]
         Zero where the values do not give it.
     """
-    known, n = completed(values, study), study.n_joints
+    known, n = completed(values, study), study.arm.n_joints
     try:
         own = [(known.get(("gear_stiffness", i)), i) for i in range(1, n + 1)]
         k = np.diag([one or known["gear_stiffness_k3", i] for one, i in own])
-        ratios = [joint.gear_ratio for joint in study.joints]
+        ratios = [joint.gear_ratio for joint in study.arm.joints]
         motor = np.diag([known["motor_inertia", i] / r**2 for i, r in enumerate(ratios, start=1)])
         links = [_link_inertias(study, known, elbow) for elbow in (np.pi, 0.0)]
     except KeyError:
@@ -317,7 +317,7 @@ def _link_inertias(study: Study, known: Values, elbow: float) -> FloatArray:
     """M of the links alone, (n_joints, n_joints), with the elbow at an angle."""
     keys = base_names(study)
     base = [0.0 if key[0].startswith("gravity") else known[key] for key in keys]
-    angle = np.zeros(study.n_joints)
+    angle = np.zeros(study.arm.n_joints)
     angle[1:] = elbow
     return inertia_matrix(study, np.array(base), angle)
 
@@ -333,7 +333,7 @@ def base_names(study: Study) -> list[tuple[str, int | None]]:
     -------
     list of (name, joint)
     """
-    arm, still = build_arm(study), np.zeros((1, study.n_joints))
+    arm, still = build_arm(study), np.zeros((1, study.arm.n_joints))
     return arm.parameter_names[: arm.base_regressor(still, still, still).shape[2]]
 
 
@@ -353,8 +353,8 @@ def inertia_matrix(study: Study, base: FloatArray, angle: FloatArray) -> FloatAr
     -------
     (n_joints, n_joints) [kg m^2], or [kg] of a prismatic joint
     """
-    arm, unit = build_arm(study), np.eye(study.n_joints)
-    at, still = np.tile(angle, (study.n_joints, 1)), np.zeros_like(unit)
+    arm, unit = build_arm(study), np.eye(study.arm.n_joints)
+    at, still = np.tile(angle, (study.arm.n_joints, 1)), np.zeros_like(unit)
     torque = arm.base_regressor(at, still, unit) @ base
     held = arm.base_regressor(at, still, still) @ base
     return np.asarray(torque - held).T
@@ -471,7 +471,7 @@ def _experiment(
     study: Study, drive: Drive, sample_time: float, samples: int, longest_step: float
 ) -> dict[str, Any]:
     """What the core needs to know of an experiment."""
-    servo = study.servo if any(drive.servo) else None
+    servo = study.arm.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
         raise InvalidInput(
             "an experiment is under servo control but the study describes no servo",

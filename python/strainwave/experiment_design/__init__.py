@@ -145,12 +145,12 @@ def design(
         not described. One experiment that the limits do not leave is a warning.
     """
     parameter_vector(build_arm(study), values, study)  # refuses what is missing
-    bands = {j: band_of(study, values, j) for j in range(1, study.n_joints + 1)}
+    bands = {j: band_of(study, values, j) for j in range(1, study.arm.n_joints + 1)}
     warnings = _without_servo(study, bands)
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
     records: tuple[Planned, ...] = ()
     refused: list[LimitBroken] = []
-    if study.servo is not None:
+    if study.arm.servo is not None:
         progress("searching the rigid motion")
         try:
             records = motion_records(
@@ -172,7 +172,7 @@ def design(
                     Diagnostic("limit-broken", f"sweep of joint {joint}", f"not planned: {why}")
                     for why in left_out
                 )
-        if band and study.servo is not None:
+        if band and study.arm.servo is not None:
             progress(f"sizing the steps of joint {joint}")
             try:
                 records += step_records(study, values, limits, band, joint)
@@ -206,8 +206,8 @@ def _torques_without_limit(
 ) -> tuple[Diagnostic, ...]:
     """What the gears bear where nobody said what they may."""
     found = []
-    for i in range(study.n_joints):
-        if np.isfinite(limits.gear_torque[i]) or study.joints[i].spring == "rigid":
+    for i in range(study.arm.n_joints):
+        if np.isfinite(limits.gear_torque[i]) or study.arm.joints[i].spring == "rigid":
             continue
         worst = max(records, key=lambda record: float(record.predicted.gear_torque[i]))
         text = (
@@ -221,7 +221,7 @@ def _torques_without_limit(
 
 def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diagnostic, ...]:
     """What can be planned without a servo: voltages on elastic joints that lie in a plane."""
-    if study.servo is not None:
+    if study.arm.servo is not None:
         return ()
     elastic = any(bands.values())
     if study.arm.gravity or not elastic:
@@ -250,7 +250,7 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Diagnostic,
         text = f"condition number {record.condition_number:.0f}: the motion hardly separates the "
         text += "rigid parameters; allow more voltage, velocity or angle"
         found.append(Diagnostic("poor-excitation", name, text))
-    for i in range(study.n_joints):
+    for i in range(study.arm.n_joints):
         joint = i + 1
         moved = record.experiment.joint in (None, joint)
         stepped = record.experiment.joint is not None and record.motor_angle is not None
@@ -261,7 +261,7 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Diagnostic,
         knees = [known[knee, joint] for knee in _KNEES if (knee, joint) in known]
         beyond = [knee for knee in knees if knee > seen.gear_torque[i]]
         strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
-        excited = strongest and study.joints[i].spring == "three-slope"
+        excited = strongest and study.arm.joints[i].spring == "three-slope"
         if excited and beyond:
             text = f"the gear of joint {joint} sees {seen.gear_torque[i]:.3g} N m, and its knees "
             text += f"are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: its stiffness "

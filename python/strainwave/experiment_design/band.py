@@ -59,7 +59,7 @@ def band_of(study: Study, values: Values, joint: int) -> Band | None:
         None: the gear is rigid.
     """
     known = completed(values, study)
-    drive = study.joints[joint - 1]
+    drive = study.arm.joints[joint - 1]
     slopes = [
         known["gear_stiffness" if drive.spring == "linear" else f"gear_stiffness_{k}", joint]
         for k in {"linear": ("",), "three-slope": ("k1", "k2", "k3"), "rigid": ()}[drive.spring]

@@ -48,7 +48,7 @@ def applied_columns(
     """
     time: FloatArray = drive.tick * np.arange(len(drive.voltage), dtype=np.float64)
     columns = {"t [s]": time}
-    for i, joint in enumerate(study.joints):
+    for i, joint in enumerate(study.arm.joints):
         angle = "rad" if joint.motion == "revolute" else "m"
         number = i + 1
         if motor_angle is not None:
@@ -88,10 +88,10 @@ def read_applied(study: Study, experiment: Experiment, values: Values) -> Drive 
     columns = {name.partition(" ")[0]: column for name, column in read.items()}
     tick = _tick(columns.pop("t", np.zeros(0)), path)
     rows = len(next(iter(columns.values()), np.zeros(0)))
-    voltage = np.zeros((rows, study.n_joints))
+    voltage = np.zeros((rows, study.arm.n_joints))
     reference = np.zeros_like(voltage)
-    start = np.zeros(study.n_joints)
-    for i in range(study.n_joints):
+    start = np.zeros(study.arm.n_joints)
+    for i in range(study.arm.n_joints):
         for name, into in ((f"u{i + 1}", voltage), (f"torque{i + 1}", voltage)):
             into[:, i] = columns.get(name, into[:, i])
         reference[:, i] = columns.get(f"ref{i + 1}", reference[:, i])

@@ -74,7 +74,7 @@ def motion_records(
     tick = clock_of(study)
     period = tick * round(HARMONICS / top / tick)
     search = Search(study, values, limits, period)
-    still = np.zeros((1, study.n_joints))
+    still = np.zeros((1, study.arm.n_joints))
     if not search.within((still, still, still)):
         raise InvalidInput(
             "the drives can hardly hold the guessed arm at zero angles",
@@ -108,7 +108,7 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
         )
     condition = float(condition_number(study, limits, series.at(search.time)))
     return Planned(
-        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * study.n_joints),
+        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * study.arm.n_joints),
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / series.period, HARMONICS / series.period),
@@ -129,7 +129,7 @@ def _drive(
     """References of a whole record, the motor angles meant, and the seconds of the way in."""
     study = search.study
     tick = clock_of(study)
-    still = np.zeros(study.n_joints)
+    still = np.zeros(study.arm.n_joints)
     rest = (still, still, still)
     joint_state = [x[0] for x in series.at(np.zeros(1))]
     for lead in _LEADS:
@@ -147,7 +147,7 @@ def _drive(
         tick=tick,
         voltage=np.zeros_like(angle),
         reference=reference,
-        servo=(True,) * study.n_joints,
+        servo=(True,) * study.arm.n_joints,
         motor_angle=start,
         initial_voltage=holding_voltage(study, values, start),
     )
@@ -168,7 +168,7 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
     """
     study = search.study
     once = "1 period, as a repetition shows noise but no new motion"
-    counts = [joint.encoder_counts for joint in study.joints]
+    counts = [joint.encoder_counts for joint in study.arm.joints]
     if not all(counts):
         return 1, f"{once}; the encoders' noise is not known"
     motion = series.at(search.time)
@@ -193,7 +193,7 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
 
 def _inertia_at_motor(search: Search) -> FloatArray:
     """What each motor has to turn with the arm stretched, friction left out: (n_joints,)."""
-    n = search.study.n_joints
+    n = search.study.arm.n_joints
     still = np.zeros((n, n))
     moved = search.arm.inverse_dynamics(search.vector, still, still, np.eye(n))
     unmoved = search.arm.inverse_dynamics(search.vector, still, still, still)

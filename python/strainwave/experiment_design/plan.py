@@ -126,19 +126,19 @@ def limits_of(
     InvalidInput
         One is not a positive number, or there are not as many as joints.
     """
-    if voltage is None and study.servo is None:
+    if voltage is None and study.arm.servo is None:
         raise InvalidInput(
             "the drives' limit is not known: there is no [servo] table that has it",
             where="--limit-voltage",
             remedy=f"give it in V, or {ADD_SERVO}",
         )
-    largest = study.servo.limit if study.servo else float("inf")
-    top = (largest,) * study.n_joints
-    given = top if voltage is None else _numbers(voltage, study.n_joints, "--limit-voltage")
-    any_torque = (float("inf"),) * study.n_joints
-    angles = _numbers(angle, study.n_joints, "--limit-angle")
-    velocities = _numbers(velocity, study.n_joints, "--limit-velocity")
-    for i, joint in enumerate(study.joints):
+    largest = study.arm.servo.limit if study.arm.servo else float("inf")
+    top = (largest,) * study.arm.n_joints
+    given = top if voltage is None else _numbers(voltage, study.arm.n_joints, "--limit-voltage")
+    any_torque = (float("inf"),) * study.arm.n_joints
+    angles = _numbers(angle, study.arm.n_joints, "--limit-angle")
+    velocities = _numbers(velocity, study.arm.n_joints, "--limit-velocity")
+    for i, joint in enumerate(study.arm.joints):
         if joint.motion == "revolute":
             _check_plausible(angles[i], velocities[i], i + 1)
     return Limits(
@@ -147,7 +147,7 @@ def limits_of(
         voltage=tuple(min(pair) for pair in zip(given, top, strict=True)),
         gear_torque=any_torque
         if gear_torque is None
-        else _numbers(gear_torque, study.n_joints, "--limit-torque"),
+        else _numbers(gear_torque, study.arm.n_joints, "--limit-torque"),
     )
 
 
@@ -172,7 +172,7 @@ def _check_plausible(angle: float, velocity: float, joint: int) -> None:
 
 def clock_of(study: Study) -> float:
     """The clock of what is planned [s]: the servo's, or that of a usual drive."""
-    return study.servo.period if study.servo else _USUAL_CLOCK
+    return study.arm.servo.period if study.arm.servo else _USUAL_CLOCK
 
 
 def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:

@@ -61,7 +61,7 @@ def _log(study: Study, values: Values, record: Planned, rng: np.random.Generator
     )
     seen = measure(run, SensorNoise(), rng)
     channels = {}
-    for i, joint in enumerate(study.joints):
+    for i, joint in enumerate(study.arm.joints):
         drive = "u" if joint.torque_per_volt else "torque"
         channels[f"{drive}{i + 1}"] = seen["voltage"][:, i]
         channels[f"theta_m{i + 1}"] = seen["encoder"][:, i]

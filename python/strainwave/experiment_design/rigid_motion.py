@@ -98,7 +98,7 @@ def full_regressor(study: Study, motion: Motion) -> FloatArray:
         Columns as in `strainwave.dynamics.rigid_regressor.columns_of`.
     """
     velocity = motion[1] / gear_ratios(study)
-    n = study.n_joints
+    n = study.arm.n_joints
     bodies = body_regressor(study, *(x.reshape(-1, n) for x in motion))
     parts = [bodies.reshape(*velocity.shape, bodies.shape[-1])]
     for i in range(n):
@@ -139,7 +139,7 @@ def condition_number(study: Study, limits: Limits, motion: Motion) -> FloatArray
 
 def torque_per_volt(study: Study) -> FloatArray:
     """e, or one where torque is commanded: (n_joints,)."""
-    return np.array([joint.torque_per_volt or 1.0 for joint in study.joints])
+    return np.array([joint.torque_per_volt or 1.0 for joint in study.arm.joints])
 
 
 def optimised(
@@ -200,7 +200,7 @@ class Search:
         self.vector = parameter_vector(self.arm, values, study)
         self.time: FloatArray = period / _GRID * np.arange(_GRID, dtype=np.float64)
         self.waves = waves(period, HARMONICS, self.time)
-        self.n_unknowns = study.n_joints * (2 * HARMONICS + 1)
+        self.n_unknowns = study.arm.n_joints * (2 * HARMONICS + 1)
 
     def cost(self, points: FloatArray) -> FloatArray:
         """Logarithm of the condition number of the feasible series that points stand for.
@@ -241,7 +241,7 @@ class Search:
 
     def _feasible(self, points: FloatArray) -> tuple[Fourier, Motion, FloatArray]:
         """Shapes, their feasible motions, and the joints' scales (..., 1, n_joints) from these."""
-        n = self.study.n_joints
+        n = self.study.arm.n_joints
         table = points.reshape(*points.shape[:-1], -1, n)
         most = _SHARE_ANGLE * np.array(self.limits.angle)
         offset = 0.8 * most * np.tanh(table[..., :1, :])

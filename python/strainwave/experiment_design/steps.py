@@ -52,10 +52,10 @@ def step_records(
     LimitBroken
         No step of the guessed arm keeps to the limits.
     """
-    assert study.servo is not None
+    assert study.arm.servo is not None
     hold = float(np.clip(_PERIODS / band.anti_resonance_hz, _LEAST_HOLD, _LONGEST_HOLD))
     hold = clock_of(study) * round(hold / clock_of(study))
-    largest = _largest(study, study.servo, limits, joint, hold)
+    largest = _largest(study, study.arm.servo, limits, joint, hold)
     return tuple(
         _record(study, values, limits, joint, f"{name}-j{joint}", use, hold, levels, size * largest)
         for name, use, levels, size in _PLANS
@@ -65,7 +65,7 @@ def step_records(
 def _largest(study: Study, servo: Servo, limits: Limits, joint: int, hold: float) -> float:
     """The largest step that no limit forbids by itself [rad/s at the motor]."""
     i = joint - 1
-    ratio = abs(study.joints[i].gear_ratio)
+    ratio = abs(study.arm.joints[i].gear_ratio)
     by_voltage = limits.voltage[i] / servo.kp[i] if servo.kp[i] > 0.0 else np.inf
     return _ROOM * min(limits.velocity[i], by_voltage, limits.angle[i] / (ratio * hold))
 
@@ -100,7 +100,7 @@ def _record(
         "fitted with the rest" if use == "tuning" else "never fitted: it checks the elastic model"
     )
     return Planned(
-        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * study.n_joints, joint=joint),
+        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * study.arm.n_joints, joint=joint),
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / (len(levels) * hold), 0.5 / drive.tick),
@@ -118,17 +118,17 @@ def _drive(
     """References of a whole record, and the motor angles meant."""
     tick = clock_of(study)
     stepped = excitation.steps(levels, hold=hold, clock=tick)
-    reference = np.zeros((len(stepped), study.n_joints))
+    reference = np.zeros((len(stepped), study.arm.n_joints))
     reference[:, joint - 1] = stepped
     angle = tick * np.concatenate(
-        [np.zeros((1, study.n_joints)), np.cumsum(reference, axis=0)[:-1]]
+        [np.zeros((1, study.arm.n_joints)), np.cumsum(reference, axis=0)[:-1]]
     )
-    start = (0.0,) * study.n_joints
+    start = (0.0,) * study.arm.n_joints
     drive = Drive(
         tick=tick,
         voltage=np.zeros_like(reference),
         reference=reference,
-        servo=(True,) * study.n_joints,
+        servo=(True,) * study.arm.n_joints,
         motor_angle=start,
         initial_voltage=holding_voltage(study, values, start),
     )

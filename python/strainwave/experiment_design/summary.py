@@ -55,7 +55,7 @@ def _precision(design: Design) -> Iterator[str]:
         f"planned for {', '.join(_sensors(design.study))}; on the guessed arm their noise alone"
         " would leave these 95 % half-widths:"
     )
-    for number in range(1, design.study.n_joints + 1):
+    for number in range(1, design.study.arm.n_joints + 1):
         parts = [
             f"{p.name} {196.0 * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
             for p in own
@@ -66,7 +66,7 @@ def _precision(design: Design) -> Iterator[str]:
 
 def _sensors(study: Study) -> Iterator[str]:
     """What each joint declares."""
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         named = [
             f"encoder of {joint.encoder_counts:g} counts" if joint.encoder_counts else "encoder"
         ]
@@ -85,7 +85,7 @@ def _table(design: Design) -> Table:
         table.add_column(head, justify="right")
     rows = [cells for record in design.records for cells in _rows(record)]
     limits = design.limits
-    for i in range(design.study.n_joints):
+    for i in range(design.study.arm.n_joints):
         bounds = (limits.angle, limits.velocity, limits.voltage, limits.gear_torque)
         shown = (f"{bound[i]:.3g}" if np.isfinite(bound[i]) else "" for bound in bounds)
         rows.append(("limit", str(i + 1), *shown, ""))

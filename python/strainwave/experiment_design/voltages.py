@@ -65,9 +65,9 @@ class Signal:
     def drive(self, amplitude: float, periods: int, control: tuple[Control, ...]) -> Drive:
         """The excitation of this joint; servos hold what they control at zero velocity."""
         excited = self.voltage(amplitude, periods)
-        voltage = np.zeros((len(excited), self.study.n_joints))
+        voltage = np.zeros((len(excited), self.study.arm.n_joints))
         voltage[:, self.joint - 1] = excited
-        start = (0.0,) * self.study.n_joints
+        start = (0.0,) * self.study.arm.n_joints
         return Drive(
             tick=self.clock,
             voltage=voltage,
@@ -119,13 +119,13 @@ def voltage_record(
         No amplitude keeps to the limits.
     """
     signal = _signal(study, values, band, joint, kind, seed)
-    free: tuple[Control, ...] = (FREE,) * study.n_joints
-    held: tuple[Control, ...] = (HELD,) * study.n_joints
+    free: tuple[Control, ...] = (FREE,) * study.arm.n_joints
+    held: tuple[Control, ...] = (HELD,) * study.arm.n_joints
     controls: tuple[tuple[Control, ...], ...] = (
         (held,)
         if study.arm.gravity
         else (free,)
-        if kind == "multisine" or study.servo is None
+        if kind == "multisine" or study.arm.servo is None
         else (free, held)
     )
     if kind == "multisine" and study.arm.gravity:
@@ -317,7 +317,7 @@ def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
     study = signal.study
     tick = clock_of(study)
     seen = run(study, signal.values, drive, tick)
-    drive_of = study.joints[signal.joint - 1]
+    drive_of = study.arm.joints[signal.joint - 1]
     ratios = {}
     if drive_of.encoder_counts:
         q = 2.0 * np.pi / drive_of.encoder_counts

@@ -51,7 +51,7 @@ def link_bodies(arm: IdentifiedArm, gravity: float) -> tuple[Body, ...]:
         A base parameter is null or not there, or no bodies have these.
     """
     length = arm.study.arm.link_length or _ASSUMED_LENGTH
-    if arm.study.n_joints == 1:
+    if arm.study.arm.n_joints == 1:
         inertia = _single_inertia(arm)
         if arm.joint(1).motion == "prismatic":
             return (Body(inertia, 0.0, inertia * length**2),)  # it does not turn: any inertia does
@@ -93,7 +93,7 @@ def effective_gravity(arm: IdentifiedArm) -> float:
         A parameter is null or not there, or the two contradict each other.
     """
     gravity = arm.study.arm.gravity or 0.0
-    if not gravity or arm.study.n_joints == 1:
+    if not gravity or arm.study.arm.n_joints == 1:
         return gravity
     torque, gamma = arm.need("gravity_torque_2"), arm.need("gamma")
     if torque * gamma <= 0.0:
@@ -144,7 +144,7 @@ def told_of_gravity(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
 
 def holds_motor(arm: IdentifiedArm) -> bool:
     """Whether the link's inertia has the motor's in it: a single link behind a rigid gear."""
-    return arm.study.n_joints == 1 and arm.joint(1).spring == "rigid"
+    return arm.study.arm.n_joints == 1 and arm.joint(1).spring == "rigid"
 
 
 def _single_inertia(arm: IdentifiedArm) -> float:

@@ -34,7 +34,7 @@ def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
         Entry("link_length", arm.study.arm.link_length, None, "m", known=True),
         Entry("gravity", arm.study.arm.gravity, None, "m/s^2", known=True),
     ]
-    for number, joint in enumerate(arm.study.joints, start=1):
+    for number, joint in enumerate(arm.study.arm.joints, start=1):
         torque = "N/V" if joint.motion == "prismatic" else "N m/V"
         found += [
             Entry(f"gear_ratio_{number}", joint.gear_ratio, None, "1", known=True),

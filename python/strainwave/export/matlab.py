@@ -73,8 +73,8 @@ def to_mat(arm: IdentifiedArm) -> Export:
 def _joints(arm: IdentifiedArm) -> FloatArray:
     """A struct array, one element a joint."""
     fields = [(name, object) for name in "ABCD"]
-    array = np.zeros(arm.study.n_joints, dtype=fields)
-    for i in range(arm.study.n_joints):
+    array = np.zeros(arm.study.arm.n_joints, dtype=fields)
+    for i in range(arm.study.arm.n_joints):
         for name, matrix in zip("ABCD", state_space(arm, i + 1), strict=True):
             array[name][i] = matrix
     return array
@@ -108,7 +108,7 @@ def to_script(arm: IdentifiedArm) -> Export:
         lines.append(f"parameters.{entry.name} = {_number(entry.value)}; % [{unit}]")
         if not entry.known:
             lines.append(f"parameters_std.{entry.name} = {_number(entry.std)};")
-    for number in range(1, arm.study.n_joints + 1):
+    for number in range(1, arm.study.arm.n_joints + 1):
         lines += ["", *_joint_lines(arm, number)]
     text = "\n".join(lines) + "\n\n" + _GREY_MODEL
     return Export(text.encode(), linearised(arm))

@@ -46,7 +46,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     bodies = link_bodies(arm, gravity)
     mujoco = root("mujoco", "model")
     ET.SubElement(mujoco, "compiler", angle="radian")
-    if gravity and arm.study.n_joints > 1:
+    if gravity and arm.study.arm.n_joints > 1:
         remark(
             mujoco, "Gravity is gravity_torque_2 link_length/gamma, so that all torques are right"
         )
@@ -57,7 +57,9 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     parent = world
     for number, body in enumerate(bodies, start=1):
         parent = _link(parent, arm, number, body)
-    elastic = [i for i, joint in enumerate(arm.study.joints, start=1) if joint.spring != "rigid"]
+    elastic = [
+        i for i, joint in enumerate(arm.study.arm.joints, start=1) if joint.spring != "rigid"
+    ]
     for number in elastic:
         _motor(world, arm, number)
     if elastic:
@@ -65,14 +67,14 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
         for number in elastic:
             _gear(tendons, arm, number)
     actuators = ET.SubElement(mujoco, "actuator")
-    for number in range(1, arm.study.n_joints + 1):
+    for number in range(1, arm.study.arm.n_joints + 1):
         _actuator(actuators, arm, number)
     sensors = ET.SubElement(mujoco, "sensor")
     remark(
         sensors,
         "Named as the channels; of a and gyro the second and third component. No lag or noise.",
     )
-    for number in range(1, arm.study.n_joints + 1):
+    for number in range(1, arm.study.arm.n_joints + 1):
         _sensors(sensors, arm, number)
     cautions = arm.cautions + arm.assumed() + _left_out(arm) + told_of_gravity(arm)
     return Export(to_bytes(mujoco), cautions)
@@ -236,7 +238,7 @@ def _has_accelerometer(arm: IdentifiedArm, number: int) -> bool:
 def _left_out(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """What MuJoCo has no element for."""
     found = []
-    for number, joint in enumerate(arm.study.joints, start=1):
+    for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.effects:
             message = f"MuJoCo has no {', '.join(joint.effects)}; the model goes without"
             found.append(Diagnostic("left-out", f"joint {number}", message))

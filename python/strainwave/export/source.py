@@ -92,13 +92,13 @@ class IdentifiedArm:
         InvalidInput
             There is no such joint.
         """
-        if not 1 <= number <= self.study.n_joints:
+        if not 1 <= number <= self.study.arm.n_joints:
             raise InvalidInput(
-                f"there is no joint {number}: the arm has {self.study.n_joints}",
+                f"there is no joint {number}: the arm has {self.study.arm.n_joints}",
                 where=self.source,
                 remedy="joints are numbered from 1, from the base",
             )
-        return self.study.joints[number - 1]
+        return self.study.arm.joints[number - 1]
 
     def assumed(self) -> tuple[Diagnostic, ...]:
         """Where a known sum stands for its parts, which models with forces of both need."""
@@ -128,7 +128,7 @@ class IdentifiedArm:
         told = self._told()
         return [
             number
-            for number in range(1, self.study.n_joints + 1)
+            for number in range(1, self.study.arm.n_joints + 1)
             if ("total_viscous_friction", number) in told
             and ("link_viscous_friction", number) not in told
         ]
@@ -309,10 +309,10 @@ def _is_file(path: Path) -> bool:
 def _check_joints(parameters: Sequence[Parameter], study: Study, path: Path) -> None:
     for number, parameter in enumerate(parameters, start=1):
         joint = parameter.joint
-        if joint is not None and not 1 <= joint <= study.n_joints:
+        if joint is not None and not 1 <= joint <= study.arm.n_joints:
             raise InvalidInput(
                 f"{parameter.name} belongs to joint {joint}, but the arm of {study.path} has "
-                f"{study.n_joints}",
+                f"{study.arm.n_joints}",
                 where=f"{path}: parameters, entry {number}",
                 remedy="give the study that was identified, with --study",
             )

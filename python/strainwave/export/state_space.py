@@ -91,7 +91,7 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
 
 def _link_inertia(arm: IdentifiedArm, joint: int) -> float:
     """m_L, or the sum of base parameters that it is, (3)."""
-    if arm.study.n_joints == 1 or ("link_inertia", joint) in arm.values:
+    if arm.study.arm.n_joints == 1 or ("link_inertia", joint) in arm.values:
         return arm.need("link_inertia", joint)
     if joint == 2:
         return arm.need("beta")
@@ -101,7 +101,7 @@ def _link_inertia(arm: IdentifiedArm, joint: int) -> float:
 def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """What a linear model of a joint leaves out, and whoever uses it must know."""
     found = arm.cautions + arm.assumed()
-    for number, joint in enumerate(arm.study.joints, start=1):
+    for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.spring == "three-slope":
             message = "its gear has three slopes; the linear model has the middle one"
             found += (Diagnostic("linearised", f"joint {number}", message),)
@@ -125,7 +125,7 @@ def to_state_space(arm: IdentifiedArm) -> Export:
         A gear is rigid, or a parameter is null or impossible.
     """
     joints: list[dict[str, Any]] = []
-    for number in range(1, arm.study.n_joints + 1):
+    for number in range(1, arm.study.arm.n_joints + 1):
         matrices = zip("ABCD", state_space(arm, number), strict=True)
         joints.append({"joint": number} | {name: matrix.tolist() for name, matrix in matrices})
     document = {

@@ -35,7 +35,7 @@ def to_urdf(arm: IdentifiedArm) -> Export:
     for number, body in enumerate(bodies, start=1):
         _link(robot, number, body)
         _joint(robot, arm, number)
-    for number in range(1, arm.study.n_joints + 1):
+    for number in range(1, arm.study.arm.n_joints + 1):
         _transmission(robot, arm, number)
     cautions = arm.cautions + arm.assumed() + told_of_gravity(arm)
     return Export(to_bytes(robot), cautions)

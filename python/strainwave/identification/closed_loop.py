@@ -44,9 +44,9 @@ def with_known_effects(study: Study, known: Collection[tuple[str, int | None]]) 
                 if all((name, number) in known for name in EFFECT_PARAMETERS[effect])
             ),
         )
-        for number, joint in enumerate(study.joints, start=1)
+        for number, joint in enumerate(study.arm.joints, start=1)
     )
-    return replace(study, joints=joints)
+    return replace(study, arm=replace(study.arm, joints=joints))
 
 
 def as_known(study: Study, values: Mapping[tuple[str, int | None], float]) -> Study:
@@ -66,9 +66,9 @@ def as_known(study: Study, values: Mapping[tuple[str, int | None], float]) -> St
         replace(joint, spring="linear")
         if joint.spring == "three-slope" and ("gear_stiffness_k1", number) not in values
         else joint
-        for number, joint in enumerate(study.joints, start=1)
+        for number, joint in enumerate(study.arm.joints, start=1)
     )
-    return with_known_effects(replace(study, joints=joints), values.keys())
+    return with_known_effects(replace(study, arm=replace(study.arm, joints=joints)), values.keys())
 
 
 def velocity_band(log: Log, study: Study) -> float:
@@ -83,7 +83,7 @@ def velocity_band(log: Log, study: Study) -> float:
     -------
     float [Hz]
     """
-    numbers = range(1, study.n_joints + 1)
+    numbers = range(1, study.arm.n_joints + 1)
     return max(signal_band(log.channels[f"theta_m{i}"], log.sample_time) for i in numbers)
 
 
@@ -124,7 +124,7 @@ class Observed:
         (n_rows, n_channels)
         """
         record: list[Quantity] = ["encoder"]
-        if len(self.channels) > study.n_joints:
+        if len(self.channels) > study.arm.n_joints:
             record.append("accelerometer")
         runs = simulate_arms(
             study,
@@ -135,13 +135,13 @@ class Observed:
             record=record,
         )
         columns = [runs["encoder"][0]]
-        for name in self.channels[study.n_joints :]:
+        for name in self.channels[study.arm.n_joints :]:
             joint, T = int(name[1:]), self.log.sample_time
             read = as_read(runs["accelerometer"][0, :, joint - 1], T, joint, values)
             columns.append(read[:, None])
-        seen = _filtered(np.hstack(columns), study.n_joints, self.log, self.cutoff_hz)
+        seen = _filtered(np.hstack(columns), study.arm.n_joints, self.log, self.cutoff_hz)
         shift = self.measured.mean(axis=0) - seen.mean(axis=0)
-        shift[: study.n_joints] = 0.0
+        shift[: study.arm.n_joints] = 0.0
         return np.asarray(seen + shift)
 
 
@@ -166,14 +166,14 @@ def observe(log: Log, study: Study, cutoff_hz: float | None = None) -> Observed:
     """
     check_replay(study, log)
     cutoff = cutoff_hz or velocity_band(log, study)
-    numbers = range(1, study.n_joints + 1)
+    numbers = range(1, study.arm.n_joints + 1)
     placed = [i for i in numbers if has_accelerometer(log, study, i)]
     raw = [log.channels[f"theta_m{i}"] for i in numbers]
     raw += [log.channels[f"a{i}"] for i in placed]
     T = log.sample_time
     # of white noise below the cut-off, differentiated for the encoders
     slope = 2.0 * np.pi * cutoff / np.sqrt(3.0)
-    shares = np.array([slope] * study.n_joints + [1.0] * len(placed))
+    shares = np.array([slope] * study.arm.n_joints + [1.0] * len(placed))
     noise = np.array([noise_deviation(channel) for channel in raw])
     return Observed(
         log=log,
@@ -181,7 +181,7 @@ def observe(log: Log, study: Study, cutoff_hz: float | None = None) -> Observed:
         cutoff_hz=cutoff,
         channels=tuple([f"omega_m{i}" for i in numbers] + [f"a{i}" for i in placed]),
         time=log.time[_inside(log, cutoff)],
-        measured=_filtered(np.column_stack(raw), study.n_joints, log, cutoff),
+        measured=_filtered(np.column_stack(raw), study.arm.n_joints, log, cutoff),
         noise=noise * shares * np.sqrt(min(1.0, 2.0 * T * cutoff)),
     )
 
@@ -263,7 +263,7 @@ def has_accelerometer(log: Log, study: Study, joint: int) -> bool:
     -------
     bool
     """
-    own = study.joints[joint - 1]
+    own = study.arm.joints[joint - 1]
     placed = own.motion == "prismatic" or own.accelerometer_distance is not None
     return placed and f"a{joint}" in log.channels
 

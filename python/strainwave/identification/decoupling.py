@@ -78,7 +78,7 @@ def decouple(
     chosen = options or DecouplingOptions()
     base, tau = _interaction(signals, model, study)
     found = []
-    for i in range(study.n_joints):
+    for i in range(study.arm.n_joints):
         u = signals.motor_torque[:, i]
         if model is not None:
             u = u - _dry_friction(signals, model, i)
@@ -99,7 +99,7 @@ def decouple(
                 ),
                 valid=np.asarray(signals.valid.all(axis=1)),
                 held=signals.held[i],
-                gear_ratio=study.joints[i].gear_ratio,
+                gear_ratio=study.arm.joints[i].gear_ratio,
                 total_inertia=float(total_inertias(model, study)[i]) if model else None,
                 total_viscous_friction=_viscous(model, study, i + 1) if model else None,
                 bandwidth_hz=signals.bandwidth_hz,
@@ -118,7 +118,7 @@ def _interaction(
     signals: LinkSignals, model: RigidModel | None, study: Study
 ) -> tuple[FloatArray, FloatArray | None]:
     """Base parameters and torques; no torques where nothing acts on the joint but its motor."""
-    if study.n_joints == 1 and study.arm.gravity is None:
+    if study.arm.n_joints == 1 and study.arm.gravity is None:
         return np.zeros(0), None
     if model is None:
         raise NotIdentifiable(
@@ -130,7 +130,7 @@ def _interaction(
 
 
 def _viscous(model: RigidModel, study: Study, joint: int) -> float | None:
-    alone = study.arm.kind == "single-joint" and study.joints[0].spring == "rigid"
+    alone = study.arm.kind == "single-joint" and study.arm.joints[0].spring == "rigid"
     return model.value("motor_viscous_friction" if alone else "total_viscous_friction", joint)
 
 
@@ -219,7 +219,7 @@ def _checks(
     if inputs.shape[1] == 1:
         return
     yield _constancy(signals, study, base, i)
-    n = study.joints[i].gear_ratio
+    n = study.arm.joints[i].gear_ratio
     u, tau = inputs[:, 0] - inputs[:, 0].mean(), inputs[:, 1] - inputs[:, 1].mean()
     ratio = float(n * tau.std() / max(u.std(), 1e-300))
     text = f"n tau is {ratio:.3g} times u"
@@ -270,5 +270,5 @@ def _warnings(
         return
     for check in checks:
         if not check.passed:
-            where = f"{signals.experiment.name}, joint {i + 1}" if study.n_joints > 1 else ""
+            where = f"{signals.experiment.name}, joint {i + 1}" if study.arm.n_joints > 1 else ""
             yield Diagnostic(check.name, where or signals.experiment.name, check.message)

@@ -85,7 +85,7 @@ def motor_response(
     coherence = coherence / np.maximum(power[inside] * density[inside, 1, 1].real, 1e-300)
     condition = _condition(log, study)
     posture = gear_ratios(study) * np.array(
-        [np.mean(log.channels[f"theta_m{i}"]) for i in range(1, study.n_joints + 1)]
+        [np.mean(log.channels[f"theta_m{i}"]) for i in range(1, study.arm.n_joints + 1)]
     )
     values, servoed = _one_stiffness(arm.values, joints), condition == "others-servoed"
     zeros, poles = modes_of_motor(values, study, posture, number, servoed=servoed)
@@ -132,7 +132,7 @@ def modes_of_motor(
     anti_resonances, resonances : (n,) [Hz]
         Moduli of the lightly damped pairs over 2 pi, ascending.
     """
-    n, others = study.n_joints, [i for i in range(study.n_joints) if i != joint - 1]
+    n, others = study.arm.n_joints, [i for i in range(study.arm.n_joints) if i != joint - 1]
     base = np.array([values.get(key, 0.0) for key in base_names(study)])
 
     def each(name: str) -> FloatArray:
@@ -147,12 +147,12 @@ def modes_of_motor(
     dampers += np.diag(np.concatenate(viscous))
     moving = np.ones(2 * n, dtype=bool)
     for i in others if servoed else ():
-        per_volt = study.joints[i].torque_per_volt
-        if study.servo is None or per_volt is None:
+        per_volt = study.arm.joints[i].torque_per_volt
+        if study.arm.servo is None or per_volt is None:
             moving[i] = False
         else:
-            dampers[i, i] += per_volt * study.servo.kp[i]
-            springs[i, i] += per_volt * study.servo.ki[i]
+            dampers[i, i] += per_volt * study.arm.servo.kp[i]
+            springs[i, i] += per_volt * study.arm.servo.ki[i]
     without = moving.copy()
     without[joint - 1] = False
     return (
@@ -182,7 +182,7 @@ def _rings(
 
 def _condition(log: Log, study: Study) -> Condition:
     others = [c for i, c in enumerate(log.experiment.control, 1) if i != log.experiment.joint]
-    if study.n_joints == 1:
+    if study.arm.n_joints == 1:
         return "alone"
     return "others-servoed" if "servo" in others else "others-free"
 

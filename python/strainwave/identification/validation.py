@@ -59,7 +59,7 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
     per_channel = np.array(
         [
             (joint.torque_per_volt or 1.0) if name.startswith("u") else 1.0
-            for name, joint in zip(names, study.joints, strict=True)
+            for name, joint in zip(names, study.arm.joints, strict=True)
         ]
     )
     return Prediction(
@@ -106,7 +106,7 @@ def predict_elastic(arm: ArmModel, log: Log, study: Study) -> Prediction:
     """
     values = dict(arm.values)
     predicted = predict_closed_loop(values, log, study)
-    elastic = [n for n, joint in enumerate(study.joints, start=1) if joint.spring != "rigid"]
+    elastic = [n for n, joint in enumerate(study.arm.joints, start=1) if joint.spring != "rigid"]
     effects = {n: _stiffness_effect(predicted, n, values, log, study) for n in elastic}
     return replace(predicted, stiffness_effect=effects)
 

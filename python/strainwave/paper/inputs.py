@@ -149,7 +149,7 @@ def servoed(rig: Rig) -> Comparison:
 
 def _least_cosine(run: Run) -> float:
     """Of joint 2's angle, from its motor's encoder as the source computes it."""
-    ratio = run.study.joints[1].gear_ratio
+    ratio = run.study.arm.joints[1].gear_ratio
     return float(np.cos(ratio * run.log.channels["theta_m2"]).min())
 
 
@@ -190,7 +190,7 @@ def _torques(run: Run) -> tuple[FloatArray, FloatArray, float]:
 
 def _base(study: Study, values: Values) -> FloatArray:
     arm = build_arm(study)
-    still = np.zeros((1, study.n_joints))
+    still = np.zeros((1, study.arm.n_joints))
     count = arm.base_regressor(still, still, still).shape[2]
     return np.array([values.get(name, 0.0) for name in arm.parameter_names[:count]])
 

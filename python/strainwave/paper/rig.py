@@ -164,7 +164,7 @@ class Rig:
                     speed=_MOTION_SPEED / joint.gear_ratio,
                     rng=rng,
                 )
-                for joint in self.study.joints
+                for joint in self.study.arm.joints
             ]
         )
         both: tuple[Control, Control] = ("servo", "servo")
@@ -278,8 +278,9 @@ class Rig:
         study, name = self.study, "whole arm"
         if self.settings.tuning.as_published:
             joints = [self.transfer(joint) for joint in (1, 2)]
-            linear = tuple(replace(joint, spring="linear") for joint in study.joints)
-            study, name = replace(study, joints=linear), "fine tuning as published"
+            linear = tuple(replace(joint, spring="linear") for joint in study.arm.joints)
+            study = replace(study, arm=replace(study.arm, joints=linear))
+            name = "fine tuning as published"
         else:
             runs = [self.prbs(joint) for joint in (1, 2)]
             joints = [self.physical(run) for run in runs]
@@ -289,7 +290,7 @@ class Rig:
         if self.settings.tuning.as_published:  # its ranges are part of the method
             growth = max(
                 growth_of(joint_with(values, number, values["gear_stiffness", number], ratio))
-                for number, ratio in enumerate((j.gear_ratio for j in study.joints), start=1)
+                for number, ratio in enumerate((j.gear_ratio for j in study.arm.joints), start=1)
             )
             evidence = replace(evidence, growth=growth)
         return Tuned(values, (evidence,))

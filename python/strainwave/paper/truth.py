@@ -101,7 +101,7 @@ def equivalent(study: Study, values: Values, trajectory: Trajectory, joint: int)
     -------
     TwoInertia
     """
-    ratio = study.joints[joint - 1].gear_ratio
+    ratio = study.arm.joints[joint - 1].gear_ratio
     if ("gear_stiffness", joint) in values:
         return joint_with(values, joint, values["gear_stiffness", joint], ratio)
     column = joint - 1

@@ -30,7 +30,7 @@ def activity_of(logs: Sequence[Log], study: Study) -> tuple[Activity, ...]:
         One per joint that has signals in some record.
     """
     found = []
-    for number in range(1, study.n_joints + 1):
+    for number in range(1, study.arm.n_joints + 1):
         parts = [
             part
             for log in logs
@@ -54,7 +54,7 @@ def _squares(log: Log, study: Study, number: int) -> FloatArray | None:
     step = max(1, round(_WINDOW / log.sample_time))
     if angle is None or len(angle) < 4 * step:
         return None
-    joint = study.joints[number - 1]
+    joint = study.arm.joints[number - 1]
     scale = (joint.torque_per_volt or 1.0) if name.startswith("u") else 1.0
     span = step * log.sample_time
     velocity = (angle[step:] - angle[:-step]) / span

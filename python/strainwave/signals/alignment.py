@@ -51,7 +51,7 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
         None where the link has no sensor of its own, the record has too few lines, or a three-slope
         spring was wound by another joint's excitation alone.
     """
-    spring, excited = study.joints[i].spring, signals.experiment.joint
+    spring, excited = study.arm.joints[i].spring, signals.experiment.joint
     if signals.sources[i] in ("motor", "deflection") or spring == "rigid":
         return None
     if spring == "three-slope" and excited not in (None, i + 1):
@@ -129,7 +129,7 @@ def _shares(signals: LinkSignals, study: Study, link: FloatArray, i: int) -> Flo
     if i == 0 or signals.sources[i] not in ("accelerometer", "gyro"):
         return own[:, None]
     reach: FloatArray = np.ones(len(link))
-    joint = study.joints[i]
+    joint = study.arm.joints[i]
     if signals.sources[i] == "accelerometer" and joint.accelerometer_distance:
         lever = (study.arm.link_length or 0.0) / joint.accelerometer_distance
         reach = 1.0 + lever * np.cos(signals.link_angle[:, 1])

@@ -104,7 +104,7 @@ def directions(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> 
     """
     columns = []
     standing = max(_STANDING_SAMPLES, round(_STANDING / T))
-    for i, joint in enumerate(study.joints):
+    for i, joint in enumerate(study.arm.joints):
         least = resolution(joint, float(noise[i]))
         columns.append(sliding_direction(angle[:, i], least, standing))
     return np.column_stack(columns)
@@ -129,13 +129,13 @@ def saturation(
     (n_samples, n_joints) bool
     tuple of Diagnostic
     """
-    saturated = np.zeros((len(log), study.n_joints), dtype=bool)
+    saturated = np.zeros((len(log), study.arm.n_joints), dtype=bool)
     warnings: list[Diagnostic] = []
     for i, channel in enumerate(channels):
         if log.experiment.control[i] != "servo":
             continue
         size = np.abs(log.channels[channel])
-        limit = study.servo.limit if study.servo and channel.startswith("u") else None
+        limit = study.arm.servo.limit if study.arm.servo and channel.startswith("u") else None
         saturated[:, i] = size >= 0.999 * limit if limit else _flat_tops(log.channels[channel])
         share = float(saturated[:, i].mean())
         if share > _MUCH_SATURATION:

@@ -74,11 +74,11 @@ def both_sides(
     InvalidInput
         As `link_side`.
     """
-    total = (Delay(0.0, 0.0),) * study.n_joints
+    total = (Delay(0.0, 0.0),) * study.arm.n_joints
     for _ in range(_PASSES):
         delays = tuple(late.value for late in total)
         found = side_by_side([partial(link_side, log, study, options, delays) for log in logs])
-        left = late_sensors(found, study.n_joints)
+        left = late_sensors(found, study.arm.n_joints)
         total = tuple(Delay(a.value + b.value, b.std) for a, b in zip(total, left, strict=True))
         if not any(late.value for late in left) or _beyond(total):
             break
@@ -130,7 +130,7 @@ def link_side(
     """
     chosen = options or LinkOptions()
     view = _View(_moved_back(log, study, delays or ()), study, chosen)
-    torque = np.column_stack([view.torque(i) for i in range(study.n_joints)])
+    torque = np.column_stack([view.torque(i) for i in range(study.arm.n_joints)])
     motor_velocity = differentiate(view.motor_angle, log.sample_time)
     links = _links(view, motor_velocity)
     sliding, direction = view.directions()
@@ -149,14 +149,14 @@ def link_side(
         link_acceleration=links.acceleration,
         valid=valid,
         sources=view.sources,
-        held=tuple(view.held(i) for i in range(study.n_joints)),
+        held=tuple(view.held(i) for i in range(study.arm.n_joints)),
         shared=view.shared,
         bandwidth_hz=view.bandwidth_hz,
         fusion=tuple(links.fusion),
         fusion_error=np.array(links.fusion_error),
         bias=np.array(links.bias),
-        sensor_delay=(None,) * study.n_joints,
-        drive_delay=(None,) * study.n_joints,
+        sensor_delay=(None,) * study.arm.n_joints,
+        drive_delay=(None,) * study.arm.n_joints,
     )
     return _aligned(found, study, view, warnings, alone=delays is None)
 
@@ -176,11 +176,11 @@ class _View:
 
     def __init__(self, log: Log, study: Study, options: LinkOptions) -> None:
         self.log, self.study, self.options = log, study, options
-        numbers = range(1, study.n_joints + 1)
+        numbers = range(1, study.arm.n_joints + 1)
         self.raw_angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
         self.channels = tuple(torque_channel(log, i) for i in numbers)
         self.sources = tuple(_source(log, study, i) for i in numbers)
-        self.shared = _shared(study.joints, self.sources)
+        self.shared = _shared(study.arm.joints, self.sources)
         # a joint that hardly moves has no band of its own
         self.band = max(signal_band(angle, log.sample_time) for angle in self.raw_angle.T)
         differenced = any(s != "accelerometer" for s in self.sources)
@@ -216,13 +216,13 @@ class _View:
 
     def held(self, i: int) -> bool:
         """Whether a torque is constant between the samples."""
-        loop = self.study.joints[i].current_loop_hz
+        loop = self.study.arm.joints[i].current_loop_hz
         voltage = self.channels[i].startswith("u")
         return voltage and loop is None and not self.shared and self.bandwidth_hz is None
 
     def torque(self, i: int) -> FloatArray:
         """A motor's torque: voltages are held by the drive and pass its current loop."""
-        joint, channel = self.study.joints[i], self.channels[i]
+        joint, channel = self.study.arm.joints[i], self.channels[i]
         values = self.log.channels[channel]
         if channel.startswith("torque"):
             return self.through(values)
@@ -246,7 +246,8 @@ class _View:
         s 2 pi f sqrt(2 f T / 3). A count of an encoder is 1/sqrt(12) of noise at least.
         """
         counts = [
-            2.0 * np.pi / j.encoder_counts if j.encoder_counts else 0.0 for j in self.study.joints
+            2.0 * np.pi / j.encoder_counts if j.encoder_counts else 0.0
+            for j in self.study.arm.joints
         ]
         least = np.array(counts) / np.sqrt(12.0)
         f, T = self.band, self.log.sample_time
@@ -272,7 +273,7 @@ class _View:
 def _source(log: Log, study: Study, joint: int) -> LinkSource:
     """The best of what the log has of a link."""
     if f"a{joint}" in log.channels:
-        drive = study.joints[joint - 1]
+        drive = study.arm.joints[joint - 1]
         if drive.motion == "revolute" and drive.accelerometer_distance is None:
             raise InvalidInput(
                 f"a{joint} is logged but accelerometer_distance is not given",
@@ -326,7 +327,7 @@ def _links(view: _View, motor_velocity: FloatArray) -> _Links:
         if source != "accelerometer":
             if source == "gyro":
                 gyro = view.log.channels[f"gyro{i + 1}"]
-                rate = view.through(gyro, _own(view.study.joints[i], source))
+                rate = view.through(gyro, _own(view.study.arm.joints[i], source))
                 slow = rate - links.velocity[:, :i].sum(axis=1)
             links.angle[:, i], links.velocity[:, i] = angle, slow
             links.acceleration[:, i] = differentiate(slow, T)
@@ -334,7 +335,7 @@ def _links(view: _View, motor_velocity: FloatArray) -> _Links:
             links.fusion.append(None)
             links.fusion_error.append(0.0)
             continue
-        read = view.through(view.log.channels[f"a{i + 1}"], _own(view.study.joints[i], source))
+        read = view.through(view.log.channels[f"a{i + 1}"], _own(view.study.arm.joints[i], source))
         acceleration = _acceleration(view.study, read, i, links)
         bias = bias_of(acceleration, slow, T, view.edge)
         acceleration = acceleration - bias
@@ -364,7 +365,7 @@ def _slow(view: _View, i: int, motor_side: FloatArray) -> tuple[FloatArray, Floa
 
 def _acceleration(study: Study, read: FloatArray, i: int, links: _Links) -> FloatArray:
     """(8), (9), for an accelerometer anywhere on its link, with gravity."""
-    joint = study.joints[i]
+    joint = study.arm.joints[i]
     if joint.motion == "prismatic":
         return read
     q, dq, ddq = links.angle, links.velocity, links.acceleration
@@ -403,7 +404,7 @@ def _aligned(
 
     A record alone has to do with its own.
     """
-    numbers, name = range(study.n_joints), found.experiment.name
+    numbers, name = range(study.arm.n_joints), found.experiment.name
     sensor = tuple(_worth(sensor_delay(found, study, i)) for i in numbers)
     drive = tuple(_worth(drive_delay(found, study, i, view.band)) for i in numbers)
     for i in numbers:

@@ -48,11 +48,11 @@ def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> 
     """
     chosen = options or SignalOptions()
     T = log.sample_time
-    numbers = range(1, study.n_joints + 1)
+    numbers = range(1, study.arm.n_joints + 1)
     angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
     sources = tuple(torque_channel(log, i) for i in numbers)
     torque = np.column_stack(
-        [_torque(log, joint, c) for joint, c in zip(study.joints, sources, strict=True)]
+        [_torque(log, joint, c) for joint, c in zip(study.arm.joints, sources, strict=True)]
     )
     bandwidth = chosen.bandwidth_hz or min(signal_band(angle[:, i - 1], T) for i in numbers)
     edge = int(np.ceil(1.0 / (bandwidth * T)))

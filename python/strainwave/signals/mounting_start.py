@@ -47,7 +47,7 @@ def kinematics(
     g, length = study.arm.gravity or 0.0, study.arm.link_length or 0.0
     in_space, rate, turning = (x.cumsum(axis=1) for x in (angle, velocity, acceleration))
     found = np.stack([g * np.sin(in_space), g * np.cos(in_space), turning, rate**2], axis=2)
-    if study.n_joints > 1:
+    if study.arm.n_joints > 1:
         sin, cos = np.sin(angle[:, 1]), np.cos(angle[:, 1])
         across, inward = length * acceleration[:, 0], length * velocity[:, 0] ** 2
         found[:, 1, 0] += across * sin - inward * cos
@@ -75,7 +75,7 @@ def mounting_starts(
         where nothing is unknown.
     """
     found: dict[Key, float] = {}
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         axes = axes_on(logs if used is None else used, study, joint)
         if unknowns_of(axes, study):
             tables = _tables(logs, study, axes)
@@ -127,7 +127,7 @@ def _tables(logs: Sequence[Log], study: Study, axes: Sequence[Axis]) -> list[Flo
     """Of each axis, columns of what it reads a combination of and, last, what it reads."""
     tables: list[list[FloatArray]] = [[np.zeros((1, len(axis.quantities) + 1))] for axis in axes]
     for log in logs:
-        if len(log) < _LEAST or f"theta_m{study.n_joints}" not in log.channels:
+        if len(log) < _LEAST or f"theta_m{study.arm.n_joints}" not in log.channels:
             continue
         basis, rate = _by_motors(log, study, axes[0].joint)
         for axis, table in zip(axes, tables, strict=True):
@@ -147,7 +147,7 @@ def _slow(log: Log) -> float:
 
 def _by_motors(log: Log, study: Study, joint: int) -> tuple[FloatArray, FloatArray]:
     """One link's basis and rate as its motors move it: (n_samples, 4), (n_samples,)."""
-    T, joints = log.sample_time, study.joints
+    T, joints = log.sample_time, study.arm.joints
     angle = np.column_stack(
         [own.gear_ratio * log.channels[f"theta_m{i}"] for i, own in enumerate(joints, start=1)]
     )
@@ -211,7 +211,7 @@ def with_stand_ins(
         As they are where no place is unknown.
     """
     study_then, logs_then = study, list(logs)
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         axes = axes_on(logs, study, joint)
         taken = {"a", "theta_l", "gyro", "deflection"}
         if axes and axes[0].kind == "tangential":
@@ -240,7 +240,7 @@ def _stood_in(
     logs: list[Log], study: Study, axes: Sequence[Axis], linear: Sequence[FloatArray]
 ) -> tuple[list[Log], Study]:
     joint = axes[0].joint
-    drive = study.joints[joint - 1]
+    drive = study.arm.joints[joint - 1]
     imu = drive.imu or Imu()
     own = [k for k, axis in enumerate(axes) if axis.kind != "gyro"]
     weights, distance = _tangential([linear[k] for k in own], study, joint)
@@ -266,8 +266,8 @@ def _stood_in(
             if name.startswith("a") and axes[0].kind != "tangential":
                 channels[name] = channels[name] - _beside(log, study, joint, counts, distance)
         found.append(replace(log, channels=channels))
-    joints = tuple(changed if i == joint - 1 else j for i, j in enumerate(study.joints))
-    return found, replace(study, joints=joints)
+    joints = tuple(changed if i == joint - 1 else j for i, j in enumerate(study.arm.joints))
+    return found, replace(study, arm=replace(study.arm, joints=joints))
 
 
 def _tangential(linear: Sequence[FloatArray], study: Study, joint: int) -> tuple[FloatArray, float]:

@@ -29,17 +29,17 @@ def replay(study: Study, log: Log) -> Drive:
         One tick a sample.
     """
     experiment = log.experiment
-    voltage = np.zeros((len(log), study.n_joints))
+    voltage = np.zeros((len(log), study.arm.n_joints))
     reference = np.zeros_like(voltage)
     applied = driving_voltages(study, log)
-    for i in range(study.n_joints):
+    for i in range(study.arm.n_joints):
         if experiment.control[i] == "open":
             voltage[:, i] = applied[:, i]
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1:
                 voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
-    numbers = range(1, study.n_joints + 1)
+    numbers = range(1, study.arm.n_joints + 1)
     before = applied[0] - voltage[0]
     return Drive(
         tick=log.sample_time,
@@ -65,16 +65,16 @@ def driven_by_voltage(study: Study, log: Log) -> tuple[Study, Drive]:
         Its encoders without counts.
     drive : Drive
     """
-    joints = tuple(replace(joint, encoder_counts=None) for joint in study.joints)
+    joints = tuple(replace(joint, encoder_counts=None) for joint in study.arm.joints)
     voltage, recorded = driving_voltages(study, log), replay(study, log)
     before = list(recorded.initial_voltage)
-    for i, joint in enumerate(study.joints):
+    for i, joint in enumerate(study.arm.joints):
         if input_channel(log, i + 1) == f"torque{i + 1}":  # which the current loop begins with
             torque = float(log.channels[f"torque{i + 1}"][0])
             before[i] = torque / (joint.torque_per_volt or 1.0)
-    free = (False,) * study.n_joints
+    free = (False,) * study.arm.n_joints
     drive = replace(recorded, voltage=voltage, servo=free, initial_voltage=tuple(before))
-    return replace(study, joints=joints), drive
+    return replace(study, arm=replace(study.arm, joints=joints)), drive
 
 
 def missing_for_replay(study: Study, log: Log) -> str | None:
@@ -91,7 +91,7 @@ def missing_for_replay(study: Study, log: Log) -> str | None:
         A clause that says what is missing.
     """
     experiment = log.experiment
-    if study.servo is None and "servo" in experiment.control:
+    if study.arm.servo is None and "servo" in experiment.control:
         return "the study describes no servo"
     silent = missing_motor_signal(study, log)
     if silent:
@@ -116,7 +116,7 @@ def missing_motor_signal(study: Study, log: Log) -> str | None:
     str or None
         A clause that says what is missing.
     """
-    for i in range(1, study.n_joints + 1):
+    for i in range(1, study.arm.n_joints + 1):
         if input_channel(log, i) is None:
             return f"neither torque{i} nor u{i} is there"
         if f"theta_m{i}" not in log.channels:
@@ -180,7 +180,7 @@ def driving_voltages(study: Study, log: Log) -> FloatArray:
     (n_samples, n_joints) [V], or [N m] where the study has no torque per volt
     """
     columns = []
-    for i, joint in enumerate(study.joints, start=1):
+    for i, joint in enumerate(study.arm.joints, start=1):
         name = input_channel(log, i) or f"u{i}"
         torque_per_volt = joint.torque_per_volt or 1.0
         values = log.channels[name]

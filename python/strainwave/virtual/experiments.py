@@ -214,7 +214,7 @@ def derived(values: Values, study: Study) -> Values:
         With `rigid_inertia`, `total_viscous_friction` and `link_inertia` (3), (18).
     """
     known = dict(values)
-    for joint, drive in enumerate(study.joints, start=1):
+    for joint, drive in enumerate(study.arm.joints, start=1):
         link_viscous = values["link_viscous_friction", joint]
         known["total_viscous_friction", joint] = (
             values["motor_viscous_friction", joint] + drive.gear_ratio**2 * link_viscous
@@ -222,7 +222,7 @@ def derived(values: Values, study: Study) -> Values:
     if study.arm.kind == "planar-two-link":
         for joint in (1, 2):
             known["link_inertia", joint] = link_inertia(values, study, joint)
-        reflected = values["motor_inertia", 1] / study.joints[0].gear_ratio ** 2
+        reflected = values["motor_inertia", 1] / study.arm.joints[0].gear_ratio ** 2
         known["rigid_inertia", 1] = values["alpha", None] + reflected
     return known
 
@@ -248,9 +248,11 @@ def _invent(
     fast_sample: float,
 ) -> _Plan:
     """An excitation that fits the experiment's use."""
-    period = study.servo.period if study.servo else 1e-3
+    period = study.arm.servo.period if study.arm.servo else 1e-3
     if experiment.use in ("frequency", "sweep"):
-        prbs = experiment.prbs or Prbs(10, 1e-3, 4, study.servo.limit if study.servo else 10.0)
+        prbs = experiment.prbs or Prbs(
+            10, 1e-3, 4, study.arm.servo.limit if study.arm.servo else 10.0
+        )
         tick, excited = prbs.clock, excitation.prbs(prbs)
         sample_time = min(fast_sample, tick)
     elif experiment.joint is not None:
@@ -259,9 +261,9 @@ def _invent(
     else:
         tick, excited = period, np.zeros(round(_MOTION_SECONDS / period))
         sample_time = tick
-    voltage = np.zeros((len(excited), study.n_joints))
+    voltage = np.zeros((len(excited), study.arm.n_joints))
     reference = np.zeros_like(voltage)
-    for i in range(study.n_joints):
+    for i in range(study.arm.n_joints):
         if experiment.joint == i + 1:
             (voltage if experiment.use in ("frequency", "sweep") else reference)[:, i] = excited
         elif experiment.joint is None and experiment.control[i] == "servo":
@@ -272,7 +274,7 @@ def _invent(
                 where=str(study.path),
                 remedy='set its control to "servo", or give a log whose input is applied again',
             )
-    still = (0.0,) * study.n_joints
+    still = (0.0,) * study.arm.n_joints
     drive = Drive(
         tick=tick,
         voltage=voltage,
@@ -285,7 +287,7 @@ def _invent(
 
 
 def _motion(study: Study, i: int, tick: float, rng: np.random.Generator) -> FloatArray:
-    n = study.joints[i].gear_ratio
+    n = study.arm.joints[i].gear_ratio
     return excitation.smooth_motion(
         duration=_MOTION_SECONDS,
         clock=tick,
@@ -298,16 +300,16 @@ def _motion(study: Study, i: int, tick: float, rng: np.random.Generator) -> Floa
 
 def _steps(study: Study, experiment: Experiment) -> FloatArray:
     """There and back: a step of the reference that the servo can follow without its limit."""
-    if study.servo is None:
+    if study.arm.servo is None:
         raise InvalidInput(
             f"experiment {experiment.name!r} needs a servo",
             where=str(study.path),
             remedy="add a [servo] table",
         )
-    kp = study.servo.kp[(experiment.joint or 1) - 1]
-    level = _STEP_SHARE.get(experiment.use, 0.48) * study.servo.limit / max(kp, 1e-9)
+    kp = study.arm.servo.kp[(experiment.joint or 1) - 1]
+    level = _STEP_SHARE.get(experiment.use, 0.48) * study.arm.servo.limit / max(kp, 1e-9)
     levels = np.array([0.0, level, 0.0])
-    return excitation.steps(levels, hold=_STEP_SECONDS, clock=study.servo.period)
+    return excitation.steps(levels, hold=_STEP_SECONDS, clock=study.arm.servo.period)
 
 
 def _columns(
@@ -320,27 +322,27 @@ def _columns(
 ) -> dict[str, FloatArray]:
     """Run one experiment; its log by channel."""
     quantities: dict[str, Quantity] = {"theta_m": "encoder"}
-    if any(joint.accelerometer_distance for joint in study.joints):
+    if any(joint.accelerometer_distance for joint in study.arm.joints):
         quantities["a"] = "accelerometer"
-    if any(joint.gyro_hz for joint in study.joints):
+    if any(joint.gyro_hz for joint in study.arm.joints):
         quantities["gyro"] = "gyro"
     record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
-    glued = [axis for i in range(1, study.n_joints + 1) for axis in _glued(study, i)]
+    glued = [axis for i in range(1, study.arm.n_joints + 1) for axis in _glued(study, i)]
     record += dict.fromkeys(name for axis in glued for name in axis.quantities)
     trajectory = simulator(
         study, values, plan.drive, sample_time=plan.sample_time, samples=plan.samples, record=record
     )
     measured = measure(trajectory, noise, rng)
     columns = {"t": trajectory.time}
-    for i, joint in enumerate(study.joints):
+    for i, joint in enumerate(study.arm.joints):
         name = f"u{i + 1}" if joint.torque_per_volt else f"torque{i + 1}"
         columns[name] = measured["voltage"][:, i]
     for channel, quantity in quantities.items():
-        for i, joint in enumerate(study.joints):
+        for i, joint in enumerate(study.arm.joints):
             if _declares(joint, quantity):
                 columns[f"{channel}{i + 1}"] = measured[quantity][:, i]
     columns |= _imus(study, glued, trajectory, noise, rng)
-    for i, joint in enumerate(study.joints):
+    for i, joint in enumerate(study.arm.joints):
         link = measured["link_angle"][:, i]
         if f"theta_l{i + 1}" in study.channels:
             columns[f"theta_l{i + 1}"] = link
@@ -348,7 +350,7 @@ def _columns(
             columns[f"deflection{i + 1}"] = link - joint.gear_ratio * measured["encoder"][:, i]
     if any(plan.drive.servo):
         at = np.floor(trajectory.time / plan.drive.tick + 1e-9).astype(int)
-        for i in range(study.n_joints):
+        for i in range(study.arm.n_joints):
             columns[f"ref{i + 1}"] = plan.drive.reference[at, i]
     return columns
 
@@ -362,7 +364,7 @@ def _declares(joint: Joint, quantity: Quantity) -> bool:
 
 def _glued(study: Study, joint: int) -> list[Axis]:
     """Every axis of a link's IMU."""
-    imu = study.joints[joint - 1].imu
+    imu = study.arm.joints[joint - 1].imu
     if imu is None:
         return []
     if imu.xyz is None or imu.rpy is None:

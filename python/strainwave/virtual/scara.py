@@ -8,7 +8,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from strainwave.domain import Arm, Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
+from strainwave.domain import (
+    ArmDescription,
+    Control,
+    Experiment,
+    Joint,
+    Prbs,
+    Servo,
+    Spring,
+    Study,
+    Use,
+)
 from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
 
@@ -128,9 +138,12 @@ def study(folder: Path, spring: Spring = "three-slope") -> Study:
     return Study(
         path=folder / "study.toml",
         sha256="",
-        arm=Arm("planar-two-link", link_length=LINK_LENGTH[0]),
-        joints=joints,
-        servo=Servo("pi-velocity", period=1e-3, kp=(0.12, 0.10), ki=(1.5, 1.5), limit=10.0),
+        arm=ArmDescription(
+            "planar-two-link",
+            joints,
+            link_length=LINK_LENGTH[0],
+            servo=Servo("pi-velocity", period=1e-3, kp=(0.12, 0.10), ki=(1.5, 1.5), limit=10.0),
+        ),
         experiments=_experiments(),
     )
 

@@ -212,5 +212,7 @@ def test_without_a_rigid_model_there_is_no_catalogue() -> None:
     study, _ = drawn(0)
     with pytest.raises(NotIdentifiable, match='use = "motion"'):
         models_from_catalogue(None, replace(study, path=Path("study.toml")))
-    single = replace(study, joints=study.joints[:1], arm=replace(study.arm, kind="single-joint"))
+    single = replace(
+        study, arm=replace(study.arm, kind="single-joint", joints=study.arm.joints[:1])
+    )
     assert family_of(None, single).total_inertia is None

@@ -41,7 +41,7 @@ DRIVE_TRUTH = {
 def torque_of(study: Study, values: Values, motion: tuple[FloatArray, ...]) -> FloatArray:
     """The core's inverse dynamics of a motion behind rigid gears."""
     arm = simulation.build_arm(study)
-    n = np.array([joint.gear_ratio for joint in study.joints])
+    n = np.array([joint.gear_ratio for joint in study.arm.joints])
     links = (np.ascontiguousarray(x * n) for x in motion[1:])
     return arm.inverse_dynamics(simulation.parameter_vector(arm, values, study), *links)
 
@@ -95,7 +95,9 @@ def test_a_single_joint_under_gravity_comes_back_exactly() -> None:
 
 def test_units_follow_the_motion() -> None:
     study = rigid_drive()
-    prismatic = replace(study, joints=(replace(study.joints[0], motion="prismatic"),))
+    prismatic = replace(
+        study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], motion="prismatic"),))
+    )
     motion = exact_motion(1, 0)
     exact = exact_signals(motion, drive_torque(motion))
     assert [p.unit for p in rigid.fit([exact], prismatic).parameters] == ["kg", "N s/m", "N", "N"]
@@ -178,7 +180,10 @@ def test_the_compliance_is_taken_out() -> None:
     study = scara.study(Path("nowhere"), "linear")
     values = scara.parameters(5, "linear")
     seen = signals.motor_side(motion_log(study, values, 0), study)
-    stiff = replace(study, joints=tuple(replace(j, spring="rigid") for j in study.joints))
+    stiff = replace(
+        study,
+        arm=replace(study.arm, joints=tuple(replace(j, spring="rigid") for j in study.arm.joints)),
+    )
     options = rigid.RigidOptions(bandwidth_hz=3.0)
     gamma = values["gamma", None]
     naive = rigid.fit([seen], stiff, options).value("gamma")

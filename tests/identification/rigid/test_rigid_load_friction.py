@@ -69,7 +69,7 @@ def test_an_arm_without_it_has_none(seed: int) -> None:
 
 def test_behind_elastic_gears_friction_is_the_whole_arm_fits() -> None:
     study, _, signals = loaded(SHARES)
-    joints = tuple(replace(joint, spring="linear") for joint in study.joints)
-    elastic = replace(study, joints=joints)
+    joints = tuple(replace(joint, spring="linear") for joint in study.arm.joints)
+    elastic = replace(study, arm=replace(study.arm, joints=joints))
     options = RigidOptions(bandwidth_hz=4.0, load_friction=True)
     assert rigid.fit([signals], elastic, options).load_friction == ()

@@ -126,7 +126,9 @@ def test_a_servoed_record_is_driven_by_its_voltages() -> None:
     assert seen.drive.servo == (False, False)
     np.testing.assert_array_equal(seen.drive.voltage[:, 0], log.channels["u1"])
     without = {name: x for name, x in log.channels.items() if not name.startswith("ref")}
-    blind = replayed(replace(log, channels=without), replace(study, servo=None), CUTOFF)
+    blind = replayed(
+        replace(log, channels=without), replace(study, arm=replace(study.arm, servo=None)), CUTOFF
+    )
     rows = simulated(blind, values, blind.start())
     np.testing.assert_array_equal(rows, simulated(seen, values, seen.start()))
     # encoder counts, an accelerometer's bias and noise are what is left
@@ -173,7 +175,7 @@ def test_counts_are_noise() -> None:
     step = 2.0 * np.pi / 8192
     norm = np.linalg.norm(seen.kernels.slope)
     assert seen.noise[1] == pytest.approx(step / np.sqrt(12.0) * norm)
-    assert all(joint.encoder_counts is None for joint in seen.study.joints)
+    assert all(joint.encoder_counts is None for joint in seen.study.arm.joints)
 
 
 def named(log: Log, study: Study) -> list[tuple[str, str, bool, bool]]:
@@ -188,8 +190,10 @@ def test_what_is_compared() -> None:
     assert {"a1", "gyro1", "theta_m1"} <= set(log.channels)
     assert named(log, study) == motors + accelerometers
     # one that nobody knows the place of is compared wherever it sits, beside the gyro
-    first, second = study.joints
-    lost = replace(study, joints=(replace(first, accelerometer_distance=None), second))
+    first, second = study.arm.joints
+    lost = replace(
+        study, arm=replace(study.arm, joints=(replace(first, accelerometer_distance=None), second))
+    )
     anywhere = ("a1", "specific_force_x", False, True)
     gyro = ("gyro1", "gyro", False, True)
     assert named(log, lost) == [*motors, gyro, anywhere, accelerometers[1]]

@@ -129,5 +129,5 @@ def test_records_are_run_with_the_effects_that_are_known() -> None:
     record = replayed(logs[0], plain, 100.0)
     assert records_with([record], study, ())[0] == record
     (given,) = records_with([record], study, SIZES)
-    assert [joint.effects for joint in given.study.joints] == [ALL, ()]
-    assert given.study.joints[0].encoder_counts is None
+    assert [joint.effects for joint in given.study.arm.joints] == [ALL, ()]
+    assert given.study.arm.joints[0].encoder_counts is None

@@ -23,8 +23,8 @@ def said(
     """What is said of each joint; joint 1 has a parameter so many times the rig's."""
     study, values = truth()
     values = derived(values | {(name, 1): factor * values[name, 1]}, study)
-    joints = tuple(replace(joint, encoder_counts=counts) for joint in study.joints)
-    wanted = shaken_study(replace(study, joints=joints), amplitude, order=8)
+    joints = tuple(replace(joint, encoder_counts=counts) for joint in study.arm.joints)
+    wanted = shaken_study(replace(study, arm=replace(study.arm, joints=joints)), amplitude, order=8)
     study, logs = written_logs(wanted, values, noise=SensorNoise())
     if not sensors:
         motor = ("u1", "u2", "theta_m1", "theta_m2")

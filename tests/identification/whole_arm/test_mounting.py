@@ -37,8 +37,8 @@ def late(log: Log, delay: float) -> Log:
 def without(study: Study, *names: str) -> Study:
     """The study with keys of its joints left out."""
     gone = dict.fromkeys(names)
-    joints = tuple(replace(joint, **gone) for joint in study.joints)  # type: ignore[arg-type]
-    return replace(study, joints=joints)
+    joints = tuple(replace(joint, **gone) for joint in study.arm.joints)  # type: ignore[arg-type]
+    return replace(study, arm=replace(study.arm, joints=joints))
 
 
 def from_five_percent(study: Study, known: Values, logs: list[Log]) -> ArmModel:
@@ -112,17 +112,19 @@ def test_a_tilted_accelerometer_on_a_link_whose_axis_moves() -> None:
     """0.1 rad off across the link: as the y axis of an IMU that is turned by so much."""
     study, known = truth()
     turned = Imu((0.27, 0.0, 0.0), (0.0, 0.0, 0.1), accelerometer_hz=300.0)
-    first, second = study.joints
-    own = replace(study, joints=(first, replace(second, imu=turned)))
+    first, second = study.arm.joints
+    own = replace(study, arm=replace(study.arm, joints=(first, replace(second, imu=turned))))
     written, logs = written_logs(shaken_study(own, 10.0), known, noise=SensorNoise())
     kept = ("u1", "u2", "theta_m1", "theta_m2", "a1")
     seen = [
         replace(log, channels={k: log.channels[k] for k in kept} | {"a2": log.channels["ay2"]})
         for log in logs
     ]
-    first, second = without(written, "imu").joints
+    first, second = without(written, "imu").arm.joints
     lost = replace(second, accelerometer_distance=None)
-    model = from_five_percent(replace(written, joints=(first, lost)), known, seen)
+    model = from_five_percent(
+        replace(written, arm=replace(written.arm, joints=(first, lost))), known, seen
+    )
     check(model, {("accelerometer_distance", 2): 0.27, ("accelerometer_tilt", 2): 0.1})
     assert by_key(model)["accelerometer_tilt", 2].unit == "rad"
     check_gears(model, known, 4.0)
@@ -150,7 +152,7 @@ def glued(
 
     def carrying(imu: Imu) -> Study:
         joints = (replace(own, imu=imu if i == joint else None) for i, own in _numbered(bare))
-        return replace(bare, joints=tuple(joints))
+        return replace(bare, arm=replace(bare.arm, joints=tuple(joints)))
 
     true = carrying(Imu(PLACE, rpy, accelerometer_hz=300.0, gyro_hz=100.0))
     wanted = shaken_study(true, 10.0, order=10)
@@ -161,11 +163,13 @@ def glued(
         for log in logs
     ]
     lost = carrying(Imu(accelerometer_hz=300.0, gyro_hz=100.0))
-    return from_five_percent(replace(written, joints=lost.joints), known, seen), known
+    return from_five_percent(
+        replace(written, arm=replace(written.arm, joints=lost.arm.joints)), known, seen
+    ), known
 
 
 def _numbered(study: Study) -> list[tuple[int, Joint]]:
-    return list(enumerate(study.joints, start=1))
+    return list(enumerate(study.arm.joints, start=1))
 
 
 def turned(rpy: tuple[float, float, float], about: float) -> Values:

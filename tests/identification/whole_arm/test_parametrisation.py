@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strainwave.domain import Arm, FloatArray, Joint, JointModel, RigidModel, Study
+from strainwave.domain import ArmDescription, FloatArray, Joint, JointModel, RigidModel, Study
 from strainwave.domain.parameters import Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.parametrisation import (
@@ -35,8 +35,8 @@ FLOOR = 0.002
 def mixed_study() -> Study:
     """A three-slope gear and a linear one, on an arm that gravity pulls."""
     study = scara.study(Path("nowhere"), "three-slope")
-    joints = (study.joints[0], replace(study.joints[1], spring="linear"))
-    return replace(study, arm=replace(study.arm, gravity=9.81), joints=joints)
+    joints = (study.arm.joints[0], replace(study.arm.joints[1], spring="linear"))
+    return replace(study, arm=replace(study.arm, gravity=9.81, joints=joints))
 
 
 def mixed_values(study: Study) -> Values:
@@ -298,7 +298,9 @@ def test_what_the_rigid_model_does_not_tell_is_no_row() -> None:
 def alone(gravity: float | None) -> tuple[Study, Values, JointModel]:
     """A single joint that is known."""
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.08, encoder_counts=8192)
-    study = Study(Path("nowhere"), "", Arm("single-joint", gravity=gravity), (joint,), ())
+    study = Study(
+        Path("nowhere"), "", ArmDescription("single-joint", (joint,), gravity=gravity), ()
+    )
     _, rig = truth()
     known: Values = {(name, 1): value for (name, number), value in rig.items() if number == 1}
     known["link_inertia", 1] = 2.0
@@ -342,7 +344,12 @@ def test_starts_that_are_missing_or_impossible() -> None:
     voltage = [10.0, 10.0]
     with pytest.raises(NotIdentifiable, match="joint 2 has none"):
         search_of(model, joints[:1], study, largest_voltage=voltage, floor=FLOOR)
-    rigid = replace(study, joints=(study.joints[0], replace(study.joints[1], spring="rigid")))
+    rigid = replace(
+        study,
+        arm=replace(
+            study.arm, joints=(study.arm.joints[0], replace(study.arm.joints[1], spring="rigid"))
+        ),
+    )
     with pytest.raises(NotIdentifiable, match="joint 2 has none"):
         search_of(model, joints, rigid, largest_voltage=voltage, floor=FLOOR)
     for name, value in [("gear_damping", -1.0), ("gear_stiffness", np.nan), ("motor_inertia", 0.0)]:

@@ -10,7 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strainwave.domain import Arm, ArmModel, Experiment, Joint, JointModel, Log, Servo, Study
+from strainwave.domain import (
+    ArmDescription,
+    ArmModel,
+    Experiment,
+    Joint,
+    JointModel,
+    Log,
+    Servo,
+    Study,
+)
 from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, rigid, validation
@@ -272,9 +281,12 @@ def single_joint() -> tuple[Study, Values, tuple[Log, ...]]:
     study = Study(
         path=Path("nowhere"),
         sha256="",
-        arm=Arm("single-joint", gravity=9.81),
-        joints=(joint,),
-        servo=Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0),
+        arm=ArmDescription(
+            "single-joint",
+            (joint,),
+            gravity=9.81,
+            servo=Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0),
+        ),
         experiments=(Experiment("step", "step.parquet", "tuning", ("servo",), joint=1),),
     )
     values: Values = ELASTIC_JOINT | {("gravity_torque_1", None): 15.0}

@@ -69,7 +69,7 @@ def test_panels_do_not_overlap() -> None:
 
 
 def test_a_sliding_joint_has_newtons() -> None:
-    slides = [replace(rigid_drive().joints[0], motion="prismatic")]
+    slides = [replace(rigid_drive().arm.joints[0], motion="prismatic")]
     assert predictions.unit_of("torque1") == "N m"
     assert predictions.unit_of("torque1", slides) == "N"
     assert predictions.unit_of("omega_m2", slides) == "rad/s"

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from strainwave.domain import Arm, Experiment, FloatArray, Joint, Log, Study
+from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Log, Study
 from strainwave.signals.consistency import clipping
 
 TIME = np.arange(8000) / 4000.0
@@ -16,7 +16,7 @@ TIME = np.arange(8000) / 4000.0
 
 def found(angle: FloatArray) -> list[str]:
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.1)
-    study = Study(Path("nowhere"), "0", Arm("single-joint"), (joint,), ())
+    study = Study(Path("nowhere"), "0", ArmDescription("single-joint", (joint,)), ())
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
     log = Log(step, TIME, TIME[1], {"theta_l1": angle})
     return [each.where for each in clipping.clipped([log], study)]

@@ -29,9 +29,9 @@ def the_one(given: Input) -> Suspicion:
 
 def with_joint(given: Input, joint: int, **keys: Any) -> Input:
     logs, study = given
-    joints = list(study.joints)
+    joints = list(study.arm.joints)
     joints[joint - 1] = replace(joints[joint - 1], **keys)
-    return logs, replace(study, joints=tuple(joints))
+    return logs, replace(study, arm=replace(study.arm, joints=tuple(joints)))
 
 
 def swapped(given: Input, kind: str) -> Input:
@@ -116,7 +116,7 @@ def test_gear_ratios_are_named(arm: Input, joint: int, ratio: float) -> None:
 
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_distance_from_the_wrong_axis_is_named(arm: Input, joint: int) -> None:
-    right = arm[1].joints[joint - 1].accelerometer_distance or 0.0
+    right = arm[1].arm.joints[joint - 1].accelerometer_distance or 0.0
     found = the_one(with_joint(arm, joint, accelerometer_distance=right + 0.35))
     assert (found.code, found.where) == ("wrong-geometry", f"joint {joint} accelerometer_distance")
     assert found.factor == pytest.approx((right + 0.35) / right, rel=0.03)
@@ -127,7 +127,7 @@ def test_a_distance_from_the_wrong_axis_is_named(arm: Input, joint: int) -> None
 def test_the_rigid_fit_holds_torque_constants_against_each_other(
     arm: Input, tmp_path: Path, joint: int, factor: float
 ) -> None:
-    e = arm[1].joints[joint - 1].torque_per_volt or 1.0
+    e = arm[1].arm.joints[joint - 1].torque_per_volt or 1.0
     logs, study = with_joint(arm, joint, torque_per_volt=factor * e)
     for log in logs:
         write_log(tmp_path / log.experiment.file, {"t": log.time, **log.channels})
@@ -151,7 +151,7 @@ def test_right_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
 
 
 def test_a_factor_of_ten_is_named_before_any_estimate(small_arm: Input) -> None:
-    e = small_arm[1].joints[0].torque_per_volt or 1.0
+    e = small_arm[1].arm.joints[0].torque_per_volt or 1.0
     found = the_one(with_joint(small_arm, 1, torque_per_volt=10.0 * e))
     assert found.code == "wrong-torque-constant"
     assert "about" in found.remedy
@@ -160,7 +160,7 @@ def test_a_factor_of_ten_is_named_before_any_estimate(small_arm: Input) -> None:
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 50.0])
 def test_gear_ratios_of_a_small_arm_are_named(small_arm: Input, factor: float) -> None:
-    n = small_arm[1].joints[1].gear_ratio
+    n = small_arm[1].arm.joints[1].gear_ratio
     found = the_one(with_joint(small_arm, 2, gear_ratio=factor * n))
     assert (found.code, found.where) == ("wrong-gear-ratio", "joint 2 gear_ratio")
     assert found.factor == pytest.approx(factor, rel=0.02)

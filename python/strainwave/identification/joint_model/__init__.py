@@ -173,7 +173,7 @@ def _joint_model(solved: Solved) -> JointModel:
     names = tuple(signals.experiment.name for signals, _ in solved.records)
     values = _values(fit)
     covariance = _with_delay(fit.covariance, values, solved.records, number)
-    said = values, covariance, fit.determined, solved.study.joints[number - 1], number
+    said = values, covariance, fit.determined, solved.study.arm.joints[number - 1], number
     warnings = tuple(cautions_of(*said, ", ".join(names)))
     return JointModel(
         joint=number,

@@ -354,7 +354,7 @@ def _piece(
     signals: LinkSignals, decoupled: Decoupled, study: Study, band: tuple[float, float]
 ) -> _Piece:
     i, T = decoupled.joint - 1, signals.sample_time
-    n = study.joints[i].gear_ratio
+    n = study.arm.joints[i].gear_ratio
     low, high = band
     reach = int(1.5 / (low * T))
     reach = min(reach, len(signals.time) // 4)

@@ -42,9 +42,9 @@ def rigid_knowledge(
 
 def _parts(study: Study, joint: int) -> tuple[_Sum, _Sum, _Sum]:
     """c_1, c_0 and f as weighted sums of the rigid model's parameters."""
-    n2 = study.joints[joint - 1].gear_ratio ** 2
+    n2 = study.arm.joints[joint - 1].gear_ratio ** 2
     inertia: _Sum
-    if study.n_joints == 1:
+    if study.arm.n_joints == 1:
         inertia = {("inertia", 1): 1.0}
     elif joint == 1:
         inertia = {("rigid_inertia", 1): n2, ("beta", None): n2, ("gamma", None): 2.0 * n2}
@@ -83,7 +83,7 @@ def _errors(
     weights: Sequence[FloatArray | None],
 ) -> Iterator[RigidError]:
     """Directions in which tau is uncertain, with what else moves along with them on average."""
-    if study.n_joints == 1 and study.arm.gravity is None:
+    if study.arm.n_joints == 1 and study.arm.gravity is None:
         return
     variations = base_variations(model, study)
     used = np.flatnonzero(variations.any(axis=0))

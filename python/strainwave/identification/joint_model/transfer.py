@@ -102,7 +102,7 @@ def from_state_space(
     joint_records = (records,) if isinstance(records, Decoupled) else tuple(records)
     number, ratio = joint_records[0].joint, joint_records[0].gear_ratio
     names = tuple(record.experiment.name for record in joint_records)
-    joint, where = study.joints[number - 1], ", ".join(names)
+    joint, where = study.arm.joints[number - 1], ", ".join(names)
     nominal = _pairs(model, None)
     vector, scatter = _propagated(model, nominal)
     if scatter is None:

@@ -156,7 +156,7 @@ def _loaded(study: Study, best: _Trial, wanted: bool | None) -> list[int]:
     joint possible: a share beside negative friction explains something else. Behind an elastic gear
     the load is not known well enough, and friction is the whole-arm fit's.
     """
-    every = list(range(study.n_joints))
+    every = list(range(study.arm.n_joints))
     if n_compliances(study) or wanted is False or not best.determined.all():
         return []
     if wanted:
@@ -269,7 +269,7 @@ def _surely_elastic(study: Study, trial: _Trial) -> float:
     A trial that leaves a parameter vague, as low bandwidths do, may take anything for compliance;
     and one whose blocks are shorter than its errors are alike does not know how vague it is.
     """
-    blocks = len(np.unique(trial.equations.block)) * study.n_joints
+    blocks = len(np.unique(trial.equations.block)) * study.arm.n_joints
     unsure = trial.vagueness > _VAGUE or len(trial.equations.target) < _ROWS_A_BLOCK * blocks
     if not n_compliances(study) or unsure:
         return np.inf
@@ -389,7 +389,11 @@ def _elastic_remainder(study: Study, best: _Trial) -> FloatArray:
         return np.zeros(len(best.covariance))
     here = best.estimate.solution
     stiff = replace(
-        study, joints=tuple(replace(j, spring="rigid", effects=()) for j in study.joints)
+        study,
+        arm=replace(
+            study.arm,
+            joints=tuple(replace(j, spring="rigid", effects=()) for j in study.arm.joints),
+        ),
     )
     rigid, other = side_by_side(
         [
@@ -412,7 +416,7 @@ def _choose(trials: Sequence[_Trial], study: Study) -> _Trial:
     least = spread.min(axis=0)
     told = np.isfinite(least)
     regret = np.max(spread[:, told] - least[told], axis=1, initial=0.0)
-    if all(joint.spring == "rigid" for joint in study.joints):
+    if all(joint.spring == "rigid" for joint in study.arm.joints):
         return trials[int(np.argmin(regret))]
     return trials[int(np.argmax(regret <= regret.min() + _GAIN))]
 
@@ -557,7 +561,9 @@ def _why(study: Study, best: _Trial, unknown: int) -> str:
         if one_way and column.name in ("motor_coulomb_friction", "friction_offset"):
             text = f"joint {joint} moves in one direction only, so that Coulomb friction and offset"
             return f"{text} are not separately identifiable; record motion in both directions"
-    still = [str(i + 1) for i in range(study.n_joints) if not any(np.any(d[:, i]) for d in moving)]
+    still = [
+        str(i + 1) for i in range(study.arm.n_joints) if not any(np.any(d[:, i]) for d in moving)
+    ]
     if still:
         return f"joint {', '.join(still)} does not move; {_REMEDY}"
     others = [str(columns[k]) for k in _companions(best, unknown)]

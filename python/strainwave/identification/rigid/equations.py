@@ -285,7 +285,7 @@ def assemble(
     -------
     Equations
     """
-    elastic = np.array([joint.spring != "rigid" for joint in study.joints])
+    elastic = np.array([joint.spring != "rigid" for joint in study.arm.joints])
     n_elastic = n_compliances(study) if around is not None else 0
     total = sum(s.duration for s in stretches)
     n_shared, n_of_body = len(columns_of(study)), n_body(study)
@@ -296,7 +296,7 @@ def assemble(
         body, lags, torque = _body_equations(study, stretch, around, record, elastic)
         n_blocks = max(2, round(_BLOCKS * stretch.duration / total))
         label = first_block + stretch.blocks(n_blocks)
-        dry = np.zeros((len(lags), study.n_joints, 0))
+        dry = np.zeros((len(lags), study.arm.n_joints, 0))
         if loads is not None and around is not None:
             dry = loads.columns(study, stretch, record, around)
         first_block += n_blocks
@@ -337,7 +337,7 @@ def assemble(
 
 def n_compliances(study: Study) -> int:
     """How many compliances all rows may have: one per joint if any gear is elastic."""
-    return study.n_joints if any(joint.spring != "rigid" for joint in study.joints) else 0
+    return study.arm.n_joints if any(joint.spring != "rigid" for joint in study.arm.joints) else 0
 
 
 def estimate_of(
@@ -364,10 +364,10 @@ def estimate_of(
     -------
     Estimate
     """
-    compliance = np.zeros(study.n_joints)
+    compliance = np.zeros(study.arm.n_joints)
     n = n_compliances(study)
     if n and len(factor.common):
-        elastic = np.array([joint.spring != "rigid" for joint in study.joints])
+        elastic = np.array([joint.spring != "rigid" for joint in study.arm.joints])
         most = 3.0 * equations.common_deviation[:n]
         compliance = np.clip(factor.common[:n], 0.0, most) * elastic
     standing, at = [], 0
@@ -426,7 +426,7 @@ def _body_equations(
     q, dq, ddq = (x * n for x in stretch.motion)
     if around is None or not elastic.any():
         phi = stretch.filtered(body_regressor(study, q, dq, ddq))
-        return phi, np.zeros((len(phi), study.n_joints, 0)), stretch.torque
+        return phi, np.zeros((len(phi), study.arm.n_joints, 0)), stretch.torque
     gear = _gear_torque(study, stretch, around, around.standing[record])
     interval = stretch.motion_step * stretch.signals.sample_time
     dgear = differentiate(gear, interval)
@@ -434,9 +434,9 @@ def _body_equations(
     c = around.compliance
     phi = body_regressor(study, q - c * gear, dq - c * dgear, ddq - c * ddgear)
     # motors turn with the motors' acceleration, not the links'
-    per_acceleration = n[0] if study.n_joints == 2 else 1.0 / n[0]
+    per_acceleration = n[0] if study.arm.n_joints == 2 else 1.0 / n[0]
     phi[:, 0, 0] += around.motor_share * per_acceleration * c[0] * ddgear[:, 0]
-    if study.n_joints == 2:
+    if study.arm.n_joints == 2:
         phi[:, 1, 1] = stretch.motion[2][:, 1]
     lags = _mass_times(study, around, q, ddgear) * elastic
     both = stretch.filtered(np.concatenate([phi, lags], axis=2))
@@ -456,7 +456,7 @@ def _gear_torque(
     solution = around.solution
     viscous, coulomb, offset = solution[n_body(study) :].reshape(-1, FRICTION_COLUMNS).T
     friction = viscous * velocity + coulomb * direction + offset + standing
-    if study.n_joints == 2:
+    if study.arm.n_joints == 2:
         inertia = np.array([around.motor_share * solution[0] * n[0] ** 2, solution[1]])
     else:
         inertia = np.array([around.motor_share * solution[0]])
@@ -470,7 +470,7 @@ def _mass_times(
 ) -> FloatArray:
     """Motor torque per compliance, -n_i M_ij(q) ddT_j: (n_samples, n_joints, n_joints)."""
     n = gear_ratios(study)
-    if study.n_joints == 1:
+    if study.arm.n_joints == 1:
         link = _link_inertias(study, around)[0]
         return np.asarray(-n[0] * link * ddgear[:, :, None])
     solution = around.solution
@@ -487,8 +487,8 @@ def _link_inertias(study: Study, around: Estimate) -> FloatArray:
     """Each link's own inertia with the arm stretched, link side: (n_joints,)."""
     solution = around.solution
     first = (1.0 - around.motor_share) * solution[0]
-    if study.n_joints == 1:
-        return np.array([first / study.joints[0].gear_ratio ** 2])
+    if study.arm.n_joints == 1:
+        return np.array([first / study.arm.joints[0].gear_ratio ** 2])
     first += solution[2] + 2.0 * solution[3]
     return np.array([first, solution[2]])
 
@@ -519,12 +519,12 @@ def _column_noise(study: Study, signals: Signals, bandwidth_hz: float) -> FloatA
     still = np.zeros_like(angle)
     at_rest = body_regressor(study, angle, still, still)
     power = np.zeros(len(columns_of(study)))
-    for j in range(study.n_joints):
+    for j in range(study.arm.n_joints):
         noisy = still.copy()
         noisy[:, j] = n[j] * second[j]
         phi = body_regressor(study, angle, still, noisy) - at_rest
         power[: n_body(study)] += np.mean(phi**2, axis=(0, 1))
-        power[n_body(study) + FRICTION_COLUMNS * j] = first[j] ** 2 / study.n_joints
+        power[n_body(study) + FRICTION_COLUMNS * j] = first[j] ** 2 / study.arm.n_joints
     return np.asarray(np.sqrt(power))
 
 

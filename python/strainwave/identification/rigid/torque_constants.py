@@ -55,7 +55,7 @@ def torque_ratio(
     TorqueRatio or None
         None of a single joint, and where the rounds do not settle: the motion does not show it.
     """
-    if study.n_joints != 2:
+    if study.arm.n_joints != 2:
         return None
     ratio = 1.0
     factor = ls.factorise(equations, root)

@@ -288,7 +288,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
     before = begun.coarse.fits(begun.initial)
     first = begun.coarse.search.values(begun.initial)
     fit = _whole_fit(begun, study, chosen)
-    at_once = {(SETTLING, number): 0.0 for number in range(1, study.n_joints + 1)}
+    at_once = {(SETTLING, number): 0.0 for number in range(1, study.arm.n_joints + 1)}
     values = at_once | fit.misfit.search.values(fit.z)
     carried = carried_torques(fit.misfit.records, values)
     largest = largest_of(carried).tolist()
@@ -359,7 +359,7 @@ def _search(
     search = search_of(
         model, joints, study, largest_voltage=voltage.tolist(), floor=options.least_deviation
     )
-    if any(joint.spring == "three-slope" for joint in study.joints):
+    if any(joint.spring == "three-slope" for joint in study.arm.joints):
         values = search.values(np.zeros(len(search.unknowns)))
         try:
             search = with_curves(search, study, gear_torques(records, values).tolist())
@@ -424,7 +424,7 @@ def _bounded(fit: Fit, study: Study) -> Iterator[Key]:
     derived: dict[Key, Mapping[Key, float]] = {
         (name, 1): parts for name, parts in rigid_inertia(study).items()
     }
-    for number in range(1, study.n_joints + 1):
+    for number in range(1, study.arm.n_joints + 1):
         derived["link_inertia", number] = link_inertia(study, number)
     for key, parts in derived.items():
         if key not in ended and any(part in ended for part in parts):

@@ -52,7 +52,7 @@ def stage_differences(fit: Fit, study: Study) -> tuple[StageDifference, ...]:
     for k, (name, joint) in enumerate(prior.names):
         if std[k] <= _NOTHING_NEW * rigid_std[k]:
             continue
-        unit = unit_of_arm(name) if joint is None else unit_of(name, study.joints[joint - 1])
+        unit = unit_of_arm(name) if joint is None else unit_of(name, study.arm.joints[joint - 1])
         rigid = float(prior.mean[k])
         whole = rigid + float(difference[k])
         found.append(StageDifference(name, joint, rigid, whole, float(std[k]), unit))

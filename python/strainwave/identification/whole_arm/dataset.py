@@ -147,15 +147,15 @@ class Replayed:
         """Unknown initial states, (name, joint)."""
         if not self.moving:
             return ()
-        return tuple((name, i) for name in INITIAL for i in range(1, self.study.n_joints + 1))
+        return tuple((name, i) for name in INITIAL for i in range(1, self.study.arm.n_joints + 1))
 
     def start(self) -> FloatArray:
         """A first guess of the unknown initial states, (n_local,): gears untwisted."""
         if not self.moving:
             return np.zeros(0)
-        n, T = self.study.n_joints, self.log.sample_time
+        n, T = self.study.arm.n_joints, self.log.sample_time
         first = max(2, round(_BEGINNING / T))
-        ratios = np.array([joint.gear_ratio for joint in self.study.joints])
+        ratios = np.array([joint.gear_ratio for joint in self.study.arm.joints])
         angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:first] for i in range(n)])
         slope, origin = np.polyfit(T * np.arange(first), angle, 1)
         return np.concatenate([slope, ratios * origin, ratios * slope])
@@ -482,7 +482,8 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
     raw = [log.channels[channel.name] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
     counts = tuple(
-        _count(study.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0 for c in channels
+        _count(study.arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0
+        for c in channels
     )
     middle = 0.5 * (reach - 1) * T
     return Replayed(
@@ -568,7 +569,7 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -
 def _with_link_angles(log: Log, study: Study) -> Log:
     """With theta_l = n theta_m + deflection of joints whose torsion is what was measured."""
     channels = dict(log.channels)
-    for i, joint in enumerate(study.joints, start=1):
+    for i, joint in enumerate(study.arm.joints, start=1):
         if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
             motor = channels[f"theta_m{i}"]
             channels[f"theta_l{i}"] = joint.gear_ratio * motor + channels[f"deflection{i}"]
@@ -588,9 +589,9 @@ def _noise(
 
 
 def _channels(log: Log, study: Study) -> Iterator[Channel]:
-    for i in range(1, study.n_joints + 1):
+    for i in range(1, study.arm.n_joints + 1):
         yield Channel(f"theta_m{i}", i, "motor_angle", rate=True, shifted=False)
-    for i in range(1, study.n_joints + 1):
+    for i in range(1, study.arm.n_joints + 1):
         if has_accelerometer(log, study, i):
             yield Channel(f"a{i}", i, "accelerometer", rate=False, shifted=True)
         elif f"theta_l{i}" in log.channels:
@@ -617,7 +618,7 @@ def _begins_in_motion(log: Log, study: Study) -> bool:
     span = max(1, round(_TURN / T))
     first = min(max(2, round(_BEGINNING / T)), len(log) // 4)
     t = T * np.arange(first)
-    for i, joint in enumerate(study.joints, start=1):
+    for i, joint in enumerate(study.arm.joints, start=1):
         angle = log.channels[f"theta_m{i}"]
         error = _REST * max(_count(joint), noise_deviation(angle))
         bend = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
@@ -636,9 +637,9 @@ def _as_driven(log: Log, study: Study) -> Study:
     """Encoders without counts; an accelerometer of unknown place is simulated as an IMU."""
     joints = tuple(
         replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, study, i), joint))
-        for i, joint in enumerate(study.joints, start=1)
+        for i, joint in enumerate(study.arm.joints, start=1)
     )
-    return replace(study, joints=joints)
+    return replace(study, arm=replace(study.arm, joints=joints))
 
 
 def _imu(axes: Sequence[Axis], joint: Joint) -> Imu | None:
@@ -664,7 +665,7 @@ def with_bandwidths(study: Study, values: Mapping[tuple[str, int | None], float]
     Study
     """
     joints = []
-    for i, joint in enumerate(study.joints, start=1):
+    for i, joint in enumerate(study.arm.joints, start=1):
         own = {f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS}
         given = {key: hz for key, hz in own.items() if hz is not None}
         tangential = joint.accelerometer_distance is None
@@ -676,7 +677,7 @@ def with_bandwidths(study: Study, values: Mapping[tuple[str, int | None], float]
             imu = replace(imu, **inner)  # type: ignore[arg-type]
         outer = {k: hz for k, hz in given.items() if not k.startswith("imu_")}
         joints.append(replace(joint, imu=imu, **outer))  # type: ignore[arg-type]
-    return replace(study, joints=tuple(joints))
+    return replace(study, arm=replace(study.arm, joints=tuple(joints)))
 
 
 def usable(logs: Sequence[Log], study: Study) -> list[Log]:

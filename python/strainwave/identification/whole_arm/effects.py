@@ -38,7 +38,7 @@ def tried(study: Study) -> list[Tried]:
     -------
     list of (joint, effect)
     """
-    return [(j, effect) for j, joint in enumerate(study.joints, 1) for effect in joint.effects]
+    return [(j, effect) for j, joint in enumerate(study.arm.joints, 1) for effect in joint.effects]
 
 
 def sizes_of(one: Tried) -> list[Key]:
@@ -91,7 +91,7 @@ def with_effects(
     more = []
     for (name, own), start in starts.items():
         signed = name in EFFECT_PARAMETERS["kinematic-error"]
-        unit = unit_of(name, study.joints[(own or 1) - 1])
+        unit = unit_of(name, study.arm.joints[(own or 1) - 1])
         scale = _KINEMATIC_ERROR if signed else start
         more.append(Unknown(name, own, unit, start, scale, signed, _FAR))
     rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
@@ -179,11 +179,13 @@ def records_with(
     -------
     tuple of `Replayed`
     """
-    effects = [joint.effects for joint in with_known_effects(study, known).joints]
+    effects = [joint.effects for joint in with_known_effects(study, known).arm.joints]
 
     def given(record: Replayed) -> Replayed:
-        pairs = zip(record.study.joints, effects, strict=True)
+        pairs = zip(record.study.arm.joints, effects, strict=True)
         joints = tuple(replace(joint, effects=own) for joint, own in pairs)
-        return replace(record, study=replace(record.study, joints=joints))
+        return replace(
+            record, study=replace(record.study, arm=replace(record.study.arm, joints=joints))
+        )
 
     return tuple(given(record) for record in records)

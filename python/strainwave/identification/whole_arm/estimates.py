@@ -71,9 +71,9 @@ def parameters_of(
     told = _curves_told(fit, fit.confidence.combined, largest_torque)
     weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
     held = [0.0] * len(keys)
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         derived = {"total_viscous_friction": total_viscous(study, number)}
-        if study.n_joints > 1:
+        if study.arm.n_joints > 1:
             derived["link_inertia"] = link_inertia(study, number)
         if number == 1:
             derived |= rigid_inertia(study)

@@ -45,7 +45,7 @@ def motor_side_limits(
         One per joint and reason, of joints whose link has no sensor in any record.
     """
     have = {c.joint for r in fit.misfit.records for c in r.channels if c.quantity != "motor_angle"}
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         if number in have or joint.spring == "rigid":
             continue
         own = [p for p in parameters if p.joint == number]
@@ -90,7 +90,7 @@ def _mobility(fit: Fit, study: Study, joint: int) -> tuple[float, float, float]:
     """Stiffness, damping and s = 1/m_L + n^2/m_M of a fitted joint, link side."""
     values = fit.misfit.search.values(fit.z)
     stiffness = values.get((LINEAR[0], joint)) or values[CURVE[0], joint]
-    ratio = study.joints[joint - 1].gear_ratio
+    ratio = study.arm.joints[joint - 1].gear_ratio
     s = 1.0 / link_inertia(values, study, joint) + ratio**2 / values["motor_inertia", joint]
     return stiffness, values["gear_damping", joint], s
 
@@ -121,7 +121,7 @@ def _reasons(fit: Fit, study: Study, joint: int) -> Iterator[str]:
             f"the gear is very damped: with a damping ratio of {ratio:.2g} its resonance,"
             f" {resonance:.3g} Hz, makes no peak in the motor's response"
         )
-    counts = study.joints[joint - 1].encoder_counts
+    counts = study.arm.joints[joint - 1].encoder_counts
     share, error, noise = _rounding(fit, joint)
     if counts and share > _ROUNDING:
         yield (

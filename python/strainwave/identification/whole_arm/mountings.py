@@ -53,7 +53,7 @@ def best_placed(
         Attitudes that turns start from are among what its search holds.
     (n_unknowns,)
     """
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         axes = _axes_on(misfit, joint)
         if unknowns_of(axes, study):
             misfit, z = _placed(misfit, z, axes, study, options)
@@ -130,7 +130,7 @@ def placed_again(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     Fit
         As it is where a short search from no other mounting ends lower.
     """
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         search, values = fit.misfit.search, fit.misfit.search.values(fit.z)
         axes = _axes_on(fit.misfit, joint)
         turns = (TURN[2], joint) in search.keys and (TURN[2], joint) in unknowns_of(axes, study)
@@ -168,7 +168,7 @@ def with_evident_tilts(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     -------
     Fit
     """
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         # on an axis that stands still a tilt is hardly apart from the distance
         if not _is_flat(fit.misfit.search, joint) or (joint == 1 and not study.arm.gravity):
             continue

@@ -234,7 +234,7 @@ def link_inertia(study: Study, joint: int) -> dict[Key, float]:
     -------
     dict
     """
-    if study.n_joints == 1:
+    if study.arm.n_joints == 1:
         return {("link_inertia", 1): 1.0}
     if joint == 1:
         return {("alpha", None): 1.0, ("beta", None): 1.0, ("gamma", None): 2.0}
@@ -254,7 +254,7 @@ def rigid_inertia(study: Study) -> dict[str, dict[Key, float]]:
     -------
     dict
     """
-    name = "inertia" if study.n_joints == 1 else "rigid_inertia"
+    name = "inertia" if study.arm.n_joints == 1 else "rigid_inertia"
     return {name: _parts((name, 1), study)}
 
 
@@ -271,7 +271,7 @@ def total_viscous(study: Study, joint: int) -> dict[Key, float]:
     -------
     dict
     """
-    ratio = study.joints[joint - 1].gear_ratio
+    ratio = study.arm.joints[joint - 1].gear_ratio
     return {(VISCOUS[0], joint): 1.0, (VISCOUS[1], joint): ratio**2}
 
 
@@ -310,7 +310,7 @@ def search_of(
     """
     start = starts_of(model, joints, study).values
     unknowns = []
-    pairs = zip(study.joints, largest_voltage, strict=True)
+    pairs = zip(study.arm.joints, largest_voltage, strict=True)
     for i, (joint, voltage) in enumerate(pairs, start=1):
         torque = _LEAST_COULOMB * voltage * (joint.torque_per_volt or 1.0)
         start[COULOMB, i] = max(start[COULOMB, i], torque)
@@ -322,7 +322,7 @@ def search_of(
         if signed and scale == 0.0:
             scale = 1.0
         far = _FAR if "inertia" in name or name in (*_BASE, *LINEAR) else _VERY_FAR
-        unit = unit_of_arm(name) if number is None else unit_of(name, study.joints[number - 1])
+        unit = unit_of_arm(name) if number is None else unit_of(name, study.arm.joints[number - 1])
         unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
     keys = [unknown.key for unknown in unknowns]
     return Search(tuple(unknowns), {}, _prior(model, keys, study, floor))
@@ -345,7 +345,7 @@ def with_curves(search: Search, study: Study, largest_torque: Sequence[float]) -
     unknowns: list[Unknown] = []
     columns: list[FloatArray] = []
     for k, unknown in enumerate(search.unknowns):
-        joint = study.joints[(unknown.joint or 1) - 1]
+        joint = study.arm.joints[(unknown.joint or 1) - 1]
         column = search.prior.rows[:, k]
         if unknown.name not in LINEAR or joint.spring != "three-slope":
             unknowns.append(unknown)
@@ -413,7 +413,7 @@ def _parts(name: Key, study: Study) -> dict[Key, float]:
     kind, joint = name
     if joint is None:
         return {name: 1.0}
-    ratio = study.joints[joint - 1].gear_ratio
+    ratio = study.arm.joints[joint - 1].gear_ratio
     if kind == "rigid_inertia":
         return {("alpha", None): 1.0, ("motor_inertia", joint): ratio**-2}
     if kind == "inertia":

@@ -141,7 +141,7 @@ def _rigid_rows(
     """What the rigid step knows, in its deviations: (n_unknowns,) each."""
     told: list[Mapping[Key, float]] = list(rigid_inertia(study).values())
     told += [{key: 1.0} for key in keys if key[1] is None and key[0] != "alpha"]
-    for number in range(1, study.n_joints + 1):
+    for number in range(1, study.arm.n_joints + 1):
         told += [total_viscous(study, number), {(COULOMB, number): 1.0}]
         if number > 1:
             told.append({("motor_inertia", number): 1.0})
@@ -155,13 +155,13 @@ def _parameters(
     study: Study, keys: Sequence[Key], values: Mapping[Key, float], covariance: FloatArray
 ) -> Iterator[Parameter]:
     rows: dict[Key, Mapping[Key, float]] = {key: {key: 1.0} for key in keys}
-    for number in range(1, study.n_joints + 1):
+    for number in range(1, study.arm.n_joints + 1):
         rows["total_viscous_friction", number] = total_viscous(study, number)
         rows["link_inertia", number] = link_inertia(study, number)
     for (name, joint), parts in rows.items():
         weights = combination(keys, parts)
         value = float(weights @ np.array([values[key] for key in keys]))
         std = float(np.sqrt(np.maximum(0.0, weights @ covariance @ weights)))
-        unit = unit_of_arm(name) if joint is None else unit_of(name, study.joints[joint - 1])
+        unit = unit_of_arm(name) if joint is None else unit_of(name, study.arm.joints[joint - 1])
         interval = (value - _REACH * std, value + _REACH * std)
         yield Parameter(name, joint, value, std, unit, "tuned", interval)

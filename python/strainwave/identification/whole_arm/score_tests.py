@@ -72,7 +72,7 @@ def _missing(fit: Fit, study: Study) -> list[Tried]:
     known = fit.misfit.search.keys
     return [
         (number, effect)
-        for number, joint in enumerate(study.joints, start=1)
+        for number, joint in enumerate(study.arm.joints, start=1)
         for effect, names in EFFECT_PARAMETERS.items()
         if joint.spring != "rigid" and (names[0], number) not in known
     ]
@@ -81,11 +81,13 @@ def _missing(fit: Fit, study: Study) -> list[Tried]:
 def _bordered(fit: Fit, study: Study, keys: Sequence[Key]) -> FloatArray:
     """R of [effects residual] in what the fit's unknowns cannot imitate: (n_keys + 1,) squared."""
     misfit = fit.misfit
-    numbers = range(1, study.n_joints + 1)
+    numbers = range(1, study.arm.n_joints + 1)
     nothing = {(name, j): value for name, value in _AT_NOTHING.items() for j in numbers}
     values: Values = nothing | misfit.search.values(fit.z)
-    joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in study.joints)
-    rich = records_with(misfit.records, replace(study, joints=joints), values)
+    joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in study.arm.joints)
+    rich = records_with(
+        misfit.records, replace(study, arm=replace(study.arm, joints=joints)), values
+    )
 
     def tangent(k: int, _: Evaluated) -> FloatArray:
         begun = misfit.memory.own[k][: len(rich[k].local)]

@@ -127,7 +127,7 @@ def _weights(parameter: Parameter, keys: Sequence[Key], study: Study) -> FloatAr
 def _candidates(records: Sequence[Replayed], study: Study) -> Iterator[_Candidate]:
     """Sensors of the links of elastic joints that have none in any record."""
     have = {c.joint for r in records for c in r.channels if c.quantity != "motor_angle"}
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         if number in have or joint.spring == "rigid":
             continue
         density = SensorNoise().accelerometer_density
@@ -211,7 +211,7 @@ def _with_candidates(record: Replayed, study: Study, candidates: Sequence[_Candi
         )
         if number in lacking
         else joint
-        for number, joint in enumerate(record.study.joints, start=1)
+        for number, joint in enumerate(record.study.arm.joints, start=1)
     )
     channels = tuple(candidate.channel for candidate in candidates)
     white = np.sqrt(0.5 / record.log.sample_time)  # deviation of a sample for a density of one
@@ -225,7 +225,7 @@ def _with_candidates(record: Replayed, study: Study, candidates: Sequence[_Candi
     ]
     return replace(
         record,
-        study=replace(record.study, joints=joints),
+        study=replace(record.study, arm=replace(record.study.arm, joints=joints)),
         channels=channels,
         noise=np.array(noise),
         lacking=np.zeros((len(record.time), len(channels))),

@@ -135,7 +135,7 @@ def _late(fit: Fit, study: Study) -> Iterator[tuple[Key, Key]]:
         if delay is None or bandwidth is None or delay not in keys or delay in seen:
             continue
         seen.add(delay)
-        drive = study.joints[channel.joint - 1]
+        drive = study.arm.joints[channel.joint - 1]
         sensor = channel.sensor
         given = getattr(drive, f"{sensor}_hz", None)
         if sensor.startswith("imu_"):

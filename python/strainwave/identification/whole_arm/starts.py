@@ -62,7 +62,7 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], study: Stu
     models = _by_joint(joints, study)
     start, rejected = _inertias(model, models, study)
     if study.arm.gravity is not None:
-        for i in range(1, study.n_joints + 1):
+        for i in range(1, study.arm.n_joints + 1):
             start[f"gravity_torque_{i}", None] = _rigid(model, f"gravity_torque_{i}")
     for number in sorted(models):
         values = models[number].values
@@ -97,7 +97,7 @@ def rejected_starts(starts: Starts, study: Study) -> Iterator[Diagnostic]:
     """
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
-        unit = "kg m^2" if joint is None else unit_of(name, study.joints[joint - 1])
+        unit = "kg m^2" if joint is None else unit_of(name, study.arm.joints[joint - 1])
         text = f"the steps before found {value:.3g} {unit}, which is impossible; the whole-arm fit"
         text += f" started from {starts.values[name, joint]:.3g}, which is usual for such arms"
         yield Diagnostic("start-rejected", place, text)
@@ -110,8 +110,8 @@ def _inertias(
     rejected: dict[Key, float] = {}
     motor = {number: joint.values["motor_inertia"] for number, joint in joints.items()}
     link = {number: joint.values["link_inertia"] for number, joint in joints.items()}
-    n2 = {i: joint.gear_ratio**2 for i, joint in enumerate(study.joints, start=1)}
-    if study.n_joints == 1:
+    n2 = {i: joint.gear_ratio**2 for i, joint in enumerate(study.arm.joints, start=1)}
+    if study.arm.n_joints == 1:
         total = _known(model, "inertia", 1)
         if not _positive(link[1]):
             rejected["link_inertia", 1] = link[1]
@@ -146,7 +146,7 @@ def _friction(
     model: RigidModel | None, joint: JointModel, study: Study, number: int
 ) -> dict[str, float]:
     """Of the joint's model, Coulomb friction and its offset of the rigid one where it has them."""
-    values = _mended(joint.values, study.joints[number - 1].gear_ratio)
+    values = _mended(joint.values, study.arm.joints[number - 1].gear_ratio)
     found = {name: values[name] for name in VISCOUS}
     found[OFFSET] = _known(model, OFFSET, number) or 0.0
     coulomb = _known(model, COULOMB, number)  # not every route to a joint's model tells it
@@ -168,7 +168,7 @@ def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
 
 
 def _link_inertia(start: Values, study: Study, joint: int) -> float:
-    if study.n_joints == 1:
+    if study.arm.n_joints == 1:
         return start["link_inertia", 1]
     beta = start["beta", None]
     return beta if joint == 2 else start["alpha", None] + beta + 2.0 * start["gamma", None]
@@ -191,7 +191,7 @@ def _sure(name: str, value: float) -> float:
 
 def _by_joint(joints: Sequence[JointModel], study: Study) -> dict[int, JointModel]:
     found = {joint.joint: joint for joint in joints}
-    for number, joint in enumerate(study.joints, start=1):
+    for number, joint in enumerate(study.arm.joints, start=1):
         if joint.spring == "rigid" or number not in found:
             raise NotIdentifiable(
                 f"the whole-arm fit starts from a model of each elastic joint, and joint {number}"

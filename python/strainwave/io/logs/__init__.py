@@ -142,7 +142,7 @@ def _sources(
 ) -> dict[str, Channel]:
     """Which column each channel comes from; the required ones must be there."""
     sources = {}
-    for name in channel_names(study.n_joints):
+    for name in channel_names(study.arm.n_joints):
         channel = study.channels.get(name)
         if channel is not None and channel.column not in table.names:
             # a recorded topic without the field is no missing sensor, but a wrong field
@@ -184,7 +184,7 @@ def _no_mapped(name: str, channel: Channel, table: Table | Bag, path: Path) -> I
 def _check_required(
     sources: dict[str, Channel], study: Study, table: Table | Bag, path: Path
 ) -> None:
-    required = [f"theta_m{i}" for i in range(1, study.n_joints + 1)]
+    required = [f"theta_m{i}" for i in range(1, study.arm.n_joints + 1)]
     if not isinstance(table, Bag):
         required = ["t", *required]
     elif "t" in sources:
@@ -196,7 +196,7 @@ def _check_required(
     for name in required:
         if name not in sources:
             raise _no_column(name, "which every log needs", table, path)
-    for i, joint in enumerate(study.joints, start=1):
+    for i, joint in enumerate(study.arm.joints, start=1):
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             raise _no_column(f"u{i}' or 'torque{i}", "the drive's input", table, path)
         if f"torque{i}" not in sources and joint.torque_per_volt is None:
@@ -233,7 +233,7 @@ def _constants(
     channels: dict[str, FloatArray], study: Study, experiment: Experiment, path: Path
 ) -> list[Diagnostic]:
     """A log in which nothing moves is an error; a sensor that never changes is doubtful."""
-    joints = range(1, study.n_joints + 1)
+    joints = range(1, study.arm.n_joints + 1)
     moved = [i for i in joints if np.ptp(channels[f"theta_m{i}"]) > 0.0]
     excited = experiment.joint
     if not moved or (excited is not None and excited not in moved):

@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 import re
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -184,11 +184,11 @@ def document_of(study: Study) -> dict[str, Any]:
     dict
     """
     document: dict[str, Any] = {
-        "arm": _table(study.arm),
-        "joint": [_table(joint) for joint in study.joints],
+        "arm": _table(study.arm, without=("joints", "servo")),
+        "joint": [_table(joint) for joint in study.arm.joints],
     }
-    if study.servo is not None:
-        document["servo"] = _table(study.servo)
+    if study.arm.servo is not None:
+        document["servo"] = _table(study.arm.servo)
     if study.channels:
         document["channels"] = {name: _table(channel) for name, channel in study.channels.items()}
     document["experiment"] = [_table(experiment) for experiment in study.experiments]
@@ -198,12 +198,12 @@ def document_of(study: Study) -> dict[str, Any]:
     return document
 
 
-def _table(record: Any) -> dict[str, Any]:
+def _table(record: Any, without: Container[str] = ()) -> dict[str, Any]:
     """A record's values that differ from their defaults, as TOML can hold them."""
     table: dict[str, Any] = {}
     for field in dataclasses.fields(record):
         value = getattr(record, field.name)
-        if value in (None, {}, field.default):
+        if field.name in without or value in (None, {}, field.default):
             continue
         if dataclasses.is_dataclass(value):
             value = _table(value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from strainwave.domain import Study, channel_names
+from strainwave.domain import ArmDescription, Study, channel_names
 from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameters
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import nearest
@@ -27,56 +27,70 @@ def check_fit(study: Study, reader: Reader) -> None:
     InvalidInput
         They do not.
     """
-    count = JOINTS[study.arm.kind]
-    if study.n_joints > max(JOINTS.values()):
+    _check_kind(study.arm, reader)
+    _check_joints(study.arm, reader)
+    _check_channels(study, reader)
+    _check_experiments(study, reader)
+    check_options(study, reader)
+
+
+def _check_kind(arm: ArmDescription, reader: Reader) -> None:
+    count = JOINTS[arm.kind]
+    if arm.n_joints > max(JOINTS.values()):
         raise InvalidInput(
-            f"there are {study.n_joints} [[joint]] tables; an arm of one joint, or of two links "
+            f"there are {arm.n_joints} [[joint]] tables; an arm of one joint, or of two links "
             "in one plane, is what can be identified so far",
             where=reader.place("joint"),
             remedy="describe one joint, or two that move in one plane, and record them while the "
             "others stand still",
         )
-    if study.n_joints != count:
+    if arm.n_joints != count:
         raise InvalidInput(
-            f"a {study.arm.kind} arm has {count} joint(s), but there are {study.n_joints} "
-            "[[joint]] tables",
+            f"a {arm.kind} arm has {count} joint(s), but there are {arm.n_joints} [[joint]] tables",
             where=reader.place("joint"),
             remedy=f"write {count} [[joint]] table(s), from the base, or another kind of [arm]",
         )
-    if study.arm.kind == "planar-two-link":
-        if study.arm.link_length is None:
+    if arm.kind == "planar-two-link":
+        if arm.link_length is None:
             raise InvalidInput(
                 "the key 'link_length' is missing",
                 where=reader.place("arm"),
                 remedy="add the distance from joint 1's axis to joint 2's [m]",
             )
-        for index, joint in enumerate(study.joints):
+        for index, joint in enumerate(arm.joints):
             if joint.motion == "prismatic":
                 raise InvalidInput(
                     "a planar two-link arm has revolute joints only",
                     where=reader.place("joint", index, "motion"),
                     remedy='use kind = "single-joint" for a prismatic joint',
                 )
-    elif study.joints[0].motion == "prismatic" and study.arm.gravity:
+    elif arm.joints[0].motion == "prismatic" and arm.gravity:
         raise InvalidInput(
             "a prismatic joint moves along x, across gravity",
             where=reader.place("arm", None, "gravity"),
             remedy="leave gravity out; a constant force shows as friction_offset",
         )
-    for index, joint in enumerate(study.joints):
+
+
+def _check_joints(arm: ArmDescription, reader: Reader) -> None:
+    for index, joint in enumerate(arm.joints):
         if joint.imu is not None and joint.motion == "prismatic":
             raise InvalidInput(
                 "an IMU on a prismatic joint is not supported",
                 where=reader.place("joint", index, "imu"),
                 remedy="map the axis along the joint to the channel a1, and leave the others out",
             )
-    if study.servo is not None:
+        of_a_gear = [effect for effect in joint.effects if effect != "stribeck"]
+        if joint.spring == "rigid" and of_a_gear:
+            raise InvalidInput(
+                f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",
+                where=reader.place("joint", index, "effects"),
+                remedy=f"leave '{of_a_gear[0]}' out, or give the gear a spring",
+            )
+    if arm.servo is not None:
         for key in ("kp", "ki"):
-            _check_count(getattr(study.servo, key), count, reader.place("servo", None, key), key)
-    _check_effects(study, reader)
-    _check_channels(study, reader)
-    _check_experiments(study, reader, count)
-    check_options(study, reader)
+            own = getattr(arm.servo, key)
+            _check_count(own, arm.n_joints, reader.place("servo", None, key), key)
 
 
 def check_options(study: Study, reader: Reader) -> None:
@@ -104,7 +118,7 @@ def check_options(study: Study, reader: Reader) -> None:
                 remedy="give the lower frequency first",
             )
     fitted = whole_arm_parameters(study)
-    numbers = range(1, study.n_joints + 1)
+    numbers = range(1, study.arm.n_joints + 1)
     constants = [f"{name} {i}" for name in SENSOR_PARAMETERS for i in numbers]
     held = (*fitted, *SENSOR_PARAMETERS, *constants)  # a delay may be zero: no factors bound it
     for key, names, known in (
@@ -142,19 +156,8 @@ def _check_count(values: tuple[Any, ...], count: int, place: str, key: str) -> N
         )
 
 
-def _check_effects(study: Study, reader: Reader) -> None:
-    for index, joint in enumerate(study.joints):
-        of_a_gear = [effect for effect in joint.effects if effect != "stribeck"]
-        if joint.spring == "rigid" and of_a_gear:
-            raise InvalidInput(
-                f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",
-                where=reader.place("joint", index, "effects"),
-                remedy=f"leave '{of_a_gear[0]}' out, or give the gear a spring",
-            )
-
-
 def _check_channels(study: Study, reader: Reader) -> None:
-    known = channel_names(study.n_joints)
+    known = channel_names(study.arm.n_joints)
     named: list[tuple[str, int | None, str]] = [("channels", None, name) for name in study.channels]
     for index, experiment in enumerate(study.experiments):
         named += [("experiment", index, name) for name in experiment.add]
@@ -174,8 +177,8 @@ def _check_channels(study: Study, reader: Reader) -> None:
             )
 
 
-def _check_experiments(study: Study, reader: Reader, count: int) -> None:
-    seen: set[str] = set()
+def _check_experiments(study: Study, reader: Reader) -> None:
+    count, seen = study.arm.n_joints, set[str]()
     for index, experiment in enumerate(study.experiments):
         if experiment.name in seen:
             raise InvalidInput(
@@ -270,12 +273,12 @@ def check_sizes(study: Study, reader: Reader) -> None:
         One is of a size that no rig has.
     """
     _sizes(study.arm, _ARM_SIZES, lambda key: reader.place("arm", None, key))
-    for index, joint in enumerate(study.joints):
+    for index, joint in enumerate(study.arm.joints):
         _sizes(joint, _JOINT_SIZES, lambda key, i=index: reader.place("joint", i, key))
         if joint.imu is not None:
             _sizes(joint.imu, _IMU_SIZES, lambda _, i=index: reader.place("joint", i, "imu"))
-    if study.servo is not None:
-        _sizes(study.servo, _SERVO_SIZES, lambda key: reader.place("servo", None, key))
+    if study.arm.servo is not None:
+        _sizes(study.arm.servo, _SERVO_SIZES, lambda key: reader.place("servo", None, key))
     for index, experiment in enumerate(study.experiments):
         if experiment.prbs is not None:
             place = reader.place("experiment", index, "prbs")

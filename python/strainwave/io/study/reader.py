@@ -8,19 +8,28 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from strainwave.domain import Arm, Channel, Experiment, Joint, Options, Servo, Study, TopicChannel
+from strainwave.domain import (
+    ArmDescription,
+    Channel,
+    Experiment,
+    Joint,
+    Options,
+    Servo,
+    Study,
+    TopicChannel,
+)
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import nearest
 
 T = TypeVar("T")
 
 _TABLES = {
-    "arm": Arm,
+    "arm": ArmDescription,
     "joint": Joint,
     "servo": Servo,
     "channels": Channel,
@@ -71,14 +80,11 @@ class Reader:
                 where=str(self.path),
                 remedy=f"add {name}; see docs/study.md",
             )
-        servo = self._one(document, "servo")
         count = len(joints)
         return Study(
             path=self.path,
             sha256=sha256,
-            arm=self.record(Arm, arm, "arm"),
-            joints=tuple(self.record(Joint, table, "joint", i) for i, table in enumerate(joints)),
-            servo=None if servo is None else self.record(Servo, servo, "servo"),
+            arm=self._arm(arm, joints, self._one(document, "servo")),
             channels=self._channels(self._one(document, "channels") or {}),
             experiments=tuple(
                 self.record(Experiment, {"control": ["open"] * count} | table, "experiment", i)
@@ -126,10 +132,19 @@ class Reader:
         return Options(**stages)
 
     def record(
-        self, kind: type[T], table: Mapping[str, Any], name: str, index: int | None = None
+        self,
+        kind: type[T],
+        table: Mapping[str, Any],
+        name: str,
+        index: int | None = None,
+        **elsewhere: Any,
     ) -> T:
-        """One table as a record, each value checked against its field's annotation."""
-        fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+        """One table as a record, each value checked against its field's annotation.
+
+        `elsewhere` are fields that are no keys of this table, because they stand in others.
+        """
+        of_kind = dataclasses.fields(kind)  # type: ignore[arg-type]
+        fields = {f.name: f for f in of_kind if f.name not in elsewhere}
         self._known_keys(table, fields, name, index)
         hints = get_type_hints(kind, include_extras=True)
         values = {}
@@ -145,7 +160,20 @@ class Reader:
                     where=self.place(name, index),
                     remedy=f"add it: {key} = ...",
                 )
-        return kind(**values)
+        return kind(**values, **elsewhere)
+
+    def _arm(
+        self,
+        arm: Mapping[str, Any],
+        joints: Sequence[Mapping[str, Any]],
+        servo: Mapping[str, Any] | None,
+    ) -> ArmDescription:
+        """`[arm]` with its `[[joint]]` tables and `[servo]`."""
+        elsewhere = {
+            "joints": tuple(self.record(Joint, own, "joint", i) for i, own in enumerate(joints)),
+            "servo": None if servo is None else self.record(Servo, servo, "servo"),
+        }
+        return self.record(ArmDescription, arm, "arm", None, **elsewhere)
 
     def _value(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
         from pydantic import ValidationError

@@ -67,7 +67,7 @@ def curves(identification: Identification) -> list[Curve]:
     """
     tuned = identification.tuned
     found = []
-    for number, joint in enumerate(identification.study.joints, start=1):
+    for number, joint in enumerate(identification.study.arm.joints, start=1):
         if joint.spring == "rigid":
             continue
         carried = next((h for h in (tuned.carried if tuned else ()) if h.joint == number), None)

@@ -108,7 +108,7 @@ def _name(identification: Identification) -> str:
 def _head(identification: Identification) -> str:
     study = identification.study
     kind = study.arm.kind.replace("-", " ")
-    springs = ", ".join(joint.spring for joint in study.joints)
+    springs = ", ".join(joint.spring for joint in study.arm.joints)
     return (
         f"<h1>{escape(_name(identification))}</h1>"
         f'<p class="faint">{escape(kind)}, gear springs: {escape(springs)}; '
@@ -120,7 +120,7 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
     """Bode plots of every joint, where it rings, and its stiffness over the amplitude."""
     parts = []
     for joint in found.joints:
-        own = found.study.joints[joint.joint - 1]
+        own = found.study.arm.joints[joint.joint - 1]
         measured = found.responses.get(joint.joint)
         sampled = [
             (r.signals.experiment.name, r.state_space)
@@ -142,7 +142,7 @@ def _responses(found: Identification, plots: dict[str, Figure]) -> str:
         words = bode.words(joint, measured)
         parts.append(figure(name, label, drawn, plots, words=words))
     for seen in found.motor_responses:
-        own = found.study.joints[seen.joint - 1]
+        own = found.study.arm.joints[seen.joint - 1]
         drawn = motors.figure_of(seen, straight=own.motion == "prismatic")
         label = f"Motor {seen.joint} in {seen.experiment}, {CONDITIONS[seen.condition]}:"
         label += " torque to velocity"
@@ -169,7 +169,7 @@ def _by_whole_arm(found: Identification, joint: JointModel) -> dict[str, float] 
     values = dict(found.tuned.values)
     own = {name: value for (name, of), value in values.items() if of == joint.joint}
     own.setdefault("gear_stiffness", joint.values["gear_stiffness"])  # of a curve: its equivalent
-    if found.study.n_joints == 1 or all((name, None) in values for name in _INERTIAS):
+    if found.study.arm.n_joints == 1 or all((name, None) in values for name in _INERTIAS):
         own["link_inertia"] = link_inertia(values, found.study, joint.joint)
     return own if set(list(joint.values)[:6]) <= set(own) else None
 
@@ -193,7 +193,7 @@ def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
                 figure(
                     f"{kind} {prediction.experiment}",
                     label,
-                    of_prediction(prediction, found.study.joints, most),
+                    of_prediction(prediction, found.study.arm.joints, most),
                     plots,
                     words=f"Fit: {', '.join(fits)}.",
                 )

@@ -29,7 +29,7 @@ def clipped(logs: Sequence[Log], study: Study) -> Iterator[Suspicion]:
     iterator of Suspicion
     """
     for kind in _KINDS:
-        for i in range(1, study.n_joints + 1):
+        for i in range(1, study.arm.n_joints + 1):
             name = f"{kind}{i}"
             shares = {
                 log.name: (_share(log.channels[name], rests=kind not in _NOISY), log.channels[name])

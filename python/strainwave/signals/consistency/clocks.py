@@ -57,7 +57,7 @@ def clocks_of(log: Log, study: Study) -> Clocks:
             level[name] = 0.5 * float(np.ptp(values))
             found = _clock(values, log, two_levels=True) or _period(values, log, experiment.prbs)
             prbs = prbs or found
-        elif control == "servo" and study.servo is not None:
+        elif control == "servo" and study.arm.servo is not None:
             servo = servo or _clock(values, log, two_levels=False)
     return Clocks(prbs, servo, level)
 

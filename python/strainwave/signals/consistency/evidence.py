@@ -129,9 +129,11 @@ class Evidence:
 
     def with_joint(self, joint: int, **keys: float) -> Evidence:
         """With keys of one [[joint]] changed; joints from 1."""
-        joints = list(self.study.joints)
+        joints = list(self.study.arm.joints)
         joints[joint - 1] = replace(joints[joint - 1], **keys)  # type: ignore[arg-type]
-        return replace(self, study=replace(self.study, joints=tuple(joints)))
+        return replace(
+            self, study=replace(self.study, arm=replace(self.study.arm, joints=tuple(joints)))
+        )
 
     def with_length(self, link_length: float) -> Evidence:
         """With another distance between the axes."""
@@ -153,7 +155,7 @@ def evidence(logs: Sequence[Log], study: Study) -> Evidence:
     """
     found = side_by_side([partial(_slow, log, study) for log in logs]) if logs else []
     counts = {}
-    for joint in range(1, study.n_joints + 1):
+    for joint in range(1, study.arm.n_joints + 1):
         count = count_of([log.channels[f"theta_m{joint}"] for log in logs])
         if count is not None:
             counts[joint] = count
@@ -162,7 +164,7 @@ def evidence(logs: Sequence[Log], study: Study) -> Evidence:
 
 def _slow(log: Log, study: Study) -> SlowRecord | None:
     """A record at low frequencies; None where it is too short for any."""
-    joints = range(1, study.n_joints + 1)
+    joints = range(1, study.arm.n_joints + 1)
     n = min(len(log), _MOST_SAMPLES)
     T = log.sample_time
     angle = np.column_stack([log.channels[f"theta_m{i}"][:n] for i in joints])

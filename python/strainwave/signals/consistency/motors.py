@@ -85,7 +85,7 @@ def servo_outputs(seen: Evidence) -> list[Ratio]:
         Where a servo acts alone, without a PRBS on top.
     """
     found: list[Ratio] = []
-    servo = seen.study.servo
+    servo = seen.study.arm.servo
     for record, i in _servoed(seen):
         name = f"u{i}"
         own = record.experiment.prbs is not None and record.experiment.joint in (None, i)
@@ -112,7 +112,7 @@ def velocities(seen: Evidence) -> list[Ratio]:
     """
     found: list[Ratio] = []
     for record in seen.records:
-        for i in range(1, seen.study.n_joints + 1):
+        for i in range(1, seen.study.arm.n_joints + 1):
             name = f"omega_m{i}"
             if name in record.channels:
                 slope = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
@@ -138,7 +138,7 @@ def torques(seen: Evidence) -> list[Torque]:
     """
     slow = [r for r in seen.records if is_slow(r.experiment)]
     found = []
-    for i in range(seen.study.n_joints):
+    for i in range(seen.study.arm.n_joints):
         own = slow or [r for r in seen.records if r.experiment.joint in (None, i + 1)]
         own = [r for r in own if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
         fit, names = _torque(own, seen.study, i)
@@ -154,9 +154,9 @@ def torques(seen: Evidence) -> list[Torque]:
 
 
 def _servoed(seen: Evidence) -> Iterator[tuple[SlowRecord, int]]:
-    if seen.study.servo is None:
+    if seen.study.arm.servo is None:
         return
-    limit = 0.999 * seen.study.servo.limit
+    limit = 0.999 * seen.study.arm.servo.limit
     for record in seen.records:
         for i, control in enumerate(record.experiment.control, start=1):
             if control != "servo" or f"ref{i}" not in record.channels:
@@ -213,20 +213,20 @@ def motor_torque(record: SlowRecord, study: Study, i: int) -> FloatArray:
     name = f"torque{i + 1}"
     if name in record.channels:
         return record.channels[name]
-    return (study.joints[i].torque_per_volt or 1.0) * record.channels[f"u{i + 1}"]
+    return (study.arm.joints[i].torque_per_volt or 1.0) * record.channels[f"u{i + 1}"]
 
 
 def _columns(record: SlowRecord, study: Study, i: int) -> dict[str, FloatArray]:
     """Motor torque per parameter of one joint's equation, taken apart from the other's."""
     n = gear_ratios(study)
-    joints = range(1, study.n_joints + 1)
+    joints = range(1, study.arm.n_joints + 1)
     motor = np.column_stack([record.channels[f"theta_m{j}"] for j in joints])
     q = motor * n
     dq = differentiate(q, record.sample_time)
     ddq = differentiate(dq, record.sample_time)
     friction = {"viscous": dq[:, i] / n[i], "coulomb": record.direction[:, i]}
     gravity = study.arm.gravity is not None
-    if study.n_joints == 1:
+    if study.arm.n_joints == 1:
         pull = {"gravity_torque_1": n[0] * np.cos(q[:, 0])} if gravity else {}
         return {"inertia": ddq[:, 0] / n[0]} | friction | pull
     c, s = np.cos(q[:, 1]), np.sin(q[:, 1])

@@ -64,7 +64,7 @@ def readings(seen: Evidence) -> list[Reading]:
     for record in seen.records:
         motion = _Motion.of(record, seen.study)
         for kind in LINK_CHANNELS:
-            for i in range(seen.study.n_joints):
+            for i in range(seen.study.arm.n_joints):
                 name = f"{kind}{i + 1}"
                 excited = record.experiment.joint in (None, i + 1)
                 wanted = is_slow(record.experiment) or (name not in slow and excited)
@@ -92,7 +92,7 @@ def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
     """
     if joint == 1:
         return ()
-    ratio = seen.study.joints[joint - 1].gear_ratio
+    ratio = seen.study.arm.joints[joint - 1].gear_ratio
     slow = [r for r in seen.records if is_slow(r.experiment)] or list(seen.records)
     names = [f"{k}{joint}" for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
 
@@ -126,7 +126,7 @@ class _Motion:
 
     @classmethod
     def of(cls, record: SlowRecord, study: Study) -> _Motion:
-        joints = range(1, study.n_joints + 1)
+        joints = range(1, study.arm.n_joints + 1)
         motor = np.column_stack([record.channels[f"theta_m{i}"] for i in joints])
         angle = motor * gear_ratios(study)
         velocity = differentiate(angle, record.sample_time)
@@ -140,7 +140,7 @@ def _parts(study: Study, motion: _Motion, kind: str, i: int) -> dict[str, FloatA
         return {"own": q[:, i]}
     if kind == "gyro":
         return {"own": dq[:, : i + 1].sum(axis=1)}
-    joint = study.joints[i]
+    joint = study.arm.joints[i]
     if joint.motion == "prismatic":
         return {"own": ddq[:, i]}
     if joint.accelerometer_distance is None:
@@ -214,10 +214,10 @@ def _read(
 def _shares(study: Study, motion: _Motion, kind: str) -> list[FloatArray] | None:
     """What link 2's sensor reads of joint 2's turning, of joint 1's, and the rest."""
     parts = _parts(study, motion, kind, 1)
-    if parts is None or kind == "theta_l" or study.joints[1].motion == "prismatic":
+    if parts is None or kind == "theta_l" or study.arm.joints[1].motion == "prismatic":
         return None
     turned = motion.velocity if kind == "gyro" else motion.acceleration
-    distance = 1.0 if kind == "gyro" else study.joints[1].accelerometer_distance or 0.0
+    distance = 1.0 if kind == "gyro" else study.arm.joints[1].accelerometer_distance or 0.0
     rest = [part for key, part in parts.items() if key != "own"]
     return [distance * turned[:, 1], distance * turned[:, 0], *rest]
 
@@ -247,7 +247,7 @@ def _shows(lag: Lag, sample_time: float, rows: int) -> bool:
 
 
 def _lags(study: Study, kind: str, i: int) -> list[Lag]:
-    joint = study.joints[i]
+    joint = study.arm.joints[i]
     if kind == "a" and joint.accelerometer_hz:
         return [Lag(2, joint.accelerometer_hz)]
     if kind == "gyro" and joint.gyro_hz:

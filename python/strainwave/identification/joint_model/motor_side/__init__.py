@@ -59,7 +59,7 @@ def models_from_motors(
     """
     ratio = gear_ratios(study)
     seen = [piece for r in records for piece in pieces(r, ratio, most_lines=_LINES) if piece.rows]
-    for i in range(study.n_joints):
+    for i in range(study.arm.n_joints):
         if not any(i in piece.rows for piece in seen):
             raise NotIdentifiable(
                 f"no record has the motor of joint {i + 1} slide most of the time when driven,"
@@ -70,7 +70,7 @@ def models_from_motors(
         found = minima(family, seen, [thinned(piece, _COARSE) for piece in seen])
         names = [
             tuple(dict.fromkeys(p.experiment for p in seen if i in p.rows))
-            for i in range(study.n_joints)
+            for i in range(study.arm.n_joints)
         ]
         return [_models(each, family, study, seen, names) for each in found]
 
@@ -94,7 +94,7 @@ def _models(
         values = dict(zip(NAMES, joint.vector.tolist(), strict=True))
         deviation = np.sqrt(np.diag(covariance))
         told = [bool(d <= _TOLD * v) for d, v in zip(deviation, values.values(), strict=True)]
-        said = values, covariance, told, study.joints[i], i + 1
+        said = values, covariance, told, study.arm.joints[i], i + 1
         warnings = tuple(cautions_of(*said, ", ".join(experiments[i])))
         fit = found.fit_percent[i]
         models.append(

@@ -201,7 +201,7 @@ def family_of(model: RigidModel | None, study: Study) -> Family:
     NotIdentifiable
         The rigid model lacks an inertia.
     """
-    n, names = study.n_joints, base_names(study)
+    n, names = study.arm.n_joints, base_names(study)
     places = tuple(names.index((name, None)) for name in _BASE) if n > 1 else ()
     ratio, nothing = gear_ratios(study), np.full(n, np.nan)
     if model is None:
@@ -244,7 +244,7 @@ def _least(model: RigidModel, name: str, joint: int, inertia: float) -> float:
 
 def _gravity_slopes(study: Study, angle: FloatArray) -> FloatArray:
     """Derivative of gravity's torques by the links' angles, by base parameter: (n_base, n, n)."""
-    arm, n = build_arm(study), study.n_joints
+    arm, n = build_arm(study), study.arm.n_joints
     moved = np.concatenate([angle + _STEP * np.eye(n), angle - _STEP * np.eye(n)])
     still = np.zeros_like(moved)
     regressor = arm.base_regressor(np.ascontiguousarray(moved), still, still)  # (2n, n, n_base)

@@ -1,0 +1,75 @@
+"""The arm as its rig describes it; `strainwave.io.study` checks the `annotated_types`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt
+
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
+
+ArmKind = Literal["planar-two-link", "single-joint"]
+Motion = Literal["revolute", "prismatic"]
+Spring = Literal["linear", "three-slope", "rigid"]
+Effect = Literal["stribeck", "hysteresis", "kinematic-error"]
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """Accelerometers and gyros in one case on a joint's link, placed anywhere."""
+
+    xyz: tuple[float, float, float] | None = None  # [m] in the link's frame
+    rpy: tuple[float, float, float] | None = None  # [rad] roll, pitch and yaw, as in URDF
+    accelerometer_hz: Positive | None = None  # second-order Butterworth
+    gyro_hz: Positive | None = None  # second-order Butterworth
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One joint's drive and sensors: `[[joint]]`."""
+
+    spring: Spring
+    gear_ratio: Positive  # n, link turns per motor turn
+    motion: Motion = "revolute"
+    torque_per_volt: Positive | None = None  # e [N m/V] at the motor
+    current_loop_hz: Positive | None = None
+    encoder_counts: Positive | None = None  # per motor turn
+    accelerometer_distance: Positive | None = None  # l_a [m]; left out: estimated
+    accelerometer_hz: Positive | None = None  # second-order Butterworth
+    gyro_hz: Positive | None = None  # first order
+    imu: Imu | None = None
+    effects: tuple[Effect, ...] = ()  # that its friction and gear may have
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """PI velocity servo: u = kp e + ki integral(e), e = reference - encoder difference / period."""
+
+    kind: Literal["pi-velocity"]
+    period: Positive  # [s]
+    kp: tuple[NonNegative, ...]  # [V s/rad], one per joint
+    ki: tuple[NonNegative, ...]  # [V/rad], one per joint
+    limit: Positive  # [V]
+
+
+@dataclass(frozen=True, slots=True)
+class ArmDescription:
+    """What is known of an arm before any log: `[arm]`, its `[[joint]]` tables and `[servo]`."""
+
+    kind: ArmKind
+    joints: tuple[Joint, ...]  # from the base
+    link_length: Positive | None = None  # l_1 [m], joint 1 axis to joint 2 axis
+    gravity: NonNegative | None = None  # [m/s^2] along -y in the plane of motion
+    servo: Servo | None = None
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def gear_ratios(self) -> tuple[float, ...]:
+        """n, link turns per motor turn, of each joint."""
+        return tuple(joint.gear_ratio for joint in self.joints)
