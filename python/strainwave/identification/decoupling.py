@@ -27,7 +27,7 @@ from strainwave.dynamics.interaction_torque import (
 )
 from strainwave.dynamics.simulation import build_arm
 from strainwave.errors import NotIdentifiable
-from strainwave.numerics.filters import spectra
+from strainwave.numerics.spectra import cross_spectral_densities
 
 _SHARE = 0.95  # of the motor velocity's power that lies below the band's top
 _LOWEST = 1.0  # [Hz]
@@ -177,7 +177,7 @@ def _band(signals: LinkSignals, i: int) -> tuple[float, float]:
 def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
     """Cross-spectral density matrices by Welch's method: (n_frequencies, n, n), complex."""
     segment = max(16, 2 * len(columns) // (_SEGMENTS + 1))
-    return spectra(columns, sample_time, min(segment, len(columns)))
+    return cross_spectral_densities(columns, sample_time, min(segment, len(columns)))
 
 
 def _richness(

@@ -15,6 +15,7 @@ from strainwave.domain import (
     Resonance,
 )
 from strainwave.errors import NotIdentifiable
+from strainwave.numerics.spectra import window_spectra
 from strainwave.signals.channels import check_alike
 
 __all__ = ["FrequencyOptions", "by_periods", "by_welch", "resonance", "respond"]
@@ -267,11 +268,7 @@ def _lines(columns: FloatArray, period: int) -> ComplexArray:
 
 def _segments(columns: FloatArray, segment: int) -> ComplexArray:
     step = max(1, round(segment * (1.0 - _OVERLAP)))
-    window = np.hanning(segment)[:, None]
-    starts = range(0, len(columns) - segment + 1, step)
-    blocks = [columns[k : k + segment] for k in starts]
-    lines = [np.fft.rfft(window * (b - b.mean(axis=0)), axis=0)[1:] for b in blocks]
-    return np.asarray(lines)
+    return window_spectra(columns, np.hanning(segment), step)[:, 1:]
 
 
 def _distortion(

@@ -24,7 +24,8 @@ from strainwave.domain import (
 from strainwave.dynamics.rigid_regressor import gear_ratios
 from strainwave.dynamics.simulation import base_names, inertia_matrix, simulate_arms
 from strainwave.identification.closed_loop import as_known, velocity_band
-from strainwave.numerics.filters import differentiate, spectra
+from strainwave.numerics.filters import differentiate
+from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.signals.recorded_input import driven_by_voltage
 
 _SEGMENT = 8.0  # [s] at most of a record in one spectrum
@@ -76,7 +77,7 @@ def motor_response(
     )
     columns = np.column_stack([runs["motor_torque"][0, :, number - 1], differentiate(angles, T)])
     segment = min(len(log) // 2, round(_SEGMENT / T))
-    frequency, density = spectra(columns, T, segment)
+    frequency, density = cross_spectral_densities(columns, T, segment)
     power = density[:, 0, 0].real
     inside = (frequency >= _LOWEST * frequency[1]) & (frequency <= velocity_band(log, study))
     inside &= power > _SEEN * power[inside].max(initial=0.0)

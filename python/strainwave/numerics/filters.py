@@ -14,6 +14,7 @@ import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, Lag
 from strainwave.numerics.linalg import exponential
+from strainwave.numerics.spectra import cross_spectral_densities
 
 Between = Literal["smooth", "held", "straight"]
 
@@ -173,7 +174,9 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     if len(angle) < _LEAST_SAMPLES:
         return 0.2 * rate
     segment = min(len(angle) // 4, max(256, round(2.0 * rate)))
-    frequency, density = spectra(np.diff(angle)[:, None], sample_time, segment, trend="line")
+    frequency, density = cross_spectral_densities(
+        np.diff(angle)[:, None], sample_time, segment, trend="line"
+    )
     power = density[:, 0, 0].real
     # of the difference's spectrum back to the angle's, without the leakage of its trend
     power = power[1:] / (2.0 * np.sin(np.pi * frequency[1:] * sample_time)) ** 2
@@ -187,44 +190,6 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     ends = np.flatnonzero(np.diff(above) > gap)
     last = above[ends[0]] if ends.size else above[-1]
     return float(min(frequency[last], 0.2 * rate))
-
-
-def spectra(
-    columns: FloatArray,
-    sample_time: float,
-    segment: int,
-    *,
-    trend: Literal["mean", "line"] = "mean",
-) -> tuple[FloatArray, ComplexArray]:
-    """Cross-spectral densities by Welch's method: Hann windows that half overlap.
-
-    Parameters
-    ----------
-    columns : (n_samples, n_columns)
-    sample_time : float [s]
-    segment : int
-        Samples in a window.
-    trend : "mean" or "line"
-        What is taken off each window first.
-
-    Returns
-    -------
-    frequencies : (n_frequencies,) [Hz]
-    densities : (n_frequencies, n_columns, n_columns) [1/Hz]
-        One-sided; conj(x_i) x_j in place (i, j).
-    """
-    step = segment - segment // 2
-    windows = np.lib.stride_tricks.sliding_window_view(columns, segment, axis=0)[::step]
-    windows = windows - windows.mean(axis=2, keepdims=True)
-    if trend == "line":
-        along = np.arange(segment) - 0.5 * (segment - 1)
-        windows -= (windows @ along)[:, :, None] * (along / (along @ along))
-    weight = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(segment) / segment)
-    lines = np.moveaxis(np.fft.rfft(windows * weight), 2, 0)  # (n_frequencies, n_windows, n)
-    density = np.swapaxes(lines, 1, 2).conj() @ lines
-    density *= sample_time / (len(windows) * (weight @ weight))
-    density[1 : (segment + 1) // 2] *= 2.0
-    return np.asarray(np.fft.rfftfreq(segment, sample_time)), np.asarray(density)
 
 
 def lagged(

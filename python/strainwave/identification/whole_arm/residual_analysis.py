@@ -13,6 +13,7 @@ from strainwave.domain import Diagnostic, FloatArray, ResidualTest
 from strainwave.identification.whole_arm.dataset import Replayed
 from strainwave.identification.whole_arm.objective import Misfit, Rows, Weights, lagged_products
 from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.spectra import cross_spectral_densities
 
 _SEGMENTS = 8  # of a record, half of each in common with the next, over which spectra are averaged
 _LEAST_SEGMENT = 64  # rows
@@ -75,9 +76,7 @@ def _tested(record: Replayed, k: int, left: FloatArray, inputs: FloatArray) -> R
 
 
 def spectral_density(x: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """One-sided power spectral density by Welch's method.
-
-    SciPy has it too, at a third of a second for its import.
+    """One-sided power spectral density of residuals, averaged over the windows of a record.
 
     Parameters
     ----------
@@ -89,14 +88,9 @@ def spectral_density(x: FloatArray, sample_time: float) -> tuple[FloatArray, Flo
     frequency : (n_frequencies,) [Hz]
     density : (n_frequencies,) [unit^2/Hz]
     """
-    n = min(len(x), max(_LEAST_SEGMENT, 2 * len(x) // (_SEGMENTS + 1)))
-    window = np.hanning(n + 1)[:n]
-    starts = range(0, len(x) - n + 1, max(1, n // 2))
-    power = [
-        np.abs(np.fft.rfft(window * (x[s : s + n] - x[s : s + n].mean()))) ** 2 for s in starts
-    ]
-    density = 2.0 * sample_time * np.mean(power, axis=0) / np.sum(window**2)
-    return np.asarray(np.fft.rfftfreq(n, sample_time), dtype=np.float64), np.asarray(density)
+    segment = min(len(x), max(_LEAST_SEGMENT, 2 * len(x) // (_SEGMENTS + 1)))
+    frequency, density = cross_spectral_densities(x[:, None], sample_time, segment)
+    return frequency, density[:, 0, 0].real
 
 
 def coloured_alike(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.domain import Decoupled, FloatArray, Identification
-from strainwave.numerics.filters import spectra
+from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.presentation.report.figures import (
     MEASURED,
     MODEL,
@@ -87,7 +87,7 @@ def over_frequency(record: Decoupled) -> Figure:
     """
     torques = _at_motor(record)
     segment = min(len(torques), max(16, 2 * len(torques) // (_SEGMENTS + 1)))
-    frequency, density = spectra(torques, record.sample_time, segment)
+    frequency, density = cross_spectral_densities(torques, record.sample_time, segment)
     power = np.einsum("fii->fi", density).real
     end = _ROOM * float(record.richness_hz.max(initial=0.0)) or np.inf
     shown = (frequency > 0.0) & (frequency <= end)

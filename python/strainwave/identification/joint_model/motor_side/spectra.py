@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, LinkSignals
+from strainwave.numerics.spectra import window_spectra
 
 LONGEST_PIECE = 4.1
 """[s] of a record in one spectrum: its lines lie denser than the anti-resonance is wide."""
@@ -102,5 +103,5 @@ def thinned(piece: Piece, most_lines: int) -> Piece:
 
 
 def _lines(columns: FloatArray) -> ComplexArray:
-    window = np.hanning(len(columns))[:, None]
-    return np.asarray(np.fft.rfft(window * (columns - columns.mean(axis=0)), axis=0))
+    (lines,) = window_spectra(columns, np.hanning(len(columns)), len(columns))
+    return np.asarray(lines)
