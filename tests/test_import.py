@@ -12,7 +12,7 @@ import strainwave
 
 ROOT = Path(__file__).resolve().parents[1]
 
-HEAVY = ["numpy", "scipy", "pyarrow", "pydantic", "plotly", "rich", "h5py", "rosbags"]
+HEAVY = ["numpy", "scipy", "pyarrow", "pydantic", "plotly", "jinja2", "rich", "h5py", "rosbags"]
 
 
 def modules_after(statement: str) -> set[str]:

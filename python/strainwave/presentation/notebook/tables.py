@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import singledispatch
-from html import escape
 
 from strainwave.domain import (
     ArmModel,
@@ -22,6 +21,7 @@ from strainwave.domain import (
     Sweep,
 )
 from strainwave.domain.formatting import percent, plus_minus
+from strainwave.presentation.html import filled
 
 _PARAMETER_HEADS = ("parameter", "joint", "value", "± std", "unit")
 
@@ -171,15 +171,5 @@ def _html(
     warnings: Iterable[Diagnostic],
 ) -> str:
     """One table, a row of it a tuple of texts; the warnings below it."""
-    titles = "".join(f'<th scope="col">{escape(name)}</th>' for name in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    )
-    told = "".join(
-        f"<li><code>{escape(w.code)}</code> {escape(w.where)}: {escape(w.message)}</li>"
-        for w in warnings
-    )
-    table = f"<table><thead><tr>{titles}</tr></thead><tbody>{body}</tbody></table>" if body else ""
-    return f"<div><p><strong>{escape(head)}</strong></p>{table}" + (
-        f"<ul>{told}</ul></div>" if told else "</div>"
-    )
+    columns, rows, warnings = tuple(columns), tuple(rows), tuple(warnings)
+    return filled("notebook/table", head=head, columns=columns, rows=rows, warnings=warnings)

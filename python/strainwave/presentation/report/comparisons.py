@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from html import escape
+from collections.abc import Iterator, Sequence
 
-from strainwave.domain import Comparison, Criterion, Evidence, Tally
-from strainwave.presentation.report.figures import Figure
-from strainwave.presentation.report.html import Cell, Section, document, figure, row, table
+from strainwave.domain import Comparison, Criterion, Evidence, Outcome, Tally
+from strainwave.presentation.report.blocks import (
+    Block,
+    Callout,
+    Cell,
+    Mark,
+    Plot,
+    Row,
+    Section,
+    Span,
+    number,
+    paragraph,
+    prose,
+    table,
+)
+from strainwave.presentation.report.document import document
 
 SOURCE = (
     "Oaki and Adachi, “Decoupling Identification for Serial Two-link Robot Arm with Elastic "
@@ -15,7 +27,7 @@ SOURCE = (
 )
 
 
-_MARKS = {"shown": "good", "not-shown": "doubt", "does-not-hold": "bad"}
+_MARKS: dict[Outcome, Mark] = {"shown": "good", "not-shown": "doubt", "does-not-hold": "bad"}
 _PROTOCOLS = {"own": "", "as-published": ", as published"}
 
 
@@ -33,77 +45,64 @@ def render_comparisons(tallies: Sequence[Tally], *, arm: str) -> str:
     -------
     str
     """
-    plots: dict[str, Figure] = {}
     shown = sum(t.first.outcome == "shown" for t in tallies)
-    mark = "" if shown == len(tallies) else "doubt"
-    rows = "".join(
-        f'<tr><td class="number"><a href="#{_key(t.first)}">{t.first.figure}</a></td>'
-        f'<td class="text">{escape(t.first.claim)}{_PROTOCOLS[t.first.protocol]}</td>'
-        f'<td class="text">{escape(t.first.message)}</td>'
-        f'<td class="{_MARKS[t.first.outcome]}">{escape(t.verdict)}</td></tr>'
-        for t in tallies
-    )
-    head = (
-        "<h1>Comparisons</h1>"
-        f'<p class="faint">The figures of {escape(SOURCE)}, made again on {escape(arm)}</p>'
-        f'<div class="verdict {mark}"><p><strong>{shown} of {len(tallies)} '
-        "claims are shown on this arm.</strong></p></div>"
-    )
-    heads = ("#figure", "claim", "what this arm shows", "verdict")
+    lead = Span(f"{shown} of {len(tallies)} claims are shown on this arm.", strong=True)
+    found = Callout("" if shown == len(tallies) else "doubt", (paragraph(lead),))
+    heads = (number("figure"), "claim", "what this arm shows", "verdict")
+    rows = [_row(tally) for tally in tallies]
     sections = [
-        Section("claims", "Claims", table("Claims", heads, rows, heading=False)),
-        *(_comparison(t, plots) for t in tallies),
+        Section("claims", "Claims", tuple(table("Claims", heads, rows, heading=False))),
+        *(_section(tally) for tally in tallies),
     ]
-    return document("strainwave: comparisons", head, sections, plots)
+    subtitle = f"The figures of {SOURCE}, made again on {arm}"
+    return document("Comparisons", subtitle, sections, before=(found,))
 
 
-def _comparison(tally: Tally, plots: dict[str, Figure]) -> Section:
-    c, key = tally.first, _key(tally.first)
-    parts = [
-        f"<p>{escape(c.claim)}</p>",
-        f'<p><strong class="{_MARKS[c.outcome]}">{escape(tally.verdict)}:</strong> '
-        f"{escape(c.message)}</p>",
-        *(f"<p>{escape(reason)}</p>" for reason in c.reasons),
-        table("Criteria", ("criterion", "#value", "limit", "kept"), _criteria(c.criteria)),
-    ]
-    parts += [
-        figure(f"plot {key} {k}", str(drawn["layout"].get("meta", c.title)), drawn, plots)
-        for k, drawn in enumerate(c.plots)
-    ]
-    heads = ("model", "method", "#order", "status", "warnings")
-    parts.append(table("Models", heads, _models(c.evidence)))
+def _row(tally: Tally) -> tuple[Cell, ...]:
+    c = tally.first
+    return (
+        Cell(str(c.figure), "number", href=f"#{_key(c)}"),
+        prose(c.claim + _PROTOCOLS[c.protocol]),
+        prose(c.message),
+        Cell(tally.verdict, mark=_MARKS[c.outcome]),
+    )
+
+
+def _section(tally: Tally) -> Section:
+    c = tally.first
     title = f"Fig. {c.figure}: {c.title}{_PROTOCOLS[c.protocol]}"
-    return Section(key, title, "".join(parts))
+    return Section(_key(c), title, tuple(_blocks(tally)))
+
+
+def _blocks(tally: Tally) -> Iterator[Block]:
+    c = tally.first
+    yield paragraph(c.claim)
+    verdict = Span(f"{tally.verdict}:", strong=True, mark=_MARKS[c.outcome])
+    yield paragraph(verdict, f" {c.message}")
+    for reason in c.reasons:
+        yield paragraph(reason)
+    heads: Row = ("criterion", number("value"), "limit", "kept")
+    yield from table("Criteria", heads, map(_criterion, c.criteria))
+    for k, drawn in enumerate(c.plots):
+        yield Plot(f"plot {_key(c)} {k}", str(drawn["layout"].get("meta", c.title)), drawn)
+    heads = ("model", "method", number("order"), "status", "warnings")
+    yield from table("Models", heads, map(_model, c.evidence))
 
 
 def _key(c: Comparison) -> str:
     return f"fig-{c.figure}" + ("" if c.protocol == "own" else f"-{c.protocol}")
 
 
-def _criteria(criteria: Sequence[Criterion]) -> str:
-    return "".join(
-        row(
-            (
-                Cell(c.name, "text"),
-                Cell(f"{c.value:.5g}", "number"),
-                Cell(f"{c.bound} {c.limit:g}: {c.reason}", "text"),
-                "yes" if c.passed else "no",
-            )
-        )
-        for c in criteria
-    )
+def _criterion(c: Criterion) -> Row:
+    limit = prose(f"{c.bound} {c.limit:g}: {c.reason}")
+    return prose(c.name), number(f"{c.value:.5g}"), limit, "yes" if c.passed else "no"
 
 
-def _models(evidence: Sequence[Evidence]) -> str:
-    return "".join(
-        row(
-            (
-                Cell(e.name, "text"),
-                e.method,
-                Cell("" if e.order is None else str(e.order), "number"),
-                e.status + (", unstable" if e.growth > 1.0 else ""),
-                Cell(", ".join(dict.fromkeys(w.code for w in e.warnings)), "text"),
-            )
-        )
-        for e in evidence
+def _model(e: Evidence) -> Row:
+    return (
+        prose(e.name),
+        e.method,
+        number("" if e.order is None else str(e.order)),
+        e.status + (", unstable" if e.growth > 1.0 else ""),
+        prose(", ".join(dict.fromkeys(w.code for w in e.warnings))),
     )

@@ -2,65 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from strainwave.domain import Criticism, ResidualTest, ScoreTest
 from strainwave.domain.formatting import plus_minus
+from strainwave.presentation.report.blocks import Block, Fold, Plot, Row, Table, number, table
 from strainwave.presentation.report.figures import MEASURED, RESIDUAL, Figure, line, panels, rounded
-from strainwave.presentation.report.html import figure, number, row, table
 from strainwave.presentation.report.predictions import unit_of
 
 _CHANCE = 1e-3  # probabilities below are not told apart
 
 
-def criticised(criticism: Criticism, plots: dict[str, Figure]) -> str:
+def criticised(criticism: Criticism) -> Iterator[Block]:
     """Tables of the tests, and the spectrum of the worst record of each channel.
 
     Parameters
     ----------
     criticism : Criticism
-    plots : dict
-        The figures join it.
 
-    Returns
-    -------
-    str
-        HTML.
+    Yields
+    ------
+    Block
     """
     tests = criticism.residuals
     channels = list(dict.fromkeys(test.channel for test in tests))
     worst = [max((t for t in tests if t.channel == name), key=_loudness) for name in channels]
-    parts = [_tests("What the fit leaves, the worst record of each channel", worst)]
+    yield from _tests("What the fit leaves, the worst record of each channel", worst)
     if len(tests) > len(worst):
-        every = _tests(f"What the fit leaves, all {len(tests)} tests", tests, heading=False)
-        parts.append(f"<details><summary>All {len(tests)} tests</summary>{every}</details>")
-    parts.append(
-        table(
-            "What further effects would explain of them",
-            (
-                "effect",
-                "joint",
-                "of the size",
-                "#standard deviations",
-                "#share of the cost",
-                "in the data",
-            ),
-            "".join(_richer(one) for one in criticism.score_tests),
-        )
-    )
+        label = f"What the fit leaves, all {len(tests)} tests"
+        yield Fold(f"All {len(tests)} tests", tuple(_tests(label, tests, heading=False)))
+    sizes = (number("standard deviations"), number("share of the cost"))
+    heads = ("effect", "joint", "of the size", *sizes, "in the data")
+    rows = map(_further, criticism.score_tests)
+    yield from table("What further effects would explain of them", heads, rows)
     for test in worst:
         label = f"{test.experiment}, {test.channel}: residuals over frequency"
-        words = f"The residuals are {_loudness(test):.2g} times the sensor's noise, and exceeds it"
+        words = f"The residuals are {_loudness(test):.2g} times the sensor's noise, and exceed it"
         words += f" most near {test.worst_hz:.3g} Hz."
-        parts.append(figure(f"left {test.channel}", label, spectrum(test), plots, words=words))
-    return "".join(parts)
+        yield Plot(f"left {test.channel}", label, spectrum(test), words)
 
 
-def _tests(title: str, tests: Sequence[ResidualTest], *, heading: bool = True) -> str:
-    heads = ("record", "channel", "#times its noise", "#most at", "#like noise", "follows an input")
-    return table(title, heads, "".join(_row(test) for test in tests), heading=heading)
+def _tests(title: str, tests: Sequence[ResidualTest], *, heading: bool = True) -> Iterator[Table]:
+    numbers = map(number, ("times its noise", "most at", "like noise"))
+    heads: Row = ("record", "channel", *numbers, "follows an input")
+    return table(title, heads, map(_row, tests), heading=heading)
 
 
 def spectrum(test: ResidualTest) -> Figure:
@@ -94,30 +81,28 @@ def _loudness(test: ResidualTest) -> float:
     return test.deviation / test.noise if test.noise > 0.0 else 0.0
 
 
-def _row(test: ResidualTest) -> str:
+def _row(test: ResidualTest) -> Row:
     follows = "no"
     if test.input_probability < _CHANCE:
         follows = f"joint {test.input_joint}'s, r = {test.input_correlation:.2f},"
         follows += f" {1e3 * test.input_delay:.3g} ms behind"
     numbers = (f"{_loudness(test):.2g}", f"{test.worst_hz:.3g} Hz", _odds(test.whiteness))
-    return row((test.experiment, test.channel, *map(number, numbers), follows))
+    return (test.experiment, test.channel, *map(number, numbers), follows)
 
 
-def _richer(one: ScoreTest) -> str:
+def _further(one: ScoreTest) -> Row:
     prefix = one.effect.replace("-", "_") + "_"
     sizes = ", ".join(
         f"{name.removeprefix(prefix)} {' ± '.join(plus_minus(size, one.stds[name]))}"
         for name, size in one.sizes.items()
     )
-    return row(
-        (
-            one.effect,
-            str(one.joint),
-            sizes,
-            number(f"{np.sqrt(max(one.gain, 0.0)):.2g}"),
-            number(f"{100.0 * one.share:.2g} %"),
-            "likely" if one.evident else "no sign of it",
-        )
+    return (
+        one.effect,
+        str(one.joint),
+        sizes,
+        number(f"{np.sqrt(max(one.gain, 0.0)):.2g}"),
+        number(f"{100.0 * one.share:.2g} %"),
+        "likely" if one.evident else "no sign of it",
     )
 
 

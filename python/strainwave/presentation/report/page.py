@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from html import escape
+from collections.abc import Iterator
 
 from strainwave.domain import CONDITIONS, ArmModel, Identification, JointModel, Prediction
 from strainwave.domain.formatting import percent
@@ -18,18 +18,22 @@ from strainwave.presentation.report import (
     motors,
     torques,
 )
-from strainwave.presentation.report.criticism import criticised
-from strainwave.presentation.report.figures import MOST_POINTS, Figure
-from strainwave.presentation.report.html import (
+from strainwave.presentation.report.blocks import (
+    Block,
     Cell,
+    Facts,
+    Plot,
+    Row,
     Section,
-    document,
-    figure,
+    keyed,
     number,
+    paragraph,
     prose,
-    row,
     table,
 )
+from strainwave.presentation.report.criticism import criticised
+from strainwave.presentation.report.document import document
+from strainwave.presentation.report.figures import MOST_POINTS, Figure
 from strainwave.presentation.report.parameters import meanings_table, parameter_table
 from strainwave.presentation.report.predictions import of_prediction
 from strainwave.presentation.report.remedies import warnings_table
@@ -53,8 +57,7 @@ def render(identification: Identification) -> str:
     -------
     str
     """
-    sections, plots = _content(identification)
-    return document(f"strainwave: {_name(identification)}", _head(identification), sections, plots)
+    return document(_name(identification), _subtitle(identification), _sections(identification))
 
 
 def figures_of(identification: Identification) -> dict[str, Figure]:
@@ -69,35 +72,31 @@ def figures_of(identification: Identification) -> dict[str, Figure]:
     dict
         Name, fit for a file, to a plotly figure.
     """
-    return _content(identification)[1]
+    return {key: plot.figure for key, plot in keyed(_sections(identification)).items()}
 
 
-def _content(identification: Identification) -> tuple[list[Section], dict[str, Figure]]:
-    plots: dict[str, Figure] = {}
-    found = identification
-    sections = [
-        Section("verdict", "Verdict", verdict(found)),
-        Section(
-            "parameters",
-            "Parameters",
-            parameter_table(found.decisions) + _gains(found) + meanings_table(found.decisions),
-        ),
-        Section("responses", "Frequency responses", _responses(found, plots)),
-        Section("predictions", "Predicted and measured", _predictions(found, plots)),
-        Section("interaction", "Interaction torques", _interaction(found, plots)),
-        Section("gears", "Stiffness of the gears", _gears(found, plots)),
-        Section("residuals", "Residuals", _residuals(found, plots)),
-        Section("correlations", "Correlated parameters", _correlations(found, plots)),
-        Section("warnings", "Warnings", warnings_table(found.warnings)),
-        Section("making", "How it was made", _making(found)),
-    ]
-    return sections, plots
+def _sections(found: Identification) -> list[Section]:
+    parts = (
+        ("verdict", "Verdict", (verdict(found),)),
+        ("parameters", "Parameters", _parameters(found)),
+        ("responses", "Frequency responses", _responses(found)),
+        ("predictions", "Predicted and measured", _predictions(found)),
+        ("interaction", "Interaction torques", _interaction(found)),
+        ("gears", "Stiffness of the gears", _gears(found)),
+        ("residuals", "Residuals", _residuals(found)),
+        ("correlations", "Correlated parameters", _correlations(found)),
+        ("warnings", "Warnings", warnings_table(found.warnings)),
+        ("making", "How it was made", _making(found)),
+    )
+    return [Section(key, title, tuple(blocks)) for key, title, blocks in parts]
 
 
-def _gains(found: Identification) -> str:
-    """What link sensors that are not there would buy."""
-    said = (f"{one[0].upper()}{one[1:]}." for one in gain_sentences(found))
-    return "".join(f"<p>{escape(one)}</p>" for one in said)
+def _parameters(found: Identification) -> Iterator[Block]:
+    """The table, and what link sensors that are not there would buy."""
+    yield from parameter_table(found.decisions)
+    for one in gain_sentences(found):
+        yield paragraph(f"{one[0].upper()}{one[1:]}.")
+    yield from meanings_table(found.decisions)
 
 
 def _name(identification: Identification) -> str:
@@ -105,61 +104,55 @@ def _name(identification: Identification) -> str:
     return path.resolve().parent.name or path.name
 
 
-def _head(identification: Identification) -> str:
+def _subtitle(identification: Identification) -> str:
     study = identification.study
     kind = study.arm.kind.replace("-", " ")
     springs = ", ".join(joint.spring for joint in study.arm.joints)
-    return (
-        f"<h1>{escape(_name(identification))}</h1>"
-        f'<p class="faint">{escape(kind)}, gear springs: {escape(springs)}; '
-        f"stages: {escape(', '.join(identification.stages))}</p>"
-    )
+    return f"{kind}, gear springs: {springs}; stages: {', '.join(identification.stages)}"
 
 
-def _responses(found: Identification, plots: dict[str, Figure]) -> str:
-    """Bode plots of every joint, where it rings, and its stiffness over the amplitude."""
-    parts = []
+def _responses(found: Identification) -> Iterator[Block]:
+    """Bode plots of every joint, its resonances, and its stiffness over the amplitude."""
     for joint in found.joints:
-        own = found.study.arm.joints[joint.joint - 1]
-        measured = found.responses.get(joint.joint)
-        sampled = [
-            (r.signals.experiment.name, r.state_space)
-            for r in found.records
-            if r.signals.joint == joint.joint
-            and r.state_space is not None
-            and r.signals.experiment.use == "frequency"
-        ]
-        drawn = bode.bode(
-            joint,
-            own.gear_ratio,
-            measured,
-            sampled,
-            tuned=_by_whole_arm(found, joint),
-            straight=own.motion == "prismatic",
-        )
-        label = f"Joint {joint.joint} alone: motor torque to motor velocity"
-        name = f"bode joint {joint.joint}"
-        words = bode.words(joint, measured)
-        parts.append(figure(name, label, drawn, plots, words=words))
+        yield _bode(found, joint)
     for seen in found.motor_responses:
         own = found.study.arm.joints[seen.joint - 1]
-        drawn = motors.figure_of(seen, straight=own.motion == "prismatic")
         label = f"Motor {seen.joint} in {seen.experiment}, {CONDITIONS[seen.condition]}:"
         label += " torque to velocity"
-        name, words = f"motor {seen.experiment}", motors.words_of(seen)
-        parts.append(figure(name, label, drawn, plots, words=words))
+        drawn = motors.figure_of(seen, straight=own.motion == "prismatic")
+        yield Plot(f"motor {seen.experiment}", label, drawn, motors.words_of(seen))
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
-    rows = "".join(row(cells) for cells in elastic.resonance_rows(found))
-    parts.append(table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows))
+    rows = elastic.resonance_rows(found)
+    yield from table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows)
     for place, records in amplitudes.swept(found).items():
-        drawn = amplitudes.responses(records)
         label = f"Joint {place} over the amplitude: motor torque to motor velocity"
-        parts.append(figure(f"sweep joint {place}", label, drawn, plots, words=amplitudes.WORDS))
+        drawn = amplitudes.responses(records)
+        yield Plot(f"sweep joint {place}", label, drawn, amplitudes.WORDS)
     for sweep in found.sweeps:
         label = f"Joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
-        name = f"amplitude joint {sweep.joint}"
-        parts.append(figure(name, label, elastic.stiffness(sweep), plots))
-    return "".join(parts)
+        yield Plot(f"amplitude joint {sweep.joint}", label, elastic.stiffness(sweep))
+
+
+def _bode(found: Identification, joint: JointModel) -> Plot:
+    own = found.study.arm.joints[joint.joint - 1]
+    measured = found.responses.get(joint.joint)
+    sampled = [
+        (r.signals.experiment.name, r.state_space)
+        for r in found.records
+        if r.signals.joint == joint.joint
+        and r.state_space is not None
+        and r.signals.experiment.use == "frequency"
+    ]
+    drawn = bode.bode(
+        joint,
+        own.gear_ratio,
+        measured,
+        sampled,
+        tuned=_by_whole_arm(found, joint),
+        straight=own.motion == "prismatic",
+    )
+    label = f"Joint {joint.joint} alone: motor torque to motor velocity"
+    return Plot(f"bode joint {joint.joint}", label, drawn, bode.words(joint, measured))
 
 
 def _by_whole_arm(found: Identification, joint: JointModel) -> dict[str, float] | None:
@@ -174,7 +167,7 @@ def _by_whole_arm(found: Identification, joint: JointModel) -> dict[str, float] 
     return own if set(list(joint.values)[:6]) <= set(own) else None
 
 
-def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
+def _predictions(found: Identification) -> Iterator[Block]:
     """Records over time: validation data first, then those that were fitted."""
     tuned = found.tuned
     groups = (
@@ -184,21 +177,15 @@ def _predictions(found: Identification, plots: dict[str, Figure]) -> str:
     )
     channels = sum(len(p.channels) for _, _, group in groups for p in group)
     most = min(MOST_POINTS, max(_FEWEST_POINTS, _ALL_POINTS // (3 * max(channels, 1))))
-    parts = []
     for kind, seen, group in groups:
         for prediction in group:
             label = f"{prediction.experiment}, {seen}: {_what(prediction)}"
             fits = [f"{name} {_fit(fit)}" for name, fit in prediction.fit_percent.items()]
-            parts.append(
-                figure(
-                    f"{kind} {prediction.experiment}",
-                    label,
-                    of_prediction(prediction, found.study.arm.joints, most),
-                    plots,
-                    words=f"Fit: {', '.join(fits)}.",
-                )
-            )
-    return "".join(parts) + (_fits(tuned) if tuned else "")
+            drawn = of_prediction(prediction, found.study.arm.joints, most)
+            name = f"{kind} {prediction.experiment}"
+            yield Plot(name, label, drawn, f"Fit: {', '.join(fits)}.")
+    if tuned is not None:
+        yield from _fits(tuned)
 
 
 def _fit(fit: float) -> str:
@@ -220,68 +207,61 @@ def _what(prediction: Prediction) -> str:
     return "motion, simulated by the elastic model"
 
 
-def _fits(tuned: ArmModel) -> str:
-    """Fits of the whole arm before and after tuning, one row a record."""
+def _fits(tuned: ArmModel) -> Iterator[Block]:
+    """Fits of the whole arm before and after tuning, one row per record."""
     channels = list(dict.fromkeys(name for fits in tuned.fit_percent.values() for name in fits))
-    rows = []
+    rows: list[Row] = []
     for experiment, fits in tuned.fit_percent.items():
         before = tuned.initial_fit_percent.get(experiment, {})
         cells = [_change(before.get(name, math.nan), fits.get(name)) for name in channels]
-        rows.append(row((experiment, *cells)))
+        rows.append((experiment, *cells))
     title = f"Fits before → after the whole-arm fit: {tuned.status}"
     title += f" after {tuned.iterations} evaluations"
-    return table(title, ("record", *(f"#{name}" for name in channels)), "".join(rows))
+    yield from table(title, ("record", *map(number, channels)), rows)
 
 
-def _interaction(found: Identification, plots: dict[str, Figure]) -> str:
-    parts = []
+def _interaction(found: Identification) -> Iterator[Block]:
     for record in torques.interacting(found):
         where = f"Joint {record.joint}, {record.experiment.name}"
         name = f"interaction joint {record.joint}"
         words, drawn = torques.words(record), torques.over_time(record)
-        label = f"{where}: torques over time"
-        parts.append(figure(f"{name} time", label, drawn, plots, words=words))
+        yield Plot(f"{name} time", f"{where}: torques over time", drawn, words)
         drawn = torques.over_frequency(record)
-        parts.append(figure(f"{name} spectrum", f"{where}: their spectra", drawn, plots))
+        yield Plot(f"{name} spectrum", f"{where}: their spectra", drawn)
     heads = ("joint", "record", "from", "bias [rad/s²]", "error of (10) [rad/s]")
-    rows = "".join(row(cells) for cells in elastic.link_rows(found))
     delays = ("link sensor late by [ms]", "motor's response late by [ms]")
-    parts.append(table("How the links' motion was found", (*heads, *delays), rows))
-    return "".join(parts)
+    rows = elastic.link_rows(found)
+    yield from table("How the links' motion was found", (*heads, *delays), rows)
 
 
-def _gears(found: Identification, plots: dict[str, Figure]) -> str:
-    parts = []
+def _gears(found: Identification) -> Iterator[Block]:
     for curve in gears.curves(found):
-        words = gears.words(curve)
         label = f"Gear {curve.joint}: slope over torque, and the torques in the records"
         name = f"gear joint {curve.joint}"
-        parts.append(figure(f"{name} slope", label, gears.slope_figure(curve), plots, words=words))
+        yield Plot(f"{name} slope", label, gears.slope_figure(curve), gears.words(curve))
         if len(curve.knees):
             label = f"Gear {curve.joint}: torque over torsion"
-            parts.append(figure(f"{name} torsion", label, gears.torsion_figure(curve), plots))
-    return "".join(parts)
+            yield Plot(f"{name} torsion", label, gears.torsion_figure(curve))
 
 
-def _residuals(found: Identification, plots: dict[str, Figure]) -> str:
+def _residuals(found: Identification) -> Iterator[Block]:
     criticism = found.tuned.criticism if found.tuned else None
-    parts = [criticised(criticism, plots)] if criticism is not None else []
-    rows = "".join(row((*cells[:-1], prose(cells[-1]))) for cells in elastic.judgement_rows(found))
+    if criticism is not None:
+        yield from criticised(criticism)
+    rows: list[Row] = [(*cells[:-1], prose(cells[-1])) for cells in elastic.judgement_rows(found)]
     title = "State-space models on the last quarter of their records, fitted to the rest"
-    parts.append(table(title, ("joint", "record", "one step ahead", "residuals"), rows))
-    return "".join(parts)
+    yield from table(title, ("joint", "record", "one step ahead", "residuals"), rows)
 
 
-def _correlations(found: Identification, plots: dict[str, Figure]) -> str:
-    told = correlations.correlations(found)
-    if told is None:
-        return ""
-    words, drawn = correlations.words(told), correlations.heat_map(told)
-    label = "Correlations of the parameters' errors"
-    return figure("correlations", label, drawn, plots, words=words)
+def _correlations(found: Identification) -> Iterator[Block]:
+    known = correlations.correlations(found)
+    if known is not None:
+        label = "Correlations of the parameters' errors"
+        drawn = correlations.heat_map(known)
+        yield Plot("correlations", label, drawn, correlations.words(known))
 
 
-def _making(identification: Identification) -> str:
+def _making(identification: Identification) -> Iterator[Block]:
     study = identification.study
     timing = ", ".join(
         f"{name} {seconds:.2f} s" for name, seconds in identification.timing_s.items()
@@ -313,5 +293,4 @@ def _making(identification: Identification) -> str:
                     "inertia matrix allows; 1 where both torque constants are right",
                 )
             )
-    items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(fact)}</dd>" for term, fact in facts)
-    return f"<dl>{items}</dl>"
+    yield Facts(tuple(facts))

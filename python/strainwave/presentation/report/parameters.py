@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from strainwave.domain import Decision
 from strainwave.domain.formatting import plus_minus
-from strainwave.presentation.report.html import number, row, table
+from strainwave.presentation.report.blocks import Cell, Group, Row, Table, number, table
 
-_HEADS = (
+_HEADS: tuple[str | Cell, ...] = (
     "parameter",
     "unit",
-    "#value",
-    "#± one sigma",
-    "#95 % interval",
-    "#95 % half-width, %",
+    *map(number, ("value", "± one sigma", "95 % interval", "95 % half-width, %")),
     "source stage",
 )
 
@@ -44,7 +41,7 @@ _MEANINGS = {  # name -> symbol of docs/notation.md, meaning
 }
 
 
-def meanings_table(decisions: Sequence[Decision]) -> str:
+def meanings_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     """Symbol and meaning of every parameter in the table, once.
 
     Parameters
@@ -53,15 +50,14 @@ def meanings_table(decisions: Sequence[Decision]) -> str:
 
     Returns
     -------
-    str
-        HTML.
+    iterator of Table
     """
     names = dict.fromkeys(decision.parameter.name for decision in decisions)
-    rows = "".join(row([name, *_MEANINGS[name]]) for name in names if name in _MEANINGS)
+    rows = [(name, *_MEANINGS[name]) for name in names if name in _MEANINGS]
     return table("What the parameters are", ("parameter", "symbol", "meaning"), rows)
 
 
-def parameter_table(decisions: Sequence[Decision]) -> str:
+def parameter_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     """All parameters with their intervals.
 
     Parameters
@@ -71,24 +67,20 @@ def parameter_table(decisions: Sequence[Decision]) -> str:
 
     Returns
     -------
-    str
-        HTML.
+    iterator of Table
     """
-    rows = []
+    rows: list[Row | Group] = []
     last: int | None = -1
     for decision in decisions:
         p = decision.parameter
         if p.joint != last:
-            title = f"joint {p.joint}" if p.joint else "arm"
-            rows.append(
-                f'<tr class="group"><th scope="rowgroup" colspan="{len(_HEADS)}">{title}</th></tr>'
-            )
+            rows.append(Group(f"joint {p.joint}" if p.joint else "arm"))
             last = p.joint
         rows.append(_row(decision))
-    return table("Parameters", _HEADS, "".join(rows), heading=False)
+    return table("Parameters", _HEADS, rows, heading=False)
 
 
-def _row(decision: Decision) -> str:
+def _row(decision: Decision) -> Row:
     p = decision.parameter
     value, spread = plus_minus(p.value, p.std)
     if p.value is None:
@@ -100,7 +92,7 @@ def _row(decision: Decision) -> str:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
         half = _share(0.5 * (high - low), p.value)
-    return row([p.name, p.unit, *map(number, (value, spread, interval, half)), p.stage])
+    return (p.name, p.unit, *map(number, (value, spread, interval, half)), p.stage)
 
 
 def _share(half: float, value: float) -> str:

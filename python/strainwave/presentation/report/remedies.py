@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import PurePath
 
 from strainwave.domain import Diagnostic
-from strainwave.presentation.report.html import prose, row, table
+from strainwave.presentation.report.blocks import Cell, Table, prose, table
 
 REMEDIES = {
     # the answer itself is in doubt
@@ -161,7 +161,7 @@ def by_weight(warnings: Iterable[Diagnostic]) -> list[Diagnostic]:
     return sorted(warnings, key=_weight)
 
 
-def warnings_table(warnings: Iterable[Diagnostic]) -> str:
+def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Table]:
     """Every warning with its remedy, the most serious first.
 
     Parameters
@@ -170,15 +170,18 @@ def warnings_table(warnings: Iterable[Diagnostic]) -> str:
 
     Returns
     -------
-    str
-        HTML.
+    iterator of Table
     """
-    rows = "".join(
-        row((place_of(w), prose(w.message), prose(REMEDIES.get(w.code, _UNHEARD)), w.code))
+    rows = [
+        (
+            place_of(w),
+            prose(w.message),
+            prose(REMEDIES.get(w.code, _UNHEARD)),
+            Cell(w.code, "code"),
+        )
         for w in by_weight(warnings)
-    )
-    heads = ("where", "what", "what to do", "code")
-    return table("Warnings", heads, rows, heading=False)
+    ]
+    return table("Warnings", ("where", "what", "what to do", "code"), rows, heading=False)
 
 
 def place_of(warning: Diagnostic) -> str:

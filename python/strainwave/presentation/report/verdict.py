@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from html import escape
 
 import numpy as np
 
 from strainwave.domain import Decision, Identification, Parameter, Verdict, half_width
 from strainwave.domain.diagnostics import not_exercised
+from strainwave.presentation.report.blocks import (
+    Block,
+    Callout,
+    Facts,
+    Mark,
+    Paragraph,
+    Span,
+    paragraph,
+)
 from strainwave.presentation.report.remedies import MILD, most_serious, place_of
 
 _CLASSES = (
@@ -33,7 +41,7 @@ _LEADS = {
 }
 
 
-def verdict(identification: Identification) -> str:
+def verdict(identification: Identification) -> Callout:
     """The first thing on the page.
 
     Parameters
@@ -42,47 +50,54 @@ def verdict(identification: Identification) -> str:
 
     Returns
     -------
-    str
-        HTML.
+    Callout
     """
     found = identification.verdict
     decisions = identification.decisions
     grave = [w for w in identification.warnings if w.code not in MILD]
     weak = any(fits and _median(fits) < _WELL for fits in _fits(identification).values())
-    mark = "doubt" if grave or weak or found.not_identified or found.rejected else ""
+    doubtful = grave or weak or found.not_identified or found.rejected
+    mark: Mark = "doubt" if doubtful else ""
     if found.status != "determined":
         mark = "bad"
     why = "; ".join(found.reasons)
-    lead = f"<strong>{_LEADS[found.status]}</strong> " + escape(why + ". " if why else "")
-    said = [lead + _counted(decisions), *_suspicions(found), *_on_new_data(identification)]
-    text = "".join(f"<p>{one}</p>" for one in [*said, *_of_warnings(identification)])
-    return f'<div class="verdict {mark}">{text}{_groups(identification, decisions)}</div>'
+    rest = f" {why}. " if why else " "
+    blocks: list[Block] = [
+        paragraph(Span(_LEADS[found.status], strong=True), rest + _counted(decisions)),
+        *_suspicions(found),
+        *_on_new_data(identification),
+        *_of_warnings(identification),
+    ]
+    groups = tuple(_groups(identification, decisions))
+    if groups:
+        blocks.append(Facts(groups))
+    return Callout(mark, tuple(blocks))
 
 
-def _suspicions(found: Verdict) -> Iterator[str]:
+def _suspicions(found: Verdict) -> Iterator[Paragraph]:
     """What is wrong with the input, and the line that would mend it."""
     for one in found.suspected:
-        yield f"<strong>{escape(one.where)}</strong>: {escape(one.message)} {escape(one.remedy)}"
+        yield paragraph(Span(one.where, strong=True), f": {one.message} {one.remedy}")
 
 
-def _groups(identification: Identification, decisions: Sequence[Decision]) -> str:
+def _groups(
+    identification: Identification, decisions: Sequence[Decision]
+) -> Iterator[tuple[str, str]]:
     """Parameters by how certain they are; those that do not count last."""
     groups: dict[str, list[Parameter]] = {name: [] for _, name in _CLASSES}
     groups |= {_UNCERTAIN: [], _EMPTY: [], _REJECTED: []}
     for decision in decisions:
         groups[_class(decision)].append(decision.parameter)
-    terms = [(name, named(found)) for name, found in groups.items() if found]
+    yield from ((name, named(found)) for name, found in groups.items() if found)
     known = {d.parameter.label for d in decisions}
     absent = [name for name in identification.verdict.not_identified if name not in known]
     if absent:
-        terms.append(("Not reached", ", ".join(name.replace("_", " ") for name in absent)))
+        yield "Not reached", ", ".join(name.replace("_", " ") for name in absent)
     together = [
         w.where.replace("_", " ") for w in identification.warnings if w.code == "only-together"
     ]
     if together:
-        terms.append(("Only the combination is identified", "; ".join(together)))
-    items = "".join(f"<dt>{escape(term)}</dt><dd>{escape(text)}</dd>" for term, text in terms)
-    return f"<dl>{items}</dl>" if items else ""
+        yield "Only the combination is identified", "; ".join(together)
 
 
 def _class(decision: Decision) -> str:
@@ -133,10 +148,11 @@ def _counted(decisions: Sequence[Decision]) -> str:
     )
 
 
-def _on_new_data(identification: Identification) -> Iterator[str]:
+def _on_new_data(identification: Identification) -> Iterator[Paragraph]:
     """How well each model predicts validation data, and whether these exercise it at all."""
     if not identification.checks:
-        yield "No record was kept for validation: nothing says how the model does on new data."
+        said = "No record was kept for validation: nothing says how the model does on new data."
+        yield paragraph(said)
         return
     fits, validated = _fits(identification), identification.verdict.validated
     if fits["rigid"]:
@@ -145,19 +161,19 @@ def _on_new_data(identification: Identification) -> Iterator[str]:
     if elastic and validated.elastic:
         yield _graded("The elastic model predicts the motion of validation data", fits["elastic"])
     elif elastic:
-        yield (
-            f"<strong>Elastic model not validated:</strong> {escape(not_exercised(identification))}"
-        )
+        lead = Span("Elastic model not validated:", strong=True)
+        yield paragraph(lead, f" {not_exercised(identification)}")
     elif not fits["rigid"]:
-        yield "The validation data hardly move: nothing says how the model does on new data."
+        said = "The validation data hardly move: nothing says how the model does on new data."
+        yield paragraph(said)
 
 
-def _graded(lead: str, fits: Sequence[tuple[float, str, str]]) -> str:
+def _graded(lead: str, fits: Sequence[tuple[float, str, str]]) -> Paragraph:
     worst, median = min(fits), _median(fits)
     grade = next(word for least, word in _GRADES if median >= least)
-    return (
+    return paragraph(
         f"{lead} {grade}: median fit {median:.1f} % of {_count(len(fits), 'channel')}, "
-        f"least {worst[0]:.1f} % ({escape(worst[2])} in “{escape(worst[1])}”)."
+        f"least {worst[0]:.1f} % ({worst[2]} in “{worst[1]}”)."
     )
 
 
@@ -178,16 +194,14 @@ def _median(fits: Sequence[tuple[float, str, str]]) -> float:
     return float(np.median([fit for fit, _, _ in fits]))
 
 
-def _of_warnings(identification: Identification) -> list[str]:
+def _of_warnings(identification: Identification) -> Iterator[Paragraph]:
     if not identification.warnings:
-        return []
+        return
     worst = most_serious(identification.warnings)
     several = len(identification.warnings) > 1
     lead = "the most serious, of" if several else "of"
-    return [
-        f'<a href="#warnings">{_count(len(identification.warnings), "warning")}</a>; {lead} '
-        f"{escape(place_of(worst))}: {escape(worst.message)}."
-    ]
+    counted = Span(_count(len(identification.warnings), "warning"), href="#warnings")
+    yield paragraph(counted, f"; {lead} {place_of(worst)}: {worst.message}.")
 
 
 def _count(number: int, thing: str) -> str:

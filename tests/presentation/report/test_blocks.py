@@ -1,0 +1,100 @@
+"""Blocks become elements: nothing for no rows, one name for each figure, and every text escaped."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from jinja2 import UndefinedError
+
+from strainwave.presentation.html import filled
+from strainwave.presentation.report.blocks import (
+    Block,
+    Callout,
+    Cell,
+    Facts,
+    Fold,
+    Group,
+    Plot,
+    Row,
+    Section,
+    Span,
+    keyed,
+    number,
+    paragraph,
+    table,
+)
+from strainwave.presentation.report.document import document
+
+EVIL = '</p><script>alert(1)</script>" onload="alert(1)'
+
+
+def body(*sections: Section) -> str:
+    page = document("title", "subtitle", sections)
+    found = re.search(r"<main.*</main>", page, re.DOTALL)
+    assert found is not None
+    return re.sub(r"\s+", " ", found[0])
+
+
+def test_a_table_without_rows_is_none() -> None:
+    assert list(table("label", ("a",), [])) == []
+    (found,) = table("label", ("a", number("b")), [("x", number("1"))])
+    assert [cell.kind for cell in found.heads] == ["", "number"]
+
+
+def test_sections_without_blocks_are_left_out() -> None:
+    assert "<section" not in body(Section("empty", "Empty", ()))
+
+
+def test_figures_are_found_in_other_blocks_and_named_once() -> None:
+    plot = Plot("a b", "label", {"data": [], "layout": {}})
+    inside = Fold("more", (Callout("", (Plot("A/b", "again", plot.figure),)),))
+    found = keyed([Section("one", "One", (plot,)), Section("two", "Two", (inside,))])
+    assert {key: one.label for key, one in found.items()} == {"a-b": "label", "a-b-2": "again"}
+
+
+def test_each_kind_of_block_has_its_elements() -> None:
+    cells = (Cell("7", "number", href="#there", mark="bad"), "plain")
+    rows: list[Row | Group] = [Group("arm"), ("alpha", *cells)]
+    page = body(
+        Section(
+            "there",
+            "There",
+            (
+                paragraph(
+                    Span("lead", strong=True, mark="good"), " and ", Span("on", href="#there")
+                ),
+                *table("numbers", ("name", number("value"), "else"), rows),
+                Facts((("term", "fact"),)),
+                Fold("more", (paragraph("inside"),)),
+                Callout("doubt", (paragraph("careful"),)),
+            ),
+        )
+    )
+    for part in (
+        '<p><strong class="good">lead</strong> and <a href="#there">on</a></p>',
+        '<th scope="col" class="number">value</th>',
+        '<th scope="rowgroup" colspan="3">arm</th>',
+        '<th scope="row">alpha</th><td class="number bad"><a href="#there">7</a></td><td>plain</td>',
+        "<dt>term</dt><dd>fact</dd>",
+        "<summary>more</summary> <p>inside</p>",
+        '<div class="verdict doubt"> <p>careful</p>',
+    ):
+        assert part in page, part
+
+
+def test_no_text_leaves_its_place() -> None:
+    blocks: tuple[Block, ...] = (
+        paragraph(EVIL, Span(EVIL, strong=True)),
+        *table(EVIL, (EVIL,), [Group(EVIL), (EVIL,)]),
+        Facts(((EVIL, EVIL),)),
+        Fold(EVIL, (Plot(EVIL, EVIL, {"data": [], "layout": {}}, EVIL),)),
+    )
+    page = document(EVIL, EVIL, [Section("one", EVIL, blocks)], before=(paragraph(EVIL),))
+    assert "<script>alert" not in page
+    assert 'onload="' not in page
+
+
+def test_a_name_that_the_template_lacks_is_an_error() -> None:
+    with pytest.raises(UndefinedError, match="rows"):
+        filled("notebook/table", head="", columns=())
