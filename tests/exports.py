@@ -42,7 +42,7 @@ def single(
     """One joint, its torque logged."""
     joint = Joint(spring=spring, gear_ratio=0.1, motion=motion)
     arm = ArmDescription("single-joint", (joint,), gravity=gravity)
-    study = Study(folder / "study.toml", "", arm, (MOTION,))
+    study = Study(arm=arm, experiments=(MOTION,), path=folder / "study.toml")
     values: Values = {
         ("motor_viscous_friction", 1): 0.002,
         ("link_viscous_friction", 1): 0.1,

@@ -38,7 +38,7 @@ def rigid_drive(gravity: float | None = None) -> Study:
     """One rigid revolute joint whose torque is logged."""
     joint = Joint(spring="rigid", gear_ratio=0.5)
     return Study(
-        Path("nowhere"), "", ArmDescription("single-joint", (joint,), gravity=gravity), (DRIVE,)
+        arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=(DRIVE,)
     )
 
 

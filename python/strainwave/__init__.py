@@ -18,7 +18,17 @@ from strainwave.display import Display, register
 
 if TYPE_CHECKING:
     from strainwave.api import Result, identify, read_result, read_study
-    from strainwave.domain import Channel, Experiment, Joint, Options, Parameter, Prbs, Servo, Study
+    from strainwave.domain import (
+        ArmDescription,
+        Channel,
+        Experiment,
+        Joint,
+        Options,
+        Parameter,
+        Prbs,
+        Servo,
+        Study,
+    )
     from strainwave.domain.progress import ProgressEvent
     from strainwave.errors import Cancelled, InvalidInput, NotIdentifiable, StrainwaveError
 
@@ -27,6 +37,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "strainwave.api": ("Result", "identify", "read_result", "read_study"),
     "strainwave.domain": (
+        "ArmDescription",
         "Channel",
         "Experiment",
         "Joint",
@@ -42,6 +53,7 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "ArmDescription",
     "Cancelled",
     "Channel",
     "Experiment",

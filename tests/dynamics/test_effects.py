@@ -41,7 +41,7 @@ ALL: tuple[Effect, ...] = ("stribeck", "hysteresis", "kinematic-error")
 def one_joint(effects: tuple[Effect, ...] = ALL) -> Study:
     joint = Joint("linear", RATIO, torque_per_volt=0.1, effects=effects)
     arm = ArmDescription("single-joint", (joint,))
-    return Study(Path("study.toml"), "", arm, scara.study(Path()).experiments)
+    return Study(arm=arm, experiments=scara.study(Path()).experiments, path=Path("study.toml"))
 
 
 def drive(volts: FloatArray) -> Drive:

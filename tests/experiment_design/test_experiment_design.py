@@ -75,9 +75,7 @@ def drive(**changes: float) -> tuple[Study, Values]:
     }
     for name, value in changes.items():
         values[name, None if name.startswith("gravity") else 1] = value
-    return Study(
-        Path("nowhere"), "", ArmDescription("single-joint", (joint,), servo=servo), ()
-    ), values
+    return Study(arm=ArmDescription("single-joint", (joint,), servo=servo), experiments=()), values
 
 
 def worst_use(study: Study, values: Values, limits: Limits, record: design.Planned) -> float:

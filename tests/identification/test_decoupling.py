@@ -177,9 +177,7 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
 ) -> None:
     joint = Joint(spring="linear", gear_ratio=0.5)
     two_link = rig()
-    study = Study(
-        Path("nowhere"), "", ArmDescription("single-joint", (joint,), gravity=gravity), ()
-    )
+    study = Study(arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=())
     run = prbs_run(two_link)
     seen = links.link_side(log_of(run), two_link)
     one = {

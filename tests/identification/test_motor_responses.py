@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,7 @@ def test_one_joint_rings_as_in_closed_form(
 ) -> None:
     """Zeros sqrt(k / m_L), poles sqrt(k (1 / m_L + n^2 / m_M)), without damping."""
     joint = Joint(spring="linear", gear_ratio=ratio, torque_per_volt=0.1)
-    study = Study(Path("nowhere"), "0", ArmDescription("single-joint", (joint,)), ())
+    study = Study(arm=ArmDescription("single-joint", (joint,)), experiments=())
     link, motor = (1.0 - share) * inertia, share * inertia * ratio**2
     k = (2.0 * np.pi * ring) ** 2 * link
     values: Values = {

@@ -76,6 +76,7 @@ from strainwave.domain.options import (
     RigidOptions,
     TuningOptions,
 )
+from strainwave.domain.progress import Progress, ProgressEvent
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import (
@@ -163,6 +164,8 @@ __all__ = [
     "Positive",
     "Prbs",
     "Prediction",
+    "Progress",
+    "ProgressEvent",
     "Protocol",
     "RecordModel",
     "ResidualTest",

@@ -57,7 +57,7 @@ class Experiment:
     """One log file and what it is for: `[[experiment]]`."""
 
     name: Annotated[str, MinLen(1)]
-    file: Annotated[str, MinLen(1)]  # beside the study file
+    file: Annotated[str, MinLen(1)]  # beside the study file; "" in code that gives the data
     use: Use
     control: tuple[Control, ...]  # one per joint
     joint: Annotated[int, Ge(1)] | None = None  # the excited joint, from 1
@@ -67,16 +67,16 @@ class Experiment:
     add: Mapping[str, str] = field(default_factory=dict)  # channel -> column added to it
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """A whole study file, checked."""
+    """An arm and its experiments: a whole study file, checked, or what a program puts together."""
 
-    path: Path
-    sha256: str
     arm: ArmDescription
     experiments: tuple[Experiment, ...]
     channels: Mapping[str, Channel] = field(default_factory=dict)
     options: Options = field(default_factory=Options)  # of the stages: `[options]`
+    path: Path = Path("study")  # of the file, beside which the logs lie
+    sha256: str = ""  # of the file
 
     def log_path(self, experiment: Experiment) -> Path:
         """Where an experiment's log lies: beside the study file."""

@@ -298,9 +298,7 @@ def test_what_the_rigid_model_does_not_tell_is_no_row() -> None:
 def alone(gravity: float | None) -> tuple[Study, Values, JointModel]:
     """A single joint that is known."""
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.08, encoder_counts=8192)
-    study = Study(
-        Path("nowhere"), "", ArmDescription("single-joint", (joint,), gravity=gravity), ()
-    )
+    study = Study(arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=())
     _, rig = truth()
     known: Values = {(name, 1): value for (name, number), value in rig.items() if number == 1}
     known["link_inertia", 1] = 2.0

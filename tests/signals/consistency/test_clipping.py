@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +14,7 @@ TIME = np.arange(8000) / 4000.0
 
 def found(angle: FloatArray) -> list[str]:
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.1)
-    study = Study(Path("nowhere"), "0", ArmDescription("single-joint", (joint,)), ())
+    study = Study(arm=ArmDescription("single-joint", (joint,)), experiments=())
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
     log = Log(step, TIME, TIME[1], {"theta_l1": angle})
     return [each.where for each in clipping.clipped([log], study)]

@@ -142,13 +142,22 @@ def checked_study(study: Study, given: Collection[str] = ()) -> Study:
     """
     import tomli_w
 
-    document = document_of(study)
-    text = tomli_w.dumps(document)
+    named = tuple(
+        dataclasses.replace(each, file=each.file or each.name) for each in study.experiments
+    )
+    text = tomli_w.dumps(document_of(dataclasses.replace(study, experiments=named)))
     reader = Reader(study.path, "")
     again = reader.study(tomllib.loads(text), study.sha256)
     check_fit(again, reader)
     check_sizes(again, reader)
     others = tuple(each for each in study.experiments if each.name not in given)
+    for each in others:
+        if not each.file:
+            raise InvalidInput(
+                f"the experiment {each.name!r} has no log",
+                where=str(study.path),
+                remedy="give its data, or name its file",
+            )
     check_files(dataclasses.replace(study, experiments=others), reader)
     sha256 = study.sha256 or hashlib.sha256(text.encode()).hexdigest()
     return dataclasses.replace(study, sha256=sha256)
