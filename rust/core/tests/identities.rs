@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Draw, Run, at_rest, config, scara, with_effects};
+use common::{BuiltIn, Draw, Run, at_rest, config, scara, with_effects};
 use proptest::prelude::*;
 use strainwave_core::arm::{Arm, OneLink, TwoLink};
 use strainwave_core::dispatch::{Width, simulate};
@@ -294,8 +294,8 @@ proptest! {
 
     #[test]
     fn the_inertia_matrix_is_positive_definite((values, _) in drawn_two_link(), q in -4.0..4.0f64) {
-        let base = TwoLink::<false>::base(&values[..5]);
-        let m = TwoLink::<false>::inertia(&base, &TwoLink::<false>::posture(&[0.0, q]));
+        let arm = TwoLink::<false>::built_in();
+        let m = arm.inertia(&arm.base(&values[..5]), &arm.posture(&[0.0, q]));
         prop_assert!(m[0][0] > 0.0 && m[0][0] * m[1][1] > m[0][1] * m[1][0]);
         prop_assert_eq!(m[0][1], m[1][0]);
     }
@@ -309,7 +309,7 @@ proptest! {
     ) {
         let config = config::<TwoLink<true>, 2>([GearKind::Linear; 2]);
         let torque = inverse_dynamics(&config.plant(&[&values]), &q, &dq, &ddq);
-        let columns = base_regressor::<TwoLink<true>, 2>(&q, &dq, &ddq);
+        let columns = base_regressor(&config.arm, &q, &dq, &ddq);
         for i in 0..2 {
             let own = &values[5 + 8 * i..];
             let body: f64 = columns.iter().zip(&values).map(|(column, v)| column[i] * v).sum();

@@ -4,7 +4,7 @@ mod common;
 
 use std::iter::zip;
 
-use common::{Draw, config};
+use common::{BuiltIn, Draw, config};
 use proptest::prelude::*;
 use strainwave_core::actuation::servo::Servo;
 use strainwave_core::arm::{Arm, OneLink, TwoLink};
@@ -47,7 +47,7 @@ struct Case<A, const N: usize> {
     reference: Vec<[f64; N]>,
 }
 
-impl<A: Arm<N>, const N: usize> Case<A, N> {
+impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
     /// A drawn arm: a two-link or one-link arm of the built-in one's size, off by some tens of
     /// percent, under random telegraph voltages or a servo.
     fn drawn(gears: [GearKind; N], seed: u64, servo: bool, steps: usize) -> Self {
@@ -246,7 +246,7 @@ const DIGITS: std::ops::RangeInclusive<i32> = 2..=7;
 /// The knees' rounded corners bend abruptly, so a difference over a long step can miss what one
 /// over a short step sees, which has more rounding: one of several lengths must agree. A direction
 /// is left out where even the shortest changes in which step a motor sticks or slips.
-fn check<A: Arm<N>, const N: usize>(case: &Case<A, N>) -> f64 {
+fn check<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64 {
     let directions = case.directions();
     let found = case.follow(&directions, Width::detect());
     let plain = case.moved(Source::Parameter(0), 0.0, &[0.0; N]);
@@ -277,7 +277,7 @@ fn check<A: Arm<N>, const N: usize>(case: &Case<A, N>) -> f64 {
 /// the shortest steps the eighth differences of a motion hold nothing else; they add up rounding of
 /// some deviation s to sqrt(12870) s, the slopes to 1.2 s. The largest of all rows and directions
 /// stands for some deviations.
-fn rounding<A: Arm<N>, const N: usize>(
+fn rounding<A: Arm<N> + BuiltIn, const N: usize>(
     case: &Case<A, N>,
     directions: &[Source],
     differences: &[Vec<Differences<N>>],
@@ -346,7 +346,7 @@ struct Differences<const N: usize> {
 
 impl<const N: usize> Differences<N> {
     /// Nothing where the pattern of sliding changes.
-    fn of<A: Arm<N>>(
+    fn of<A: Arm<N> + BuiltIn>(
         case: &Case<A, N>,
         direction: Source,
         size: f64,
@@ -395,7 +395,7 @@ fn add<const N: usize>(sum: &mut Record<N>, weight: f64, record: &Record<N>) {
 
 /// The largest distance of two answers, relative to the largest of each column or, where that is
 /// nothing but rounding, to a hundredth of a percent of what would double the value.
-fn apart<A: Arm<N>, const N: usize>(
+fn apart<A: Arm<N> + BuiltIn, const N: usize>(
     case: &Case<A, N>,
     directions: &[Source],
     [one, other]: [&Sensitivities<N>; 2],
@@ -421,7 +421,7 @@ fn apart<A: Arm<N>, const N: usize>(
 }
 
 /// The way through the variational equations against numbers with derivatives all along.
-fn check_ways<A: Arm<N>, const N: usize>(case: &Case<A, N>) {
+fn check_ways<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
     let member = case.member(&case.parameters, case.initial);
     let directions = case.directions();
     let width = Width::detect();

@@ -1,7 +1,5 @@
 //! The arm as a Python class.
 
-use std::marker::PhantomData;
-
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::{PyFloatingPointError, PyValueError};
 use pyo3::prelude::*;
@@ -115,7 +113,6 @@ impl Arm {
                 torque_per_volt: torque_per_volt[i],
                 current_loop_hz: current_loop_hz[i],
                 encoder_counts: encoder_counts[i],
-                accelerometer_distance: distance[i],
                 accelerometer_hz: accelerometer_hz[i],
                 gyro_hz: gyro_hz[i],
                 imu_accelerometer_hz: imu_accelerometer_hz[i],
@@ -126,13 +123,22 @@ impl Arm {
         if gear_corner <= 0.0 || gear_corner.is_nan() {
             return Err(PyValueError::new_err("gear_corner must be positive"));
         }
-        let geometry = (link_length, gravity, gear_corner);
-        let upright = gravity != 0.0;
-        Ok(Self(match (kind, upright) {
-            ("planar-two-link", false) => Any::TwoLinkLevel(configure(geometry, &joints)?),
-            ("planar-two-link", true) => Any::TwoLinkUpright(configure(geometry, &joints)?),
-            ("single-joint", false) => Any::OneLinkLevel(configure(geometry, &joints)?),
-            ("single-joint", true) => Any::OneLinkUpright(configure(geometry, &joints)?),
+        let known = (gear_corner, joints.as_slice());
+        Ok(Self(match (kind, gravity != 0.0) {
+            ("planar-two-link", false) => {
+                let arm = two_link(link_length, gravity, &distance)?;
+                Any::TwoLinkLevel(configure(arm, known)?)
+            }
+            ("planar-two-link", true) => {
+                let arm = two_link(link_length, gravity, &distance)?;
+                Any::TwoLinkUpright(configure(arm, known)?)
+            }
+            ("single-joint", false) => {
+                Any::OneLinkLevel(configure(one_link(gravity, &distance)?, known)?)
+            }
+            ("single-joint", true) => {
+                Any::OneLinkUpright(configure(one_link(gravity, &distance)?, known)?)
+            }
             _ => return Err(PyValueError::new_err(format!("no arm of kind {kind:?}"))),
         }))
     }
@@ -286,19 +292,44 @@ impl Arm {
     }
 }
 
-fn configure<A: arm::Arm<N>, const N: usize>(
-    (link_length, gravity, corner): (f64, f64, f64),
-    joints: &[JointConfig],
-) -> PyResult<Config<A, N>> {
-    let joints = joints
-        .try_into()
-        .map_err(|_| PyValueError::new_err(format!("expected {N} joints, got {}", joints.len())))?;
-    Ok(Config {
-        arm: PhantomData,
+fn two_link<const VERTICAL: bool>(
+    link_length: f64,
+    gravity: f64,
+    accelerometer_distance: &[f64],
+) -> PyResult<TwoLink<VERTICAL>> {
+    Ok(TwoLink {
         link_length,
         gravity,
+        accelerometer_distance: joints_of(accelerometer_distance)?,
+    })
+}
+
+fn one_link<const VERTICAL: bool>(
+    gravity: f64,
+    accelerometer_distance: &[f64],
+) -> PyResult<OneLink<VERTICAL>> {
+    let [accelerometer_distance] = joints_of(accelerometer_distance)?;
+    Ok(OneLink {
+        gravity,
+        accelerometer_distance,
+    })
+}
+
+/// A value for each of an arm's joints.
+fn joints_of<T: Copy, const N: usize>(values: &[T]) -> PyResult<[T; N]> {
+    values
+        .try_into()
+        .map_err(|_| PyValueError::new_err(format!("expected {N} joints, got {}", values.len())))
+}
+
+fn configure<A: arm::Arm<N>, const N: usize>(
+    arm: A,
+    (corner, joints): (f64, &[JointConfig]),
+) -> PyResult<Config<A, N>> {
+    Ok(Config {
+        arm,
         corner,
-        joints,
+        joints: joints_of(joints)?,
     })
 }
 
@@ -457,15 +488,15 @@ fn divergence(diverged: Diverged) -> PyErr {
 
 fn base_regressor<'py, A: arm::Arm<N>, const N: usize>(
     py: Python<'py>,
-    _: &Config<A, N>,
+    config: &Config<A, N>,
     motion: [&Matrix<'py>; 3],
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let [q, dq, ddq] = same_rows::<N>(motion)?;
-    let bases = A::NAMES.len();
+    let bases = config.arm.names().len();
     let mut all = vec![0.0; q.len() * N * bases];
     py.detach(|| {
         for (k, row) in all.chunks_mut(N * bases).enumerate() {
-            for (b, torque) in rigid::base_regressor::<A, N>(&q[k], &dq[k], &ddq[k])
+            for (b, torque) in rigid::base_regressor(&config.arm, &q[k], &dq[k], &ddq[k])
                 .iter()
                 .enumerate()
             {

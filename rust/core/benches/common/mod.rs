@@ -1,8 +1,6 @@
 //! The arm and the run that the benches share: the built-in SCARA-type arm with 5 kg at its tip,
 //! joint 1 under a random telegraph voltage, joint 2 swinging free.
 
-use std::marker::PhantomData;
-
 use strainwave_core::arm::TwoLink;
 use strainwave_core::dispatch::Width;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Task};
@@ -22,13 +20,12 @@ const PARAMETERS: [f64; 29] = [
 
 /// So many steps of 0.125 ms, recorded at every eighth.
 pub fn task(steps: usize, record: Vec<Quantity>) -> Task<TwoLink<false>, 2> {
-    let joint = |torque_per_volt, accelerometer_distance| JointConfig {
+    let joint = |torque_per_volt| JointConfig {
         gear: GearKind::ThreeSlope,
         ratio: 0.01,
         torque_per_volt,
         current_loop_hz: Some(1000.0),
         encoder_counts: Some(8192.0),
-        accelerometer_distance,
         accelerometer_hz: Some(300.0),
         gyro_hz: Some(5.0),
         imu_accelerometer_hz: None,
@@ -37,11 +34,13 @@ pub fn task(steps: usize, record: Vec<Quantity>) -> Task<TwoLink<false>, 2> {
     };
     Task {
         config: Config {
-            arm: PhantomData,
-            link_length: 0.35,
-            gravity: 0.0,
+            arm: TwoLink {
+                link_length: 0.35,
+                gravity: 0.0,
+                accelerometer_distance: [0.33, 0.27],
+            },
             corner: CORNER,
-            joints: [joint(0.08, 0.33), joint(0.03, 0.27)],
+            joints: [joint(0.08), joint(0.03)],
         },
         clock: Clock {
             step: 1.25e-4,

@@ -5,7 +5,6 @@
 //! own axis, alpha and w are the link's angular acceleration and rate in space. Where a sensor sits
 //! and how it is turned is in the four factors alone.
 
-use crate::arm::{Accelerometers, Arm, Turns};
 use crate::scalar::Real;
 
 /// f_x, f_y [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2] of each link.
@@ -22,21 +21,42 @@ pub struct LinkSignalSlopes<R, const N: usize> {
     pub acceleration: [[R; N]; LINK_SIGNALS],
 }
 
+/// Sines and cosines of each link's angle in space, which count under gravity only, and of each
+/// joint's angle, which count from the second on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Turns<R, const N: usize> {
+    /// From the base's x axis.
+    pub(super) space: [(R, R); N],
+    /// From the link before.
+    pub(super) joint: [(R, R); N],
+}
+
+/// Each link's rate in space: the sum of the joints' up to its own.
+#[inline(always)]
+pub(crate) fn summed<R: Real, const N: usize>(rates: &[R; N]) -> [R; N] {
+    let mut all = *rates;
+    for i in 1..N {
+        all[i] = all[i - 1] + rates[i];
+    }
+    all
+}
+
 /// The link signals of each link, its own axis at the end of the links before it.
 ///
-/// Of two links at most, the first's axis fixed.
+/// Of two links at most, the first's axis fixed; gravity [m/s^2] as far as it is in the plane of
+/// motion, `length` [m] from axis to axis.
 #[inline(always)]
-pub fn link_signals<A: Arm<N>, R: Real, const N: usize>(
-    places: &Accelerometers<N>,
-    at: &A::Posture<R>,
+pub(super) fn planar<R: Real, const N: usize>(
+    Turns { space, joint }: &Turns<R, N>,
+    gravity: f64,
+    length: f64,
     dq: &[R; N],
     ddq: &[R; N],
 ) -> [[R; N]; LINK_SIGNALS] {
-    let Turns { space, joint } = A::turns(at);
-    let (g, length) = (felt::<A, R, N>(places), R::splat(places.link_length));
-    let rates = A::absolute_rates(dq);
+    let (g, length) = (R::splat(gravity), R::splat(length));
+    let rates = summed(dq);
     let mut all = [[R::splat(0.0); N]; LINK_SIGNALS];
-    all[2] = A::absolute_rates(ddq);
+    all[2] = summed(ddq);
     for i in 0..N {
         let (sin, cos) = space[i];
         (all[0][i], all[1][i]) = (g * sin, g * cos);
@@ -51,24 +71,18 @@ pub fn link_signals<A: Arm<N>, R: Real, const N: usize>(
     all
 }
 
-/// Gravity in the plane of motion; none where the arm lies flat.
+/// How [`planar`] signals depend on angles, velocities and accelerations.
 #[inline(always)]
-fn felt<A: Arm<N>, R: Real, const N: usize>(places: &Accelerometers<N>) -> R {
-    R::splat(if A::FELT[0] { places.gravity } else { 0.0 })
-}
-
-/// How the link signals of each link depend on angles, velocities and accelerations.
-#[inline(always)]
-pub fn link_signal_slopes<A: Arm<N>, R: Real, const N: usize>(
-    places: &Accelerometers<N>,
-    at: &A::Posture<R>,
+pub(super) fn planar_slopes<R: Real, const N: usize>(
+    Turns { space, joint }: &Turns<R, N>,
+    gravity: f64,
+    length: f64,
     dq: &[R; N],
     ddq: &[R; N],
 ) -> [LinkSignalSlopes<R, N>; N] {
     let zero = R::splat(0.0);
-    let Turns { space, joint } = A::turns(at);
-    let (g, length) = (felt::<A, R, N>(places), R::splat(places.link_length));
-    let rates = A::absolute_rates(dq);
+    let (g, length) = (R::splat(gravity), R::splat(length));
+    let rates = summed(dq);
     let still = LinkSignalSlopes {
         angle: [[zero; N]; LINK_SIGNALS],
         velocity: [[zero; N]; LINK_SIGNALS],

@@ -16,11 +16,12 @@ impl<R: Real> Turn<R> {
         Self { sin, cos }
     }
 
+    /// Sine and cosine each put through a function.
     #[inline(always)]
-    pub(super) fn spread<L: Real>(self) -> Turn<L> {
+    pub(super) fn map<L>(self, to: &impl Fn(R) -> L) -> Turn<L> {
         Turn {
-            sin: L::splat(self.sin.lane(0)),
-            cos: L::splat(self.cos.lane(0)),
+            sin: to(self.sin),
+            cos: to(self.cos),
         }
     }
 

@@ -1,13 +1,21 @@
 //! The planar arm of two links, (3) and (4).
 
+use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes, Turns, planar, planar_slopes};
 use super::turn::Turn;
-use crate::arm::{Accelerometers, Arm, MOST_BASE, Slopes, Turns};
+use super::{Arm, Name, Slopes};
 use crate::scalar::Real;
 
 /// A planar arm of two links whose second angle is relative to the first, (3) and (4), with or
 /// without gravity in the plane of motion.
 #[derive(Clone, Copy, Debug)]
-pub struct TwoLink<const VERTICAL: bool>;
+pub struct TwoLink<const VERTICAL: bool> {
+    /// l_1 [m], from axis to axis.
+    pub link_length: f64,
+    /// g [m/s^2] in the plane of motion; not looked at where that is horizontal.
+    pub gravity: f64,
+    /// l_a [m], the accelerometers' distances from each link's own axis.
+    pub accelerometer_distance: [f64; 2],
+}
 
 /// alpha, beta, gamma [kg m^2] and the gravity torques G1, G2 [N m].
 #[derive(Clone, Copy, Debug)]
@@ -30,17 +38,46 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     type Base<R: Real> = TwoLinkBase<R>;
     type Posture<R: Real> = TwoLinkPosture<R>;
 
-    const NAMES: &'static [(&'static str, Option<usize>)] = &[
-        ("alpha", None),
-        ("beta", None),
-        ("gamma", None),
-        ("gravity_torque_1", None),
-        ("gravity_torque_2", None),
-    ];
+    type Regressor<R: Real> = [[R; 2]; 5];
+
     const FELT: [bool; 2] = [VERTICAL, true];
+    const PLANAR: bool = true;
+
+    fn names(&self) -> Vec<Name> {
+        let own = [
+            "alpha",
+            "beta",
+            "gamma",
+            "gravity_torque_1",
+            "gravity_torque_2",
+        ];
+        own.map(|name| (name, None)).to_vec()
+    }
+
+    fn check(
+        &self,
+        values: &[f64],
+        reflected: &[Option<f64>; 2],
+    ) -> Result<(), (usize, &'static str)> {
+        let [alpha, beta, gamma] = [values[0], values[1], values[2]];
+        if let Some(place) = [alpha, beta].iter().position(|&value| value <= 0.0) {
+            return Err((place, "positive"));
+        }
+        // det = (alpha + m1)(beta + m2) + (beta + 2 gamma c) m2 - gamma^2 c^2, c = cos q2: concave
+        // in c, so its least value is at c = 1 or c = -1.
+        let [m1, m2] = reflected.map(|inertia| inertia.unwrap_or(0.0));
+        let least = [1.0, -1.0]
+            .map(|c| (alpha + m1) * (beta + m2) + (beta + 2.0 * gamma * c) * m2 - gamma * gamma)
+            .into_iter()
+            .fold(f64::INFINITY, f64::min);
+        if least <= 0.0 {
+            return Err((2, "smaller than the square root of alpha times beta"));
+        }
+        Ok(())
+    }
 
     #[inline(always)]
-    fn base<R: Real>(values: &[R]) -> TwoLinkBase<R> {
+    fn base<R: Real>(&self, values: &[R]) -> TwoLinkBase<R> {
         TwoLinkBase {
             alpha: values[0],
             beta: values[1],
@@ -51,14 +88,25 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
-    fn posture<R: Real>(q: &[R; 2]) -> TwoLinkPosture<R> {
+    fn map_base<R: Real, L: Real>(base: &TwoLinkBase<R>, to: impl Fn(R) -> L) -> TwoLinkBase<L> {
+        TwoLinkBase {
+            alpha: to(base.alpha),
+            beta: to(base.beta),
+            gamma: to(base.gamma),
+            g1: to(base.g1),
+            g2: to(base.g2),
+        }
+    }
+
+    #[inline(always)]
+    fn posture<R: Real>(&self, q: &[R; 2]) -> TwoLinkPosture<R> {
         let second = Turn::of(q[1]);
         let first = if VERTICAL { Turn::of(q[0]) } else { second };
         TwoLinkPosture { first, second }
     }
 
     #[inline(always)]
-    fn near<R: Real>(from: &TwoLinkPosture<R>, increment: &[R; 2]) -> TwoLinkPosture<R> {
+    fn near<R: Real>(&self, from: &TwoLinkPosture<R>, increment: &[R; 2]) -> TwoLinkPosture<R> {
         let second = from.second.further(increment[1]);
         let first = if VERTICAL {
             from.first.further(increment[0])
@@ -69,15 +117,18 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
-    fn spread<R: Real, L: Real>(at: &TwoLinkPosture<R>) -> TwoLinkPosture<L> {
+    fn map_posture<R: Real, L: Real>(
+        at: &TwoLinkPosture<R>,
+        to: impl Fn(R) -> L,
+    ) -> TwoLinkPosture<L> {
         TwoLinkPosture {
-            first: at.first.spread(),
-            second: at.second.spread(),
+            first: at.first.map(&to),
+            second: at.second.map(&to),
         }
     }
 
     #[inline(always)]
-    fn inertia<R: Real>(base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> [[R; 2]; 2] {
+    fn inertia<R: Real>(&self, base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> [[R; 2]; 2] {
         let swing = base.gamma * at.second.cos;
         let coupling = base.beta + swing;
         [
@@ -87,7 +138,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
-    fn bias<R: Real>(base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>, dq: &[R; 2]) -> [R; 2] {
+    fn bias<R: Real>(&self, base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>, dq: &[R; 2]) -> [R; 2] {
         let swing = base.gamma * at.second.sin;
         let mut first = -(swing * dq[1]) * (dq[0] + dq[0] + dq[1]);
         let mut second = swing * dq[0] * dq[0];
@@ -101,6 +152,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
 
     #[inline(always)]
     fn slopes<R: Real>(
+        &self,
         base: &TwoLinkBase<R>,
         at: &TwoLinkPosture<R>,
         dq: &[R; 2],
@@ -128,11 +180,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
-    fn regressor<R: Real>(
-        at: &TwoLinkPosture<R>,
-        dq: &[R; 2],
-        ddq: &[R; 2],
-    ) -> [[R; 2]; MOST_BASE] {
+    fn regressor<R: Real>(&self, at: &TwoLinkPosture<R>, dq: &[R; 2], ddq: &[R; 2]) -> [[R; 2]; 5] {
         let zero = R::splat(0.0);
         let (sin, cos) = (at.second.sin, at.second.cos);
         let both = ddq[0] + ddq[1];
@@ -156,7 +204,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
-    fn potential<R: Real>(base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> R {
+    fn potential<R: Real>(&self, base: &TwoLinkBase<R>, at: &TwoLinkPosture<R>) -> R {
         if VERTICAL {
             base.g1 * at.first.sin + base.g2 * at.first.plus(at.second).sin
         } else {
@@ -165,19 +213,14 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     }
 
     #[inline(always)]
-    fn accelerometers<R: Real>(
-        sensors: &Accelerometers<2>,
-        at: &TwoLinkPosture<R>,
-        dq: &[R; 2],
-        ddq: &[R; 2],
-    ) -> [R; 2] {
+    fn accelerometers<R: Real>(&self, at: &TwoLinkPosture<R>, dq: &[R; 2], ddq: &[R; 2]) -> [R; 2] {
         // Acceleration of axis 2 across link 2, per metre of link 1.
         let elbow = ddq[0].mul_add(at.second.cos, dq[0] * dq[0] * at.second.sin);
-        let mut first = R::splat(sensors.distance[0]) * ddq[0];
-        let mut second = R::splat(sensors.distance[1]) * (ddq[0] + ddq[1])
-            + R::splat(sensors.link_length) * elbow;
+        let mut first = R::splat(self.accelerometer_distance[0]) * ddq[0];
+        let mut second = R::splat(self.accelerometer_distance[1]) * (ddq[0] + ddq[1])
+            + R::splat(self.link_length) * elbow;
         if VERTICAL {
-            let g = R::splat(sensors.gravity);
+            let g = R::splat(self.gravity);
             first = g.mul_add(at.first.cos, first);
             second = g.mul_add(at.first.plus(at.second).cos, second);
         }
@@ -186,34 +229,63 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
 
     #[inline(always)]
     fn accelerometer_slopes<R: Real>(
-        sensors: &Accelerometers<2>,
+        &self,
         at: &TwoLinkPosture<R>,
         dq: &[R; 2],
         ddq: &[R; 2],
     ) -> (Slopes<R, 2>, [[R; 2]; 2]) {
         let zero = R::splat(0.0);
-        let length = R::splat(sensors.link_length);
+        let length = R::splat(self.link_length);
         let (sin, cos) = (length * at.second.sin, length * at.second.cos);
         let elbow = cos.mul_add(dq[0] * dq[0], -(sin * ddq[0]));
         let mut angle = [[zero, zero], [zero, elbow]];
         if VERTICAL {
-            let g = -R::splat(sensors.gravity);
+            let g = -R::splat(self.gravity);
             let outer = g * at.first.plus(at.second).sin;
             angle = [[g * at.first.sin, zero], [outer, elbow + outer]];
         }
         let velocity = [[zero, zero], [(sin + sin) * dq[0], zero]];
-        let [first, second] = sensors.distance.map(R::splat);
+        let [first, second] = self.accelerometer_distance.map(R::splat);
         let acceleration = [[first, zero], [second + cos, second]];
         (Slopes { angle, velocity }, acceleration)
     }
 
     #[inline(always)]
-    fn absolute_rates<R: Real>(dq: &[R; 2]) -> [R; 2] {
+    fn absolute_rates<R: Real>(&self, _: &TwoLinkPosture<R>, dq: &[R; 2]) -> [R; 2] {
         [dq[0], dq[0] + dq[1]]
     }
 
     #[inline(always)]
-    fn turns<R: Real>(at: &TwoLinkPosture<R>) -> Turns<R, 2> {
+    fn link_signals<R: Real>(
+        &self,
+        at: &TwoLinkPosture<R>,
+        dq: &[R; 2],
+        ddq: &[R; 2],
+    ) -> [[R; 2]; LINK_SIGNALS] {
+        planar(&self.turns(at), self.felt(), self.link_length, dq, ddq)
+    }
+
+    #[inline(always)]
+    fn link_signal_slopes<R: Real>(
+        &self,
+        at: &TwoLinkPosture<R>,
+        dq: &[R; 2],
+        ddq: &[R; 2],
+    ) -> [LinkSignalSlopes<R, 2>; 2] {
+        planar_slopes(&self.turns(at), self.felt(), self.link_length, dq, ddq)
+    }
+}
+
+impl<const VERTICAL: bool> TwoLink<VERTICAL> {
+    /// Gravity in the plane of motion; none where the arm lies flat.
+    #[inline(always)]
+    fn felt(&self) -> f64 {
+        if VERTICAL { self.gravity } else { 0.0 }
+    }
+
+    /// How the links are turned.
+    #[inline(always)]
+    fn turns<R: Real>(&self, at: &TwoLinkPosture<R>) -> Turns<R, 2> {
         let both = at.first.plus(at.second);
         Turns {
             space: [(at.first.sin, at.first.cos), (both.sin, both.cos)],

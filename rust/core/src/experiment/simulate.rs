@@ -328,20 +328,20 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
     #[inline(always)]
     fn readings(&self, now: &Instant<A, R, N>) -> [[R; N]; 2] {
         let state = &self.motion.state;
-        let places = self.task.config.accelerometers();
+        let (arm, velocity) = (&self.plant.arm, &state.link_velocity);
         let acceleration = &now.acceleration.link;
         [
-            A::accelerometers(&places, &now.posture, &state.link_velocity, acceleration),
-            A::absolute_rates(&state.link_velocity),
+            arm.accelerometers(&now.posture, velocity, acceleration),
+            arm.absolute_rates(&now.posture, velocity),
         ]
     }
 
     /// What an IMU's sensors read combinations of, before any low-pass.
     #[inline(always)]
     fn signals(&self, now: &Instant<A, R, N>) -> [[R; N]; MOUNTED] {
-        let places = self.task.config.accelerometers();
         let velocity = &self.motion.state.link_velocity;
-        imu::ideal::<A, R, N>(&places, &now.posture, velocity, &now.acceleration.link)
+        let acceleration = &now.acceleration.link;
+        imu::ideal(&self.plant.arm, &now.posture, velocity, acceleration)
     }
 
     #[inline(always)]

@@ -97,8 +97,8 @@ fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool, const EFFECT
     let mut angle = untwisted;
     let mut settled = None;
     for round in 0..400 {
-        let at = A::posture(&angle);
-        let gravity = A::bias(&plant.base, &at, &[S::splat(0.0); N]);
+        let at = plant.arm.posture(&angle);
+        let gravity = plant.arm.bias(&plant.base, &at, &[S::splat(0.0); N]);
         let mut change = 0.0f64;
         for i in 0..N {
             if !plant.is_rigid(i) {

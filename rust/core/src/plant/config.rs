@@ -1,10 +1,10 @@
 //! What is known of an arm beforehand, the names of what is not, and the way from a flat list of
 //! parameter values to a [`Plant`].
 
-use std::marker::PhantomData;
-
 use crate::actuation::current_loop::CurrentLoop;
-use crate::arm::{Accelerometers, Arm};
+pub use crate::arm::Name;
+
+use crate::arm::Arm;
 use crate::joint::Joint;
 use crate::joint::effects::{EffectKinds, Effects};
 use crate::joint::gear::Spring;
@@ -35,8 +35,6 @@ pub struct JointConfig {
     pub current_loop_hz: Option<f64>,
     /// Encoder counts per motor turn; `None`: the angle itself.
     pub encoder_counts: Option<f64>,
-    /// l_a [m] from the link's own axis.
-    pub accelerometer_distance: f64,
     /// Bandwidth [Hz]; `None`: the acceleration itself.
     pub accelerometer_hz: Option<f64>,
     /// Bandwidth [Hz]; `None`: the rate itself.
@@ -53,20 +51,13 @@ pub struct JointConfig {
 /// An arm with all its known constants.
 #[derive(Clone, Copy, Debug)]
 pub struct Config<A, const N: usize> {
-    /// Which arm; says nothing that its type does not.
-    pub arm: PhantomData<A>,
-    /// l_1 [m], from axis to axis.
-    pub link_length: f64,
-    /// g [m/s^2] in the plane of motion.
-    pub gravity: f64,
+    /// The arm with its geometry.
+    pub arm: A,
     /// Half width [rad] of the three-slope springs' rounded knees.
     pub corner: f64,
     /// The joints, from the base.
     pub joints: [JointConfig; N],
 }
-
-/// A parameter's name, and its joint, from 1, where it belongs to one.
-pub type Name = (&'static str, Option<usize>);
 
 /// A value that no arm can have.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,7 +110,7 @@ impl GearKind {
 impl<A: Arm<N>, const N: usize> Config<A, N> {
     /// Names of the parameters, in the order every flat list of values has.
     pub fn parameter_names(&self) -> Vec<Name> {
-        let mut names = A::NAMES.to_vec();
+        let mut names = self.arm.names();
         for (i, joint) in self.joints.iter().enumerate() {
             let own = DRIVE
                 .iter()
@@ -137,14 +128,13 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     pub fn check(&self, values: &[f64]) -> Result<(), InvalidParameter> {
         let names = self.parameter_names();
         assert_eq!(values.len(), names.len());
-        for (&name, &value) in names.iter().zip(values) {
+        let of_the_arm = self.arm.names().len();
+        for (k, (&name, &value)) in names.iter().zip(values).enumerate() {
             let (ok, must) = match name.0 {
-                "gamma"
-                | "friction_offset"
-                | "gravity_torque_1"
-                | "gravity_torque_2"
-                | "kinematic_error_cos"
-                | "kinematic_error_sin" => (true, "finite"),
+                _ if k < of_the_arm => (true, "finite"),
+                "friction_offset" | "kinematic_error_cos" | "kinematic_error_sin" => {
+                    (true, "finite")
+                }
                 "motor_viscous_friction"
                 | "motor_coulomb_friction"
                 | "link_viscous_friction"
@@ -152,10 +142,6 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 | "stribeck_friction"
                 | "hysteresis_torque"
                 | SETTLING => (value >= 0.0, "zero or positive"),
-                // A rigid gear's link may have its inertia counted with the motor's.
-                "link_inertia" if self.joints[0].gear == GearKind::Rigid => {
-                    (value >= 0.0, "zero or positive")
-                }
                 _ => (value > 0.0, "positive"),
             };
             if !value.is_finite() || !ok {
@@ -163,7 +149,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
             }
         }
         self.check_knees(&names, values)?;
-        self.check_inertia(&names, values)
+        self.check_arm(&names, values)
     }
 
     fn check_knees(&self, names: &[Name], values: &[f64]) -> Result<(), InvalidParameter> {
@@ -179,39 +165,22 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         Ok(())
     }
 
-    /// The inertia matrix must be positive definite at every posture; behind rigid gears the motors
-    /// add to it.
-    fn check_inertia(&self, names: &[Name], values: &[f64]) -> Result<(), InvalidParameter> {
+    fn check_arm(&self, names: &[Name], values: &[f64]) -> Result<(), InvalidParameter> {
         let value = |name: Name| names.iter().position(|&n| n == name).map(|k| values[k]);
-        let reflected = |i: usize| match self.joints[i].gear {
-            GearKind::Rigid => {
-                let motor = value(("motor_inertia", Some(i + 1))).unwrap_or(0.0);
-                motor / self.joints[i].ratio.powi(2)
-            }
-            _ => 0.0,
-        };
-        let (Some(alpha), Some(beta), Some(gamma)) = (
-            value(("alpha", None)),
-            value(("beta", None)),
-            value(("gamma", None)),
-        ) else {
-            return Ok(());
-        };
-        // det = (alpha + m1)(beta + m2) + (beta + 2 gamma c) m2 - gamma^2 c^2, c = cos q2: concave
-        // in c, so its least value is at c = 1 or c = -1.
-        let (m1, m2) = (reflected(0), reflected(1));
-        let least = [1.0, -1.0]
-            .map(|c| (alpha + m1) * (beta + m2) + (beta + 2.0 * gamma * c) * m2 - gamma * gamma)
-            .into_iter()
-            .fold(f64::INFINITY, f64::min);
-        if least <= 0.0 {
-            return Err(InvalidParameter {
-                name: ("gamma", None),
-                value: gamma,
-                must: "smaller than the square root of alpha times beta",
-            });
-        }
-        Ok(())
+        let reflected = std::array::from_fn(|i| {
+            let joint = &self.joints[i];
+            let rigid = joint.gear == GearKind::Rigid;
+            let motor = value(("motor_inertia", Some(i + 1))).filter(|_| rigid)?;
+            Some(motor / joint.ratio.powi(2))
+        });
+        let base = &values[..self.arm.names().len()];
+        self.arm
+            .check(base, &reflected)
+            .map_err(|(k, must)| InvalidParameter {
+                name: names[k],
+                value: values[k],
+                must,
+            })
     }
 
     /// The arm with given parameter values: lane `l` gets those of `values[l]`.
@@ -236,7 +205,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
             next += 1;
             value(next - 1)
         };
-        let base: Vec<R> = A::NAMES.iter().map(|_| take()).collect();
+        let base: Vec<R> = self.arm.names().iter().map(|_| take()).collect();
         let joints = self.joints.map(|joint| {
             let [motor_inertia, motor_viscous, coulomb, offset, link_viscous] =
                 DRIVE.map(|_| take());
@@ -269,7 +238,8 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         });
         let settles = |joint: &Joint<R>| (-joint.settling_time).any_negative();
         Plant {
-            base: A::base(&base),
+            base: self.arm.base(&base),
+            arm: self.arm,
             settles: joints.iter().any(settles),
             joints,
         }
@@ -298,15 +268,6 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
             }),
             h,
         )
-    }
-
-    /// Where the accelerometers sit.
-    pub fn accelerometers(&self) -> Accelerometers<N> {
-        Accelerometers {
-            distance: self.joints.map(|joint| joint.accelerometer_distance),
-            link_length: self.link_length,
-            gravity: self.gravity,
-        }
     }
 }
 

@@ -88,6 +88,8 @@ pub struct Plant<
     const ELASTIC: bool,
     const EFFECTS: bool = false,
 > {
+    /// Its geometry.
+    pub arm: A,
     /// Its inertial and gravity parameters.
     pub base: A::Base<R>,
     /// Its drive trains.
@@ -152,7 +154,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Instant<A, R, N> {
-        let posture = A::posture(&x.link_angle);
+        let posture = self.arm.posture(&x.link_angle);
         Instant {
             posture,
             acceleration: self.accelerations_at(x, &posture, torque, modes),
@@ -188,8 +190,8 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        let mut inertia = A::inertia(&self.base, at);
-        let bias = A::bias(&self.base, at, &x.link_velocity);
+        let mut inertia = self.arm.inertia(&self.base, at);
+        let bias = self.arm.bias(&self.base, at, &x.link_velocity);
         let mut motor = [R::splat(0.0); N];
         let mut force = [R::splat(0.0); N];
         for i in 0..N {
@@ -263,9 +265,9 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         modes: &Modes<R, N>,
         holding: &mut [R; N],
     ) {
-        let at = A::posture(&x.link_angle);
-        let inertia = A::inertia(&self.base, &at);
-        let bias = A::bias(&self.base, &at, &x.link_velocity);
+        let at = self.arm.posture(&x.link_angle);
+        let inertia = self.arm.inertia(&self.base, &at);
+        let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
         for i in 0..N {
             if !self.is_rigid(i) {
                 continue;
@@ -366,15 +368,15 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        self.accelerations_at(x, &A::near(&now.posture, turned), torque, modes)
+        self.accelerations_at(x, &self.arm.near(&now.posture, turned), torque, modes)
     }
 
     /// Kinetic, elastic and gravitational energy [J].
     pub fn energy(&self, x: &State<R, N>) -> R {
-        let at = A::posture(&x.link_angle);
-        let inertia = A::inertia(&self.base, &at);
+        let at = self.arm.posture(&x.link_angle);
+        let inertia = self.arm.inertia(&self.base, &at);
         let half = R::splat(0.5);
-        let mut energy = A::potential(&self.base, &at);
+        let mut energy = self.arm.potential(&self.base, &at);
         for i in 0..N {
             let joint = &self.joints[i];
             let v = x.motor_velocity[i];

@@ -3,40 +3,25 @@
 use crate::arm::Arm;
 use crate::plant::Plant;
 
-/// Link-side torques [N m] per base parameter, in the order of [`Arm::NAMES`].
+/// Link-side torques [N m] per base parameter, in the order of [`Arm::names`].
 ///
 /// The equations are linear in the base parameters, so each column is what they give for that
 /// parameter at one and the others at zero: the regressor has no equations of its own.
 pub fn base_regressor<A: Arm<N>, const N: usize>(
+    arm: &A,
     q: &[f64; N],
     dq: &[f64; N],
     ddq: &[f64; N],
 ) -> Vec<[f64; N]> {
-    let at = A::posture(q);
-    let mut unit = vec![0.0; A::NAMES.len()];
+    let at = arm.posture(q);
+    let mut unit = vec![0.0; arm.names().len()];
     (0..unit.len())
         .map(|k| {
             unit.fill(0.0);
             unit[k] = 1.0;
-            link_torques::<A, N>(&A::base(&unit), &at, dq, ddq)
+            arm.torques(&arm.base(&unit), &at, dq, ddq)
         })
         .collect()
-}
-
-fn link_torques<A: Arm<N>, const N: usize>(
-    base: &A::Base<f64>,
-    at: &A::Posture<f64>,
-    dq: &[f64; N],
-    ddq: &[f64; N],
-) -> [f64; N] {
-    let inertia = A::inertia(base, at);
-    let mut torque = A::bias(base, at, dq);
-    for i in 0..N {
-        for j in 0..N {
-            torque[i] += inertia[i][j] * ddq[j];
-        }
-    }
-    torque
 }
 
 /// Motor torques [N m] that a motion of the links takes if no gear gives way, (5).
@@ -48,7 +33,9 @@ pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
     dq: &[f64; N],
     ddq: &[f64; N],
 ) -> [f64; N] {
-    let mut torque = link_torques::<A, N>(&plant.base, &A::posture(q), dq, ddq);
+    let mut torque = plant
+        .arm
+        .torques(&plant.base, &plant.arm.posture(q), dq, ddq);
     for (i, joint) in plant.joints.iter().enumerate() {
         let n = joint.ratio;
         let direction = if dq[i] == 0.0 { 0.0 } else { dq[i].signum() };

@@ -2,6 +2,7 @@
 
 mod aligned;
 mod dual;
+mod jet;
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod lanes;
 mod real;
@@ -9,5 +10,6 @@ mod solve;
 
 pub(crate) use aligned::Aligned;
 pub use dual::Dual;
+pub use jet::Jet;
 pub use real::{Lanes, MOST_LANES, Real, Work, gather};
 pub(crate) use solve::solve;

@@ -281,7 +281,7 @@ fn own_parameters<A: Arm<N>, const N: usize>(
         let &Source::Parameter(k) = source else {
             return None;
         };
-        let own = names.get(A::NAMES.len()..k)?;
+        let own = names.get(config.arm.names().len()..k)?;
         let joint = names[k].1?;
         let before = own.iter().filter(|name| name.1 == Some(joint));
         Some((joint - 1, before.count()))

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::arm::{Arm, MOST_BASE};
+use crate::arm::Arm;
 use crate::experiment::Source;
 use crate::plant::config::{Config, GearKind, SETTLING};
 use crate::scalar::{Lanes, MOST_LANES};
@@ -30,27 +30,42 @@ pub(crate) struct Quad(pub(crate) [[f64; 4]; 4]);
 pub(crate) const MOTOR: usize = 0;
 /// By the stiffnesses and knees of the spring, then by the damping: two quads.
 pub(crate) const GEAR: usize = 1;
-/// By the link's viscous friction, then by the arm's base parameters: two quads.
-pub(crate) const LINK: usize = 3;
 /// By the sizes of Stribeck's friction and, at [`KINEMATIC`], the kinematic error.
-pub(crate) const MOTOR_EFFECTS: usize = 5;
+pub(crate) const MOTOR_EFFECTS: usize = 3;
 /// By the sizes of hysteresis and, at [`KINEMATIC`], the kinematic error.
-pub(crate) const GEAR_EFFECTS: usize = 6;
+pub(crate) const GEAR_EFFECTS: usize = 4;
+/// By the link's viscous friction, then by the arm's base parameters: as many quads as it takes.
+pub(crate) const LINK: usize = 5;
 /// The kinematic error's first size, among the effects.
 pub(crate) const KINEMATIC: usize = 1;
 
-const _: () = assert!(MOST_BASE < 8, "two quads for a link");
+/// The quads of all joints, joint by joint.
+pub(crate) struct Quads {
+    all: Vec<Quad>,
+    per_joint: usize,
+}
 
-/// One joint's quads.
-pub(crate) type Quads = [Quad; 7];
+impl Quads {
+    /// Nothing at all, for an arm of so many joints and base parameters.
+    pub(crate) fn nothing(joints: usize, bases: usize) -> Self {
+        let per_joint = LINK + (1 + bases).div_ceil(4);
+        Self {
+            all: vec![Quad([[0.0; 4]; 4]); joints * per_joint],
+            per_joint,
+        }
+    }
 
-/// Nothing at all.
-pub(crate) const NOTHING: Quads = [Quad([[0.0; 4]; 4]); 7];
+    /// One joint's quads.
+    #[inline(always)]
+    pub(crate) fn of(&mut self, joint: usize) -> &mut [Quad] {
+        &mut self.all[joint * self.per_joint..][..self.per_joint]
+    }
+}
 
 fn row(quad: usize) -> Row {
     match quad {
         MOTOR | MOTOR_EFFECTS => Row::Motor,
-        GEAR..LINK | GEAR_EFFECTS => Row::Gear,
+        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS => Row::Gear,
         _ => Row::Link,
     }
 }
@@ -70,8 +85,12 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
         quad: quad + slot / 4,
         slot: slot % 4,
     };
+    let bases = config.arm.names().len();
     let place = |(k, (name, joint)): (usize, (&str, Option<usize>))| {
-        let i = joint.unwrap_or(1) - 1;
+        if k < bases {
+            return (0..N).map(|j| at(j, LINK, 1 + k)).collect();
+        }
+        let i = joint.map_or(0, |joint| joint - 1);
         match name {
             "motor_inertia" => vec![at(i, MOTOR, 0)],
             "motor_viscous_friction" => vec![at(i, MOTOR, 1)],
@@ -93,7 +112,7 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
             // the first acts on held motors alone, the others not at all where the effect itself
             // is nothing
             SETTLING | "stribeck_velocity" | "hysteresis_twist" => Vec::new(),
-            _ => (0..N).map(|j| at(j, LINK, 1 + k)).collect(),
+            _ => unreachable!("{name} is no joint's parameter"),
         }
     };
     let names = config.parameter_names();
@@ -105,8 +124,8 @@ fn damping_slot(gear: GearKind) -> usize {
     if gear == GearKind::ThreeSlope { 5 } else { 1 }
 }
 
-/// Most quads that one row has.
-const MOST_QUADS: usize = 3;
+/// Most quads that one row takes numbers from: each lane takes one at most.
+const MOST_QUADS: usize = MOST_LANES;
 
 /// From which quads a row takes numbers, and how; the first ones.
 type Picks<P> = [Option<(usize, P)>; MOST_QUADS];
@@ -120,6 +139,7 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
     /// By the first `V::LANES` directions.
     pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
         let places = places(config);
+        let per_joint = Quads::nothing(0, config.arm.names().len()).per_joint;
         let mut wanted: BTreeMap<(usize, usize), [Option<usize>; MOST_LANES]> = BTreeMap::new();
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
             if let &Source::Parameter(k) = direction {
@@ -131,22 +151,23 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
         }
         let mut picks = [[[None; MOST_QUADS]; N]; 3];
         for ((joint, quad), slots) in wanted {
-            let own = &mut picks[row(quad) as usize][joint];
+            let own: &mut Picks<V::Pick> = &mut picks[row(quad) as usize][joint];
             let next = own.iter().position(Option::is_none);
-            own[next.expect("no row has more quads")] = Some((quad, V::pick(slots)));
+            let quad = joint * per_joint + quad;
+            own[next.expect("a lane takes one quad")] = Some((quad, V::pick(slots)));
         }
         Self { picks }
     }
 
     /// What is added to a joint's row at a stage of a step with these quads.
     #[inline(always)]
-    pub(crate) fn of(&self, quads: &[Quads; N], row: Row, joint: usize, stage: usize) -> V {
+    pub(crate) fn of(&self, quads: &Quads, row: Row, joint: usize, stage: usize) -> V {
         let mut sum = V::splat(0.0);
         for own in &self.picks[row as usize][joint] {
             let Some((quad, pick)) = own else {
                 break;
             };
-            sum = sum.picked(pick, &quads[joint][*quad].0[stage]);
+            sum = sum.picked(pick, &quads.all[*quad].0[stage]);
         }
         sum
     }

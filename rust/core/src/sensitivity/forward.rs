@@ -163,7 +163,7 @@ impl<'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const
     #[inline(always)]
     fn propagate(&mut self, event: &Event, before: &Motion<S, N>, now: &Instant<A, S, N>) {
         if let Some(sensing) = &mut self.sensing {
-            sensing.take(self.task, &before.state, now);
+            sensing.take(&self.nominal.plant.arm, &before.state, now);
         }
         let smooth = !event.last && self.nominal.stretches.is_empty();
         let mut first = 0;
@@ -231,7 +231,7 @@ impl<'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const
         let duration = part * length;
         let whole = (S::splat(*length), S::splat(part));
         let (end, _) = plant.retrace(from, target, current, whole, trace);
-        let begin = A::posture(&from.state.link_angle);
+        let begin = plant.arm.posture(&from.state.link_angle);
         self.linear.update(trace, &begin, &from.modes, duration);
         if let Some(effects) = &mut self.linear.effects {
             effects.passed(trace, &end.state, duration);

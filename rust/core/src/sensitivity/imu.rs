@@ -1,7 +1,7 @@
 //! What an IMU's sensors read of blocks of directions.
 
-use crate::arm::link_signals::{LINK_SIGNALS, LinkSignalSlopes, link_signal_slopes};
-use crate::arm::{Accelerometers, Arm};
+use crate::arm::Arm;
+use crate::arm::link_signals::{LINK_SIGNALS, LinkSignalSlopes};
 use crate::plant::{Instant, State};
 use crate::scalar::Real;
 use crate::sensitivity::tangent::{Response, Tangent};
@@ -40,13 +40,13 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
     #[inline(always)]
     pub(crate) fn take<A: Arm<N>, S: Real>(
         &mut self,
-        places: &Accelerometers<N>,
+        arm: &A,
         rate: f64,
         x: &State<S, N>,
         now: &Instant<A, S, N>,
     ) {
         let (dq, ddq) = (&x.link_velocity, &now.acceleration.link);
-        let slopes = link_signal_slopes::<A, S, N>(places, &now.posture, dq, ddq);
+        let slopes = arm.link_signal_slopes(&now.posture, dq, ddq);
         for (own, from) in self.slopes.iter_mut().zip(&slopes) {
             for k in 0..LINK_SIGNALS {
                 for j in 0..N {
@@ -62,7 +62,7 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
     #[inline(always)]
     fn tangents<A: Arm<N>>(
         &self,
-        rate: f64,
+        rates: [V; N],
         x: &Tangent<V, N>,
         response: &Response<V, N>,
     ) -> Signals<V, N> {
@@ -80,7 +80,7 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
                 }
             }
         }
-        all[LINK_SIGNALS] = A::absolute_rates(&x.link.map(|one| V::splat(rate) * one));
+        all[LINK_SIGNALS] = rates;
         all
     }
 }
@@ -98,16 +98,17 @@ impl<V: Real, const N: usize> MountedSensed<V, N> {
         }
     }
 
-    /// The readings of an instant, and what the low-passes make of them.
+    /// The readings of an instant, and what the low-passes make of them; `rates` are the links' in
+    /// space.
     #[inline(always)]
     pub(crate) fn sense<A: Arm<N>>(
         &mut self,
         sensing: &MountedSensing<V, N>,
-        rate: f64,
+        rates: [V; N],
         x: &Tangent<V, N>,
         response: &Response<V, N>,
     ) {
-        self.readings = sensing.tangents::<A>(rate, x, response);
+        self.readings = sensing.tangents::<A>(rates, x, response);
         for k in 0..MOUNTED {
             for i in 0..N {
                 if let Some(filter) = &sensing.filters[k][i] {

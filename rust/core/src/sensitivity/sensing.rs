@@ -1,6 +1,7 @@
 //! What accelerometers and gyros read of blocks of directions.
 
 use crate::arm::Arm;
+use crate::arm::link_signals::summed;
 use crate::experiment::simulate::Sensors;
 use crate::experiment::{Quantity, Task};
 use crate::plant::{Instant, State};
@@ -20,6 +21,7 @@ pub(crate) struct Sensing<V, const N: usize> {
     gyros: Option<Filters<V, N, 1>>,
     pub(crate) mounted: Option<MountedSensing<V, N>>,
     slopes: ReadingSlopes<N>,
+    rates: RateSlopes<N>,
 }
 
 /// One block's sensors: the states of their filters, and what they read now.
@@ -61,6 +63,10 @@ impl<V: Real, const N: usize> Sensing<V, N> {
                 velocity: [[0.0; N]; N],
                 acceleration: [[0.0; N]; N],
             },
+            rates: RateSlopes {
+                angle: [[0.0; N]; N],
+                velocity: [[0.0; N]; N],
+            },
         })
     }
 
@@ -68,19 +74,21 @@ impl<V: Real, const N: usize> Sensing<V, N> {
     #[inline(always)]
     pub(crate) fn take<A: Arm<N>, S: Real>(
         &mut self,
-        task: &Task<A, N>,
+        arm: &A,
         x: &State<S, N>,
         now: &Instant<A, S, N>,
     ) {
         if let Some(mounted) = &mut self.mounted {
-            mounted.take(&task.config.accelerometers(), self.rate, x, now);
+            mounted.take(arm, self.rate, x, now);
+        }
+        if !A::PLANAR {
+            self.rates.take(arm, self.rate, x, now);
         }
         if self.accelerometers.is_none() {
             return;
         }
-        let (places, link) = (task.config.accelerometers(), &now.acceleration.link);
-        let (slopes, acceleration) =
-            A::accelerometer_slopes(&places, &now.posture, &x.link_velocity, link);
+        let (dq, ddq) = (&x.link_velocity, &now.acceleration.link);
+        let (slopes, acceleration) = arm.accelerometer_slopes(&now.posture, dq, ddq);
         let (rate, own) = (self.rate, &mut self.slopes);
         for i in 0..N {
             for j in 0..N {
@@ -130,10 +138,15 @@ impl<V: Real, const N: usize> Sensed<V, N> {
             }
         }
         if let (Some(all), Some(own)) = (&sensing.mounted, &mut self.mounted) {
-            own.sense::<A>(all, sensing.rate, x, response);
+            own.sense::<A>(
+                all,
+                sensing.rates.tangents::<A, V>(sensing.rate, x),
+                x,
+                response,
+            );
         }
         if let Some(filters) = &sensing.gyros {
-            let ideal = A::absolute_rates(&x.link.map(|one| V::splat(sensing.rate) * one));
+            let ideal = sensing.rates.tangents::<A, V>(sensing.rate, x);
             self.readings[1] = ideal;
             for i in 0..N {
                 if let Some(filter) = &filters[i] {
@@ -150,7 +163,7 @@ impl<const N: usize> ReadingSlopes<N> {
     fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
         let (c, mut sum) = (V::splat, [V::splat(0.0); N]);
         for i in 0..N {
-            for j in 0..i {
+            for j in 0..i + usize::from(!A::PLANAR) {
                 sum[i] = c(self.velocity[i][j]).mul_add(x.link[j], sum[i]);
             }
             for j in 0..=i {
@@ -161,6 +174,48 @@ impl<const N: usize> ReadingSlopes<N> {
             // known last
             for j in 0..=i {
                 sum[i] = c(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
+            }
+        }
+        sum
+    }
+}
+
+/// How the links' rates in space depend on the motion at an instant, where the arm is not planar.
+struct RateSlopes<const N: usize> {
+    angle: [[f64; N]; N],
+    velocity: [[f64; N]; N],
+}
+
+impl<const N: usize> RateSlopes<N> {
+    /// Takes them, in half steps of 1/`rate` [s].
+    #[inline(always)]
+    fn take<A: Arm<N>, S: Real>(
+        &mut self,
+        arm: &A,
+        rate: f64,
+        x: &State<S, N>,
+        now: &Instant<A, S, N>,
+    ) {
+        let slopes = arm.rate_slopes(&now.posture, &x.link_velocity);
+        for i in 0..N {
+            for j in 0..N {
+                self.angle[i][j] = slopes.angle[i][j].lane(0);
+                self.velocity[i][j] = rate * slopes.velocity[i][j].lane(0);
+            }
+        }
+    }
+
+    /// The rates' derivatives [rad/s].
+    #[inline(always)]
+    fn tangents<A: Arm<N>, V: Real>(&self, rate: f64, x: &Tangent<V, N>) -> [V; N] {
+        if A::PLANAR {
+            return summed(&x.link.map(|one| V::splat(rate) * one));
+        }
+        let mut sum = [V::splat(0.0); N];
+        for i in 0..N {
+            for j in 0..=i {
+                sum[i] = V::splat(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
+                sum[i] = V::splat(self.velocity[i][j]).mul_add(x.link[j], sum[i]);
             }
         }
         sum

@@ -12,13 +12,13 @@
 //! - n ddtheta_M' = -(n^2/m_M) s' - (d_M/m_M) n dtheta_M'
 //! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L')
 
-use crate::arm::{Arm, MOST_BASE};
+use crate::arm::Arm;
 use crate::joint::gear::PerSlope;
 use crate::plant::config::{Config, GearKind};
 use crate::plant::{Modes, Plant};
 use crate::scalar::{Lanes, Real, solve};
 use crate::sensitivity::effect::EffectSensitivity;
-use crate::sensitivity::forcing::{GEAR, LINK, MOTOR, NOTHING, Quads};
+use crate::sensitivity::forcing::{GEAR, LINK, MOTOR, Quads};
 use crate::sensitivity::trace::{Stages, Trace};
 
 /// Coefficients of the linear equations at the four stages, in the units of
@@ -38,7 +38,7 @@ pub(crate) struct Linearised<A: Arm<N>, L: Lanes, const N: usize> {
     /// n ddtheta_M' per gear torque, per n dtheta_M' and per motor torque.
     pub(crate) motor: [[f64; N]; 3],
     /// What each parameter adds to its rows.
-    pub(crate) quads: [Quads; N],
+    pub(crate) quads: Quads,
     /// What a little of the effects that the arm lacks would add.
     pub(crate) effects: Option<EffectSensitivity<N>>,
     pub(crate) settling: [Option<Settling>; N],
@@ -94,7 +94,7 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
             by_velocity: [[[0.0; 4]; N]; N],
             damping: plant.joints.map(|joint| joint.gear_damping.lane(0) / half),
             motor: [[0.0; N]; 3],
-            quads: [NOTHING; N],
+            quads: Quads::nothing(N, config.arm.names().len()),
             effects: asked
                 .has_effects()
                 .then(|| EffectSensitivity::new(asked, all)),
@@ -116,7 +116,11 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
             self.motor(trace, modes, i, h);
         }
         for first in (0..4).step_by(L::LANES) {
-            self.links(trace, &A::spread(begin), first);
+            self.links(
+                trace,
+                &A::map_posture(begin, |number| L::splat(number.lane(0))),
+                first,
+            );
             for i in 0..N {
                 self.gear(trace, i, first);
             }
@@ -147,7 +151,7 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
             let stage = &trace.stages[k];
             let (acceleration, velocity) = (stage.motor_acceleration[i], stage.motor_velocity[i]);
             let by = [acceleration, velocity, direction, 1.0];
-            put::<L>(&mut self.quads[i][MOTOR].0[k], &by, -push);
+            put::<L>(&mut self.quads.of(i)[MOTOR].0[k], &by, -push);
         }
     }
 
@@ -160,10 +164,11 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
         }
         let dq = trace.joints(first, |stage| &stage.velocity);
         let ddq = trace.joints(first, |stage| &stage.link_acceleration);
-        let at = A::near(begin, &turned);
+        let arm = &self.plant.arm;
+        let at = arm.near(begin, &turned);
         let base = &self.plant.base;
-        let inertia = A::inertia(base, &at);
-        let mut slopes = A::slopes(base, &at, &dq, &ddq);
+        let inertia = arm.inertia(base, &at);
+        let mut slopes = arm.slopes(base, &at, &dq, &ddq);
         for i in 0..N {
             slopes.velocity[i][i] = slopes.velocity[i][i] + self.plant.joints[i].link_viscous;
         }
@@ -180,16 +185,16 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
                 (rate * slopes.velocity[i][j]).store(&mut self.by_velocity[i][j][first..]);
             }
         }
-        let regressor: [[L; N]; MOST_BASE] = A::regressor(&at, &dq, &ddq);
+        let regressor = arm.regressor(&at, &dq, &ddq);
+        let by = regressor.as_ref();
         for i in 0..N {
-            let mut by = [L::splat(0.0); 8];
-            by[0] = dq[i];
-            for b in 0..MOST_BASE {
-                by[1 + b] = regressor[b][i];
-            }
-            let (fours, _) = by.as_chunks::<4>();
-            for (k, four) in fours.iter().enumerate() {
-                L::store_rows(four, &mut self.quads[i][LINK + k].0[first..]);
+            let slot = |k: usize| match k {
+                0 => dq[i],
+                _ => by.get(k - 1).map_or(L::splat(0.0), |by| by[i]),
+            };
+            for k in 0..(1 + by.len()).div_ceil(4) {
+                let four = [0, 1, 2, 3].map(|one| slot(4 * k + one));
+                L::store_rows(&four, &mut self.quads.of(i)[LINK + k].0[first..]);
             }
         }
     }
@@ -197,7 +202,7 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
     /// One gear, for the stages from the `first`.
     #[inline(always)]
     fn gear(&mut self, trace: &Trace<N>, i: usize, first: usize) {
-        let (joint, quads) = (&self.plant.joints[i], &mut self.quads[i]);
+        let (joint, quads) = (&self.plant.joints[i], self.quads.of(i));
         let zero = L::splat(0.0);
         let twist = trace.across::<L>(first, |stage| stage.twist[i]);
         let rate = trace.across::<L>(first, |stage| stage.rate[i]);

@@ -1,7 +1,7 @@
 //! What the sensors of an IMU read combinations of, behind its low-passes.
 
-use crate::arm::link_signals::{LINK_SIGNALS, link_signals};
-use crate::arm::{Accelerometers, Arm};
+use crate::arm::Arm;
+use crate::arm::link_signals::LINK_SIGNALS;
 use crate::plant::config::Config;
 use crate::scalar::Real;
 use crate::sensors::low_pass::LowPass;
@@ -21,13 +21,13 @@ pub(crate) struct Mounted<R, const N: usize> {
 /// The signals before any low-pass.
 #[inline(always)]
 pub(crate) fn ideal<A: Arm<N>, R: Real, const N: usize>(
-    places: &Accelerometers<N>,
+    arm: &A,
     at: &A::Posture<R>,
     dq: &[R; N],
     ddq: &[R; N],
 ) -> Signals<R, N> {
-    let [x, y, turning, square] = link_signals::<A, R, N>(places, at, dq, ddq);
-    [x, y, turning, square, A::absolute_rates(dq)]
+    let [x, y, turning, square] = arm.link_signals(at, dq, ddq);
+    [x, y, turning, square, arm.absolute_rates(at, dq)]
 }
 
 impl<R: Real, const N: usize> Mounted<R, N> {

@@ -1,9 +1,7 @@
 //! Arms and runs that the tests share.
 #![allow(dead_code)] // each test file uses its own part
 
-use std::marker::PhantomData;
-
-use strainwave_core::arm::Arm;
+use strainwave_core::arm::{Arm, OneLink, TwoLink};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Task};
 use strainwave_core::joint::effects::EffectKinds;
@@ -18,7 +16,6 @@ pub fn joint(gear: GearKind) -> JointConfig {
         torque_per_volt: 0.1,
         current_loop_hz: None,
         encoder_counts: None,
-        accelerometer_distance: 0.3,
         accelerometer_hz: None,
         gyro_hz: None,
         imu_accelerometer_hz: None,
@@ -27,11 +24,33 @@ pub fn joint(gear: GearKind) -> JointConfig {
     }
 }
 
-pub fn config<A: Arm<N>, const N: usize>(gears: [GearKind; N]) -> Config<A, N> {
+/// An arm with a geometry for the tests.
+pub trait BuiltIn {
+    fn built_in() -> Self;
+}
+
+impl<const VERTICAL: bool> BuiltIn for TwoLink<VERTICAL> {
+    fn built_in() -> Self {
+        Self {
+            link_length: 0.35,
+            gravity: 9.81,
+            accelerometer_distance: [0.3; 2],
+        }
+    }
+}
+
+impl<const VERTICAL: bool> BuiltIn for OneLink<VERTICAL> {
+    fn built_in() -> Self {
+        Self {
+            gravity: 9.81,
+            accelerometer_distance: 0.3,
+        }
+    }
+}
+
+pub fn config<A: Arm<N> + BuiltIn, const N: usize>(gears: [GearKind; N]) -> Config<A, N> {
     Config {
-        arm: PhantomData,
-        link_length: 0.35,
-        gravity: 9.81,
+        arm: A::built_in(),
         corner: CORNER,
         joints: gears.map(joint),
     }

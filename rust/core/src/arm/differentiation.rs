@@ -1,0 +1,144 @@
+//! Derivatives of an arm's equations by the motion, from the equations over numbers with a derivative.
+
+use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes};
+use super::{Arm, Slopes};
+use crate::scalar::{Jet, Real};
+
+/// A posture, velocities and accelerations.
+type Motion<'a, P, R, const N: usize> = (&'a P, &'a [R; N], &'a [R; N]);
+
+/// What [`Arm::slopes`] gives.
+#[inline(always)]
+pub(super) fn slopes<A: Arm<N>, R: Real, const N: usize>(
+    arm: &A,
+    base: &A::Base<R>,
+    motion: Motion<'_, A::Posture<R>, R, N>,
+) -> Slopes<R, N> {
+    let base = A::map_base(base, Jet::constant);
+    let [[angle], [velocity]] =
+        differentiate(arm, motion, |at, dq, ddq| [arm.torques(&base, at, dq, ddq)]);
+    Slopes { angle, velocity }
+}
+
+/// What [`Arm::accelerometer_slopes`] gives.
+#[inline(always)]
+pub(super) fn accelerometer_slopes<A: Arm<N>, R: Real, const N: usize>(
+    arm: &A,
+    motion: Motion<'_, A::Posture<R>, R, N>,
+) -> (Slopes<R, N>, [[R; N]; N]) {
+    let [[angle], [velocity], [acceleration]] =
+        differentiate(arm, motion, |at, dq, ddq| [arm.accelerometers(at, dq, ddq)]);
+    (Slopes { angle, velocity }, acceleration)
+}
+
+/// What [`Arm::rate_slopes`] gives.
+#[inline(always)]
+pub(super) fn rate_slopes<A: Arm<N>, R: Real, const N: usize>(
+    arm: &A,
+    at: &A::Posture<R>,
+    dq: &[R; N],
+) -> Slopes<R, N> {
+    let [[angle], [velocity]] =
+        differentiate(arm, (at, dq, dq), |at, dq, _| [arm.absolute_rates(at, dq)]);
+    Slopes { angle, velocity }
+}
+
+/// What [`Arm::link_signal_slopes`] gives.
+#[inline(always)]
+pub(super) fn link_signal_slopes<A: Arm<N>, R: Real, const N: usize>(
+    arm: &A,
+    motion: Motion<'_, A::Posture<R>, R, N>,
+) -> [LinkSignalSlopes<R, N>; N] {
+    let [angle, velocity, acceleration]: Derivatives<R, N, LINK_SIGNALS, 3> =
+        differentiate(arm, motion, |at, dq, ddq| arm.link_signals(at, dq, ddq));
+    std::array::from_fn(|i| LinkSignalSlopes {
+        angle: angle.map(|rows| rows[i]),
+        velocity: velocity.map(|rows| rows[i]),
+        acceleration: acceleration.map(|rows| rows[i]),
+    })
+}
+
+/// Derivatives of functions of the motion: by angles, velocities and, for `K` of three, by
+/// accelerations.
+type Derivatives<R, const N: usize, const M: usize, const K: usize> = [[[[R; N]; N]; M]; K];
+
+/// Derivatives of `M` functions of the motion, each a value per joint: the functions over numbers
+/// with a derivative, by one joint after the other.
+#[inline(always)]
+fn differentiate<A: Arm<N>, R: Real, const N: usize, const M: usize, const K: usize>(
+    arm: &A,
+    (at, dq, ddq): Motion<'_, A::Posture<R>, R, N>,
+    functions: impl Fn(&A::Posture<Jet<R>>, &[Jet<R>; N], &[Jet<R>; N]) -> [[Jet<R>; N]; M],
+) -> Derivatives<R, N, M, K> {
+    let (zero, one) = (R::splat(0.0), R::splat(1.0));
+    let mut all = [[[[zero; N]; N]; M]; K];
+    for j in 0..N {
+        for (kind, by) in all.iter_mut().enumerate() {
+            let mut moved = [&[zero; N], dq, ddq].map(|row| row.map(Jet::constant));
+            moved[kind][j].tangent = one;
+            let [turned, dq, ddq] = moved;
+            let at = A::map_posture(at, Jet::constant);
+            let found = functions(&arm.near(&at, &turned), &dq, &ddq);
+            for m in 0..M {
+                for i in 0..N {
+                    by[m][i][j] = found[m][i].tangent;
+                }
+            }
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::{OneLink, TwoLink};
+    use proptest::prelude::*;
+
+    /// Closed forms against what the equations give over numbers with a derivative, relative to
+    /// numbers of the size of ten.
+    fn check<A: Arm<N>, const N: usize>(arm: &A, values: &[f64], [q, dq, ddq]: &[[f64; N]; 3]) {
+        let (base, at) = (arm.base(values), arm.posture(q));
+        let motion = (&at, dq, ddq);
+        let near = |own: &[[f64; N]], other: &[[f64; N]]| {
+            for (own, other) in own.as_flattened().iter().zip(other.as_flattened()) {
+                assert!((own - other).abs() < 1e-12 * 10.0, "{own} {other}");
+            }
+        };
+        let (own, other) = (arm.slopes(&base, &at, dq, ddq), slopes(arm, &base, motion));
+        near(&own.angle, &other.angle);
+        near(&own.velocity, &other.velocity);
+        let (own, by) = arm.accelerometer_slopes(&at, dq, ddq);
+        let (other, other_by) = accelerometer_slopes(arm, motion);
+        near(&own.angle, &other.angle);
+        near(&own.velocity, &other.velocity);
+        near(&by, &other_by);
+        let signals = arm.link_signal_slopes(&at, dq, ddq);
+        for (own, other) in signals.iter().zip(&link_signal_slopes(arm, motion)) {
+            near(&own.angle, &other.angle);
+            near(&own.velocity, &other.velocity);
+            near(&own.acceleration, &other.acceleration);
+        }
+        let regressor = arm.regressor(&at, dq, ddq);
+        let torques = arm.torques(&base, &at, dq, ddq);
+        for i in 0..N {
+            let columns = regressor.as_ref().iter().zip(values);
+            let sum: f64 = columns.map(|(column, value)| column[i] * value).sum();
+            assert!((sum - torques[i]).abs() < 1e-12 * 10.0);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn closed_forms_are_what_differentiation_gives(motion in prop::array::uniform3(prop::array::uniform2(-2.0..2.0f64))) {
+            let values = [1.6, 0.6, 0.8, 3.1, 0.7];
+            let (link_length, gravity) = (0.35, 9.81);
+            let accelerometer_distance = [0.33, 0.27];
+            check(&TwoLink::<false> { link_length, gravity, accelerometer_distance }, &values, &motion);
+            check(&TwoLink::<true> { link_length, gravity, accelerometer_distance }, &values, &motion);
+            let (motion, accelerometer_distance) = (motion.map(|[first, _]| [first]), 0.3);
+            check(&OneLink::<false> { gravity, accelerometer_distance }, &values[..2], &motion);
+            check(&OneLink::<true> { gravity, accelerometer_distance }, &values[..2], &motion);
+        }
+    }
+}
