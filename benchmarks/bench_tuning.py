@@ -37,9 +37,9 @@ from strainwave.domain import (
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
-from strainwave.identification.whole_arm.dataset import replayed
-from strainwave.identification.whole_arm.objective import Misfit
-from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, search_of, with_curves
+from strainwave.identification.whole_arm.dataset import dataset_of
+from strainwave.identification.whole_arm.objective import Objective
+from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, space_of, with_curves
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 from strainwave.numerics.parallel import one_blas_thread
@@ -206,28 +206,28 @@ def _nothing(values: Values) -> RigidModel:
 
 def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
     """Soft L1 by SciPy's trust region from the same start, by weights as the truth shows them."""
-    records = [replayed(log, study, CUTOFF) for log in logs]
-    search = search_of(
+    records = [dataset_of(log, study, CUTOFF) for log in logs]
+    space = space_of(
         _nothing(values), _models(study, values), study, largest_voltage=[10.0, 10.0], floor=1.0
     )
     if study.arm.joints[0].spring == "three-slope":
-        search = with_curves(search, study, [60.0, 15.0])
-    misfit = Misfit.of(search, records).reweighted(search.coordinates(values))
-    repeats = [np.sqrt(weights.repeats) for weights in misfit.weights]
+        space = with_curves(space, study, [60.0, 15.0])
+    objective = Objective.of(space, records).reweighted(space.coordinates(values))
+    repeats = [np.sqrt(weights.repeats) for weights in objective.weights]
 
     def residual(z: FloatArray) -> FloatArray:
-        parts = zip(misfit.rows(z), repeats, strict=True)
+        parts = zip(objective.rows(z), repeats, strict=True)
         return np.concatenate([(rows.residual / root).ravel() for rows, root in parts])
 
     def jacobian(z: FloatArray) -> FloatArray:
-        parts = zip(misfit.rows(z), repeats, strict=True)
+        parts = zip(objective.rows(z), repeats, strict=True)
         return np.concatenate(
             [(rows.shared / root[:, None]).reshape(-1, len(z)) for rows, root in parts]
         )
 
-    start = search.coordinates(_start(values))
-    bounds = (-search.upper, search.upper)
+    start = space.coordinates(_start(values))
+    bounds = (-space.upper, space.upper)
     solved = least_squares(
         residual, start, jacobian, bounds, loss="soft_l1", x_scale="jac", ftol=1e-6
     )
-    return dict(zip(search.keys, search.parameters(solved.x).tolist(), strict=True))
+    return dict(zip(space.keys, space.parameters(solved.x).tolist(), strict=True))

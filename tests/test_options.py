@@ -197,21 +197,21 @@ def test_an_option_changes_the_whole_arm_fit(
     ends = []
     for how in (TuningOptions(), replace(TuningOptions(), **{key: CHANGES["tuning"][key]})):
         fit = begun(how)
-        values = fit.misfit.search.values(fit.z)
+        values = fit.objective.space.values(fit.z)
         ends.append((len(fit.z), fit.converged, [values[name] for name in sorted(TRUE, key=str)]))
     assert ends[0][:2] != ends[1][:2] or not np.allclose(ends[0][2], ends[1][2], rtol=1e-9)
 
 
 def test_what_is_held_stays_and_ranges_bind(begun: Callable[[TuningOptions], tuning.Fit]) -> None:
     free = begun(TuningOptions())
-    start = begun(TuningOptions(max_iterations=1)).misfit.search
+    start = begun(TuningOptions(max_iterations=1)).objective.space
     first = start.values(np.zeros(len(start.unknowns)))
     k, d = ("gear_stiffness", 1), ("gear_damping", 1)
     narrow = begun(TuningOptions(ranges={"gear_stiffness 1": (0.9999, 1.0001)}, hold=(d[0],)))
-    values = narrow.misfit.search.values(narrow.z)
-    assert values[d] == first[d] != free.misfit.search.values(free.z)[d]
+    values = narrow.objective.space.values(narrow.z)
+    assert values[d] == first[d] != free.objective.space.values(free.z)[d]
     assert abs(values[k] / first[k] - 1.0) <= 1.0001e-4
-    assert d not in narrow.misfit.search.keys
+    assert d not in narrow.objective.space.keys
 
 
 def test_tuning_as_published(small: Path) -> None:

@@ -1,7 +1,7 @@
 """The whole of `identify` on an arm that another engine moves: tests/data/small-arm.
 
 Nothing of these logs comes from strainwave's own simulator but the excitation and the noise, and the
-arm is unlike the built-in one: lighter links, gears of other sizes and ratios, a coarser encoder.
+arm is unlike the built-in one: lighter links, gears of other sizes and ratios, a coarsened encoder.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ from strainwave.domain import (
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.rigid_regressor import columns_of
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, simulate
-from strainwave.identification.whole_arm.dataset import Channel, Kernels, Replayed
-from strainwave.identification.whole_arm.parametrisation import Prior, Search, Unknown
+from strainwave.identification.whole_arm.dataset import Channel, Dataset, Kernels
+from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior, Unknown
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 from strainwave.signals.recorded_input import replay
@@ -200,14 +200,14 @@ def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) 
 
 
 def simulated(
-    record: Replayed, values: Mapping[tuple[str, int | None], float], local: FloatArray
+    record: Dataset, values: Mapping[tuple[str, int | None], float], local: FloatArray
 ) -> FloatArray:
     """A record's channels by simulation without derivatives: (n_rows, n_channels)."""
     return record.seen(record.run(values, local, record.quantities()))
 
 
 @dataclass(frozen=True, slots=True)
-class LinearRecord(Replayed):
+class LinearRecord(Dataset):
     """A record of an arm whose channels are linear in its parameters, and in no initial state."""
 
     table: FloatArray  # (n_rows, n_channels, n_unknowns)
@@ -227,10 +227,12 @@ class LinearRecord(Replayed):
         return np.asarray(self.table @ parameters), self.table[..., asked]
 
 
-def linear_search(n: int, prior: Prior | None = None) -> Search:
+def linear_search(n: int, prior: Prior | None = None) -> ParameterSpace:
     """Unknowns that are their own coordinates."""
     unknowns = tuple(Unknown(f"p{k}", None, "1", 0.0, 1.0, True, 1e6) for k in range(n))
-    return Search(unknowns, {}, prior or Prior(np.zeros((0, n)), np.zeros(0), np.zeros((0, 0))))
+    return ParameterSpace(
+        unknowns, {}, prior or Prior(np.zeros((0, n)), np.zeros(0), np.zeros((0, 0)))
+    )
 
 
 def linear_record(

@@ -38,11 +38,11 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     study = read_study(path)
     before = pipeline.identify(path, stages=("rigid", "decoupled"))
     fit = fitted(logs.read_logs(study), before.rigid, before.joints, study)
-    search = fit.misfit.search
-    ends = {"rows": fit.z, "predictor": search.moved(fit.z, _step(fit))}
+    space = fit.objective.space
+    ends = {"rows": fit.z, "predictor": space.moved(fit.z, _step(fit))}
     found: dict[str, Any] = {}
     for way, z in ends.items():
-        pairs = zip(search.keys, search.parameters(z).tolist(), strict=True)
+        pairs = zip(space.keys, space.parameters(z).tolist(), strict=True)
         found[way] = {
             f"{name} {joint or ''}".strip(): value / true - 1.0
             for (name, joint), value in pairs
@@ -53,11 +53,11 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
 
 def _step(fit: Fit) -> FloatArray:
     """From the plain minimum to that of the errors that the past does not foretell."""
-    prior = fit.misfit.search.prior
-    slope = prior.rows @ fit.misfit.search.slope(fit.z)
-    off = prior.rows @ fit.misfit.search.parameters(fit.z) - prior.target
+    prior = fit.objective.space.prior
+    slope = prior.rows @ fit.objective.space.slope(fit.z)
+    off = prior.rows @ fit.objective.space.parameters(fit.z) - prior.target
     tables = [np.column_stack([slope, off])]
-    for rows in fit.misfit.rows(fit.z):
+    for rows in fit.objective.rows(fit.z):
         n_own = rows.local.shape[2]
         factor = np.linalg.qr(_foretold(rows), mode="r")
         tables.append(np.asarray(factor)[n_own:, n_own:])

@@ -322,7 +322,7 @@ def test_an_independent_engine_moves_alike(
 
 
 def test_the_servo_is_the_one_that_made_the_logs(shared_data: Path) -> None:
-    """Its law, replayed on logged encoder and reference, gives the logged voltage to the last digit."""
+    """Its law, dataset_of on logged encoder and reference, gives the logged voltage to the last digit."""
     study = _lab(shared_data, "scara-linear-5kg")
     servo = study.arm.servo
     assert servo is not None

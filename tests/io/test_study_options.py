@@ -161,12 +161,12 @@ def test_callers_give_records_or_tables(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_parameters_of_the_fit_are_those_options_may_name(spring: str) -> None:
-    from strainwave.identification.whole_arm.parametrisation import search_of, with_curves
+    from strainwave.identification.whole_arm.parametrisation import space_of, with_curves
 
     study, known = truth(spring)
     joints = joint_models(study, known, 0.01, np.zeros((2, 6)))
     rigid = rigid_model(study, known, 0.01)
-    search = search_of(rigid, joints, study, largest_voltage=[10.0, 10.0], floor=0.01)
+    search = space_of(rigid, joints, study, largest_voltage=[10.0, 10.0], floor=0.01)
     if spring == "three-slope":
         search = with_curves(search, study, [60.0, 20.0])
     fitted = {name if joint is None else f"{name} {joint}" for name, joint in search.keys}

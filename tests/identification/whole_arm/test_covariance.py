@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
 from strainwave.identification.whole_arm.covariance import Confidence, confidence_of, only_together
-from strainwave.identification.whole_arm.objective import Misfit, Weights
-from strainwave.identification.whole_arm.parametrisation import Prior, Search, Unknown
+from strainwave.identification.whole_arm.objective import Objective, Weights
+from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior, Unknown
 from tuning_runs import linear_record, linear_search
 
 N = 600
@@ -32,7 +32,7 @@ def coloured(rng: np.random.Generator, rows: int, pole: float, size: float) -> F
     return np.asarray(lfilter([1.0], [1.0, -pole], white, axis=0)[300:])
 
 
-def misfit_of(
+def objective_of(
     tables: Sequence[FloatArray],
     errors: Sequence[FloatArray],
     deviation: float,
@@ -40,7 +40,7 @@ def misfit_of(
     noise: float = 1e9,
     prior: Prior | None = None,
     shifted: bool = False,
-) -> Misfit:
+) -> Objective:
     """Linear records with these errors, which the sensors' noise explains unless it is given."""
     records = [
         linear_record(table, table @ TRUTH + error, noise=noise, shifted=shifted)
@@ -48,14 +48,14 @@ def misfit_of(
     ]
     widths = [table.shape[1] for table in tables]
     weights = tuple(Weights(np.full(n, deviation), np.ones(n)) for n in widths)
-    return replace(Misfit.of(linear_search(3, prior), records), weights=weights)
+    return replace(Objective.of(linear_search(3, prior), records), weights=weights)
 
 
-def solved(misfit: Misfit) -> FloatArray:
-    """The minimum of a linear misfit, weights and all."""
-    z = np.zeros(len(misfit.search.unknowns))
+def solved(objective: Objective) -> FloatArray:
+    """The minimum of a linear objective, weights and all."""
+    z = np.zeros(len(objective.space.unknowns))
     for _ in range(40):
-        at = misfit.linearise(z)
+        at = objective.linearise(z)
         assert at is not None
         R = at.factor
         step = np.linalg.lstsq(R[:, :-1], -R[:, -1])[0]
@@ -74,7 +74,7 @@ def test_the_local_covariance_is_the_closed_form() -> None:
     tables = [table_of(0), table_of(1, 400)]
     prior = Prior(np.array([[30.0, 10.0, 0.0]]), np.array([50.0]), np.eye(1))
     errors = [np.zeros((N, 1)), np.zeros((400, 1))]
-    found = confidence_of(misfit_of(tables, errors, 0.1, prior=prior), TRUTH)
+    found = confidence_of(objective_of(tables, errors, 0.1, prior=prior), TRUTH)
     information = sum(t.reshape(-1, 3).T @ t.reshape(-1, 3) for t in tables) / 0.1**2
     information = information + prior.rows.T @ prior.rows
     np.testing.assert_allclose(found.local, np.linalg.inv(information), rtol=1e-9)
@@ -83,7 +83,7 @@ def test_the_local_covariance_is_the_closed_form() -> None:
 def test_a_records_own_constants_cost_certainty() -> None:
     """As if they stood among the unknowns."""
     table = table_of(2) + np.array([1.0, 0.0, 0.3])
-    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.1, shifted=True), TRUTH)
+    found = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.1, shifted=True), TRUTH)
     whole = np.column_stack([np.ones(N), table.reshape(-1, 3)]) / 0.1
     expected = np.linalg.inv(whole.T @ whole)[1:, 1:]
     np.testing.assert_allclose(found.local, expected, rtol=1e-8)
@@ -96,14 +96,14 @@ def test_weights_and_scales_are_taken_into_account() -> None:
     unknowns = tuple(
         Unknown(f"p{k}", None, "1", s, s, False, 10.0) for k, s in enumerate((1.0, 5.0, 0.1))
     )
-    search = Search(unknowns, {}, Prior(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 0))))
+    space = ParameterSpace(unknowns, {}, Prior(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 0))))
     z = np.array([0.2, -0.1, 0.4])
-    p = search.parameters(z)
+    p = space.parameters(z)
     error = rng.normal(0.0, 0.2, (N, 1))
     record = linear_record(table, table @ p + error, noise=1e9)
     weights = Weights(np.array([0.1]), np.array([3.0]))
-    misfit = replace(Misfit.of(search, [record]), weights=(weights,))
-    found = confidence_of(misfit, z)
+    objective = replace(Objective.of(space, [record]), weights=(weights,))
+    found = confidence_of(objective, z)
     weight = 1.0 / np.sqrt(1.0 + (error / 0.1) ** 2) / 3.0 / 0.1**2
     flat = table.reshape(-1, 3)
     np.testing.assert_allclose(found.local, np.linalg.inv(flat.T @ (weight * flat)), rtol=1e-8)
@@ -115,10 +115,10 @@ def draws(pole: float, n: int, deviation: float, size: float) -> tuple[FloatArra
     table = table_of(4, 3 * N)
     fits, sandwiches = [], []
     for _ in range(n):
-        misfit = misfit_of([table], [coloured(rng, 3 * N, pole, size)], deviation)
-        z = solved(misfit)
+        objective = objective_of([table], [coloured(rng, 3 * N, pole, size)], deviation)
+        z = solved(objective)
         fits.append(z)
-        sandwiches.append(confidence_of(misfit, z).sandwich)
+        sandwiches.append(confidence_of(objective, z).sandwich)
     return np.cov(np.array(fits).T), np.mean(sandwiches, axis=0)
 
 
@@ -127,8 +127,8 @@ def test_the_sandwich_knows_of_errors_that_go_on() -> None:
     # of 150 draws; ten stretches, at whose borders errors are told as independent
     ratio = np.sqrt(np.diag(found) / np.diag(true))
     assert np.all((ratio > 0.75) & (ratio < 1.15)), ratio
-    misfit = misfit_of([table_of(4, 3 * N)], [np.zeros((3 * N, 1))], 0.1)
-    naive = np.diag(confidence_of(misfit, TRUTH).local)
+    objective = objective_of([table_of(4, 3 * N)], [np.zeros((3 * N, 1))], 0.1)
+    naive = np.diag(confidence_of(objective, TRUTH).local)
     # slow columns see slow errors: the closed form for independent rows is too sure by far
     assert np.all(np.diag(true) > 4.0 * naive)
 
@@ -153,9 +153,9 @@ def test_the_steady_covariance_knows_how_quick_errors_are() -> None:
     total = np.array([1.0, 1.0, 0.0])
     fits, found = [], []
     for _ in range(150):
-        misfit = misfit_of([table], [quick(rng, N, 0.1)], 0.1)
-        fits.append(solved(misfit))
-        found.append(confidence_of(misfit, fits[-1]))
+        objective = objective_of([table], [quick(rng, N, 0.1)], 0.1)
+        fits.append(solved(objective))
+        found.append(confidence_of(objective, fits[-1]))
     true = np.cov(np.array(fits).T)
     steady = np.mean([one.steady for one in found], axis=0)
     ratio = np.sqrt(np.diag(steady) / np.diag(true))
@@ -172,7 +172,7 @@ def test_errors_count_as_no_smaller_than_the_sensors_noise() -> None:
     error = quick(np.random.default_rng(15), N, 0.1)
 
     def steady(noise: float, deviation: float = FAR * 0.1) -> FloatArray:
-        found = confidence_of(misfit_of([table_of(15)], [error], deviation, noise=noise), TRUTH)
+        found = confidence_of(objective_of([table_of(15)], [error], deviation, noise=noise), TRUTH)
         return found.steady - 1e-3 * found.local
 
     plain = steady(0.05)
@@ -188,7 +188,7 @@ def test_errors_count_as_no_smaller_than_the_sensors_noise() -> None:
 def test_at_standstill_errors_are_the_sensors_noise() -> None:
     """White, where nothing shows how they repeat: the closed form."""
     table = table_of(19)
-    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.5, noise=0.1), TRUTH)
+    found = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.5, noise=0.1), TRUTH)
     flat = table.reshape(-1, 3)
     expected = 0.1**2 * np.linalg.inv(flat.T @ flat)
     np.testing.assert_allclose(found.steady - 1e-3 * found.local, expected, rtol=1e-6)
@@ -200,7 +200,7 @@ def test_what_the_rigid_step_told_counts_by_its_own_errors() -> None:
     table[..., 2] = 0.0
     assumed, errors = 0.1, np.array([[0.25]])
     prior = Prior(np.array([[0.0, 0.0, 1.0 / assumed]]), TRUTH[2:] / assumed, errors)
-    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.1, prior=prior), TRUTH)
+    found = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.1, prior=prior), TRUTH)
     assert np.sqrt(found.local[2, 2]) == pytest.approx(assumed)
     assert np.sqrt(found.combined[2, 2]) == pytest.approx(0.5 * assumed, rel=0.01)
 
@@ -216,8 +216,8 @@ def test_a_rigid_step_that_the_records_contradict_counts_for_less() -> None:
     for off in (0.0, 0.2):
         target = (TRUTH[[0, 2]] + [off, 0.0]) / assumed
         prior = Prior(rows, target, np.diag((told / assumed) ** 2))
-        misfit = misfit_of([table], [error], 0.01, prior=prior)
-        found.append(confidence_of(misfit, solved(misfit)))
+        objective = objective_of([table], [error], 0.01, prior=prior)
+        found.append(confidence_of(objective, solved(objective)))
     assert np.sqrt(found[0].combined[2, 2]) == pytest.approx(told[1], rel=0.05)
     # of two residuals one is ten deviations: on the whole they are sqrt(50)
     assert np.sqrt(found[1].combined[2, 2]) == pytest.approx(np.sqrt(50.0) * told[1], rel=0.05)
@@ -228,9 +228,9 @@ def test_local_deviations_hold_for_white_errors() -> None:
     table = table_of(5)
     fits = []
     for _ in range(200):
-        misfit = misfit_of([table], [rng.normal(0.0, 0.1, (N, 1))], 0.1)
-        fits.append(solved(misfit))
-    found = confidence_of(misfit, fits[-1]).local
+        objective = objective_of([table], [rng.normal(0.0, 0.1, (N, 1))], 0.1)
+        fits.append(solved(objective))
+    found = confidence_of(objective, fits[-1]).local
     ratio = np.sqrt(np.diag(found)) / np.std(fits, axis=0)
     # weights fall off where the loss bends: a little too wide
     assert np.all((ratio > 0.9) & (ratio < 1.25)), ratio
@@ -243,12 +243,12 @@ def test_records_with_errors_of_their_own_scatter() -> None:
     fits, scatters = [], []
     for _ in range(80):
         errors = [0.1 * (t @ rng.normal(size=3)) + rng.normal(0.0, 0.01, (200, 1)) for t in tables]
-        misfit = misfit_of(tables, errors, FAR)
-        fits.append(solved(misfit))
-        scatters.append(np.diag(confidence_of(misfit, fits[-1]).scatter))
+        objective = objective_of(tables, errors, FAR)
+        fits.append(solved(objective))
+        scatters.append(np.diag(confidence_of(objective, fits[-1]).scatter))
     ratio = np.sqrt(np.mean(scatters, axis=0)) / np.std(fits, axis=0)
     assert np.all((ratio > 0.8) & (ratio < 1.2)), ratio
-    local = np.diag(confidence_of(misfit, fits[-1]).local) * (0.01 / FAR) ** 2
+    local = np.diag(confidence_of(objective, fits[-1]).local) * (0.01 / FAR) ** 2
     assert np.all(local < 0.01 * np.var(fits, axis=0))
 
 
@@ -260,8 +260,8 @@ def test_a_right_models_records_scatter_as_the_local_covariance_says() -> None:
         table[..., 2] = 0.0
     ratios = []
     for _ in range(40):
-        misfit = misfit_of(tables, [rng.normal(0.0, 0.01, (200, 1)) for _ in tables], 0.01)
-        found = confidence_of(misfit, solved(misfit))
+        objective = objective_of(tables, [rng.normal(0.0, 0.01, (200, 1)) for _ in tables], 0.01)
+        found = confidence_of(objective, solved(objective))
         ratios.append(np.diag(found.scatter) / np.diag(found.local))
     ratio = np.sqrt(np.mean(ratios, axis=0))
     assert np.all(ratio < 1.2), ratio
@@ -270,7 +270,7 @@ def test_a_right_models_records_scatter_as_the_local_covariance_says() -> None:
 
 def test_two_records_do_not_scatter() -> None:
     tables = [table_of(k) for k in (1, 2)]
-    found = confidence_of(misfit_of(tables, [np.zeros((N, 1))] * 2, 0.1), TRUTH)
+    found = confidence_of(objective_of(tables, [np.zeros((N, 1))] * 2, 0.1), TRUTH)
     assert np.all(np.isnan(found.scatter))
     assert np.all(np.isfinite(found.combined))
 
@@ -285,8 +285,8 @@ def test_deviations_count_stretches_and_scatter() -> None:
     tables = [table_of(20 + k, 200) for k in range(4)]
     for pole in (0.0, 0.97):
         errors = [coloured(rng, 200, pole, 0.1) for _ in tables]
-        misfit = misfit_of(tables, errors, 0.1)
-        found = confidence_of(misfit, solved(misfit))
+        objective = objective_of(tables, errors, 0.1)
+        found = confidence_of(objective, solved(objective))
         own, sandwiched, scattered = deviations(found)
         told = np.sqrt(np.diag(found.combined))
         assert np.all(told**2 >= 0.5 * own**2)
@@ -311,9 +311,9 @@ def test_intervals_hold_where_few_records_have_errors_of_their_own() -> None:
     inside = []
     for _ in range(80):
         errors = [0.1 * (t @ rng.normal(size=3)) + rng.normal(0.0, 0.01, (200, 1)) for t in tables]
-        misfit = misfit_of(tables, errors, 0.1, noise=1e9).reweighted(TRUTH)
-        z = solved(misfit)
-        reach = 1.96 * np.sqrt(np.diag(confidence_of(misfit, z).combined))
+        objective = objective_of(tables, errors, 0.1, noise=1e9).reweighted(TRUTH)
+        z = solved(objective)
+        reach = 1.96 * np.sqrt(np.diag(confidence_of(objective, z).combined))
         inside.append(np.abs(z - TRUTH) < reach)
     share = np.mean(inside, axis=0)
     assert np.all((share > 0.88) & (share <= 1.0)), share
@@ -323,7 +323,7 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
     rng = np.random.default_rng(9)
     table = table_of(9)
     error = rng.normal(0.0, 0.1, (N, 1))
-    explained = misfit_of([table], [error], 0.1, noise=0.1)
+    explained = objective_of([table], [error], 0.1, noise=0.1)
     z = solved(explained)
     quiet = confidence_of(explained, z)
     larger = np.maximum(np.diag(quiet.sandwich), np.diag(quiet.steady))
@@ -346,7 +346,7 @@ def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
     error = rng.normal(0.0, 1.0, (200, 1))
     tables, errors = [table_of(12, 200)] * n, [0.1 * error / np.std(error)] * n
     found = [
-        confidence_of(misfit_of(tables, errors, 0.1, noise=noise), TRUTH)
+        confidence_of(objective_of(tables, errors, 0.1, noise=noise), TRUTH)
         for noise in (0.0999, 1e-9)
     ]
     raised = np.diag(found[1].combined) / np.diag(found[0].combined)
@@ -356,7 +356,7 @@ def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
 def test_what_nothing_tells_of_is_very_uncertain() -> None:
     table = table_of(10)
     table[..., 2] = 0.0
-    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.1), TRUTH)
+    found = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.1), TRUTH)
     flat = table.reshape(-1, 3)[:, :2] / 0.1
     np.testing.assert_allclose(found.local[:2, :2], np.linalg.inv(flat.T @ flat), rtol=1e-8)
     assert not found.combined[2, 2] < 1e12
@@ -368,7 +368,7 @@ def test_a_pair_that_is_told_only_together() -> None:
     table = table_of(11)
     # the second column is the third's shadow
     table[..., 1] = table[..., 2] + 1e-3 * rng.normal(size=(N, 1))
-    found = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.2), TRUTH)
+    found = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.2), TRUTH)
     groups = list(only_together(["a", "b", "c"], TRUTH, found.combined))
     assert [names for names, _ in groups] == [("b", "c")]
     # along b up, c down by as much, twice as much of its value
@@ -377,7 +377,7 @@ def test_a_pair_that_is_told_only_together() -> None:
     assert groups[0][1] == pytest.approx(spread)
     # held together by what is known of their sum, they are no matter
     prior = Prior(np.array([[0.0, 1.0, 0.0]]) * 1e3, np.array([-1e3]), np.eye(1))
-    held = confidence_of(misfit_of([table], [np.zeros((N, 1))], 0.2, prior=prior), TRUTH)
+    held = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.2, prior=prior), TRUTH)
     assert list(only_together(["a", "b", "c"], TRUTH, held.combined)) == []
 
 

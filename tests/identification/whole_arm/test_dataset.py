@@ -13,7 +13,12 @@ from strainwave.domain import FloatArray, Log, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import LONGEST_STEP, simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.dataset import INITIAL, low_pass_kernels, replayed, usable
+from strainwave.identification.whole_arm.dataset import (
+    INITIAL,
+    dataset_of,
+    low_pass_kernels,
+    usable,
+)
 from tuning_runs import beginning, later, rig_logs, shaken, simulated, truth
 
 T = 2.5e-4
@@ -109,7 +114,7 @@ def test_the_true_arm_repeats_its_record(
     monkeypatch.setattr(MODULE, "_STEP", step)
     study, values, logs = ideal()
     for log in logs:
-        seen = replayed(log, study, CUTOFF)
+        seen = dataset_of(log, study, CUTOFF)
         assert not seen.moving
         assert seen.local == ()
         assert len(seen.start()) == 0
@@ -122,11 +127,11 @@ def test_a_servoed_record_is_driven_by_its_voltages() -> None:
     study, logs = rig_logs()
     values = truth()[1]
     log = next(r for r in logs if r.name == "step-j1")
-    seen = replayed(log, study, CUTOFF)
+    seen = dataset_of(log, study, CUTOFF)
     assert seen.drive.servo == (False, False)
     np.testing.assert_array_equal(seen.drive.voltage[:, 0], log.channels["u1"])
     without = {name: x for name, x in log.channels.items() if not name.startswith("ref")}
-    blind = replayed(
+    blind = dataset_of(
         replace(log, channels=without), replace(study, arm=replace(study.arm, servo=None)), CUTOFF
     )
     rows = simulated(blind, values, blind.start())
@@ -143,7 +148,9 @@ def test_noise_is_what_sensors_leave_behind_the_low_pass() -> None:
     channels = dict(log.channels)
     for name, size in sizes.items():
         channels[name] = log.channels[name] + rng.normal(0.0, size, len(log))
-    clean, noisy = (replayed(one, study, CUTOFF) for one in (log, replace(log, channels=channels)))
+    clean, noisy = (
+        dataset_of(one, study, CUTOFF) for one in (log, replace(log, channels=channels))
+    )
     assert [channel.name for channel in noisy.channels] == list(sizes)
     off = np.std(noisy.measured - clean.measured, axis=0)
     # 320 rows, four of which overlap
@@ -159,7 +166,7 @@ def test_noise_is_not_what_an_arm_makes_of_its_motion() -> None:
     for name, size in sizes.items():
         channels[name] = channels[name] + rng.normal(0.0, size, len(channels[name]))
     slow = replace(log, sample_time=4.0 * log.sample_time, time=log.time[::4], channels=channels)
-    seen = replayed(slow, study, CUTOFF)
+    seen = dataset_of(slow, study, CUTOFF)
     kernels = [seen.kernels.taps(rate=channel.rate) for channel in seen.channels]
     true = np.array([s * np.linalg.norm(k) for s, k in zip(sizes.values(), kernels, strict=True)])
     assert np.all(seen.noise > 3.0 * true)
@@ -171,7 +178,7 @@ def test_noise_is_not_what_an_arm_makes_of_its_motion() -> None:
 def test_counts_are_noise() -> None:
     study, _, (log, *_) = shaken()
     still = {**log.channels, "theta_m2": np.zeros(len(log))}
-    seen = replayed(replace(log, channels=still), study, CUTOFF)
+    seen = dataset_of(replace(log, channels=still), study, CUTOFF)
     step = 2.0 * np.pi / 8192
     norm = np.linalg.norm(seen.kernels.slope)
     assert seen.noise[1] == pytest.approx(step / np.sqrt(12.0) * norm)
@@ -179,7 +186,7 @@ def test_counts_are_noise() -> None:
 
 
 def named(log: Log, study: Study) -> list[tuple[str, str, bool, bool]]:
-    channels = replayed(log, study, CUTOFF).channels
+    channels = dataset_of(log, study, CUTOFF).channels
     return [(c.name, c.quantity, c.rate, c.shifted) for c in channels]
 
 
@@ -218,13 +225,13 @@ def test_every_channel_is_simulated_as_it_is_measured(
     monkeypatch.setattr(MODULE, "_STEP", step)
     study, values, (log, *_) = ideal()
     angle = 0.01 * log.channels["theta_m2"]
-    drive = replayed(log, study, CUTOFF).drive
+    drive = dataset_of(log, study, CUTOFF).drive
     run = simulate(study, values, drive, sample_time=T, samples=len(log), record=["link_angle"])
     channels = {**log.channels, "theta_l2": np.ascontiguousarray(run["link_angle"][:, 1])}
     assert np.max(np.abs(channels["theta_l2"] - angle)) > 1e-4  # the gear twists
     for name in ("a1", "a2"):
         del channels[name]
-    seen = replayed(replace(log, channels=channels), study, CUTOFF)
+    seen = dataset_of(replace(log, channels=channels), study, CUTOFF)
     assert [channel.name for channel in seen.channels][2:] == ["gyro1", "theta_l2"]
     rows = simulated(seen, values, seen.start())
     assert np.all(np.abs(rows - seen.measured) < off * np.std(seen.measured, axis=0))
@@ -233,7 +240,7 @@ def test_every_channel_is_simulated_as_it_is_measured(
 def test_a_record_that_begins_in_motion() -> None:
     study, values, (log, *_) = ideal()
     cut = later(log, 400)
-    seen = replayed(cut, study, CUTOFF)
+    seen = dataset_of(cut, study, CUTOFF)
     assert seen.moving
     assert seen.local == tuple((name, i) for name in INITIAL for i in (1, 2))
     begun = beginning(study, values, log, 400)
@@ -251,7 +258,7 @@ def test_a_record_that_begins_in_motion() -> None:
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_derivatives_are_those_of_the_rows(spring: str) -> None:
     study, values, (log, *_) = shaken(spring, noisy=False, counts=False)
-    seen = replayed(later(log, 400), study, CUTOFF)
+    seen = dataset_of(later(log, 400), study, CUTOFF)
     local = seen.start()
     directions = [("beta", None), ("motor_inertia", 1), ("motor_coulomb_friction", 1)]
     directions += [("gear_damping", 2)]
@@ -283,15 +290,15 @@ def test_a_record_from_rest_is_seen_as_one(spring: str) -> None:
     for amplitude in (3.0, 10.0):
         study, _, logs = shaken(spring, amplitude)
         for log in logs:
-            assert not replayed(log, study, CUTOFF).moving
+            assert not dataset_of(log, study, CUTOFF).moving
     study, logs = rig_logs()
-    assert not any(replayed(log, study, CUTOFF).moving for log in logs if log.sample_time == T)
+    assert not any(dataset_of(log, study, CUTOFF).moving for log in logs if log.sample_time == T)
 
 
 @pytest.mark.parametrize(("joint", "first"), [(1, 300), (1, 900), (2, 300), (2, 900)])
 def test_a_record_cut_in_motion_is_seen_as_one(joint: int, first: int) -> None:
     study, _, logs = shaken()
-    assert replayed(later(logs[joint - 1], first), study, CUTOFF).moving
+    assert dataset_of(later(logs[joint - 1], first), study, CUTOFF).moving
 
 
 def test_records_that_cannot_be_gone_through_again() -> None:
@@ -299,13 +306,13 @@ def test_records_that_cannot_be_gone_through_again() -> None:
     log = next(r for r in logs if r.name == "step-j1")
     deaf = {name: x for name, x in log.channels.items() if name != "theta_m2"}
     with pytest.raises(InvalidInput, match="theta_m2 is not there"):
-        replayed(replace(log, channels=deaf), study, CUTOFF)
+        dataset_of(replace(log, channels=deaf), study, CUTOFF)
     mute = {name: x for name, x in log.channels.items() if name != "u2"}
     with pytest.raises(InvalidInput, match="neither torque2 nor u2 is there"):
-        replayed(replace(log, channels=mute), study, CUTOFF)
+        dataset_of(replace(log, channels=mute), study, CUTOFF)
     short = {name: x[:200] for name, x in log.channels.items()}
     with pytest.raises(InvalidInput, match="record at least"):
-        replayed(replace(log, time=log.time[:200], channels=short), study, CUTOFF)
+        dataset_of(replace(log, time=log.time[:200], channels=short), study, CUTOFF)
 
 
 def test_usable_records() -> None:

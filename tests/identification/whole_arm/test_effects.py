@@ -1,6 +1,6 @@
 """Effects of real gears as unknowns: found where they are, left out where they are not.
 
-The arm that makes the records here is the one that is fitted: what is tested is the search and what
+The arm that makes the records here is the one that is fitted: what is tested is the space and what
 it tells, not whether real gears obey these laws.
 """
 
@@ -13,7 +13,7 @@ from effect_runs import ALL, SIZES, records, rig, tuned
 from strainwave.domain import ArmModel
 from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
 from strainwave.identification.closed_loop import as_known, with_known_effects
-from strainwave.identification.whole_arm.dataset import replayed
+from strainwave.identification.whole_arm.dataset import dataset_of
 from strainwave.identification.whole_arm.effects import (
     idle,
     records_with,
@@ -21,7 +21,7 @@ from strainwave.identification.whole_arm.effects import (
     with_effects,
     without,
 )
-from strainwave.identification.whole_arm.parametrisation import COULOMB, Prior, Search
+from strainwave.identification.whole_arm.parametrisation import COULOMB, ParameterSpace, Prior
 from tuning_runs import linear_search, truth
 
 
@@ -81,36 +81,36 @@ def test_the_unknowns_of_effects_start_small() -> None:
     study = rig(ALL)
     base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
     values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05}
-    search, begin = with_effects(base, study, values, [30.0, 8.0])
-    assert search.keys[2:] == list(SIZES)
+    space, begin = with_effects(base, study, values, [30.0, 8.0])
+    assert space.keys[2:] == list(SIZES)
     np.testing.assert_allclose(
-        search.parameters(begin), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0]
+        space.parameters(begin), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0]
     )
-    np.testing.assert_array_equal(search.prior.rows, [[1.0, 1.0, *np.zeros(6)]])
+    np.testing.assert_array_equal(space.prior.rows, [[1.0, 1.0, *np.zeros(6)]])
     units = ["N m", "rad/s", "N m", "rad", "rad", "rad"]
-    assert [unknown.unit for unknown in search.unknowns[2:]] == units
+    assert [unknown.unit for unknown in space.unknowns[2:]] == units
     assert tried(study) == [(1, effect) for effect in ALL]
-    less = without(search, {(1, "stribeck"), (1, "kinematic-error")})
+    less = without(space, {(1, "stribeck"), (1, "kinematic-error")})
     assert less.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
     assert less.prior.rows.shape == (1, 4)
 
 
 def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
-    empty = Search((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
-    search, z = with_effects(empty, rig(ALL), {(COULOMB, 1): 0.05}, [30.0, 8.0])
+    empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
+    space, z = with_effects(empty, rig(ALL), {(COULOMB, 1): 0.05}, [30.0, 8.0])
     z[-2:] = 2.0  # both parts of the kinematic error at 2e-4 rad
-    values = search.parameters(z)
+    values = space.parameters(z)
     sure = np.diag((values / 5.0) ** 2)
-    assert list(idle(search, z, sure)) == []
+    assert list(idle(space, z, sure)) == []
     unsure = sure.copy()
     unsure[2, 2] *= 4.0  # the hysteresis torque, now at two and a half deviations
     unsure[1, 1] *= 100.0  # a velocity tells nothing of whether the friction is there
-    assert list(idle(search, z, unsure)) == [(1, "hysteresis")]
+    assert list(idle(space, z, unsure)) == [(1, "hysteresis")]
     # one part of the error within its deviation does not matter where the other is not
     unsure[4, 4] *= 100.0
-    assert list(idle(search, z, unsure)) == [(1, "hysteresis")]
+    assert list(idle(space, z, unsure)) == [(1, "hysteresis")]
     unsure[5, 5] *= 100.0
-    assert list(idle(search, z, unsure)) == [(1, "hysteresis"), (1, "kinematic-error")]
+    assert list(idle(space, z, unsure)) == [(1, "hysteresis"), (1, "kinematic-error")]
 
 
 def test_a_study_is_known_as_far_as_its_values_go() -> None:
@@ -126,7 +126,7 @@ def test_a_study_is_known_as_far_as_its_values_go() -> None:
 def test_records_are_run_with_the_effects_that_are_known() -> None:
     study, _, logs = records(ALL)
     plain = with_known_effects(study, ())
-    record = replayed(logs[0], plain, 100.0)
+    record = dataset_of(logs[0], plain, 100.0)
     assert records_with([record], study, ())[0] == record
     (given,) = records_with([record], study, SIZES)
     assert [joint.effects for joint in given.study.arm.joints] == [ALL, ()]

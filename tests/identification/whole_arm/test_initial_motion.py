@@ -9,10 +9,10 @@ import pytest
 
 from strainwave.domain import FloatArray, Log
 from strainwave.identification.whole_arm import tune
-from strainwave.identification.whole_arm.dataset import replayed
+from strainwave.identification.whole_arm.dataset import dataset_of
 from strainwave.identification.whole_arm.initial_motion import in_motion
-from strainwave.identification.whole_arm.objective import Misfit
-from strainwave.identification.whole_arm.parametrisation import search_of
+from strainwave.identification.whole_arm.objective import Objective
+from strainwave.identification.whole_arm.parametrisation import space_of
 from tuning_runs import beginning, joint_models, later, rig_logs, rigid_model, shaken
 
 CUTOFF = 80.0
@@ -24,26 +24,26 @@ def cut() -> list[Log]:
     return [later(shaken()[2][joint - 1], first) for joint, first in TURNS]
 
 
-def arm(logs: Sequence[Log], wrong: float = 0.0) -> tuple[Misfit, FloatArray]:
+def arm(logs: Sequence[Log], wrong: float = 0.0) -> tuple[Objective, FloatArray]:
     """The true arm, or one whose stiffness is wrong, with weights as the records then show them."""
     study, known, _ = shaken()
     joints = joint_models(study, known, 0.05, FACTORS)
-    search = search_of(
+    space = space_of(
         rigid_model(study, known, 0.01), joints, study, largest_voltage=[10.0, 10.0], floor=0.002
     )
-    misfit = Misfit.of(search, [replayed(log, study, CUTOFF) for log in logs])
+    objective = Objective.of(space, [dataset_of(log, study, CUTOFF) for log in logs])
     stiff = {key: v * (1.0 + wrong) for key, v in known.items() if key[0] == "gear_stiffness"}
-    z = search.coordinates(known | stiff)
-    return misfit.reweighted(z), z
+    z = space.coordinates(known | stiff)
+    return objective.reweighted(z), z
 
 
 @pytest.mark.parametrize(("joint", "first"), TURNS)
 def test_a_record_from_a_turning_point_is_in_motion(joint: int, first: int) -> None:
     study, known, logs = shaken()
     log = logs[joint - 1]
-    misfit, z = arm([later(log, first)])
-    assert not misfit.records[0].moving  # the motors' angles cannot tell
-    found = in_motion(misfit, z)
+    objective, z = arm([later(log, first)])
+    assert not objective.records[0].moving  # the motors' angles cannot tell
+    found = in_motion(objective, z)
     assert found.records[0].moving
     true = beginning(study, known, log, first)
     # the links' angles, by which the gears are twisted
@@ -54,8 +54,8 @@ def test_a_record_from_a_turning_point_is_in_motion(joint: int, first: int) -> N
 @pytest.mark.parametrize("wrong", [0.0, 0.02, 0.1])
 def test_records_from_rest_stay_at_rest(wrong: float) -> None:
     logs = [*shaken()[2], *(log for log in rig_logs()[1] if log.name == "step-j1")]
-    misfit, z = arm(logs, wrong)
-    assert in_motion(misfit, z) is misfit
+    objective, z = arm(logs, wrong)
+    assert in_motion(objective, z) is objective
 
 
 def test_records_from_turning_points_are_fitted() -> None:

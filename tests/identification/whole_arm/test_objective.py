@@ -11,12 +11,12 @@ import pytest
 from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
-from strainwave.identification.whole_arm.dataset import Kernels, Replayed, replayed
-from strainwave.identification.whole_arm.objective import BLOCKS, Misfit, Weights
+from strainwave.identification.whole_arm.dataset import Dataset, Kernels, dataset_of
+from strainwave.identification.whole_arm.objective import BLOCKS, Objective, Weights
 from strainwave.identification.whole_arm.parametrisation import (
+    ParameterSpace,
     Prior,
-    Search,
-    search_of,
+    space_of,
     with_curves,
     with_settling,
 )
@@ -39,10 +39,10 @@ SETTLING = (2e-4, 1.5e-4)
 
 
 @cache
-def rig(spring: str) -> tuple[Search, tuple[Replayed, ...], FloatArray]:
+def rig(spring: str) -> tuple[ParameterSpace, tuple[Dataset, ...], FloatArray]:
     """A search on two records, one of which begins in motion, and where the truth lies."""
     study, known, (first, second) = shaken(spring, settling=SETTLING)
-    search = search_of(
+    space = space_of(
         rigid_model(study, known, 0.01),
         joint_models(study, known, 0.05, FACTORS),
         study,
@@ -50,69 +50,69 @@ def rig(spring: str) -> tuple[Search, tuple[Replayed, ...], FloatArray]:
         floor=0.002,
     )
     if spring == "three-slope":
-        search = with_curves(search, study, (60.0, 15.0))
-    search = with_settling(search)
-    records = (replayed(first, study, CUTOFF), replayed(later(second, 900), study, CUTOFF))
+        space = with_curves(space, study, (60.0, 15.0))
+    space = with_settling(space)
+    records = (dataset_of(first, study, CUTOFF), dataset_of(later(second, 900), study, CUTOFF))
     assert [record.moving for record in records] == [False, True]
-    return search, records, search.coordinates(known)
+    return space, records, space.coordinates(known)
 
 
-def cost_of(misfit: Misfit, z: FloatArray) -> float:
-    at = misfit.linearise(z)
+def cost_of(objective: Objective, z: FloatArray) -> float:
+    at = objective.linearise(z)
     assert at is not None
     return at.cost
 
 
-def factor_of(misfit: Misfit, z: FloatArray) -> FloatArray:
-    at = misfit.linearise(z)
+def factor_of(objective: Objective, z: FloatArray) -> FloatArray:
+    at = objective.linearise(z)
     assert at is not None
     return at.factor
 
 
-def with_records(misfit: Misfit, *records: Replayed) -> Misfit:
+def with_records(objective: Objective, *records: Dataset) -> Objective:
     """The weights of as many first ones, and own unknowns that know nothing yet."""
-    fresh = Misfit.of(misfit.search, records)
-    return replace(fresh, weights=misfit.weights[: len(records)])
+    fresh = Objective.of(objective.space, records)
+    return replace(fresh, weights=objective.weights[: len(records)])
 
 
-def near_truth(spring: str) -> tuple[Misfit, FloatArray]:
+def near_truth(spring: str) -> tuple[Objective, FloatArray]:
     """Weights as they come, initial states as they are, parameters slightly off."""
-    search, records, true = rig(spring)
+    space, records, true = rig(spring)
     study, known, logs = shaken(spring, settling=SETTLING)
     begun = np.concatenate([beginning(study, known, logs[1], 900), np.zeros(2)])
-    misfit = Misfit.of(search, records)
-    misfit.memory.own[1] = begun
-    return misfit.reweighted(true), true + 5e-4 * np.random.default_rng(1).normal(size=len(true))
+    objective = Objective.of(space, records)
+    objective.memory.own[1] = begun
+    return objective.reweighted(true), true + 5e-4 * np.random.default_rng(1).normal(size=len(true))
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_the_gradient_is_that_of_the_cost(spring: str) -> None:
     both, z = near_truth(spring)
     # the one from rest, of whose own unknowns only constants are left
-    misfit = with_records(both, both.records[0])
-    factor = factor_of(misfit, z)
+    objective = with_records(both, both.records[0])
+    factor = factor_of(objective, z)
     gradient = 2.0 * factor[:, :-1].T @ factor[:, -1]
     lengths = np.linalg.norm(factor[:, :-1], axis=0)
     for k, length in enumerate(lengths):
         step = np.zeros(len(z))
         step[k] = 0.01 / length  # changes the cost by a hundredth of a deviation
-        difference = (cost_of(misfit, z + step) - cost_of(misfit, z - step)) / (2.0 * step[k])
+        difference = (cost_of(objective, z + step) - cost_of(objective, z - step)) / (2.0 * step[k])
         tolerance = 0.02 * abs(gradient[k]) + 0.02 * length
-        assert abs(difference - gradient[k]) < tolerance, misfit.search.unknowns[k]
+        assert abs(difference - gradient[k]) < tolerance, objective.space.unknowns[k]
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_rows_are_differences_in_deviations(spring: str) -> None:
-    misfit, z = near_truth(spring)
+    objective, z = near_truth(spring)
     h = 1e-6
-    for k, (record, rows) in enumerate(zip(misfit.records, misfit.rows(z), strict=True)):
-        local = misfit.memory.own[k][: len(record.local)]
-        for i, unknown in enumerate(misfit.search.unknowns):
+    for k, (record, rows) in enumerate(zip(objective.records, objective.rows(z), strict=True)):
+        local = objective.memory.own[k][: len(record.local)]
+        for i, unknown in enumerate(objective.space.unknowns):
             step = h * np.eye(len(z))[i]
             up, down = (
-                simulated(record, misfit.search.values(z + s), local) for s in (step, -step)
+                simulated(record, objective.space.values(z + s), local) for s in (step, -step)
             )
-            expected = (up - down) / (2.0 * h) / misfit.weights[k].deviation
+            expected = (up - down) / (2.0 * h) / objective.weights[k].deviation
             off = np.max(np.abs(rows.shared[..., i] - expected))
             assert off < 1e-3 * np.max(np.abs(expected)) + 1e-3, unknown
 
@@ -120,9 +120,9 @@ def test_rows_are_differences_in_deviations(spring: str) -> None:
 def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
     """Gains and steps of the reduced problem are those of the whole one."""
     known, z = near_truth("linear")
-    misfit = replace(known, guessed=True)
-    rows = misfit.rows(z)
-    factor = factor_of(misfit, z)
+    objective = replace(known, guessed=True)
+    rows = objective.rows(z)
+    factor = factor_of(objective, z)
     n = len(z)
     widths = [part.local.shape[2] for part in rows]
     tables, right = [], []
@@ -133,10 +133,10 @@ def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
         parts = [np.zeros((len(local), before)), local, np.zeros((len(local), after)), shared]
         tables.append(np.column_stack(parts))
         right.append((part.residual * part.root).ravel())
-    prior = misfit.search.prior
-    slope = prior.rows @ misfit.search.slope(z)
+    prior = objective.space.prior
+    slope = prior.rows @ objective.space.slope(z)
     tables.append(np.column_stack([np.zeros((len(slope), sum(widths))), slope]))
-    right.append(prior.rows @ misfit.search.parameters(z) - prior.target)
+    right.append(prior.rows @ objective.space.parameters(z) - prior.target)
     A, b = np.concatenate(tables), np.concatenate(right)
     scale = np.linalg.norm(A, axis=0)
     whole = np.linalg.lstsq(A / scale, -b)[0] / scale
@@ -149,9 +149,9 @@ def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
 
 
 def test_an_added_constant_is_found_and_costs_nothing() -> None:
-    search, (record, _), true = rig("linear")
+    space, (record, _), true = rig("linear")
     names = [channel.name for channel in record.channels]
-    plain = Misfit.of(search, [record]).reweighted(true)
+    plain = Objective.of(space, [record]).reweighted(true)
     bias = np.zeros(len(names))
     bias[names.index("a1")], bias[names.index("a2")] = 0.7, -1.3
     biased = with_records(plain, replace(record, measured=record.measured + bias))
@@ -165,30 +165,30 @@ def test_an_added_constant_is_found_and_costs_nothing() -> None:
 
 
 def test_only_where_a_record_begins_in_motion_is_moved() -> None:
-    misfit, z = near_truth("linear")
-    before = [own.copy() for own in misfit.memory.own]
-    first = misfit.records[1].start()
-    misfit.memory.own[1] = np.concatenate([first, np.zeros(2)])
-    guessed = misfit.evaluate(z)[1].beginning(misfit.weights[1]).cost
-    np.testing.assert_array_equal(misfit.memory.own[0], before[0])
-    assert np.any(misfit.memory.own[1][:6] != first)
-    true = replace(misfit, memory=type(misfit.memory)(before))
-    from_truth = true.evaluate(z)[1].beginning(misfit.weights[1]).cost
+    objective, z = near_truth("linear")
+    before = [own.copy() for own in objective.memory.own]
+    first = objective.records[1].start()
+    objective.memory.own[1] = np.concatenate([first, np.zeros(2)])
+    guessed = objective.evaluate(z)[1].beginning(objective.weights[1]).cost
+    np.testing.assert_array_equal(objective.memory.own[0], before[0])
+    assert np.any(objective.memory.own[1][:6] != first)
+    true = replace(objective, memory=type(objective.memory)(before))
+    from_truth = true.evaluate(z)[1].beginning(objective.weights[1]).cost
     assert guessed <= 1.05 * from_truth  # the friction's events make more than one hollow
 
 
 @pytest.mark.parametrize(("joint", "first"), [(1, 900), (1, 300), (1, 400), (2, 400), (2, 900)])
 def test_a_beginning_in_motion_is_found(joint: int, first: int) -> None:
     """From gears untwisted to the true state, on the true arm."""
-    search, _, true = rig("linear")
+    space, _, true = rig("linear")
     study, known, logs = shaken("linear", settling=SETTLING)
-    record = replayed(later(logs[joint - 1], first), study, CUTOFF)
-    misfit = Misfit.of(search, [record])
-    misfit.rows(true)
-    begun, found = beginning(study, known, logs[joint - 1], first), misfit.memory.own[0][:6]
+    record = dataset_of(later(logs[joint - 1], first), study, CUTOFF)
+    objective = Objective.of(space, [record])
+    objective.rows(true)
+    begun, found = beginning(study, known, logs[joint - 1], first), objective.memory.own[0][:6]
 
     def off(local: FloatArray) -> FloatArray:
-        error = simulated(record, search.values(true), local) - record.measured
+        error = simulated(record, space.values(true), local) - record.measured
         return np.asarray(np.std(error, axis=0) / np.std(record.measured, axis=0))
 
     assert np.all(off(found) < 0.02)
@@ -198,18 +198,18 @@ def test_a_beginning_in_motion_is_found(joint: int, first: int) -> None:
 
 
 def test_where_there_is_no_arm_there_is_no_problem() -> None:
-    search, records, true = rig("linear")
+    space, records, true = rig("linear")
     z = true.copy()
-    z[search.keys.index(("alpha", None))] = -np.log(3.0)
-    z[search.keys.index(("beta", None))] = np.log(3.0)
-    z[search.keys.index(("gamma", None))] = np.log(3.0)
-    misfit = Misfit.of(search, records)
-    assert np.isfinite(cost_of(misfit, true))
-    values = search.values(z)
+    z[space.keys.index(("alpha", None))] = -np.log(3.0)
+    z[space.keys.index(("beta", None))] = np.log(3.0)
+    z[space.keys.index(("gamma", None))] = np.log(3.0)
+    objective = Objective.of(space, records)
+    assert np.isfinite(cost_of(objective, true))
+    values = space.values(z)
     # the links' inertia is not positive definite
     ratio = values["gamma", None] ** 2 / (values["alpha", None] * values["beta", None])
     assert ratio > 1.0
-    assert misfit.linearise(z) is None
+    assert objective.linearise(z) is None
 
 
 # what follows needs no arm: channels that are linear in three unknowns
@@ -230,13 +230,13 @@ TRUTH = np.array([1.0, -2.0, 0.5])
 
 def linear_misfit(
     errors: Sequence[FloatArray], *, noise: float = 1e-6, prior: Prior | None = None
-) -> Misfit:
+) -> Objective:
     rng = np.random.default_rng(7)
     records = []
     for error in errors:
         table = rng.normal(size=(*error.shape, 3))
         records.append(linear_record(table, table @ TRUTH + error, noise=noise))
-    return Misfit.of(linear_search(3, prior), records)
+    return Objective.of(linear_search(3, prior), records)
 
 
 def test_deviations_and_repetitions_are_those_of_the_errors() -> None:
@@ -245,12 +245,12 @@ def test_deviations_and_repetitions_are_those_of_the_errors() -> None:
         coloured(rng, (4000, 2)) * np.array([1.0, 10.0]),
         coloured(rng, (4000, 2), 0.8),
     ]
-    misfit = linear_misfit(errors).reweighted(TRUTH)
-    np.testing.assert_allclose(misfit.weights[0].deviation, [WHITE, 10.0 * WHITE], rtol=0.06)
-    np.testing.assert_allclose(misfit.weights[1].deviation, WHITE, rtol=0.15)
-    np.testing.assert_allclose(misfit.weights[0].repeats, 1.0, atol=0.2)
+    objective = linear_misfit(errors).reweighted(TRUTH)
+    np.testing.assert_allclose(objective.weights[0].deviation, [WHITE, 10.0 * WHITE], rtol=0.06)
+    np.testing.assert_allclose(objective.weights[1].deviation, WHITE, rtol=0.15)
+    np.testing.assert_allclose(objective.weights[0].repeats, 1.0, atol=0.2)
     # (1 + a) / (1 - a); what is summed ends at the first negative correlation
-    np.testing.assert_allclose(misfit.weights[1].repeats, 9.0, rtol=0.35)
+    np.testing.assert_allclose(objective.weights[1].repeats, 9.0, rtol=0.35)
 
 
 def test_no_model_is_better_than_its_sensors() -> None:
@@ -265,12 +265,12 @@ def test_no_model_is_better_than_its_sensors() -> None:
 def test_repeated_rows_count_once() -> None:
     errors = [coloured(np.random.default_rng(4), (600, 2))]
     deviation = np.array([0.1, 0.1])
-    misfit = replace(linear_misfit(errors), weights=(Weights(deviation, np.ones(2)),))
+    objective = replace(linear_misfit(errors), weights=(Weights(deviation, np.ones(2)),))
     for repeats in (1.0, 6.0):
-        thinned = replace(misfit, weights=(Weights(deviation, np.full(2, repeats)),))
+        thinned = replace(objective, weights=(Weights(deviation, np.full(2, repeats)),))
         z = TRUTH + 0.02
-        assert cost_of(thinned, z) == pytest.approx(cost_of(misfit, z) / repeats)
-        products = [factor_of(m, z) for m in (thinned, misfit)]
+        assert cost_of(thinned, z) == pytest.approx(cost_of(objective, z) / repeats)
+        products = [factor_of(m, z) for m in (thinned, objective)]
         np.testing.assert_allclose(
             products[0].T @ products[0], products[1].T @ products[1] / repeats, rtol=1e-9
         )
@@ -281,14 +281,14 @@ def test_the_loss_is_soft() -> None:
     table = np.ones((1, 1, 1))
     for off, loss in [(1e-3, 1e-6), (1.0, 2.0 * (np.sqrt(2.0) - 1.0)), (1e4, 2e4 - 2.0)]:
         record = linear_record(table, np.zeros((1, 1)))
-        misfit = Misfit.of(linear_search(1), [record])
-        misfit = replace(misfit, weights=(Weights(np.ones(1), np.ones(1)),))
+        objective = Objective.of(linear_search(1), [record])
+        objective = replace(objective, weights=(Weights(np.ones(1), np.ones(1)),))
         z = np.array([off])
-        assert cost_of(misfit, z) == pytest.approx(loss, rel=1e-3)
-        rows = misfit.rows(z)[0]
+        assert cost_of(objective, z) == pytest.approx(loss, rel=1e-3)
+        rows = objective.rows(z)[0]
         slope = 2.0 * float((rows.root**2 * rows.residual)[0, 0])
         h = 1e-4 * off
-        difference = (cost_of(misfit, z + h) - cost_of(misfit, z - h)) / (2.0 * h)
+        difference = (cost_of(objective, z + h) - cost_of(objective, z - h)) / (2.0 * h)
         assert slope == pytest.approx(difference, rel=1e-4)
 
 
@@ -297,11 +297,11 @@ def test_outliers_have_little_say() -> None:
     error = coloured(rng, (800, 1))
     wild = error.copy()
     wild[::40] += 100.0 * WHITE
-    misfit = linear_misfit([wild])
+    objective = linear_misfit([wild])
     steps = []
     for z in (TRUTH,) * 2:
-        misfit = misfit.reweighted(z)
-        R = factor_of(misfit, z)
+        objective = objective.reweighted(z)
+        R = factor_of(objective, z)
         steps.append(np.linalg.lstsq(R[:, :-1], -R[:, -1])[0])
     # plain least squares would be off by some 100 WHITE sqrt(20) / 800
     assert np.max(np.abs(steps[-1])) < 3.0 * WHITE / np.sqrt(800.0)
@@ -339,9 +339,9 @@ def test_the_share_of_the_noise() -> None:
     noise = coloured(rng, (6000, 1), pole)
     taps: FloatArray = np.power(pole, np.arange(30, dtype=np.float64))
 
-    def behind(misfit: Misfit) -> Misfit:
-        records = [replace(r, kernels=Kernels(taps, taps, 1)) for r in misfit.records]
-        return misfit.seen_by(records).reweighted(TRUTH)
+    def behind(objective: Objective) -> Objective:
+        records = [replace(r, kernels=Kernels(taps, taps, 1)) for r in objective.records]
+        return objective.seen_by(records).reweighted(TRUTH)
 
     alone = behind(linear_misfit([noise], noise=WHITE))
     assert alone.noise_shares(TRUTH)[0] == pytest.approx(1.0, abs=0.15)
@@ -358,13 +358,13 @@ def test_the_share_of_the_noise() -> None:
 
 def test_other_unknowns_leave_records_and_weights() -> None:
     errors = [coloured(np.random.default_rng(9), (300, 1))]
-    misfit = linear_misfit(errors).reweighted(TRUTH)
-    held = misfit.for_unknowns(misfit.search.holding({("p2", None): 0.5}))
-    assert held.weights == misfit.weights
+    objective = linear_misfit(errors).reweighted(TRUTH)
+    held = objective.for_unknowns(objective.space.holding({("p2", None): 0.5}))
+    assert held.weights == objective.weights
     assert factor_of(held, TRUTH[:2]).shape == (3, 3)
     # they have own unknowns of their own from here on
-    assert held.memory.own is not misfit.memory.own
-    np.testing.assert_array_equal(held.memory.own, misfit.memory.own)
+    assert held.memory.own is not objective.memory.own
+    np.testing.assert_array_equal(held.memory.own, objective.memory.own)
 
 
 def test_known_weights_foretell_how_the_cost_bends() -> None:
@@ -373,7 +373,7 @@ def test_known_weights_foretell_how_the_cost_bends() -> None:
     table, errors = rng.normal(size=(4000, 1, 2)), rng.normal(size=(4000, 1))
     record = linear_record(table, table @ np.array([1.0, -2.0]) + errors)
     z = np.array([1.0, -2.0])
-    known = Misfit.of(linear_search(2), [record]).reweighted(z)
+    known = Objective.of(linear_search(2), [record]).reweighted(z)
     deviation, repeats = known.weights[0].deviation[0], known.weights[0].repeats[0]
     slope = table[:, 0] / deviation
     bend = (1.0 + (errors / deviation) ** 2) ** -1.5 / repeats
@@ -387,21 +387,21 @@ def test_known_weights_foretell_how_the_cost_bends() -> None:
 def test_the_error_of_the_integrators_step_is_made_good() -> None:
     """At the point it is taken at, and nearly so nearby; once or twice is the same."""
     both, z = near_truth("three-slope")
-    misfit = with_records(both, both.records[0])
-    record = misfit.records[0]
+    objective = with_records(both, both.records[0])
+    record = objective.records[0]
     short = replace(record, longest_step=0.25 * record.longest_step)
 
-    def left(of: Misfit, at: FloatArray) -> FloatArray:
-        exact = simulated(short, misfit.search.values(at), np.zeros(0)) - record.measured
+    def left(of: Objective, at: FloatArray) -> FloatArray:
+        exact = simulated(short, objective.space.values(at), np.zeros(0)) - record.measured
         return np.asarray(of.evaluate(at)[0].difference - exact)
 
-    once = misfit.corrected(z)
+    once = objective.corrected(z)
     twice = once.corrected(z)
-    before = np.std(left(misfit, z), axis=0)
+    before = np.std(left(objective, z), axis=0)
     for corrected in (once, twice):
         np.testing.assert_allclose(left(corrected, z), 0.0, atol=1e-9 * np.max(record.measured))
         # what is remembered of the point is what would be found anew
-        fresh = replace(corrected, memory=Misfit.of(misfit.search, misfit.records).memory)
+        fresh = replace(corrected, memory=Objective.of(objective.space, objective.records).memory)
         np.testing.assert_allclose(
             fresh.evaluate(z)[0].difference, corrected.evaluate(z)[0].difference, atol=1e-9
         )

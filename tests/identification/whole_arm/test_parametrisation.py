@@ -16,8 +16,8 @@ from strainwave.identification.whole_arm.parametrisation import (
     KNEES,
     SETTLING,
     VISCOUS,
-    Search,
-    search_of,
+    ParameterSpace,
+    space_of,
     with_curves,
     with_settling,
 )
@@ -47,87 +47,87 @@ def mixed_values(study: Study) -> Values:
     return derived(values, study)
 
 
-def started(study: Study, known: Values, model: RigidModel | None) -> Search:
+def started(study: Study, known: Values, model: RigidModel | None) -> ParameterSpace:
     joints = joint_models(study, known, 0.05, NONE_OFF)
-    return search_of(model, joints, study, largest_voltage=[10.0, 10.0], floor=FLOOR)
+    return space_of(model, joints, study, largest_voltage=[10.0, 10.0], floor=FLOOR)
 
 
-def mixed(share: float = 0.01) -> tuple[Study, Values, Search]:
+def mixed(share: float = 0.01) -> tuple[Study, Values, ParameterSpace]:
     study = mixed_study()
     known = mixed_values(study)
-    search = started(study, known, rigid_model(study, known, share))
-    return study, known, with_settling(with_curves(search, study, LARGEST_TORQUE))
+    space = started(study, known, rigid_model(study, known, share))
+    return study, known, with_settling(with_curves(space, study, LARGEST_TORQUE))
 
 
-def somewhere(search: Search, seed: int) -> FloatArray:
+def somewhere(space: ParameterSpace, seed: int) -> FloatArray:
     rng = np.random.default_rng(seed)
-    return np.asarray(search.upper * rng.uniform(-1.0, 1.0, len(search.unknowns)))
+    return np.asarray(space.upper * rng.uniform(-1.0, 1.0, len(space.unknowns)))
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_slope_is_that_of_the_parameters(seed: int) -> None:
-    _, _, search = mixed()
-    z = somewhere(search, seed)
+    _, _, space = mixed()
+    z = somewhere(space, seed)
     h = 1e-5
     differences = [
-        (search.parameters(z + step) - search.parameters(z - step)) / (2.0 * h)
+        (space.parameters(z + step) - space.parameters(z - step)) / (2.0 * h)
         for step in h * np.eye(len(z))
     ]
     # a central difference errs by h^2 / 6 of an exponential
-    np.testing.assert_allclose(search.slope(z), np.column_stack(differences), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(space.slope(z), np.column_stack(differences), rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_coordinates_undo_parameters(seed: int) -> None:
-    _, _, search = mixed()
-    z = somewhere(search, seed)
-    np.testing.assert_allclose(search.coordinates(search.values(z)), z, atol=1e-8)
+    _, _, space = mixed()
+    z = somewhere(space, seed)
+    np.testing.assert_allclose(space.coordinates(space.values(z)), z, atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_steps_are_straight_in_the_values(seed: int) -> None:
     """Not so among the coordinates, which are logarithms."""
-    _, _, search = mixed()
-    z = 0.5 * somewhere(search, seed)
+    _, _, space = mixed()
+    z = 0.5 * somewhere(space, seed)
     rng = np.random.default_rng(seed)
-    step = search.trusted(z, rng.uniform(-0.5, 1.0, len(z)), 1.0)
-    path = [search.parameters(search.moved(z, t * step)) for t in (0.0, 0.5, 1.0)]
+    step = space.trusted(z, rng.uniform(-0.5, 1.0, len(z)), 1.0)
+    path = [space.parameters(space.moved(z, t * step)) for t in (0.0, 0.5, 1.0)]
     np.testing.assert_allclose(path[1], 0.5 * (path[0] + path[2]), rtol=1e-12, atol=1e-15)
     # and begin as the coordinates' own
-    nearby = search.moved(z, 1e-7 * step)
+    nearby = space.moved(z, 1e-7 * step)
     np.testing.assert_allclose(nearby, z + 1e-7 * step, atol=1e-13)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_trusted_steps_stay_in_reach(seed: int) -> None:
-    _, _, search = mixed()
-    z = somewhere(search, seed)
+    _, _, space = mixed()
+    z = somewhere(space, seed)
     wild = np.random.default_rng(seed).uniform(-50.0, 50.0, len(z))
-    step = search.trusted(z, wild, 1.0)
-    values, after = search.parameters(z), search.parameters(search.moved(z, step))
-    assert np.all(np.abs(search.moved(z, step)) <= search.upper)
+    step = space.trusted(z, wild, 1.0)
+    values, after = space.parameters(z), space.parameters(space.moved(z, step))
+    assert np.all(np.abs(space.moved(z, step)) <= space.upper)
     assert np.all(np.sign(step) * np.sign(wild) >= 0.0)
-    positive = [k for k, u in enumerate(search.unknowns) if not u.signed and u.name != KNEES[1]]
+    positive = [k for k, u in enumerate(space.unknowns) if not u.signed and u.name != KNEES[1]]
     assert np.all(after[positive] < 2.6 * values[positive])
     # twice cut is cut once
-    np.testing.assert_array_equal(search.trusted(z, step, 1.0), step)
+    np.testing.assert_array_equal(space.trusted(z, step, 1.0), step)
 
 
 def test_coordinates_stay_in_reach() -> None:
-    _, _, search = mixed()
-    outside = search.values(1.5 * search.upper)
-    np.testing.assert_allclose(search.coordinates(outside), search.upper)
+    _, _, space = mixed()
+    outside = space.values(1.5 * space.upper)
+    np.testing.assert_allclose(space.coordinates(outside), space.upper)
     # what no positive parameter can be is as small as it may be
-    negative = dict.fromkeys(search.keys, -1.0)
-    z = search.coordinates(negative)
-    positive = [k for k, unknown in enumerate(search.unknowns) if not unknown.signed]
-    np.testing.assert_array_equal(z[positive], -search.upper[positive])
+    negative = dict.fromkeys(space.keys, -1.0)
+    z = space.coordinates(negative)
+    positive = [k for k, unknown in enumerate(space.unknowns) if not unknown.signed]
+    np.testing.assert_array_equal(z[positive], -space.upper[positive])
 
 
 def test_reach_is_a_factor() -> None:
-    _, _, search = mixed()
-    start = search.values(np.zeros(len(search.unknowns)))
-    most = search.values(search.upper)
+    _, _, space = mixed()
+    start = space.values(np.zeros(len(space.unknowns)))
+    most = space.values(space.upper)
     for name, factor in [("beta", 3.0), ("gamma", 3.0)]:
         assert most[name, None] == pytest.approx(factor * start[name, None])
     for name, factor in [("motor_inertia", 3.0), ("gear_damping", 30.0), (VISCOUS[0], 30.0)]:
@@ -135,26 +135,26 @@ def test_reach_is_a_factor() -> None:
 
 
 def test_signed_parameters_pass_zero() -> None:
-    _, _, search = mixed()
-    lowest, highest = search.values(-search.upper), search.values(search.upper)
+    _, _, space = mixed()
+    lowest, highest = space.values(-space.upper), space.values(space.upper)
     for key in [("friction_offset", 1), ("gravity_torque_1", None)]:
         assert lowest[key] < 0.0 < highest[key]
-    positive = {u.key for u in search.unknowns if not u.signed}
+    positive = {u.key for u in space.unknowns if not u.signed}
     assert {("gear_stiffness", 2), ("motor_coulomb_friction", 1), ("alpha", None)} <= positive
     assert min(lowest[key] for key in positive) > 0.0
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_second_knee_lies_above_the_first(seed: int) -> None:
-    _, _, search = mixed()
-    values = search.values(somewhere(search, seed))
+    _, _, space = mixed()
+    values = space.values(somewhere(space, seed))
     assert 0.0 < values[KNEES[0], 1] < values[KNEES[1], 1]
     assert (KNEES[0], 2) not in values
 
 
 def test_it_starts_from_what_was_found() -> None:
-    _, known, search = mixed()
-    start = search.values(np.zeros(len(search.unknowns)))
+    _, known, space = mixed()
+    start = space.values(np.zeros(len(space.unknowns)))
     # exactly: inertias, friction, damping and gravity are those of the models
     for key in start:
         if key[0] not in (*CURVE, *KNEES, SETTLING):
@@ -165,14 +165,14 @@ def test_it_starts_from_what_was_found() -> None:
     knees = [start[name, 1] for name in KNEES]
     np.testing.assert_allclose(knees, LARGEST_TORQUE[0] * np.array([0.2, 0.6]))
     assert ("gear_stiffness", 1) not in start
-    assert {u.joint for u in search.unknowns if u.name == SETTLING} == {1, 2}
-    units = {u.key: u.unit for u in search.unknowns}
+    assert {u.joint for u in space.unknowns if u.name == SETTLING} == {1, 2}
+    units = {u.key: u.unit for u in space.unknowns}
     assert units[KNEES[1], 1] == "N m"
     assert units[CURVE[0], 1] == "N m/rad"
     assert units["alpha", None] == "kg m^2"
     assert units["gravity_torque_2", None] == "N m"
     assert units[SETTLING, 1] == "s"
-    assert set(start) == set(search.keys)
+    assert set(start) == set(space.keys)
 
 
 def test_the_rigid_friction_is_preferred() -> None:
@@ -182,8 +182,8 @@ def test_the_rigid_friction_is_preferred() -> None:
         replace(joint, values={**joint.values, "motor_coulomb_friction": 0.5}) for joint in joints
     ]
     model = rigid_model(study, known, 0.01)
-    search = search_of(model, doubted, study, largest_voltage=[10.0, 10.0], floor=FLOOR)
-    start = search.values(np.zeros(len(search.unknowns)))
+    space = space_of(model, doubted, study, largest_voltage=[10.0, 10.0], floor=FLOOR)
+    start = space.values(np.zeros(len(space.unknowns)))
     assert start["motor_coulomb_friction", 1] == pytest.approx(0.06)
 
 
@@ -193,8 +193,8 @@ def test_friction_starts_above_nothing() -> None:
     parameters = [
         replace(p, value=0.0) if p.name == "motor_coulomb_friction" else p for p in model.parameters
     ]
-    search = started(study, known, replace(model, parameters=tuple(parameters)))
-    start = search.values(np.zeros(len(search.unknowns)))
+    space = started(study, known, replace(model, parameters=tuple(parameters)))
+    start = space.values(np.zeros(len(space.unknowns)))
     # a hundredth of what 10 V make
     assert start["motor_coulomb_friction", 1] == pytest.approx(0.01 * 10.0 * 0.08)
 
@@ -203,8 +203,8 @@ def test_friction_starts_above_nothing() -> None:
 def test_a_viscous_friction_that_is_not_positive_is_mended(motor: float, link: float) -> None:
     study, known = truth()
     odd = {**known, (VISCOUS[0], 1): motor, (VISCOUS[1], 1): link}
-    search = started(study, odd, rigid_model(study, known, 0.01))
-    start = search.values(np.zeros(len(search.unknowns)))
+    space = started(study, odd, rigid_model(study, known, 0.01))
+    start = space.values(np.zeros(len(space.unknowns)))
     total = motor + 1e-4 * link
     parts = (start[VISCOUS[0], 1], 1e-4 * start[VISCOUS[1], 1])
     assert min(parts) >= 0.05 * total * (1.0 - 1e-12)
@@ -212,16 +212,16 @@ def test_a_viscous_friction_that_is_not_positive_is_mended(motor: float, link: f
 
 
 def test_holding_takes_unknowns_away() -> None:
-    _, _, search = mixed()
-    z = somewhere(search, 11)
-    values = search.values(z)
+    _, _, space = mixed()
+    z = somewhere(space, 11)
+    values = space.values(z)
     # some of them the rigid model speaks of
     keys = [("beta", None), ("motor_coulomb_friction", 2), (SETTLING, 1), (VISCOUS[1], 1)]
-    held = search.holding({key: values[key] for key in keys})
-    assert held.keys == [key for key in search.keys if key not in keys]
+    held = space.holding({key: values[key] for key in keys})
+    assert held.keys == [key for key in space.keys if key not in keys]
     there = held.coordinates(values)
     assert held.values(there) == pytest.approx(values, rel=1e-9)
-    before = search.prior.rows @ search.parameters(z) - search.prior.target
+    before = space.prior.rows @ space.parameters(z) - space.prior.target
     after = held.prior.rows @ held.parameters(there) - held.prior.target
     np.testing.assert_allclose(after, before, atol=1e-8 * np.max(np.abs(before)))
     twice = held.holding({("gamma", None): 0.5})
@@ -231,9 +231,9 @@ def test_holding_takes_unknowns_away() -> None:
 
 @pytest.mark.parametrize("knee", KNEES)
 def test_one_knee_can_be_held(knee: str) -> None:
-    _, _, search = mixed()
-    values = search.values(somewhere(search, 3))
-    held = search.holding({(knee, 1): values[knee, 1]})
+    _, _, space = mixed()
+    values = space.values(somewhere(space, 3))
+    held = space.holding({(knee, 1): values[knee, 1]})
     assert held.values(held.coordinates(values)) == pytest.approx(values, rel=1e-9)
 
 
@@ -249,19 +249,19 @@ def test_prior_rows_weigh_what_the_rigid_model_tells(seed: int) -> None:
     deviation = np.sqrt(np.diag(model.covariance))
     covariance = deviation[:, None] * (mixing @ mixing.T) * deviation
     model = replace(model, covariance=covariance)
-    search = with_settling(with_curves(started(study, known, model), study, LARGEST_TORQUE))
+    space = with_settling(with_curves(started(study, known, model), study, LARGEST_TORQUE))
 
-    values = search.values(0.3 * somewhere(search, seed))
+    values = space.values(0.3 * somewhere(space, seed))
     told = derived(values, study)  # by the sums that the simulation's own truth is made of
     error = np.array([told[p.name, p.joint] for p in model.parameters]) - model.solution
     whole = covariance + np.diag((FLOOR * model.solution) ** 2)
     expected = error @ np.linalg.solve(whole, error)
-    p = np.array([values[key] for key in search.keys])
-    found = search.prior.rows @ p - search.prior.target
+    p = np.array([values[key] for key in space.keys])
+    found = space.prior.rows @ p - space.prior.target
     assert np.sum(found**2) == pytest.approx(expected, rel=1e-8)
     # and e' C^-1 V C^-1 e the same of its own errors, which the floor does not widen
     weighed = np.linalg.solve(whole, error)
-    own = found @ search.prior.errors @ found
+    own = found @ space.prior.errors @ found
     assert own == pytest.approx(weighed @ covariance @ weighed, rel=1e-8)
 
 
@@ -270,11 +270,11 @@ def test_the_floor_widens_the_prior() -> None:
     joints = joint_models(study, known, 0.05, NONE_OFF)
     sure = rigid_model(study, known, 1e-9)
     for floor in (0.002, 0.05):
-        search = search_of(sure, joints, study, largest_voltage=[10.0, 10.0], floor=floor)
-        z = np.zeros(len(search.unknowns))
-        p = search.parameters(z)
-        p[search.keys.index(("gamma", None))] *= 1.0 + floor
-        off = search.prior.rows @ p - search.prior.target
+        space = space_of(sure, joints, study, largest_voltage=[10.0, 10.0], floor=floor)
+        z = np.zeros(len(space.unknowns))
+        p = space.parameters(z)
+        p[space.keys.index(("gamma", None))] *= 1.0 + floor
+        off = space.prior.rows @ p - space.prior.target
         # gamma alone is off, by one deviation
         assert np.sum(off**2) == pytest.approx(1.0, rel=1e-6)
 
@@ -289,10 +289,10 @@ def test_what_the_rigid_model_does_not_tell_is_no_row() -> None:
     friction = [(p.name, p.joint) for p in parameters].index(("total_viscous_friction", 2))
     vague[friction, friction] = np.inf
     model = replace(model, parameters=tuple(parameters), covariance=vague)
-    search = started(study, known, model)
-    assert search.prior.rows.shape == (len(parameters) - 2, len(search.unknowns))
-    columns = [search.keys.index(key) for key in [("beta", None), (VISCOUS[0], 2)]]
-    assert not np.any(search.prior.rows[:, columns])
+    space = started(study, known, model)
+    assert space.prior.rows.shape == (len(parameters) - 2, len(space.unknowns))
+    columns = [space.keys.index(key) for key in [("beta", None), (VISCOUS[0], 2)]]
+    assert not np.any(space.prior.rows[:, columns])
 
 
 def alone(gravity: float | None) -> tuple[Study, Values, JointModel]:
@@ -312,12 +312,12 @@ def alone(gravity: float | None) -> tuple[Study, Values, JointModel]:
 def test_a_single_joint() -> None:
     study, known, start = alone(9.81)
     model = rigid_model(study, known, 0.01)
-    search = search_of(model, [start], study, largest_voltage=[10.0], floor=FLOOR)
-    p = search.parameters(np.zeros(len(search.unknowns)))
-    np.testing.assert_allclose(search.prior.rows @ p, search.prior.target, rtol=1e-10)
-    assert len(search.prior.target) == 5
-    p[search.keys.index(("link_inertia", 1))] += 0.1
-    off = search.prior.rows @ p - search.prior.target
+    space = space_of(model, [start], study, largest_voltage=[10.0], floor=FLOOR)
+    p = space.parameters(np.zeros(len(space.unknowns)))
+    np.testing.assert_allclose(space.prior.rows @ p, space.prior.target, rtol=1e-10)
+    assert len(space.prior.target) == 5
+    p[space.keys.index(("link_inertia", 1))] += 0.1
+    off = space.prior.rows @ p - space.prior.target
     # the joint's inertia on the side of the motor is J_M + n^2 m_L
     inertia = known["motor_inertia", 1] + 1e-4 * 2.0
     deviation = np.hypot(0.01, FLOOR) * inertia
@@ -326,13 +326,13 @@ def test_a_single_joint() -> None:
 
 def test_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
     study, known, start = alone(None)
-    search = search_of(None, [start], study, largest_voltage=[10.0], floor=FLOOR)
-    assert search.prior.rows.shape == (0, len(search.unknowns))
-    values = search.values(np.zeros(len(search.unknowns)))
+    space = space_of(None, [start], study, largest_voltage=[10.0], floor=FLOOR)
+    assert space.prior.rows.shape == (0, len(space.unknowns))
+    values = space.values(np.zeros(len(space.unknowns)))
     assert values["motor_inertia", 1] == known["motor_inertia", 1]
     study, known, start = alone(9.81)
     with pytest.raises(NotIdentifiable, match="needs gravity_torque_1, which"):
-        search_of(None, [start], study, largest_voltage=[10.0], floor=FLOOR)
+        space_of(None, [start], study, largest_voltage=[10.0], floor=FLOOR)
 
 
 def test_starts_that_are_missing_or_impossible() -> None:
@@ -341,7 +341,7 @@ def test_starts_that_are_missing_or_impossible() -> None:
     joints = joint_models(study, known, 0.05, NONE_OFF)
     voltage = [10.0, 10.0]
     with pytest.raises(NotIdentifiable, match="joint 2 has none"):
-        search_of(model, joints[:1], study, largest_voltage=voltage, floor=FLOOR)
+        space_of(model, joints[:1], study, largest_voltage=voltage, floor=FLOOR)
     rigid = replace(
         study,
         arm=replace(
@@ -349,12 +349,12 @@ def test_starts_that_are_missing_or_impossible() -> None:
         ),
     )
     with pytest.raises(NotIdentifiable, match="joint 2 has none"):
-        search_of(model, joints, rigid, largest_voltage=voltage, floor=FLOOR)
+        space_of(model, joints, rigid, largest_voltage=voltage, floor=FLOOR)
     for name, value in [("gear_damping", -1.0), ("gear_stiffness", np.nan), ("motor_inertia", 0.0)]:
         wrong = replace(joints[1], values={**joints[1].values, name: value})
         begun = starts_of(model, [joints[0], wrong], study)
         assert list(begun.rejected) == [(name, 2)]
-        # usual values are within the reach of a search: a factor of three
+        # usual values are within the reach of a space: a factor of three
         assert 1.0 / 3.0 < begun.values[name, 2] / known[name, 2] < 3.0
         (said,) = rejected_starts(begun, study)
         assert said.where == f"{name} of joint 2"

@@ -16,7 +16,7 @@ from strainwave.identification.whole_arm.effects import sizes_of
 from strainwave.identification.whole_arm.residual_analysis import (
     coloured_alike,
     follows,
-    residual_cautions,
+    residual_warnings,
     spectral_density,
 )
 
@@ -94,12 +94,12 @@ def left_over(channel: str, deviation: float, odds: float) -> ResidualTest:
 
 def test_only_what_is_loud_is_worth_a_word() -> None:
     tests = [left_over("a1", 2.0, 1e-9), left_over("a2", 5.0, 1e-9), left_over("a2", 4.0, 0.5)]
-    (said,) = residual_cautions(tests)
+    (said,) = residual_warnings(tests)
     assert said.code == "residual-not-noise"
     assert "a2 are 5 times" in said.message
     assert "near 21 Hz" in said.message
     assert "joint 2's input by 4 ms" in said.message
-    (unforeseen,) = residual_cautions([replace(tests[1], input_probability=0.5)])
+    (unforeseen,) = residual_warnings([replace(tests[1], input_probability=0.5)])
     assert "without linear dependence on an input" in unforeseen.message
 
 

@@ -12,7 +12,7 @@ from strainwave.domain import ArmModel, Log, Study, TuningOptions
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.link_sensors import moved
 from strainwave.identification.whole_arm import tune
-from strainwave.identification.whole_arm.dataset import replayed
+from strainwave.identification.whole_arm.dataset import dataset_of
 from strainwave.identification.whole_arm.parametrisation import Key
 from tuning_runs import joint_models, rigid_model, shaken
 
@@ -114,7 +114,7 @@ def test_derivatives_are_those_of_the_difference() -> None:
     study, known, logs = shaken(noisy=False, counts=False)
     values = dict(known)
     late, scale = 0.6e-3, 1.03
-    record = replayed(read_so(logs[0], (late, late), (scale, 1.0)), study, CUTOFF)
+    record = dataset_of(read_so(logs[0], (late, late), (scale, 1.0)), study, CUTOFF)
     values |= {("accelerometer_delay", 1): late, ("accelerometer_delay", 2): late}
     values["accelerometer_scale", 1] = scale
     keys: list[Key] = [

@@ -538,7 +538,7 @@ def test_a_curve_whose_knee_starts_out_of_reach_is_found() -> None:
 
 
 def test_a_start_may_be_given() -> None:
-    """From the truth the search is short, and stays there."""
+    """From the truth the space is short, and stays there."""
     study, known, records = rig_records()
     model = from_wrong_starts(records, study, known, share=0.2, start=known)
     assert model.status == "converged"

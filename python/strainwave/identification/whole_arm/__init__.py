@@ -38,20 +38,20 @@ from strainwave.identification.whole_arm.agreement import (
     stage_differences,
 )
 from strainwave.identification.whole_arm.candidates import best_candidate
-from strainwave.identification.whole_arm.dataset import Replayed, coarser, replayed, usable
+from strainwave.identification.whole_arm.dataset import Dataset, coarsened, dataset_of, usable
 from strainwave.identification.whole_arm.effects import left_out, records_with, tried
 from strainwave.identification.whole_arm.estimates import Fit, parameters_of, warnings_of
 from strainwave.identification.whole_arm.gear_load import (
-    carried_torques,
+    gear_torque_samples,
     gear_torques,
     histograms_of,
     largest_of,
 )
-from strainwave.identification.whole_arm.initial_motion import with_evident_beginnings
+from strainwave.identification.whole_arm.initial_motion import with_evident_initial_motion
 from strainwave.identification.whole_arm.model_selection import (
-    bent,
     with_named_effects,
     with_settling_times,
+    with_stiffness_restarts,
     without_idle_effects,
     without_idle_settling,
 )
@@ -61,35 +61,40 @@ from strainwave.identification.whole_arm.mountings import (
     placed_again,
     with_evident_tilts,
 )
-from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import (
     CURVE,
     LINEAR,
     SETTLING,
     Key,
-    Search,
+    ParameterSpace,
     link_inertia,
     rigid_inertia,
-    search_of,
+    space_of,
     with_curves,
 )
 from strainwave.identification.whole_arm.predicted import BAND, LEAST_BAND, predicted_parameters
-from strainwave.identification.whole_arm.residual_analysis import residual_cautions, residual_tests
+from strainwave.identification.whole_arm.residual_analysis import residual_tests, residual_warnings
 from strainwave.identification.whole_arm.restricted import (
     as_published,
     published_records,
     restricted,
 )
-from strainwave.identification.whole_arm.score_tests import effect_cautions, score_tests_of
+from strainwave.identification.whole_arm.score_tests import effect_warnings, score_tests_of
 from strainwave.identification.whole_arm.sensor_gains import sensor_gains
 from strainwave.identification.whole_arm.sensors import (
-    sensor_cautions,
+    sensor_warnings,
     with_bandwidths_apart,
     with_evident_sensors,
     with_sensors,
     without_idle_sensors,
 )
-from strainwave.identification.whole_arm.solver import Progress, finely, reported, roughly
+from strainwave.identification.whole_arm.solver import (
+    Progress,
+    coarse_search,
+    fine_search,
+    reported,
+)
 from strainwave.identification.whole_arm.starts import rejected_starts, starts_of
 from strainwave.numerics.parallel import one_blas_thread, side_by_side
 from strainwave.signals.mounting_start import mounting_starts
@@ -189,8 +194,8 @@ class _Begun:
     """All that a fit starts from."""
 
     logs: list[Log]
-    records: tuple[Replayed, ...]
-    coarse: Misfit  # the same records in long steps
+    records: tuple[Dataset, ...]
+    coarse: Objective  # the same records in long steps
     initial: FloatArray  # (n_unknowns,) by the steps before
     start: FloatArray  # (n_unknowns,) the same, or where it led to while starts were compared
     rejected: tuple[Diagnostic, ...]  # starts that were impossible
@@ -218,30 +223,30 @@ def _begun(
     placed = mounting_starts(logs, study, used)
     given = placed | ({} if given is None else dict(given))
 
-    def search_by(joints: Sequence[JointModel]) -> Search:
+    def search_by(joints: Sequence[JointModel]) -> ParameterSpace:
         found = _search(records, model, joints, study, chosen)
         return with_sensors(found, [key for key in placed if key[0] not in START], given)
 
-    def misfit_of(joints: Sequence[JointModel]) -> Misfit:
-        return Misfit.of(search_by(joints), long_steps)
+    def objective_of(joints: Sequence[JointModel]) -> Objective:
+        return Objective.of(search_by(joints), long_steps)
 
-    best = best_candidate(candidates, misfit_of, chosen)
+    best = best_candidate(candidates, objective_of, chosen)
     joints = best.joints
     if len(candidates) > 1:  # the band is now known better
         records, long_steps = _records(used, joints, study, chosen)
-    search = search_by(joints)
+    space = search_by(joints)
     own = {key for record in records for key in record.sensor_constants()}
-    search = with_sensors(search, [key for key in given if key in own])
-    nothing = {key: nominal(key) for key in search.keys if is_optional(key)}
-    start = search.coordinates(search.values(np.zeros(len(search.unknowns))) | nothing | given)
+    space = with_sensors(space, [key for key in given if key in own])
+    nothing = {key: nominal(key) for key in space.keys if is_optional(key)}
+    start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nothing | given)
     initial = start
     if best.reached is not None:
-        start = search.coordinates(search.values(start) | best.reached | given)
-    keys = search.keys
-    search = restricted(search, chosen, start)
-    kept = [key in search.keys for key in keys]
+        start = space.coordinates(space.values(start) | best.reached | given)
+    keys = space.keys
+    space = restricted(space, chosen, start)
+    kept = [key in space.keys for key in keys]
     start, initial = start[kept], initial[kept]
-    coarse = Misfit.of(search, long_steps)
+    coarse = Objective.of(space, long_steps)
     if coarse.linearise(start) is None:
         raise NotIdentifiable(_UNLIKELY)
     if placed:
@@ -257,22 +262,22 @@ def _begun(
 
 def _records(
     used: Sequence[Log], joints: Sequence[JointModel], study: Study, chosen: TuningOptions
-) -> tuple[tuple[Replayed, ...], list[Replayed]]:
+) -> tuple[tuple[Dataset, ...], list[Dataset]]:
     """Records in a band that such joints need, and the same in long steps."""
     cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
     plain = with_known_effects(study, ())
-    records = tuple(replayed(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
-    return records, [coarser(r, 1.0 / (_STEPS * cutoff)) for r in records]
+    records = tuple(dataset_of(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
+    return records, [coarsened(r, 1.0 / (_STEPS * cutoff)) for r in records]
 
 
-def _best_along(coarse: Misfit, start: FloatArray, joint: int | None) -> FloatArray:
+def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> FloatArray:
     """Where the cost is least along the range of a stiffness of which nothing is known.
 
     A resonance is a tenth wide, and from further off a search ends beside it.
     """
     names = {(name, joint) for name in (*LINEAR, *CURVE)}
-    own = [k for k, key in enumerate(coarse.search.keys) if key in names]
-    low, high = coarse.search.lower[own], coarse.search.upper[own]
+    own = [k for k, key in enumerate(coarse.space.keys) if key in names]
+    low, high = coarse.space.lower[own], coarse.space.upper[own]
     best, least = start, np.inf
     for share in np.linspace(0.0, 1.0, _LOOKS):
         z = start.copy()
@@ -286,11 +291,11 @@ def _best_along(coarse: Misfit, start: FloatArray, joint: int | None) -> FloatAr
 def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
     """What `tune` promises, however many threads BLAS may have."""
     before = begun.coarse.fits(begun.initial)
-    first = begun.coarse.search.values(begun.initial)
+    first = begun.coarse.space.values(begun.initial)
     fit = _whole_fit(begun, study, chosen)
     at_once = {(SETTLING, number): 0.0 for number in range(1, study.arm.n_joints + 1)}
-    values = at_once | fit.misfit.search.values(fit.z)
-    carried = carried_torques(fit.misfit.records, values)
+    values = at_once | fit.objective.space.values(fit.z)
+    carried = gear_torque_samples(fit.objective.records, values)
     largest = largest_of(carried).tolist()
     parameters, covariance = parameters_of(fit, study, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
@@ -300,7 +305,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         status = "iteration-limit"
     ended = tuple(_bounded(fit, study))
     differences, agreement = stage_differences(fit, study), agreement_tests(fit)
-    criticism = Criticism(residual_tests(fit.misfit, fit.z), tuple(score_tests_of(fit, study)))
+    criticism = Criticism(residual_tests(fit.objective, fit.z), tuple(score_tests_of(fit, study)))
     repeated = [
         log
         for log in begun.logs
@@ -315,7 +320,7 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
         parameters=tuple(parameters[k] for k in public),
         values=values,
         covariance=covariance[np.ix_(public, public)],
-        fit_percent=fit.misfit.fits(fit.z),
+        fit_percent=fit.objective.fits(fit.z),
         initial_fit_percent=before,
         simulated=tuple(repeats[: len(repeated)]),
         initial=tuple(repeats[len(repeated) :]),
@@ -326,10 +331,10 @@ def _tuned(begun: _Begun, study: Study, chosen: TuningOptions) -> ArmModel:
             *warnings_of(fit, at_bounds(fit), parameters),
             *motor_side_limits(fit, study, parameters, ended),
             *disagreement(differences, agreement),
-            *left_out(fit.misfit.search, study),
-            *sensor_cautions(parameters),
-            *residual_cautions(criticism.residuals),
-            *effect_cautions(criticism.score_tests, study),
+            *left_out(fit.objective.space, study),
+            *sensor_warnings(parameters),
+            *residual_warnings(criticism.residuals),
+            *effect_warnings(criticism.score_tests, study),
         ),
         criticism=criticism,
         carried=histograms_of(carried),
@@ -349,23 +354,23 @@ def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], study: Study) -> 
 
 
 def _search(
-    records: Sequence[Replayed],
+    records: Sequence[Dataset],
     model: RigidModel | None,
     joints: Sequence[JointModel],
     study: Study,
     options: TuningOptions,
-) -> Search:
+) -> ParameterSpace:
     voltage = np.max([np.max(np.abs(r.drive.voltage), axis=0) for r in records], axis=0)
-    search = search_of(
+    space = space_of(
         model, joints, study, largest_voltage=voltage.tolist(), floor=options.least_deviation
     )
     if any(joint.spring == "three-slope" for joint in study.arm.joints):
-        values = search.values(np.zeros(len(search.unknowns)))
+        values = space.values(np.zeros(len(space.unknowns)))
         try:
-            search = with_curves(search, study, gear_torques(records, values).tolist())
+            space = with_curves(space, study, gear_torques(records, values).tolist())
         except NumericalFailure as failure:
             raise NotIdentifiable(_UNLIKELY) from failure
-    return search
+    return space
 
 
 def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
@@ -374,9 +379,9 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     With friction that takes its time, if that is asked for or explains much more, and with those
     effects that the study names and the records show.
     """
-    rough = with_evident_beginnings(roughly(begun.coarse, begun.start, options), options)
+    rough = with_evident_initial_motion(coarse_search(begun.coarse, begun.start, options), options)
     rough = placed_again(rough, study, options)
-    rough = bent(rough, options)
+    rough = with_stiffness_restarts(rough, options)
     rough = with_evident_sensors(rough, options, rough=True)
     rough = with_bandwidths_apart(rough, study, options, rough=True)
     if options.settling is not False and rough.iterations < options.max_iterations:
@@ -385,11 +390,11 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
         # the effects have evaluations of their own, as many as the fit without them
         options = replace(options, max_iterations=2 * options.max_iterations)
         rough = with_named_effects(rough, study, options)
-    pairs = zip(begun.records, rough.misfit.records, strict=True)
+    pairs = zip(begun.records, rough.objective.records, strict=True)
     records = [replace(record, moving=coarse.moving) for record, coarse in pairs]
-    misfit = rough.misfit.seen_by(records_with(records, study, rough.misfit.search.keys))
-    fine = finely(misfit.reweighted(rough.z), rough.z, rough.iterations, options)
-    fine, options = _bent_finely(fine, options)
+    objective = rough.objective.seen_by(records_with(records, study, rough.objective.space.keys))
+    fine = fine_search(objective.reweighted(rough.z), rough.z, rough.iterations, options)
+    fine, options = _with_restarts(fine, options)
     if tried(study):
         fine = without_idle_effects(fine, study, options)
     fine = with_evident_sensors(fine, options, rough=False)
@@ -399,17 +404,19 @@ def _whole_fit(begun: _Begun, study: Study, options: TuningOptions) -> Fit:
     return fine if options.settling else without_idle_settling(fine, options)
 
 
-def _bent_finely(fine: Fit, options: TuningOptions) -> tuple[Fit, TuningOptions]:
+def _with_restarts(fine: Fit, options: TuningOptions) -> tuple[Fit, TuningOptions]:
     """Again from other curves, where one lost a bend that does not show in long steps.
 
     These have evaluations of their own, as many as the fit without them.
     """
     more = replace(options, max_iterations=fine.iterations + options.max_iterations)
-    again = bent(fine, more)
+    again = with_stiffness_restarts(fine, more)
     if again.iterations == fine.iterations:
         return fine, options
     if again.cost < fine.cost:
-        return finely(again.misfit.reweighted(again.z), again.z, again.iterations, more), more
+        return fine_search(
+            again.objective.reweighted(again.z), again.z, again.iterations, more
+        ), more
     return replace(again, converged=fine.converged), more
 
 
@@ -418,7 +425,7 @@ def _bounded(fit: Fit, study: Study) -> Iterator[Key]:
 
     A joint's total viscous friction is known where its split is not, and is spared.
     """
-    keys = fit.misfit.search.keys
+    keys = fit.objective.space.keys
     ended = [key for key, at in zip(keys, at_bounds(fit), strict=True) if at and key[0] != SETTLING]
     yield from ended
     derived: dict[Key, Mapping[Key, float]] = {
@@ -433,7 +440,7 @@ def _bounded(fit: Fit, study: Study) -> Iterator[Key]:
 
 def at_bounds(fit: Fit) -> list[bool]:
     """Which unknowns ended at the end of their range."""
-    search = fit.misfit.search
-    edge = 0.5 * _EDGE * (search.upper - search.lower)
-    near: list[bool] = ((fit.z < search.lower + edge) | (fit.z > search.upper - edge)).tolist()
+    space = fit.objective.space
+    edge = 0.5 * _EDGE * (space.upper - space.lower)
+    near: list[bool] = ((fit.z < space.lower + edge) | (fit.z > space.upper - edge)).tolist()
     return near

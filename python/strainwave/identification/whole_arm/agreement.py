@@ -43,7 +43,7 @@ def stage_differences(fit: Fit, study: Study) -> tuple[StageDifference, ...]:
     tuple of StageDifference
         Without values that the fast records say nothing of; none where there was no rigid model.
     """
-    prior, sure = fit.misfit.search.prior, fit.confidence
+    prior, sure = fit.objective.space.prior, fit.confidence
     F = prior.factor
     difference = F @ sure.prior_residual
     std = _deviations([F @ part @ F.T for part in sure.prior_covariance])
@@ -82,7 +82,7 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     tuple of AgreementTest
         None where there was no rigid model, or the records say nothing of its values.
     """
-    prior, sure = fit.misfit.search.prior, fit.confidence
+    prior, sure = fit.objective.space.prior, fit.confidence
     F = prior.factor
     _, steady = (F @ part @ F.T for part in sure.prior_covariance)
     std = _deviations([F @ part @ F.T for part in sure.prior_covariance])

@@ -17,9 +17,9 @@ from strainwave.domain import JointModel, TuningOptions
 from strainwave.domain.parameters import Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, LINEAR
-from strainwave.identification.whole_arm.solver import SOON, search_from
+from strainwave.identification.whole_arm.solver import COARSE_GAIN, search_from
 
 _FEW = 4  # sets that are searched from
 _STEPS, _ROUNDS = 8, 4  # evaluations of each such search at a time, and how often it goes on
@@ -37,7 +37,7 @@ class Chosen:
 
 def best_candidate(
     candidates: Sequence[Sequence[JointModel]],
-    misfit_of: Callable[[Sequence[JointModel]], Misfit],
+    objective_of: Callable[[Sequence[JointModel]], Objective],
     options: TuningOptions,
 ) -> Chosen:
     """The set of joints from which a short search ends lowest.
@@ -48,7 +48,7 @@ def best_candidate(
     ----------
     candidates : sequence of sequence of JointModel
         Each with one model per joint.
-    misfit_of : callable
+    objective_of : callable
         What the records say against arms near such a set, whose start is at zero coordinates.
     options : TuningOptions
 
@@ -63,25 +63,27 @@ def best_candidate(
     """
     if len(candidates) == 1:
         return Chosen(candidates[0], None)
-    known: list[tuple[float, int, Misfit]] = []
+    known: list[tuple[float, int, Objective]] = []
     why: NotIdentifiable | None = None
     for k, joints in enumerate(candidates):
         try:
-            misfit = misfit_of(joints)
+            objective = objective_of(joints)
         except NotIdentifiable as failure:
             why = failure
             continue
-        at_start = misfit.linearise(np.zeros(len(misfit.search.unknowns)))
+        at_start = objective.linearise(np.zeros(len(objective.space.unknowns)))
         if at_start is not None:
-            known.append((at_start.cost, k, misfit))
+            known.append((at_start.cost, k, objective))
     if not known:
         raise why or NotIdentifiable("no arm that the steps before leave can be simulated")
     racing = [
-        _Racer(candidates[k], Fit(misfit, np.zeros(len(misfit.search.unknowns)), cost, 0, False))
-        for cost, k, misfit in sorted(known, key=lambda each: each[:2])[:_FEW]
+        _Racer(
+            candidates[k], Fit(objective, np.zeros(len(objective.space.unknowns)), cost, 0, False)
+        )
+        for cost, k, objective in sorted(known, key=lambda each: each[:2])[:_FEW]
     ]
     for _ in range(_ROUNDS):
-        further = [_further(racer, misfit_of, options) for racer in racing]
+        further = [_further(racer, objective_of, options) for racer in racing]
         racing = [racer for racer in further if racer is not None]
         if not racing:
             raise NotIdentifiable("no arm near those that the steps before leave can be simulated")
@@ -90,7 +92,7 @@ def best_candidate(
         if all(racer.done for racer in racing) or (len(racing) == 1 and not racing[0].limited):
             break
     best = min(racing, key=lambda racer: racer.fit.cost)
-    return Chosen(best.joints, best.fit.misfit.search.values(best.fit.z))
+    return Chosen(best.joints, best.fit.objective.space.values(best.fit.z))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +105,9 @@ class _Racer:
     @property
     def limited(self) -> bool:
         """Whether a stiffness is at the end of its range, of a curve all its slopes."""
-        search, z = self.fit.misfit.search, self.fit.z
-        near = np.minimum(z - search.lower, search.upper - z) < _EDGE * (
-            search.upper - search.lower
-        )
-        ended = {key for key, at in zip(search.keys, near, strict=True) if at}
+        space, z = self.fit.objective.space, self.fit.z
+        near = np.minimum(z - space.lower, space.upper - z) < _EDGE * (space.upper - space.lower)
+        ended = {key for key, at in zip(space.keys, near, strict=True) if at}
         numbers = range(1, len(self.joints) + 1)
         return any({(name, i) for name in own} <= ended for i in numbers for own in (LINEAR, CURVE))
 
@@ -118,7 +118,7 @@ class _Racer:
 
 
 def _further(
-    racer: _Racer, misfit_of: Callable[[Sequence[JointModel]], Misfit], options: TuningOptions
+    racer: _Racer, objective_of: Callable[[Sequence[JointModel]], Objective], options: TuningOptions
 ) -> _Racer | None:
     """A few evaluations on, which do not count among the fit's own; None where that fails."""
     if racer.done:
@@ -127,11 +127,13 @@ def _further(
         joints, fit = racer.joints, racer.fit
         if racer.limited:
             joints = _moved(racer)
-            misfit = misfit_of(joints)
+            objective = objective_of(joints)
             fit = replace(
-                fit, misfit=misfit, z=misfit.search.coordinates(_but_springs(fit, misfit))
+                fit,
+                objective=objective,
+                z=objective.space.coordinates(_but_springs(fit, objective)),
             )
-        found = search_from(fit.misfit, fit.z, 0, options, tolerance=SOON, most=_STEPS)
+        found = search_from(fit.objective, fit.z, 0, options, tolerance=COARSE_GAIN, most=_STEPS)
     except NotIdentifiable:
         return None
     return _Racer(joints, replace(found, iterations=0))
@@ -139,7 +141,7 @@ def _further(
 
 def _moved(racer: _Racer) -> list[JointModel]:
     """Joints whose stiffness lies where the search has come to, so that ranges lie about that."""
-    found = racer.fit.misfit.search.values(racer.fit.z)
+    found = racer.fit.objective.space.values(racer.fit.z)
     moved = []
     for joint in racer.joints:
         names = (*LINEAR, CURVE[1])
@@ -149,10 +151,10 @@ def _moved(racer: _Racer) -> list[JointModel]:
     return moved
 
 
-def _but_springs(fit: Fit, misfit: Misfit) -> Values:
+def _but_springs(fit: Fit, objective: Objective) -> Values:
     """Where a search has come to, but for springs, which start anew."""
-    search = misfit.search
-    anew = search.values(np.zeros(len(search.unknowns)))
+    space = objective.space
+    anew = space.values(np.zeros(len(space.unknowns)))
     springs = (*LINEAR, *CURVE, *KNEES)
-    found = fit.misfit.search.values(fit.z)
+    found = fit.objective.space.values(fit.z)
     return {**anew, **{key: x for key, x in found.items() if key[0] not in springs}}

@@ -35,7 +35,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.identification.whole_arm.objective import BLOCKS, Misfit, Rows, lagged_products
+from strainwave.identification.whole_arm.objective import BLOCKS, Objective, Rows, lagged_products
 from strainwave.numerics.distributions import student_quantile
 from strainwave.numerics.parallel import side_by_side
 
@@ -79,12 +79,12 @@ class Confidence:
         return np.asarray(self.combined * np.outer(raised, raised))
 
 
-def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
+def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     """Covariances of the fitted parameters.
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
         At its minimum in z.
     z : (n_unknowns,)
 
@@ -95,12 +95,12 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     """
     noise = [
         np.minimum(1.0, record.noise / weights.deviation)
-        for record, weights in zip(misfit.records, misfit.weights, strict=True)
+        for record, weights in zip(objective.records, objective.weights, strict=True)
     ]
-    each = zip(misfit.rows(z), misfit.blocks(), noise, strict=True)
+    each = zip(objective.rows(z), objective.blocks(), noise, strict=True)
     records = side_by_side([partial(_evidence, *one) for one in each])
-    search, prior = misfit.search, misfit.search.prior
-    slope = search.slope(z)
+    space, prior = objective.space, objective.space.prior
+    slope = space.slope(z)
     rows = prior.rows @ slope
     known = rows.T @ rows
     inverse = inverse_information(sum((record.product for record in records), known))
@@ -109,7 +109,7 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     blocks = np.concatenate([record.gradients for record in records])
     n = len(blocks)
     loud = n / (n - 1.0) * blocks.T @ blocks
-    left = prior.rows @ search.parameters(z) - prior.target
+    left = prior.rows @ space.parameters(z) - prior.target
     larger = _contradicted(prior.errors, left, rows @ unbread, rows, loud)
     told = larger * rows.T @ prior.errors @ rows
     sandwich = unbread @ (loud + told) @ unbread
@@ -127,7 +127,7 @@ def confidence_of(misfit: Misfit, z: FloatArray) -> Confidence:
     if n_records >= _FEWEST:
         variance = variance + _excess(own, scattered, pooled, n_records)
     products = [record.product for record in records]
-    variance = variance * (1.0 + n_records * _beyond_noise(misfit, z, products, inverse))
+    variance = variance * (1.0 + n_records * _beyond_noise(objective, z, products, inverse))
     ones = np.ones_like(variance)
     raised = np.sqrt(np.divide(variance, steadied, out=ones, where=steadied > 0.0))
     by_errors = sum((record.steady for record in records), np.zeros_like(known))
@@ -288,11 +288,11 @@ def residual_covariance(
 
 
 def _beyond_noise(
-    misfit: Misfit, z: FloatArray, products: Sequence[FloatArray], inverse: FloatArray
+    objective: Objective, z: FloatArray, products: Sequence[FloatArray], inverse: FloatArray
 ) -> FloatArray:
     """The share of each local variance that the sensors' noise does not explain."""
     excess = np.zeros_like(inverse)
-    for share, product in zip(misfit.noise_shares(z), products, strict=True):
+    for share, product in zip(objective.noise_shares(z), products, strict=True):
         excess += max(0.0, 1.0 - share - _UNSURE) * product
     return np.asarray(np.diag(inverse @ excess @ inverse) / np.diag(inverse))
 

@@ -1,4 +1,4 @@
-"""Log -> `Replayed`: a record to simulate, and what of it is compared with a simulated arm.
+"""Log -> `Dataset`: a record to simulate, and what of it is compared with a simulated arm.
 
 The recorded voltages drive the arm, so that no servo has to be known. Angles are compared as
 velocities, which do not drift away as open-loop angles do. Every channel passes through one
@@ -125,7 +125,7 @@ class Kernels:
 
 
 @dataclass(frozen=True, slots=True)
-class Replayed:
+class Dataset:
     """One record, ready to be compared."""
 
     log: Log
@@ -357,7 +357,7 @@ class Replayed:
 
     def corrected(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
-    ) -> Replayed:
+    ) -> Dataset:
         """The same, with the error of its integrator's step made good, as it is for an arm.
 
         For arms nearby it is nearly the same: a search may go on in long steps. Of the sensors'
@@ -443,7 +443,7 @@ class Replayed:
         return np.asarray(sum(count * of[name][:, at] for count, name in parts))
 
 
-def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = False) -> Replayed:
+def dataset_of(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:
     """A record ready to be compared with simulated arms.
 
     Parameters
@@ -458,7 +458,7 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
 
     Returns
     -------
-    Replayed
+    Dataset
 
     Raises
     ------
@@ -486,7 +486,7 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
         for c in channels
     )
     middle = 0.5 * (reach - 1) * T
-    return Replayed(
+    return Dataset(
         log=log,
         study=_as_driven(log, study),
         cutoff_hz=cutoff_hz,
@@ -503,18 +503,18 @@ def replayed(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = Fa
     )
 
 
-def coarser(record: Replayed, longest_step: float) -> Replayed:
+def coarsened(record: Dataset, longest_step: float) -> Dataset:
     """The same record in longer steps, for a search that is still far off.
 
     Parameters
     ----------
-    record : Replayed
+    record : Dataset
     longest_step : float [s]
         Of the integrator; samples that lie closer are thinned, and voltages become their means.
 
     Returns
     -------
-    Replayed
+    Dataset
         Its rows lie as far apart, about.
     """
     log = record.log
@@ -532,7 +532,9 @@ def coarser(record: Replayed, longest_step: float) -> Replayed:
         time=log.time[: n * every : every],
         channels=channels,
     )
-    coarse = replayed(thinned, record.study, record.cutoff_hz, closed_loop=any(record.drive.servo))
+    coarse = dataset_of(
+        thinned, record.study, record.cutoff_hz, closed_loop=any(record.drive.servo)
+    )
     step = max(longest_step, _STEP)
     return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
 

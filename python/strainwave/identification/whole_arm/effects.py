@@ -10,10 +10,15 @@ import numpy as np
 from strainwave.domain import Diagnostic, Effect, FloatArray, Study
 from strainwave.domain.parameters import EFFECT_PARAMETERS, Values, unit_of
 from strainwave.identification.closed_loop import with_known_effects
-from strainwave.identification.whole_arm.dataset import Replayed
-from strainwave.identification.whole_arm.parametrisation import COULOMB, Key, Search, Unknown
+from strainwave.identification.whole_arm.dataset import Dataset
+from strainwave.identification.whole_arm.parametrisation import (
+    COULOMB,
+    Key,
+    ParameterSpace,
+    Unknown,
+)
 
-Tried = tuple[int, Effect]
+NamedEffect = tuple[int, Effect]
 """A joint, from 1, and an effect that it may have."""
 
 _EVIDENT = 3.0  # deviations from nothing that an effect must have
@@ -27,7 +32,7 @@ HYSTERESIS_TWIST = 1.5e-4
 _KINEMATIC_ERROR = 1e-4  # [rad] that count as much as a factor e elsewhere
 
 
-def tried(study: Study) -> list[Tried]:
+def tried(study: Study) -> list[NamedEffect]:
     """The effects that a study names.
 
     Parameters
@@ -41,7 +46,7 @@ def tried(study: Study) -> list[Tried]:
     return [(j, effect) for j, joint in enumerate(study.arm.joints, 1) for effect in joint.effects]
 
 
-def sizes_of(one: Tried) -> list[Key]:
+def sizes_of(one: NamedEffect) -> list[Key]:
     """The parameters that are zero where an effect is not there.
 
     Parameters
@@ -58,13 +63,13 @@ def sizes_of(one: Tried) -> list[Key]:
 
 
 def with_effects(
-    search: Search, study: Study, values: Values, largest_torque: Sequence[float]
-) -> tuple[Search, FloatArray]:
+    space: ParameterSpace, study: Study, values: Values, largest_torque: Sequence[float]
+) -> tuple[ParameterSpace, FloatArray]:
     """The unknowns of every effect that a study names beside those there are.
 
     Parameters
     ----------
-    search : Search
+    search : ParameterSpace
     study : Study
     values : dict
         Where the fit without effects ended.
@@ -73,7 +78,7 @@ def with_effects(
 
     Returns
     -------
-    Search
+    ParameterSpace
     (n_unknowns,)
         Where to start.
     """
@@ -94,36 +99,36 @@ def with_effects(
         unit = unit_of(name, study.arm.joints[(own or 1) - 1])
         scale = _KINEMATIC_ERROR if signed else start
         more.append(Unknown(name, own, unit, start, scale, signed, _FAR))
-    rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
-    unknowns = (*search.unknowns, *more)
-    found = Search(unknowns, search.fixed, replace(search.prior, rows=rows))
+    rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
+    unknowns = (*space.unknowns, *more)
+    found = ParameterSpace(unknowns, space.fixed, replace(space.prior, rows=rows))
     return found, found.coordinates(values | starts)
 
 
-def without(search: Search, effects: Collection[Tried]) -> Search:
+def without(space: ParameterSpace, effects: Collection[NamedEffect]) -> ParameterSpace:
     """The unknowns less those of some effects.
 
     Parameters
     ----------
-    search : Search
+    search : ParameterSpace
     effects : collection of (joint, effect)
 
     Returns
     -------
-    Search
+    ParameterSpace
     """
     gone = {(name, j) for j, effect in effects for name in EFFECT_PARAMETERS[effect]}
-    kept = [k for k, key in enumerate(search.keys) if key not in gone]
-    prior = replace(search.prior, rows=search.prior.rows[:, kept])
-    return Search(tuple(search.unknowns[k] for k in kept), search.fixed, prior)
+    kept = [k for k, key in enumerate(space.keys) if key not in gone]
+    prior = replace(space.prior, rows=space.prior.rows[:, kept])
+    return ParameterSpace(tuple(space.unknowns[k] for k in kept), space.fixed, prior)
 
 
-def idle(search: Search, z: FloatArray, covariance: FloatArray) -> Iterator[Tried]:
+def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterator[NamedEffect]:
     """The effects whose size is nothing as far as the records show.
 
     Parameters
     ----------
-    search : Search
+    search : ParameterSpace
     z : (n_unknowns,)
     covariance : (n_unknowns, n_unknowns)
         Of the parameters.
@@ -132,8 +137,8 @@ def idle(search: Search, z: FloatArray, covariance: FloatArray) -> Iterator[Trie
     ------
     (joint, effect)
     """
-    values = search.parameters(z)
-    at: dict[Key, int] = {key: k for k, key in enumerate(search.keys)}
+    values = space.parameters(z)
+    at: dict[Key, int] = {key: k for k, key in enumerate(space.keys)}
     for effect, names in EFFECT_PARAMETERS.items():
         for name, joint in list(at):
             if name == names[0] and joint is not None:
@@ -143,12 +148,12 @@ def idle(search: Search, z: FloatArray, covariance: FloatArray) -> Iterator[Trie
                     yield joint, effect
 
 
-def left_out(search: Search, study: Study) -> Iterator[Diagnostic]:
+def left_out(space: ParameterSpace, study: Study) -> Iterator[Diagnostic]:
     """What a reader must know of the effects that a study names and a fit does without.
 
     Parameters
     ----------
-    search : Search
+    search : ParameterSpace
         Of the fit.
     study : Study
 
@@ -156,7 +161,7 @@ def left_out(search: Search, study: Study) -> Iterator[Diagnostic]:
     ------
     Diagnostic
     """
-    known = set(tried(with_known_effects(study, search.keys)))
+    known = set(tried(with_known_effects(study, space.keys)))
     for joint, effect in tried(study):
         if (joint, effect) not in known:
             text = f"{effect} was tried and left out: the records do not show it; take it out of"
@@ -165,23 +170,23 @@ def left_out(search: Search, study: Study) -> Iterator[Diagnostic]:
 
 
 def records_with(
-    records: Sequence[Replayed], study: Study, known: Collection[Key]
-) -> tuple[Replayed, ...]:
+    records: Sequence[Dataset], study: Study, known: Collection[Key]
+) -> tuple[Dataset, ...]:
     """The records on an arm with those of a study's effects whose parameters are known.
 
     Parameters
     ----------
-    records : sequence of Replayed
+    records : sequence of Dataset
     study : Study
     known : collection of (name, joint)
 
     Returns
     -------
-    tuple of `Replayed`
+    tuple of `Dataset`
     """
     effects = [joint.effects for joint in with_known_effects(study, known).arm.joints]
 
-    def given(record: Replayed) -> Replayed:
+    def given(record: Dataset) -> Dataset:
         pairs = zip(record.study.arm.joints, effects, strict=True)
         joints = tuple(replace(joint, effects=own) for joint, own in pairs)
         return replace(

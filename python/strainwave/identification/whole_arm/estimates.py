@@ -12,7 +12,7 @@ from strainwave.domain import Diagnostic, FloatArray, Parameter, Study
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.mounting import is_hidden, is_mounting, reported
 from strainwave.identification.whole_arm.covariance import Confidence, confidence_of, only_together
-from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import (
     CURVE,
     KNEES,
@@ -36,7 +36,7 @@ _REACH = 1.96  # of a 95 % interval, in deviations
 class Fit:
     """Where the search ended."""
 
-    misfit: Misfit
+    objective: Objective
     z: FloatArray  # (n_unknowns,)
     cost: float  # by the weights of the search; infinite before any
     iterations: int
@@ -45,7 +45,7 @@ class Fit:
     @cached_property
     def confidence(self) -> Confidence:
         """How sure the unknowns are."""
-        return confidence_of(self.misfit, self.z)
+        return confidence_of(self.objective, self.z)
 
 
 def parameters_of(
@@ -64,10 +64,10 @@ def parameters_of(
     -------
     tuple of Parameter, (n_parameters, n_parameters)
     """
-    search = fit.misfit.search
-    keys = search.keys
+    space = fit.objective.space
+    keys = space.keys
     names = list(keys)
-    units = [unknown.unit for unknown in search.unknowns]
+    units = [unknown.unit for unknown in space.unknowns]
     told = _curves_told(fit, fit.confidence.combined, largest_torque)
     weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
     held = [0.0] * len(keys)
@@ -83,9 +83,9 @@ def parameters_of(
             names.append((name, number))
             units.append(unit_of(name, joint))
             weight.append(combination(keys, parts))
-            held.append(sum(w * search.fixed.get(key, 0.0) for key, w in parts.items()))
+            held.append(sum(w * space.fixed.get(key, 0.0) for key, w in parts.items()))
     W = np.array(weight)
-    values = W @ search.parameters(fit.z) + np.array(held)
+    values = W @ space.parameters(fit.z) + np.array(held)
     mounted = mountings_of(fit)
     if mounted.names:
         names += mounted.names
@@ -124,11 +124,11 @@ def mountings_of(fit: Fit) -> Mountings:
     Mountings
         Empty where there is none.
     """
-    search = fit.misfit.search
-    keys, at = search.keys, search.values(fit.z)
-    study = fit.misfit.records[0].study
+    space = fit.objective.space
+    keys, at = space.keys, space.values(fit.z)
+    study = fit.objective.records[0].study
     axes = dict.fromkeys(
-        c.axis for r in fit.misfit.records for c in r.channels if c.axis is not None
+        c.axis for r in fit.objective.records for c in r.channels if c.axis is not None
     )
     hidden = [k for k, key in enumerate(keys) if is_mounting(key)]
     found = Mountings([], [], np.zeros(0), np.zeros((0, len(keys))))
@@ -163,9 +163,9 @@ def _curves_told(
     it moves up, and the last of its kind is not told. Of two slopes that are one the better known
     stands for both.
     """
-    search = fit.misfit.search
-    at = {key: k for k, key in enumerate(search.keys)}
-    values = search.parameters(fit.z)
+    space = fit.objective.space
+    at = {key: k for k, key in enumerate(space.keys)}
+    values = space.parameters(fit.z)
     told: dict[Key, Key | None] = {}
     for joint, largest in enumerate(largest_torque, start=1):
         if (CURVE[0], joint) not in at:
@@ -214,10 +214,10 @@ def warnings_of(
     ------
     Diagnostic
     """
-    search = fit.misfit.search
-    values = search.parameters(fit.z)
+    space = fit.objective.space
+    values = space.parameters(fit.z)
     deviation = np.sqrt(np.diag(fit.confidence.combined))
-    for k, (unknown, at) in enumerate(zip(search.unknowns, bounded, strict=True)):
+    for k, (unknown, at) in enumerate(zip(space.unknowns, bounded, strict=True)):
         if at and unknown.name != SETTLING:
             text = f"the fit ended at the end of its range, {values[k]:.3g} {unknown.unit}: the"
             text += " records do not agree on it"
@@ -235,13 +235,13 @@ def warnings_of(
         if unknown.name in VISCOUS:
             told += "; of the viscous frictions only the total is well known"
         yield Diagnostic("not-identifiable", str(unknown), told)
-    for unknown, value in zip(search.unknowns, values, strict=True):
+    for unknown, value in zip(space.unknowns, values, strict=True):
         if unknown.name == SETTLING:
             text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
             text += " it changes sides that much before the motor does"
             yield Diagnostic("friction-settles", str(unknown), text)
-    shown = [k for k, key in enumerate(search.keys) if not is_hidden(key)]
-    names = [str(search.unknowns[k]) for k in shown]
+    shown = [k for k, key in enumerate(space.keys) if not is_hidden(key)]
+    names = [str(space.unknowns[k]) for k in shown]
     covariance = fit.confidence.combined[np.ix_(shown, shown)]
     for group, spread in only_together(names, values[shown], covariance):
         text = "only the combination is identified: the values trade off by"

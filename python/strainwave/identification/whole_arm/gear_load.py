@@ -8,20 +8,20 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, TorqueHistogram
-from strainwave.identification.whole_arm.dataset import Replayed
+from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.numerics.parallel import side_by_side
 
 _BINS = 60
 
 
 def gear_torques(
-    records: Sequence[Replayed], values: dict[tuple[str, int | None], float]
+    records: Sequence[Dataset], values: dict[tuple[str, int | None], float]
 ) -> FloatArray:
     """The largest torque that each gear carries, but for one sample in a thousand.
 
     Parameters
     ----------
-    records : sequence of Replayed
+    records : sequence of Dataset
     values : dict
         (name, joint) -> value.
 
@@ -29,17 +29,17 @@ def gear_torques(
     -------
     (n_joints,) [N m]
     """
-    return largest_of(carried_torques(records, values))
+    return largest_of(gear_torque_samples(records, values))
 
 
-def carried_torques(
-    records: Sequence[Replayed], values: dict[tuple[str, int | None], float]
+def gear_torque_samples(
+    records: Sequence[Dataset], values: dict[tuple[str, int | None], float]
 ) -> list[FloatArray]:
     """What each gear carries in each record.
 
     Parameters
     ----------
-    records : sequence of Replayed
+    records : sequence of Dataset
     values : dict
         (name, joint) -> value.
 
@@ -49,7 +49,7 @@ def carried_torques(
         Moduli.
     """
 
-    def carried(record: Replayed) -> FloatArray:
+    def carried(record: Dataset) -> FloatArray:
         return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
 
     return side_by_side([partial(carried, r) for r in records])

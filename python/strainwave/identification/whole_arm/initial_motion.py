@@ -12,15 +12,15 @@ from functools import partial
 from strainwave.domain import FloatArray, TuningOptions
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Misfit
-from strainwave.identification.whole_arm.solver import again_roughly
+from strainwave.identification.whole_arm.objective import Objective
+from strainwave.identification.whole_arm.solver import resumed_coarse_search
 from strainwave.numerics.parallel import side_by_side
 
 _EVIDENT = 28.0  # chi-square of six initial states that chance exceeds once in ten thousand
 _SHARE = 0.5  # of the record's cost that they must take: model errors go on after the beginning
 
 
-def with_evident_beginnings(fit: Fit, options: TuningOptions) -> Fit:
+def with_evident_initial_motion(fit: Fit, options: TuningOptions) -> Fit:
     """A rough fit in which those records begin in motion that speak for it.
 
     Parameters
@@ -35,44 +35,44 @@ def with_evident_beginnings(fit: Fit, options: TuningOptions) -> Fit:
     """
     if fit.iterations >= options.max_iterations:
         return fit
-    misfit = in_motion(fit.misfit, fit.z)
-    if misfit is fit.misfit:
+    objective = in_motion(fit.objective, fit.z)
+    if objective is fit.objective:
         return fit
-    return again_roughly(misfit, fit.z, fit.iterations, options)
+    return resumed_coarse_search(objective, fit.z, fit.iterations, options)
 
 
-def in_motion(misfit: Misfit, z: FloatArray) -> Misfit:
+def in_motion(objective: Objective, z: FloatArray) -> Objective:
     """The same with those records in motion at first that an arm from rest fits far worse.
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
     z : (n_unknowns,)
         Near the minimum.
 
     Returns
     -------
-    Misfit
+    Objective
         The very same where there is none.
     """
-    at_rest = [k for k, record in enumerate(misfit.records) if not record.moving]
-    rows = misfit.rows(z)
-    costs = [rows[k].cost(misfit.weights[k]) for k in at_rest]
+    at_rest = [k for k, record in enumerate(objective.records) if not record.moving]
+    rows = objective.rows(z)
+    costs = [rows[k].cost(objective.weights[k]) for k in at_rest]
     owns = side_by_side(
-        [partial(_evident, misfit, z, *each) for each in zip(at_rest, costs, strict=True)]
+        [partial(_evident, objective, z, *each) for each in zip(at_rest, costs, strict=True)]
     )
     for k, own in zip(at_rest, owns, strict=True):
-        misfit = misfit if own is None else misfit.in_motion(k, own)
-    return misfit
+        objective = objective if own is None else objective.in_motion(k, own)
+    return objective
 
 
-def _evident(misfit: Misfit, z: FloatArray, k: int, rest: float) -> FloatArray | None:
+def _evident(objective: Objective, z: FloatArray, k: int, rest: float) -> FloatArray | None:
     """A record's own unknowns where beginning in motion takes most of its cost: (n_own,)."""
-    held = misfit.search.holding(misfit.search.values(z))  # only the beginning is looked for
+    held = objective.space.holding(objective.space.values(z))  # only the beginning is looked for
     try:
-        (free,) = misfit.in_motion(k).only(k).for_unknowns(held).rows(z[:0])
+        (free,) = objective.in_motion(k).only(k).for_unknowns(held).rows(z[:0])
     except (InvalidInput, NumericalFailure):
         return None  # no arm begins like that
-    cost = free.cost(misfit.weights[k])
+    cost = free.cost(objective.weights[k])
     evident = rest - cost > _EVIDENT and cost < _SHARE * rest
     return free.evaluated.own + free.step if evident else None

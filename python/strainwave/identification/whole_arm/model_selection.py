@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Study, TuningOptions
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.effects import (
-    Tried,
+    NamedEffect,
     idle,
     records_with,
     with_effects,
@@ -17,15 +17,20 @@ from strainwave.identification.whole_arm.effects import (
 )
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.gear_load import gear_torques
-from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import (
     CURVE,
     SETTLING,
     SETTLING_START,
-    Search,
+    ParameterSpace,
     with_settling,
 )
-from strainwave.identification.whole_arm.solver import ROUGHLY, SOON, finely, search_from
+from strainwave.identification.whole_arm.solver import (
+    COARSE_GAIN,
+    COARSE_SHARE,
+    fine_search,
+    search_from,
+)
 from strainwave.identification.whole_arm.stiffness_restarts import other_starts
 
 _EVIDENT = 3.0  # deviations that speak for a settling time, an effect, or another curve
@@ -34,7 +39,7 @@ _TRIAL = 10  # evaluations in which it must show
 _TRIAL_OF_EFFECTS = 30  # and in which the effects must, with several parameters each
 
 
-def bent(fit: Fit, options: TuningOptions) -> Fit:
+def with_stiffness_restarts(fit: Fit, options: TuningOptions) -> Fit:
     """The best of a fit and those from other curves, for each gear whose curve lost a bend.
 
     Parameters
@@ -46,32 +51,38 @@ def bent(fit: Fit, options: TuningOptions) -> Fit:
     -------
     Fit
     """
-    for unknown in fit.misfit.search.unknowns:
+    for unknown in fit.objective.space.unknowns:
         if unknown.name != CURVE[0] or unknown.joint is None:
             continue
-        values = fit.misfit.search.values(fit.z)
-        largest = gear_torques(fit.misfit.records, values)[unknown.joint - 1]
+        values = fit.objective.space.values(fit.z)
+        largest = gear_torques(fit.objective.records, values)[unknown.joint - 1]
         for start in other_starts(values, unknown.joint, largest):
             if fit.iterations >= options.max_iterations:
                 return replace(fit, converged=False)
-            z = fit.misfit.search.coordinates(start)
+            z = fit.objective.space.coordinates(start)
             try:
-                other = _tried(fit, fit.misfit, z, options, _TRIAL)
+                other = _tried(fit, fit.objective, z, options, _TRIAL)
             except NotIdentifiable:
                 continue  # such a curve cannot be simulated
             fit = _better(fit, other)
-            found = fit.misfit.search.values(fit.z)
+            found = fit.objective.space.values(fit.z)
             if found != values and not any(other_starts(found, unknown.joint, largest)):
                 break  # it bends twice again
     return fit
 
 
 def _tried(
-    fit: Fit, misfit: Misfit, z: FloatArray, options: TuningOptions, most: int | None
+    fit: Fit, objective: Objective, z: FloatArray, options: TuningOptions, most: int | None
 ) -> Fit:
     """A rough search from elsewhere, in a few evaluations."""
     return search_from(
-        misfit, z, fit.iterations, options, tolerance=SOON, relative=ROUGHLY, most=most
+        objective,
+        z,
+        fit.iterations,
+        options,
+        tolerance=COARSE_GAIN,
+        relative=COARSE_SHARE,
+        most=most,
     )
 
 
@@ -93,12 +104,12 @@ def with_settling_times(fit: Fit, options: TuningOptions) -> Fit:
     -------
     Fit
     """
-    values = fit.misfit.search.values(fit.z)
-    search = with_settling(fit.misfit.search)
-    begin = search.coordinates(dict.fromkeys(search.keys, SETTLING_START) | values)
-    misfit = fit.misfit.for_unknowns(search)
+    values = fit.objective.space.values(fit.z)
+    space = with_settling(fit.objective.space)
+    begin = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
+    objective = fit.objective.for_unknowns(space)
     most = None if options.settling else _TRIAL
-    extended = _tried(fit, misfit, begin, options, most)
+    extended = _tried(fit, objective, begin, options, most)
     return _better(fit, extended) if options.settling is None else extended
 
 
@@ -114,21 +125,21 @@ def without_idle_settling(fit: Fit, options: TuningOptions) -> Fit:
     -------
     Fit
     """
-    if all(name != SETTLING for name, _ in fit.misfit.search.keys):
+    if all(name != SETTLING for name, _ in fit.objective.space.keys):
         return fit
-    values = fit.misfit.search.values(fit.z)
+    values = fit.objective.space.values(fit.z)
     deviation = np.sqrt(np.diag(fit.confidence.cautious))
-    lowest = fit.z < _NOTHING * fit.misfit.search.lower
+    lowest = fit.z < _NOTHING * fit.objective.space.lower
     idle = {
         key: 0.0
-        for key, std, least in zip(fit.misfit.search.keys, deviation, lowest, strict=True)
+        for key, std, least in zip(fit.objective.space.keys, deviation, lowest, strict=True)
         if key[0] == SETTLING and (least or values[key] < _EVIDENT * std)
     }
     if not idle:
         return fit
-    search = fit.misfit.search.holding(idle)
-    begin = search.coordinates(values)
-    return finely(fit.misfit.for_unknowns(search), begin, fit.iterations, options)
+    space = fit.objective.space.holding(idle)
+    begin = space.coordinates(values)
+    return fine_search(fit.objective.for_unknowns(space), begin, fit.iterations, options)
 
 
 def with_named_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
@@ -145,15 +156,15 @@ def with_named_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     -------
     Fit
     """
-    values = fit.misfit.search.values(fit.z)
-    largest = gear_torques(fit.misfit.records, values).tolist()
-    search, begin = with_effects(fit.misfit.search, study, values, largest)
+    values = fit.objective.space.values(fit.z)
+    largest = gear_torques(fit.objective.records, values).tolist()
+    space, begin = with_effects(fit.objective.space, study, values, largest)
     extended = search_from(
-        _on(fit.misfit, search, study),
+        _on(fit.objective, space, study),
         begin,
         fit.iterations,
         options,
-        tolerance=SOON,
+        tolerance=COARSE_GAIN,
         most=_TRIAL_OF_EFFECTS,
     )
     return _better(fit, extended)
@@ -173,20 +184,20 @@ def without_idle_effects(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     Fit
     """
     while gone := _idle(fit):
-        values = fit.misfit.search.values(fit.z)
-        search = without(fit.misfit.search, gone)
-        misfit = _on(fit.misfit, search, study)
-        fit = finely(misfit, search.coordinates(values), fit.iterations, options)
+        values = fit.objective.space.values(fit.z)
+        space = without(fit.objective.space, gone)
+        objective = _on(fit.objective, space, study)
+        fit = fine_search(objective, space.coordinates(values), fit.iterations, options)
     return fit
 
 
-def _idle(fit: Fit) -> set[Tried]:
+def _idle(fit: Fit) -> set[NamedEffect]:
     """The effects among the unknowns that the records do not show."""
     covariance = fit.confidence.cautious
-    return set(idle(fit.misfit.search, fit.z, covariance))
+    return set(idle(fit.objective.space, fit.z, covariance))
 
 
-def _on(misfit: Misfit, search: Search, study: Study) -> Misfit:
+def _on(objective: Objective, space: ParameterSpace, study: Study) -> Objective:
     """The same records and weights for other unknowns, the effects among them in the arm."""
-    records = records_with(misfit.records, study, search.keys)
-    return replace(misfit.for_unknowns(search), records=records)
+    records = records_with(objective.records, study, space.keys)
+    return replace(objective.for_unknowns(space), records=records)

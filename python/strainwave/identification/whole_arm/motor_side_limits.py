@@ -44,7 +44,9 @@ def motor_side_limits(
     Diagnostic
         One per joint and reason, of joints whose link has no sensor in any record.
     """
-    have = {c.joint for r in fit.misfit.records for c in r.channels if c.quantity != "motor_angle"}
+    have = {
+        c.joint for r in fit.objective.records for c in r.channels if c.quantity != "motor_angle"
+    }
     for number, joint in enumerate(study.arm.joints, start=1):
         if number in have or joint.spring == "rigid":
             continue
@@ -88,7 +90,7 @@ def _named(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
 
 def _mobility(fit: Fit, study: Study, joint: int) -> tuple[float, float, float]:
     """Stiffness, damping and s = 1/m_L + n^2/m_M of a fitted joint, link side."""
-    values = fit.misfit.search.values(fit.z)
+    values = fit.objective.space.values(fit.z)
     stiffness = values.get((LINEAR[0], joint)) or values[CURVE[0], joint]
     ratio = study.arm.joints[joint - 1].gear_ratio
     s = 1.0 / link_inertia(values, study, joint) + ratio**2 / values["motor_inertia", joint]
@@ -98,14 +100,14 @@ def _mobility(fit: Fit, study: Study, joint: int) -> tuple[float, float, float]:
 def _anti_resonance(fit: Fit, study: Study, joint: int) -> float:
     """[Hz] sqrt(k / m_L) / 2 pi."""
     stiffness, _, _ = _mobility(fit, study, joint)
-    m_l = link_inertia(fit.misfit.search.values(fit.z), study, joint)
+    m_l = link_inertia(fit.objective.space.values(fit.z), study, joint)
     return float(np.sqrt(stiffness / m_l) / (2.0 * np.pi))
 
 
 def _reasons(fit: Fit, study: Study, joint: int) -> Iterator[str]:
     stiffness, damping, s = _mobility(fit, study, joint)
     resonance = float(np.sqrt(stiffness * s) / (2.0 * np.pi))
-    records = fit.misfit.records
+    records = fit.objective.records
     logs = [record.log for record in records]
     shown = max(signal_band(log.channels[f"theta_m{joint}"], log.sample_time) for log in logs)
     band = min(shown, max(record.cutoff_hz for record in records))
@@ -136,7 +138,7 @@ def _rounding(fit: Fit, joint: int) -> tuple[float, float, float]:
     Of the record in which the motor moves most.
     """
     found = []
-    for record, weights in zip(fit.misfit.records, fit.misfit.weights, strict=True):
+    for record, weights in zip(fit.objective.records, fit.objective.weights, strict=True):
         own = [(c.quantity, c.joint) for c in record.channels].index(("motor_angle", joint))
         slope = float(np.linalg.norm(record.kernels.taps(rate=True)))
         noise = record.counts[own] / np.sqrt(12.0) * slope

@@ -16,10 +16,15 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.mounting import DISTANCE, START, TURN, Axis, unknowns_of
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Misfit
-from strainwave.identification.whole_arm.parametrisation import Key, Search
+from strainwave.identification.whole_arm.objective import Objective
+from strainwave.identification.whole_arm.parametrisation import Key, ParameterSpace
 from strainwave.identification.whole_arm.sensors import with_sensors
-from strainwave.identification.whole_arm.solver import SOON, again_roughly, refined, search_from
+from strainwave.identification.whole_arm.solver import (
+    COARSE_GAIN,
+    refined,
+    resumed_coarse_search,
+    search_from,
+)
 from strainwave.signals.imu_attitude import imu_candidates, in_mirror
 from strainwave.signals.mounting_start import distance_of
 
@@ -32,8 +37,8 @@ _FLAT = 0.1  # share of the cost that a tilt out of the plane must explain
 
 
 def best_placed(
-    misfit: Misfit, z: FloatArray, study: Study, options: TuningOptions
-) -> tuple[Misfit, FloatArray]:
+    objective: Objective, z: FloatArray, study: Study, options: TuningOptions
+) -> tuple[Objective, FloatArray]:
     """A start with each sensor where a short search from there ends lowest.
 
     Tried are the mounting as it is, those by the arm that is simulated there, and of an IMU the
@@ -42,78 +47,78 @@ def best_placed(
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
     z : (n_unknowns,)
     study : Study
     options : TuningOptions
 
     Returns
     -------
-    Misfit
+    Objective
         Attitudes that turns start from are among what its search holds.
     (n_unknowns,)
     """
     for joint in range(1, study.arm.n_joints + 1):
-        axes = _axes_on(misfit, joint)
+        axes = _axes_on(objective, joint)
         if unknowns_of(axes, study):
-            misfit, z = _placed(misfit, z, axes, study, options)
-    return misfit, z
+            objective, z = _placed(objective, z, axes, study, options)
+    return objective, z
 
 
 def _placed(
-    misfit: Misfit, z: FloatArray, axes: Sequence[Axis], study: Study, options: TuningOptions
-) -> tuple[Misfit, FloatArray]:
+    objective: Objective, z: FloatArray, axes: Sequence[Axis], study: Study, options: TuningOptions
+) -> tuple[Objective, FloatArray]:
     """The same of one link's sensors."""
-    joint, values = axes[0].joint, misfit.search.values(z)
+    joint, values = axes[0].joint, objective.space.values(z)
     own: list[Key] = [*unknowns_of(axes, study), *((name, joint) for name in START)]
     tried: list[Mapping[Key, float]] = [{key: values[key] for key in own if key in values}]
     try:
-        tried += _by_simulation(misfit, values, axes, study)
+        tried += _by_simulation(objective, values, axes, study)
     except (InvalidInput, NumericalFailure):
-        return misfit, z
-    turns = (TURN[0], joint) in misfit.search.keys
+        return objective, z
+    turns = (TURN[0], joint) in objective.space.keys
     if turns:
         tried += [in_mirror(one, joint) for one in tried]
-    starts = [_with(misfit, values, one) for one in tried]
+    starts = [_with(objective, values, one) for one in tried]
     if turns and {a.kind for a in axes} == {"accelerometer"} and {0, 1} == {a.number for a in axes}:
         held: dict[Key, float] = {(name, joint): 0.0 for name in TURN[:2]}
-        lying = _by_simulation(misfit, values, axes, study, flat=True)
+        lying = _by_simulation(objective, values, axes, study, flat=True)
         lying += [in_mirror(one, joint) for one in lying]
-        starts += [_holding(*_with(misfit, values, {**one, **held}), held) for one in lying]
+        starts += [_holding(*_with(objective, values, {**one, **held}), held) for one in lying]
     costs = sorted((cost_of(*one), k) for k, one in enumerate(starts))
     kinds: tuple[list[int], list[int]] = ([], [])
     for cost, k in costs:
         if np.isfinite(cost):
-            kinds[_is_flat(starts[k][0].search, joint)].append(k)
+            kinds[_is_flat(starts[k][0].space, joint)].append(k)
     ends = []
     for k in (*kinds[0][:_FEW], *kinds[1][:2]):
         at, begin = starts[k]
-        found = search_from(at, begin, 0, options, tolerance=SOON, most=_STEPS)
-        ends.append((found.cost * (1.0 - _FLAT * _is_flat(at.search, joint)), k, found))
+        found = search_from(at, begin, 0, options, tolerance=COARSE_GAIN, most=_STEPS)
+        ends.append((found.cost * (1.0 - _FLAT * _is_flat(at.space, joint)), k, found))
     if not ends:
-        return misfit, z
+        return objective, z
     best = min(ends, key=lambda one: one[:2])[2]
-    return best.misfit, best.z
+    return best.objective, best.z
 
 
-def cost_of(misfit: Misfit, z: FloatArray) -> float:
+def cost_of(objective: Objective, z: FloatArray) -> float:
     """The cost at a start, infinite where no arm can be simulated.
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
     z : (n_unknowns,)
 
     Returns
     -------
     float
     """
-    found = misfit.linearise(z)
+    found = objective.linearise(z)
     return np.inf if found is None else found.cost
 
 
-def _is_flat(search: Search, joint: int) -> bool:
-    return (TURN[2], joint) in search.keys and (TURN[0], joint) not in search.keys
+def _is_flat(space: ParameterSpace, joint: int) -> bool:
+    return (TURN[2], joint) in space.keys and (TURN[0], joint) not in space.keys
 
 
 def placed_again(fit: Fit, study: Study, options: TuningOptions) -> Fit:
@@ -131,25 +136,27 @@ def placed_again(fit: Fit, study: Study, options: TuningOptions) -> Fit:
         As it is where a short search from no other mounting ends lower.
     """
     for joint in range(1, study.arm.n_joints + 1):
-        search, values = fit.misfit.search, fit.misfit.search.values(fit.z)
-        axes = _axes_on(fit.misfit, joint)
-        turns = (TURN[2], joint) in search.keys and (TURN[2], joint) in unknowns_of(axes, study)
+        space, values = fit.objective.space, fit.objective.space.values(fit.z)
+        axes = _axes_on(fit.objective, joint)
+        turns = (TURN[2], joint) in space.keys and (TURN[2], joint) in unknowns_of(axes, study)
         if not turns or fit.iterations >= options.max_iterations:
             continue
-        flat = _is_flat(search, joint)
-        tried = _by_simulation(fit.misfit, values, axes, study, flat=flat)
+        flat = _is_flat(space, joint)
+        tried = _by_simulation(fit.objective, values, axes, study, flat=flat)
         tried += [in_mirror(one, joint) for one in tried]
-        starts = [_with(fit.misfit, values, one) for one in tried]
+        starts = [_with(fit.objective, values, one) for one in tried]
         for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_FEW]:
-            found = search_from(*starts[k], fit.iterations, options, tolerance=SOON, most=_STEPS)
+            found = search_from(
+                *starts[k], fit.iterations, options, tolerance=COARSE_GAIN, most=_STEPS
+            )
             if found.cost < (1.0 - _LOWER) * fit.cost:
-                fit = again_roughly(found.misfit, found.z, found.iterations, options)
+                fit = resumed_coarse_search(found.objective, found.z, found.iterations, options)
                 break
     return fit
 
 
-def _axes_on(misfit: Misfit, joint: int) -> list[Axis]:
-    every = (c.axis for record in misfit.records for c in record.channels)
+def _axes_on(objective: Objective, joint: int) -> list[Axis]:
+    every = (c.axis for record in objective.records for c in record.channels)
     return list(dict.fromkeys(a for a in every if a and a.joint == joint))
 
 
@@ -170,18 +177,20 @@ def with_evident_tilts(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     """
     for joint in range(1, study.arm.n_joints + 1):
         # on an axis that stands still a tilt is hardly apart from the distance
-        if not _is_flat(fit.misfit.search, joint) or (joint == 1 and not study.arm.gravity):
+        if not _is_flat(fit.objective.space, joint) or (joint == 1 and not study.arm.gravity):
             continue
         flat: list[Key] = [(name, joint) for name in TURN[:2]]
-        values = fit.misfit.search.values(fit.z)
+        values = fit.objective.space.values(fit.z)
         ends = []
         for side in (1.0, -1.0):
             starts = {flat[0]: _LEAST_TILT, flat[1]: side * _LEAST_TILT}
-            search = with_sensors(fit.misfit.search, flat, starts)
-            misfit = fit.misfit.for_unknowns(search)
-            begin = search.coordinates({**values, **starts})
+            space = with_sensors(fit.objective.space, flat, starts)
+            objective = fit.objective.for_unknowns(space)
+            begin = space.coordinates({**values, **starts})
             spent = fit.iterations
-            ends.append(search_from(misfit, begin, spent, options, tolerance=SOON, most=_STEPS))
+            ends.append(
+                search_from(objective, begin, spent, options, tolerance=COARSE_GAIN, most=_STEPS)
+            )
         best = min(ends, key=lambda one: one.cost)
         if fit.cost - best.cost > _EVIDENT**2:
             fit = refined(best, options)
@@ -189,24 +198,26 @@ def with_evident_tilts(fit: Fit, study: Study, options: TuningOptions) -> Fit:
 
 
 def _with(
-    misfit: Misfit, values: Values, mounting: Mapping[Key, float]
-) -> tuple[Misfit, FloatArray]:
+    objective: Objective, values: Values, mounting: Mapping[Key, float]
+) -> tuple[Objective, FloatArray]:
     """The start with another mounting."""
     fixed = {key: value for key, value in mounting.items() if key[0] in START}
-    search = replace(misfit.search, fixed={**misfit.search.fixed, **fixed})
-    return misfit.for_unknowns(search), search.coordinates({**values, **mounting})
+    space = replace(objective.space, fixed={**objective.space.fixed, **fixed})
+    return objective.for_unknowns(space), space.coordinates({**values, **mounting})
 
 
-def _holding(misfit: Misfit, z: FloatArray, held: Mapping[Key, float]) -> tuple[Misfit, FloatArray]:
-    kept = [k for k, key in enumerate(misfit.search.keys) if key not in held]
-    return misfit.for_unknowns(misfit.search.holding(held)), z[kept]
+def _holding(
+    objective: Objective, z: FloatArray, held: Mapping[Key, float]
+) -> tuple[Objective, FloatArray]:
+    kept = [k for k, key in enumerate(objective.space.keys) if key not in held]
+    return objective.for_unknowns(objective.space.holding(held)), z[kept]
 
 
 def _by_simulation(
-    misfit: Misfit, values: Values, axes: Sequence[Axis], study: Study, *, flat: bool = False
+    objective: Objective, values: Values, axes: Sequence[Axis], study: Study, *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Least squares on what an arm's links do in all records."""
-    each = [record.tables(values, axes) for record in misfit.records]
+    each = [record.tables(values, axes) for record in objective.records]
     tables = [np.concatenate(parts) for parts in zip(*each, strict=True)]
     if axes[0].kind == "tangential":
         return [{(DISTANCE, axes[0].joint): distance_of(tables[0])}]

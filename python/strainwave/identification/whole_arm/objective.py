@@ -16,8 +16,8 @@ import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, IntArray
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.dataset import Replayed
-from strainwave.identification.whole_arm.parametrisation import Search
+from strainwave.identification.whole_arm.dataset import Dataset
+from strainwave.identification.whole_arm.parametrisation import ParameterSpace
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import side_by_side
 from strainwave.numerics.trust_region import Flat, Linearised, minimise
@@ -156,27 +156,27 @@ class _Memory:
 
 
 @dataclass(frozen=True)
-class Misfit:
+class Objective:
     """Weighted differences between simulated and measured channels of all records."""
 
-    search: Search
-    records: tuple[Replayed, ...]
+    space: ParameterSpace
+    records: tuple[Dataset, ...]
     weights: tuple[Weights, ...]
     memory: _Memory = field(repr=False)
     guessed: bool = False  # whether the weights know nothing of the errors yet
 
     @classmethod
-    def of(cls, search: Search, records: Sequence[Replayed]) -> Misfit:
+    def of(cls, space: ParameterSpace, records: Sequence[Dataset]) -> Objective:
         """Before anything is known of the errors: a tenth of what each channel shows.
 
         Parameters
         ----------
-        search : Search
-        records : sequence of Replayed
+        search : ParameterSpace
+        records : sequence of Dataset
 
         Returns
         -------
-        Misfit
+        Objective
         """
         weights = []
         for record in records:
@@ -184,7 +184,7 @@ class Misfit:
             size = np.maximum(spread, record.noise)
             weights.append(Weights(size, np.ones(len(size))))
         own = [np.concatenate([r.start(), np.zeros(_shifts(r).shape[1])]) for r in records]
-        return cls(search, tuple(records), tuple(weights), _Memory(own), guessed=True)
+        return cls(space, tuple(records), tuple(weights), _Memory(own), guessed=True)
 
     def linearise(self, z: FloatArray) -> Linearised | None:
         """The cost with its least squares problem in the unknowns; None where no arm can be."""
@@ -202,8 +202,8 @@ class Misfit:
         self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in found]
         parts = [part for _, part in found]
         cost = sum(part.cost for part in parts)
-        prior = self.search.prior.rows @ self.search.parameters(z) - self.search.prior.target
-        slope = self.search.prior.rows @ self.search.slope(z)
+        prior = self.space.prior.rows @ self.space.parameters(z) - self.space.prior.target
+        slope = self.space.prior.rows @ self.space.slope(z)
         stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
         if not np.isfinite(stacked).all():  # a candidate so stiff that its derivatives overflow
             return None
@@ -222,7 +222,7 @@ class Misfit:
         """Every record at z."""
         return self._at(z, lambda _, evaluated: evaluated)
 
-    def reweighted(self, z: FloatArray) -> Misfit:
+    def reweighted(self, z: FloatArray) -> Objective:
         """With deviations and repetitions as the residuals at z show them."""
         weights = []
         for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
@@ -232,18 +232,18 @@ class Misfit:
             weights.append(Weights(size, np.array([_repeats(column) for column in errors.T])))
         return replace(self, weights=tuple(weights), guessed=False)
 
-    def for_unknowns(self, search: Search) -> Misfit:
+    def for_unknowns(self, space: ParameterSpace) -> Objective:
         """The same records and weights for other unknowns."""
-        return replace(self, search=search, memory=_Memory(list(self.memory.own)))
+        return replace(self, space=space, memory=_Memory(list(self.memory.own)))
 
-    def only(self, k: int) -> Misfit:
+    def only(self, k: int) -> Objective:
         """One of the records by itself."""
         memory = _Memory([self.memory.own[k]])
         return replace(
             self, records=self.records[k : k + 1], weights=self.weights[k : k + 1], memory=memory
         )
 
-    def in_motion(self, k: int, own: FloatArray | None = None) -> Misfit:
+    def in_motion(self, k: int, own: FloatArray | None = None) -> Objective:
         """One of the records begun in motion, at a first guess or where its own unknowns are."""
         record, known = replace(self.records[k], moving=True), list(self.memory.own)
         constants = known[k][len(self.records[k].local) :]
@@ -251,11 +251,11 @@ class Misfit:
         records = (*self.records[:k], record, *self.records[k + 1 :])
         return replace(self, records=records, memory=_Memory(known))
 
-    def corrected(self, z: FloatArray) -> Misfit:
+    def corrected(self, z: FloatArray) -> Objective:
         """With the error of the integrator's step made good as it is at z."""
-        evaluated, values = self.evaluate(z), self.search.values(z)
+        evaluated, values = self.evaluate(z), self.space.values(z)
 
-        def corrected(k: int, record: Replayed) -> Replayed:
+        def corrected(k: int, record: Dataset) -> Dataset:
             return record.corrected(values, self.memory.own[k][: len(record.local)])
 
         records = tuple(self._each(corrected))
@@ -264,7 +264,7 @@ class Misfit:
         memory = _Memory(list(self.memory.own), (z.tobytes(), moved))
         return replace(self, records=records, memory=memory)
 
-    def seen_by(self, records: Sequence[Replayed]) -> Misfit:
+    def seen_by(self, records: Sequence[Dataset]) -> Objective:
         """The same weights and beginnings for other rows of the same records."""
         return replace(self, records=tuple(records), memory=_Memory(list(self.memory.own)))
 
@@ -308,7 +308,7 @@ class Misfit:
         at, last = z.tobytes(), self.memory.last
         known = last[1] if last is not None and last[0] == at else None
 
-        def both(k: int, record: Replayed) -> tuple[Evaluated, T]:
+        def both(k: int, record: Dataset) -> tuple[Evaluated, T]:
             evaluated = known[k] if known is not None else self._evaluated(k, record, z)
             return evaluated, work(k, evaluated)
 
@@ -316,7 +316,7 @@ class Misfit:
         self.memory.last = at, [evaluated for evaluated, _ in found]
         return [made for _, made in found]
 
-    def _evaluated(self, k: int, record: Replayed, z: FloatArray) -> Evaluated:
+    def _evaluated(self, k: int, record: Dataset, z: FloatArray) -> Evaluated:
         """A record at z; if it begins in motion, begun where it fits best."""
         if not record.moving:
             return self._begun(record, z, self.memory.own[k])
@@ -342,15 +342,15 @@ class Misfit:
         self.memory.own[k] = found.x
         return seen[found.x.tobytes()]
 
-    def _begun(self, record: Replayed, z: FloatArray, own: FloatArray) -> Evaluated:
-        n_begin, n = len(record.local), len(self.search.unknowns)
-        values = self.search.values(z)
-        seen, tangent = record.linearised(values, own[:n_begin], self.search.keys)
+    def _begun(self, record: Dataset, z: FloatArray, own: FloatArray) -> Evaluated:
+        n_begin, n = len(record.local), len(self.space.unknowns)
+        values = self.space.values(z)
+        seen, tangent = record.linearised(values, own[:n_begin], self.space.keys)
         shifts = _shifts(record)
         columns = np.empty((*seen.shape, len(own) + n))
         columns[..., :n_begin] = tangent[..., n:]
         columns[..., n_begin : len(own)] = shifts
-        columns[..., len(own) :] = tangent[..., :n] @ self.search.slope(z)
+        columns[..., len(own) :] = tangent[..., :n] @ self.space.slope(z)
         difference = seen + shifts @ own[n_begin:] - record.observed(values)
         return Evaluated(difference, columns, own.copy())
 
@@ -359,7 +359,7 @@ class Misfit:
 
         (n_rows, n_channels) each.
         """
-        values = self.search.values(z)
+        values = self.space.values(z)
         found = []
         for one, record in zip(self.evaluate(z), self.records, strict=True):
             shift = _shifts(record) @ one.own[len(record.local) :]
@@ -385,21 +385,21 @@ class Misfit:
         -------
         (n_more + 1, n_more + 1)
         """
-        evaluated, n = self.evaluate(z), len(self.search.unknowns)
+        evaluated, n = self.evaluate(z), len(self.space.unknowns)
 
-        def factor(k: int, _: Replayed) -> FloatArray:
+        def factor(k: int, _: Dataset) -> FloatArray:
             columns = np.concatenate([evaluated[k].columns, more(k, evaluated[k])], axis=2)
             whole = replace(evaluated[k], columns=columns)
             return whole.weighted(self.weights[k]).factor(LEAST_BEND)
 
-        prior = self.search.prior
-        known = prior.rows @ self.search.slope(z)
-        off = prior.rows @ self.search.parameters(z) - prior.target
+        prior = self.space.prior
+        known = prior.rows @ self.space.slope(z)
+        off = prior.rows @ self.space.parameters(z) - prior.target
         border = np.zeros((len(known), n_more))
         stacked = np.concatenate([*self._each(factor), np.column_stack([known, border, off])])
         return np.asarray(np.linalg.qr(stacked, mode="r"))[n:, n:]
 
-    def _each(self, work: Callable[[int, Replayed], T]) -> list[T]:
+    def _each(self, work: Callable[[int, Dataset], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""
         return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
 
@@ -426,7 +426,7 @@ def _weight(residual: FloatArray, weights: Weights) -> FloatArray:
     return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.repeats))
 
 
-def _shifts(record: Replayed) -> FloatArray:
+def _shifts(record: Dataset) -> FloatArray:
     """Columns of the unknown constants, alike in every row: (n_channels, n_constants)."""
     own = [k for k, channel in enumerate(record.channels) if channel.shifted]
     columns = np.zeros((len(record.channels), len(own)))
@@ -481,12 +481,12 @@ def lagged(taps: FloatArray, step: int) -> FloatArray:
     return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
 
 
-def repetitions_of(record: Replayed) -> FloatArray:
+def repetitions_of(record: Dataset) -> FloatArray:
     """How many rows in succession say the same thing of white noise behind each channel's low-pass.
 
     Parameters
     ----------
-    record : Replayed
+    record : Dataset
 
     Returns
     -------

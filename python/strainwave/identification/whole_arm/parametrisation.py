@@ -21,12 +21,12 @@ __all__ = [
     "SETTLING_START",
     "VISCOUS",
     "Key",
+    "ParameterSpace",
     "Prior",
-    "Search",
     "Unknown",
     "combination",
     "link_inertia",
-    "search_of",
+    "space_of",
     "total_viscous",
     "with_curves",
     "with_settling",
@@ -92,7 +92,7 @@ class Prior:
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class ParameterSpace:
     """The unknowns together, and what stays as it is."""
 
     unknowns: tuple[Unknown, ...]
@@ -186,13 +186,13 @@ class Search:
                 z.append(np.log(max(value / unknown.scale, 1e-12)))
         return np.asarray(np.clip(np.array(z), self.lower, self.upper))
 
-    def holding(self, values: Mapping[Key, float]) -> Search:
+    def holding(self, values: Mapping[Key, float]) -> ParameterSpace:
         """With some of the unknowns held at given values."""
         kept = [k for k, unknown in enumerate(self.unknowns) if unknown.key not in values]
         dropped = [k for k, unknown in enumerate(self.unknowns) if unknown.key in values]
         known = np.array([values[self.unknowns[k].key] for k in dropped])
         target = self.prior.target - self.prior.rows[:, dropped] @ known
-        return Search(
+        return ParameterSpace(
             tuple(self.unknowns[k] for k in kept),
             {**self.fixed, **values},
             replace(self.prior, rows=self.prior.rows[:, kept], target=target),
@@ -275,14 +275,14 @@ def total_viscous(study: Study, joint: int) -> dict[Key, float]:
     return {(VISCOUS[0], joint): 1.0, (VISCOUS[1], joint): ratio**2}
 
 
-def search_of(
+def space_of(
     model: RigidModel | None,
     joints: Sequence[JointModel],
     study: Study,
     *,
     largest_voltage: Sequence[float],
     floor: float,
-) -> Search:
+) -> ParameterSpace:
     """Unknowns with their starts from the decoupled models, and what the rigid model knows.
 
     A three-slope gear starts as a linear one: see `with_curves`.
@@ -301,7 +301,7 @@ def search_of(
 
     Returns
     -------
-    Search
+    ParameterSpace
 
     Raises
     ------
@@ -325,28 +325,30 @@ def search_of(
         unit = unit_of_arm(name) if number is None else unit_of(name, study.arm.joints[number - 1])
         unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
     keys = [unknown.key for unknown in unknowns]
-    return Search(tuple(unknowns), {}, _prior(model, keys, study, floor))
+    return ParameterSpace(tuple(unknowns), {}, _prior(model, keys, study, floor))
 
 
-def with_curves(search: Search, study: Study, largest_torque: Sequence[float]) -> Search:
+def with_curves(
+    space: ParameterSpace, study: Study, largest_torque: Sequence[float]
+) -> ParameterSpace:
     """Three slopes and two knees in place of the one stiffness of each three-slope gear.
 
     Parameters
     ----------
-    search : Search
+    search : ParameterSpace
     study : Study
     largest_torque : sequence of float [N m]
         That each gear carries in the records.
 
     Returns
     -------
-    Search
+    ParameterSpace
     """
     unknowns: list[Unknown] = []
     columns: list[FloatArray] = []
-    for k, unknown in enumerate(search.unknowns):
+    for k, unknown in enumerate(space.unknowns):
         joint = study.arm.joints[(unknown.joint or 1) - 1]
-        column = search.prior.rows[:, k]
+        column = space.prior.rows[:, k]
         if unknown.name not in LINEAR or joint.spring != "three-slope":
             unknowns.append(unknown)
             columns.append(column)
@@ -360,27 +362,27 @@ def with_curves(search: Search, study: Study, largest_torque: Sequence[float]) -
         for name, start, scale in zip(KNEES, (low, high), (low, high - low), strict=True):
             unknowns.append(Unknown(name, unknown.joint, unit, start, scale, False, _VERY_FAR))
             columns.append(np.zeros_like(column))
-    prior = replace(search.prior, rows=np.column_stack(columns))
-    return Search(tuple(unknowns), search.fixed, prior)
+    prior = replace(space.prior, rows=np.column_stack(columns))
+    return ParameterSpace(tuple(unknowns), space.fixed, prior)
 
 
-def with_settling(search: Search) -> Search:
+def with_settling(space: ParameterSpace) -> ParameterSpace:
     """With a settling time of each joint's friction.
 
     Parameters
     ----------
-    search : Search
+    search : ParameterSpace
 
     Returns
     -------
-    Search
+    ParameterSpace
     """
-    joints = [unknown.joint for unknown in search.unknowns if unknown.name == COULOMB]
+    joints = [unknown.joint for unknown in space.unknowns if unknown.name == COULOMB]
     more = [
         Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _VERY_FAR) for j in joints
     ]
-    rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
-    return Search((*search.unknowns, *more), search.fixed, replace(search.prior, rows=rows))
+    rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
+    return ParameterSpace((*space.unknowns, *more), space.fixed, replace(space.prior, rows=rows))
 
 
 def unit_of_arm(name: str) -> str:

@@ -16,7 +16,7 @@ from strainwave.identification.whole_arm.covariance import (
     gradient_covariance,
     inverse_information,
 )
-from strainwave.identification.whole_arm.dataset import Replayed, replayed, usable
+from strainwave.identification.whole_arm.dataset import Dataset, dataset_of, usable
 from strainwave.identification.whole_arm.objective import LEAST_ERROR, lagged, repetitions_of
 from strainwave.identification.whole_arm.parametrisation import (
     COULOMB,
@@ -81,7 +81,7 @@ def _predicted(used: Sequence[Log], study: Study, known: Values) -> tuple[Parame
     keys: list[Key] = [k for k in build_arm(study).parameter_names if _is_unknown(k, known)]
     values = dict.fromkeys(keys, 0.0) | known
     scale = np.array([_scale(key, values) for key in keys])
-    records = [replayed(log, study, cutoff) for log in used]
+    records = [dataset_of(log, study, cutoff) for log in used]
     parts = side_by_side([partial(_evidence, record, values, keys, scale) for record in records])
     prior = np.array(list(_rigid_rows(study, keys, values))) * scale
     told = prior.T @ prior
@@ -103,7 +103,7 @@ def _scale(key: Key, values: Mapping[Key, float]) -> float:
 
 
 def _evidence(
-    record: Replayed, values: Values, keys: Sequence[Key], scale: FloatArray
+    record: Dataset, values: Values, keys: Sequence[Key], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Information of one record, and the covariance of its gradient by its sensors' noise."""
     seen, tangent = record.linearised(values, record.start(), keys)

@@ -10,8 +10,8 @@ from math import erfc, sqrt
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, ResidualTest
-from strainwave.identification.whole_arm.dataset import Replayed
-from strainwave.identification.whole_arm.objective import Misfit, Rows, Weights, lagged_products
+from strainwave.identification.whole_arm.dataset import Dataset
+from strainwave.identification.whole_arm.objective import Objective, Rows, Weights, lagged_products
 from strainwave.numerics.parallel import side_by_side
 from strainwave.numerics.spectra import cross_spectral_densities
 
@@ -23,12 +23,12 @@ _LOUD = 3.0  # times the sensor's noise from which what is left is worth a word
 _SURELY = 1e-3  # probability below which chance is no explanation
 
 
-def residual_tests(misfit: Misfit, z: FloatArray) -> tuple[ResidualTest, ...]:
+def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, ...]:
     """Every channel of every record.
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
     z : (n_unknowns,)
         Where the fit ended.
 
@@ -37,16 +37,16 @@ def residual_tests(misfit: Misfit, z: FloatArray) -> tuple[ResidualTest, ...]:
     tuple of ResidualTest
     """
 
-    def tested(record: Replayed, rows: Rows, weights: Weights) -> list[ResidualTest]:
+    def tested(record: Dataset, rows: Rows, weights: Weights) -> list[ResidualTest]:
         left = rows.residual * weights.deviation
         inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], rate=False)
         return [_tested(record, k, left[:, k], inputs) for k in range(len(record.channels))]
 
-    each = zip(misfit.records, misfit.rows(z), misfit.weights, strict=True)
+    each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
     return tuple(chain.from_iterable(side_by_side([partial(tested, *one) for one in each])))
 
 
-def _tested(record: Replayed, k: int, left: FloatArray, inputs: FloatArray) -> ResidualTest:
+def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> ResidualTest:
     channel, kernels = record.channels[k], record.kernels
     T = record.log.sample_time
     frequency, density = spectral_density(left, kernels.step * T)
@@ -177,7 +177,7 @@ def follows(
     return found
 
 
-def residual_cautions(tests: Sequence[ResidualTest]) -> Iterator[Diagnostic]:
+def residual_warnings(tests: Sequence[ResidualTest]) -> Iterator[Diagnostic]:
     """For each kind of channel the one of whose motion most is left unexplained.
 
     Parameters

@@ -17,8 +17,8 @@ from strainwave.identification.whole_arm.parametrisation import (
     LINEAR,
     OFFSET,
     Key,
+    ParameterSpace,
     Prior,
-    Search,
     Unknown,
 )
 from strainwave.signals.recorded_input import missing_for_replay
@@ -81,19 +81,19 @@ def published_records(logs: Sequence[Log], study: Study) -> list[Log]:
     return chosen
 
 
-def restricted(search: Search, options: TuningOptions, z: FloatArray) -> Search:
+def restricted(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> ParameterSpace:
     """Without the parameters that are held, the others within their ranges.
 
     Parameters
     ----------
-    search : Search
+    search : ParameterSpace
     options : TuningOptions
     z : (n_unknowns,)
         Where the fit starts: ranges lie around it, and held parameters stay there.
 
     Returns
     -------
-    Search
+    ParameterSpace
 
     Raises
     ------
@@ -102,10 +102,10 @@ def restricted(search: Search, options: TuningOptions, z: FloatArray) -> Search:
     """
     if options.as_published:  # the records alone speak
         empty = Prior(np.zeros((0, len(z))), np.zeros(0), np.zeros((0, 0)))
-        search = replace(search, prior=empty)
-    values = search.values(z)
-    held = {key: values[key] for key in search.keys if is_held(key, options)}
-    if len(held) == len(search.unknowns):
+        space = replace(space, prior=empty)
+    values = space.values(z)
+    held = {key: values[key] for key in space.keys if is_held(key, options)}
+    if len(held) == len(space.unknowns):
         raise InvalidInput(
             "every parameter is held",
             where="[options] tuning.hold",
@@ -113,9 +113,9 @@ def restricted(search: Search, options: TuningOptions, z: FloatArray) -> Search:
         )
     limited = tuple(
         _limited(unknown, _range(options, unknown.key), at)
-        for unknown, at in zip(search.unknowns, z.tolist(), strict=True)
+        for unknown, at in zip(space.unknowns, z.tolist(), strict=True)
     )
-    return replace(search, unknowns=limited).holding(held)
+    return replace(space, unknowns=limited).holding(held)
 
 
 def is_held(key: Key, options: TuningOptions) -> bool:

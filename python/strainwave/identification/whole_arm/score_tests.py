@@ -17,7 +17,7 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.effects import (
     HYSTERESIS_TWIST,
     STRIBECK_VELOCITY,
-    Tried,
+    NamedEffect,
     records_with,
     sizes_of,
     tried,
@@ -68,8 +68,8 @@ def score_tests_of(fit: Fit, study: Study) -> list[ScoreTest]:
     return list(_chosen(candidates, factor, fit.cost))
 
 
-def _missing(fit: Fit, study: Study) -> list[Tried]:
-    known = fit.misfit.search.keys
+def _missing(fit: Fit, study: Study) -> list[NamedEffect]:
+    known = fit.objective.space.keys
     return [
         (number, effect)
         for number, joint in enumerate(study.arm.joints, start=1)
@@ -80,33 +80,35 @@ def _missing(fit: Fit, study: Study) -> list[Tried]:
 
 def _bordered(fit: Fit, study: Study, keys: Sequence[Key]) -> FloatArray:
     """R of [effects residual] in what the fit's unknowns cannot imitate: (n_keys + 1,) squared."""
-    misfit = fit.misfit
+    objective = fit.objective
     numbers = range(1, study.arm.n_joints + 1)
     nothing = {(name, j): value for name, value in _AT_NOTHING.items() for j in numbers}
-    values: Values = nothing | misfit.search.values(fit.z)
+    values: Values = nothing | objective.space.values(fit.z)
     joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in study.arm.joints)
     rich = records_with(
-        misfit.records, replace(study, arm=replace(study.arm, joints=joints)), values
+        objective.records, replace(study, arm=replace(study.arm, joints=joints)), values
     )
 
     def tangent(k: int, _: Evaluated) -> FloatArray:
-        begun = misfit.memory.own[k][: len(rich[k].local)]
+        begun = objective.memory.own[k][: len(rich[k].local)]
         return rich[k].linearised(values, begun, keys)[1][..., : len(keys)]
 
-    return misfit.bordered(fit.z, len(keys), tangent)
+    return objective.bordered(fit.z, len(keys), tangent)
 
 
 @dataclass(frozen=True, slots=True)
 class _Step:
     """What one effect takes off the cost, and by which sizes."""
 
-    candidate: Tried
+    candidate: NamedEffect
     gain: float
     size: FloatArray
     std: FloatArray
 
 
-def _chosen(candidates: Sequence[Tried], factor: FloatArray, cost: float) -> Iterator[ScoreTest]:
+def _chosen(
+    candidates: Sequence[NamedEffect], factor: FloatArray, cost: float
+) -> Iterator[ScoreTest]:
     """One after the other, each given those before it as long as they are evident."""
     columns, at = {}, 0
     for one in candidates:
@@ -139,7 +141,9 @@ def _gain(step: _Step) -> float:
     return step.gain
 
 
-def _step(candidate: Tried, columns: FloatArray, taken: FloatArray, target: FloatArray) -> _Step:
+def _step(
+    candidate: NamedEffect, columns: FloatArray, taken: FloatArray, target: FloatArray
+) -> _Step:
     """The best sizes of one effect beside those taken already; none below nothing."""
     basis = np.linalg.qr(taken)[0]
     columns = columns - basis @ (basis.T @ columns)
@@ -152,7 +156,7 @@ def _step(candidate: Tried, columns: FloatArray, taken: FloatArray, target: Floa
     return _Step(candidate, gain, size, std)
 
 
-def effect_cautions(score_tests: Sequence[ScoreTest], study: Study) -> Iterator[Diagnostic]:
+def effect_warnings(score_tests: Sequence[ScoreTest], study: Study) -> Iterator[Diagnostic]:
     """The effect that the residuals speak for most, and the experiment that would settle it.
 
     One at a time: what the others would explain is known only with this one in the model. Effects

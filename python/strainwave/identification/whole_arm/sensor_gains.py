@@ -17,7 +17,7 @@ from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.dynamics.simulation import Quantity, SensorNoise
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.covariance import inverse_information
-from strainwave.identification.whole_arm.dataset import Channel, Replayed
+from strainwave.identification.whole_arm.dataset import Channel, Dataset
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import LEAST_ERROR, Rows, repetitions_of
 from strainwave.identification.whole_arm.parametrisation import Key, combination, link_inertia
@@ -68,7 +68,7 @@ def sensor_gains(fit: Fit, study: Study, parameters: Sequence[Parameter]) -> lis
         Of gears and inertias, for each sensor that an elastic joint's link lacks in all records;
         empty where none lacks any, or the arm cannot be simulated with them.
     """
-    candidates = list(_candidates(fit.misfit.records, study))
+    candidates = list(_candidates(fit.objective.records, study))
     asked = [p for p in parameters if p.name.startswith(_NAMES) and p.value and p.std]
     if not candidates or not asked:
         return []
@@ -76,13 +76,13 @@ def sensor_gains(fit: Fit, study: Study, parameters: Sequence[Parameter]) -> lis
         parts = _information(fit, study, candidates)
     except (InvalidInput, NumericalFailure):
         return []
-    search = fit.misfit.search
-    slope = search.slope(fit.z)
-    prior = search.prior.rows @ slope
+    space = fit.objective.space
+    slope = space.slope(fit.z)
+    prior = space.prior.rows @ slope
     known = prior.T @ prior
-    W = np.array([_weights(p, search.keys, study) for p in asked]) @ slope
+    W = np.array([_weights(p, space.keys, study) for p in asked]) @ slope
     here, *each = [sum(own, known) for own in zip(*parts, strict=True)]
-    own = np.linalg.inv(search.slope(fit.z))
+    own = np.linalg.inv(space.slope(fit.z))
     meat = here @ own @ fit.confidence.combined @ own.T @ here
     local = _variances(W, inverse_information(here))
     found = []
@@ -124,7 +124,7 @@ def _weights(parameter: Parameter, keys: Sequence[Key], study: Study) -> FloatAr
     return combination(keys, link_inertia(study, parameter.joint))
 
 
-def _candidates(records: Sequence[Replayed], study: Study) -> Iterator[_Candidate]:
+def _candidates(records: Sequence[Dataset], study: Study) -> Iterator[_Candidate]:
     """Sensors of the links of elastic joints that have none in any record."""
     have = {c.joint for r in records for c in r.channels if c.quantity != "motor_angle"}
     for number, joint in enumerate(study.arm.joints, start=1):
@@ -163,11 +163,11 @@ def _information(
     fit: Fit, study: Study, candidates: Sequence[_Candidate]
 ) -> list[list[FloatArray]]:
     """Each record's information, (n_unknowns, n_unknowns): as it is, then with each candidate."""
-    misfit, values = fit.misfit, fit.misfit.search.values(fit.z)
-    keys, slope = misfit.search.keys, misfit.search.slope(fit.z)
+    objective, values = fit.objective, fit.objective.space.values(fit.z)
+    keys, slope = objective.space.keys, objective.space.slope(fit.z)
     arm = [k for k, key in enumerate(keys) if not is_sensor_constant(key)]
 
-    def one(record: Replayed, rows: Rows) -> list[FloatArray]:
+    def one(record: Dataset, rows: Rows) -> list[FloatArray]:
         rich = _with_candidates(record, study, candidates)
         n_begin, n_own = len(record.local), len(rows.step)
         begun = (rows.evaluated.own + rows.step)[:n_begin]
@@ -189,7 +189,7 @@ def _information(
             found.append(_shared(triangular_factor(stacked), n_own + candidate.channel.shifted))
         return found
 
-    pairs = zip(misfit.records, misfit.rows(fit.z), strict=True)
+    pairs = zip(objective.records, objective.rows(fit.z), strict=True)
     return side_by_side([partial(one, *pair) for pair in pairs])
 
 
@@ -199,7 +199,7 @@ def _shared(factor: FloatArray, n_own: int) -> FloatArray:
     return np.asarray(R.T @ R)
 
 
-def _with_candidates(record: Replayed, study: Study, candidates: Sequence[_Candidate]) -> Replayed:
+def _with_candidates(record: Dataset, study: Study, candidates: Sequence[_Candidate]) -> Dataset:
     """The record with the candidates for its channels, and their noise behind its low-pass."""
     lacking = {candidate.channel.joint for candidate in candidates}
     joints = tuple(

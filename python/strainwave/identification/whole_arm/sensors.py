@@ -36,10 +36,10 @@ from strainwave.dynamics.mounting import (
     is_mounting,
 )
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Evaluated, Misfit
-from strainwave.identification.whole_arm.parametrisation import Key, Search, Unknown
+from strainwave.identification.whole_arm.objective import Evaluated, Objective
+from strainwave.identification.whole_arm.parametrisation import Key, ParameterSpace, Unknown
 from strainwave.identification.whole_arm.restricted import is_held
-from strainwave.identification.whole_arm.solver import again_roughly, refined
+from strainwave.identification.whole_arm.solver import refined, resumed_coarse_search
 
 _EVIDENT = 4.0  # deviations at which a constant joins: of eight candidates none by chance
 _MATTERS_ROUGHLY = 0.1  # and share of the cost far from the minimum, where long steps err as well
@@ -57,26 +57,28 @@ _WORTH_DELAY = 1e-4  # [s] from which a rig is worth a look: half a sample of a 
 _WORTH_SCALE = 0.01  # what data sheets promise
 
 
-def with_sensors(search: Search, keys: Sequence[Key], starts: Values | None = None) -> Search:
+def with_sensors(
+    space: ParameterSpace, keys: Sequence[Key], starts: Values | None = None
+) -> ParameterSpace:
     """The unknowns of some sensors' constants beside those there are.
 
     Parameters
     ----------
-    search : Search
+    search : ParameterSpace
     keys : sequence of (name, joint)
     starts : dict, optional
         Of a mounting and of bandwidths, which have no nominal value.
 
     Returns
     -------
-    Search
+    ParameterSpace
     """
     starts = starts or {}
     fixed = {key: value for key, value in starts.items() if key[0] in START}
     more = [_unknown(key, starts) for key in keys]
-    rows = np.pad(search.prior.rows, ((0, 0), (0, len(more))))
-    known = {**search.fixed, **fixed}
-    return Search((*search.unknowns, *more), known, replace(search.prior, rows=rows))
+    rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
+    known = {**space.fixed, **fixed}
+    return ParameterSpace((*space.unknowns, *more), known, replace(space.prior, rows=rows))
 
 
 def _unknown(key: Key, starts: Values) -> Unknown:
@@ -111,8 +113,8 @@ def with_bandwidths_apart(fit: Fit, study: Study, options: TuningOptions, *, rou
     -------
     Fit
     """
-    search = fit.misfit.search
-    values, starts = search.values(fit.z), {}
+    space = fit.objective.space
+    values, starts = space.values(fit.z), {}
     for delay, bandwidth in _late(fit, study):
         late = values[delay]
         if late > _SHORTEST and bandwidth not in values and not is_held(bandwidth, options):
@@ -120,17 +122,17 @@ def with_bandwidths_apart(fit: Fit, study: Study, options: TuningOptions, *, rou
             values[delay] = (1.0 - _SHARE) * late
     if not starts or fit.iterations >= options.max_iterations:
         return fit
-    wider = with_sensors(search, list(starts), starts)
-    misfit, begin = fit.misfit.for_unknowns(wider), wider.coordinates(values | starts)
+    wider = with_sensors(space, list(starts), starts)
+    objective, begin = fit.objective.for_unknowns(wider), wider.coordinates(values | starts)
     if rough:
-        return again_roughly(misfit, begin, fit.iterations, options)
-    return _refined_from(fit, misfit, begin, options)
+        return resumed_coarse_search(objective, begin, fit.iterations, options)
+    return _refined_from(fit, objective, begin, options)
 
 
 def _late(fit: Fit, study: Study) -> Iterator[tuple[Key, Key]]:
     """Sensors whose delay is an unknown and whose bandwidth the study does not have."""
-    keys, seen = fit.misfit.search.keys, set()
-    for channel in (c for record in fit.misfit.records for c in record.channels):
+    keys, seen = fit.objective.space.keys, set()
+    for channel in (c for record in fit.objective.records for c in record.channels):
         delay, bandwidth = (of(channel.sensor, channel.joint) for of in (delay_of, bandwidth_of))
         if delay is None or bandwidth is None or delay not in keys or delay in seen:
             continue
@@ -162,20 +164,20 @@ def with_evident_sensors(fit: Fit, options: TuningOptions, *, rough: bool) -> Fi
         sizes = _evident(fit, options, _MATTERS_ROUGHLY * fit.cost if rough else 0.0)
         if not sizes:
             break
-        values = fit.misfit.search.values(fit.z)
-        search = with_sensors(fit.misfit.search, list(sizes))
-        begin = search.coordinates(values | sizes)
-        misfit = fit.misfit.for_unknowns(search)
+        values = fit.objective.space.values(fit.z)
+        space = with_sensors(fit.objective.space, list(sizes))
+        begin = space.coordinates(values | sizes)
+        objective = fit.objective.for_unknowns(space)
         if rough:
-            fit = again_roughly(misfit, begin, fit.iterations, options)
+            fit = resumed_coarse_search(objective, begin, fit.iterations, options)
         else:
-            fit = _refined_from(fit, misfit, begin, options)
+            fit = _refined_from(fit, objective, begin, options)
     return fit
 
 
-def _refined_from(fit: Fit, misfit: Misfit, z: FloatArray, options: TuningOptions) -> Fit:
+def _refined_from(fit: Fit, objective: Objective, z: FloatArray, options: TuningOptions) -> Fit:
     """The minimum near a point, by other unknowns than the fit's."""
-    near = replace(fit, misfit=misfit, z=z, cost=np.inf, converged=False)
+    near = replace(fit, objective=objective, z=z, cost=np.inf, converged=False)
     return refined(near, options)
 
 
@@ -192,10 +194,10 @@ def without_idle_sensors(fit: Fit, options: TuningOptions) -> Fit:
     Fit
     """
     while idle := _idle(fit):
-        values = fit.misfit.search.values(fit.z)
-        search = fit.misfit.search.holding(idle)
+        values = fit.objective.space.values(fit.z)
+        space = fit.objective.space.holding(idle)
         fit = _refined_from(
-            fit, fit.misfit.for_unknowns(search), search.coordinates(values), options
+            fit, fit.objective.for_unknowns(space), space.coordinates(values), options
         )
     return fit
 
@@ -205,12 +207,12 @@ def _idle(fit: Fit) -> dict[Key, float]:
 
     One at the end of its range is wrong, whatever its deviation by a fit that it spoils.
     """
-    search = fit.misfit.search
-    if not any(is_optional(key) for key in search.keys):
+    space = fit.objective.space
+    if not any(is_optional(key) for key in space.keys):
         return {}
     deviation = np.sqrt(np.diag(fit.confidence.cautious))
-    inside = (fit.z > _AT_END * search.lower) & (fit.z < _AT_END * search.upper)
-    rows = zip(search.keys, search.parameters(fit.z), deviation, inside, strict=True)
+    inside = (fit.z > _AT_END * space.lower) & (fit.z < _AT_END * space.upper)
+    rows = zip(space.keys, space.parameters(fit.z), deviation, inside, strict=True)
     apart = {
         key: (value if is_bandwidth(key) else abs(value - nominal(key))) / std
         for key, value, std, within in rows
@@ -234,8 +236,8 @@ def _twin(key: Key) -> Key:
 
 def _ended(fit: Fit, key: Key) -> bool:
     """Whether a bandwidth is as wide as it may be: there is no low-pass."""
-    k = fit.misfit.search.keys.index(key)
-    return is_bandwidth(key) and bool(fit.z[k] > _AT_END * fit.misfit.search.upper[k])
+    k = fit.objective.space.keys.index(key)
+    return is_bandwidth(key) and bool(fit.z[k] > _AT_END * fit.objective.space.upper[k])
 
 
 def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]:
@@ -243,10 +245,10 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
 
     One after the other, each beside those before it, as long as it gains at least so much.
     """
-    known = set(fit.misfit.search.keys)
+    known = set(fit.objective.space.keys)
     candidates = [
         key
-        for key in dict.fromkeys(k for r in fit.misfit.records for k in r.sensor_constants())
+        for key in dict.fromkeys(k for r in fit.objective.records for k in r.sensor_constants())
         if key not in known and not is_held(key, options) and not _imitated(key, fit)
     ]
     if not candidates:
@@ -276,21 +278,21 @@ def _imitated(key: Key, fit: Fit) -> bool:
     name, joint = key
     if not name.startswith("imu_a") or not name.endswith("_scale"):
         return False
-    axes = {c.axis for record in fit.misfit.records for c in record.channels}
+    axes = {c.axis for record in fit.objective.records for c in record.channels}
     count = sum(a.kind == "accelerometer" and a.joint == joint for a in axes if a is not None)
-    return count == 2 and (TURN[0], joint) in fit.misfit.search.keys
+    return count == 2 and (TURN[0], joint) in fit.objective.space.keys
 
 
 def _scores(fit: Fit, keys: Sequence[Key]) -> FloatArray:
-    misfit = fit.misfit
-    values, simulated = misfit.search.values(fit.z), misfit.simulated(fit.z)
+    objective = fit.objective
+    values, simulated = objective.space.values(fit.z), objective.simulated(fit.z)
 
     def tangent(k: int, _: Evaluated) -> FloatArray:
-        record = misfit.records[k]
-        local = misfit.memory.own[k][: len(record.local)]
+        record = objective.records[k]
+        local = objective.memory.own[k][: len(record.local)]
         return record.sensor_tangent(simulated[k], values, local, keys)
 
-    return misfit.bordered(fit.z, len(keys), tangent)
+    return objective.bordered(fit.z, len(keys), tangent)
 
 
 def _left(columns: FloatArray, target: FloatArray) -> float:
@@ -299,7 +301,7 @@ def _left(columns: FloatArray, target: FloatArray) -> float:
     return float(np.sum((target + columns @ step) ** 2))
 
 
-def sensor_cautions(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
+def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     """What a reader must know of a rig whose link sensors are late or out of scale.
 
     Parameters

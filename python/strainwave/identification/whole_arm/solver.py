@@ -14,10 +14,10 @@ import numpy as np
 from strainwave.domain import FloatArray, TuningOptions
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Misfit
+from strainwave.identification.whole_arm.objective import Objective
 from strainwave.numerics.trust_region import Linearised, minimise
 
-SOON, ROUGHLY = (
+COARSE_GAIN, COARSE_SHARE = (
     1.0,
     2e-3,
 )  # predicted gain at a rough end, in units of the cost and as a share
@@ -47,7 +47,7 @@ def reported(progress: Progress | None) -> Iterator[None]:
         _progress.reset(before)
 
 
-def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
+def coarse_search(objective: Objective, start: FloatArray, options: TuningOptions) -> Fit:
     """By weights that are guessed, and then by those that each search shows.
 
     A search from far ends early by weights that its own errors made too lenient: new ones follow
@@ -55,7 +55,7 @@ def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
     start : (n_unknowns,)
     options : TuningOptions
 
@@ -63,18 +63,20 @@ def roughly(misfit: Misfit, start: FloatArray, options: TuningOptions) -> Fit:
     -------
     Fit
     """
-    first = search_from(misfit, start, 0, options, tolerance=SOON, relative=_GUESSED)
+    first = search_from(objective, start, 0, options, tolerance=COARSE_GAIN, relative=_GUESSED)
     if not first.converged or first.iterations >= options.max_iterations:
         return replace(first, converged=False)
     return _reweighted(first, options)
 
 
-def again_roughly(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
+def resumed_coarse_search(
+    objective: Objective, z: FloatArray, spent: int, options: TuningOptions
+) -> Fit:
     """On from a rough fit whose records or unknowns have become others.
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
     z : (n_unknowns,)
     spent : int
         Evaluations so far.
@@ -84,29 +86,29 @@ def again_roughly(misfit: Misfit, z: FloatArray, spent: int, options: TuningOpti
     -------
     Fit
     """
-    return _reweighted(search_from(misfit, z, spent, options, tolerance=SOON), options)
+    return _reweighted(search_from(objective, z, spent, options, tolerance=COARSE_GAIN), options)
 
 
 def _reweighted(fit: Fit, options: TuningOptions) -> Fit:
     """On from a rough fit, by new weights for as long as they become much smaller."""
-    fit = replace(fit, misfit=fit.misfit.reweighted(fit.z))
-    search = partial(search_from, options=options, tolerance=SOON, relative=ROUGHLY)
+    fit = replace(fit, objective=fit.objective.reweighted(fit.z))
+    search = partial(search_from, options=options, tolerance=COARSE_GAIN, relative=COARSE_SHARE)
     for _ in range(_ROUGH_ROUNDS):
-        fit = search(fit.misfit, fit.z, fit.iterations)
-        renewed = fit.misfit.reweighted(fit.z)
+        fit = search(fit.objective, fit.z, fit.iterations)
+        renewed = fit.objective.reweighted(fit.z)
         spent = not fit.converged or fit.iterations >= options.max_iterations
-        if spent or not _smaller(fit.misfit, renewed):
+        if spent or not _smaller(fit.objective, renewed):
             break
-        fit = replace(fit, misfit=renewed)
+        fit = replace(fit, objective=renewed)
     return fit
 
 
-def finely(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
+def fine_search(objective: Objective, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
     """Least squares and new weights in turn until the weights stay.
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
     z : (n_unknowns,)
         Near the minimum.
     spent : int
@@ -118,9 +120,9 @@ def finely(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) ->
     Fit
     """
     search = partial(search_from, options=options, tolerance=_FINE)
-    fit = Fit(misfit, z, np.inf, spent, False)
+    fit = Fit(objective, z, np.inf, spent, False)
     if spent < options.max_iterations:
-        fit = search(misfit, z, spent, relative=_GUESSED)
+        fit = search(objective, z, spent, relative=_GUESSED)
         fit = refined(_corrected(fit), options)
     if not fit.converged or fit.iterations >= options.max_iterations:
         return replace(fit, converged=False)
@@ -129,11 +131,11 @@ def finely(misfit: Misfit, z: FloatArray, spent: int, options: TuningOptions) ->
 
 def _corrected(fit: Fit) -> Fit:
     """With the step's errors, and weights, of where the fit is."""
-    return replace(fit, misfit=fit.misfit.corrected(fit.z).reweighted(fit.z))
+    return replace(fit, objective=fit.objective.corrected(fit.z).reweighted(fit.z))
 
 
 def refined(fit: Fit, options: TuningOptions) -> Fit:
-    """The last rounds of `finely`, from a point so near that weights and step errors hold.
+    """The last rounds of `fine_search`, from a point so near that weights and step errors hold.
 
     Parameters
     ----------
@@ -148,16 +150,16 @@ def refined(fit: Fit, options: TuningOptions) -> Fit:
     for _ in range(_ROUNDS):
         if fit.iterations >= options.max_iterations:
             return replace(fit, converged=False)
-        fit = search(fit.misfit, fit.z, fit.iterations, damping=_NEAR)
-        renewed = fit.misfit.reweighted(fit.z)
-        if not fit.converged or _settled(fit.misfit, renewed):
+        fit = search(fit.objective, fit.z, fit.iterations, damping=_NEAR)
+        renewed = fit.objective.reweighted(fit.z)
+        if not fit.converged or _settled(fit.objective, renewed):
             break
-        fit = replace(fit, misfit=renewed)
+        fit = replace(fit, objective=renewed)
     return fit
 
 
 def search_from(
-    misfit: Misfit,
+    objective: Objective,
     z: FloatArray,
     spent: int,
     options: TuningOptions,
@@ -171,7 +173,7 @@ def search_from(
 
     Parameters
     ----------
-    misfit : Misfit
+    objective : Objective
     z : (n_unknowns,)
         To start from.
     spent : int
@@ -196,12 +198,12 @@ def search_from(
 
     def linearise(x: FloatArray) -> Linearised | None:
         _progress.get()(next(evaluation), options.max_iterations)
-        return misfit.linearise(x)
+        return objective.linearise(x)
 
     found = minimise(
         linearise,
         z,
-        misfit.search,
+        objective.space,
         tolerance=tolerance,
         relative=relative,
         damping=damping,
@@ -209,14 +211,14 @@ def search_from(
     )
     if found is None:
         raise NotIdentifiable("the whole-arm fit cannot simulate the arm where it starts")
-    return Fit(misfit, found.x, found.at.cost, spent + found.evaluations, found.converged)
+    return Fit(objective, found.x, found.at.cost, spent + found.evaluations, found.converged)
 
 
-def _settled(old: Misfit, new: Misfit) -> bool:
+def _settled(old: Objective, new: Objective) -> bool:
     pairs = zip(old.weights, new.weights, strict=True)
     return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
 
 
-def _smaller(old: Misfit, new: Misfit) -> bool:
+def _smaller(old: Objective, new: Objective) -> bool:
     pairs = zip(old.weights, new.weights, strict=True)
     return any(np.min(b.deviation / a.deviation) < _SMALLER for a, b in pairs)
