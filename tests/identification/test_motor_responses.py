@@ -14,6 +14,7 @@ from elastic_runs import log_of, prbs_run, rig, rig_values
 from strainwave.domain import ArmDescription, ArmModel, Joint, Log, Study
 from strainwave.domain.parameters import Values
 from strainwave.identification.motor_responses import modes_of_motor, motor_response
+from strainwave.presentation.figures import Line, Markers
 from strainwave.presentation.report import motors
 
 
@@ -131,8 +132,8 @@ def test_the_figure_shows_both_and_marks_the_modes(recorded: tuple[Study, Values
     study, values, log = recorded
     seen = motor_response(log, _arm_model(values), (), study)
     drawn = motors.figure_of(seen)
-    names = {trace["name"] for trace in drawn["data"]}
+    names = {mark.name for mark in drawn.marks if isinstance(mark, Line | Markers)}
     assert {"measured", "fitted arm, simulated"} <= names
-    at = [shape["x0"] for shape in drawn["layout"]["shapes"]]
+    at = [one.x for one in drawn.uprights]
     assert set(at) == {*seen.anti_resonances_hz, *seen.resonances_hz}
     assert f"{seen.anti_resonances_hz[0]:.4g}" in motors.words_of(seen)

@@ -19,9 +19,10 @@ from results import identification
 from strainwave import cli
 from strainwave import paper as package
 from strainwave.domain import Comparison, Criterion, Diagnostic, Evidence, Tally
-from strainwave.paper import Settings
+from strainwave.paper import Settings, run
+from strainwave.presentation.figures import curves
 from strainwave.presentation.matplotlib_backend import draw
-from strainwave.presentation.report import curves, render_comparisons
+from strainwave.presentation.report import render_comparisons
 from strainwave.presentation.terminal import print_comparisons
 from strainwave.virtual import experiments as virtual
 
@@ -68,12 +69,13 @@ def test_every_figure_can_be_drawn_without_a_browser(comparisons: Found) -> None
     for c in comparisons.values():
         for plot in c.plots:
             axes = draw(plot).axes
-            assert len(axes) == sum(name.startswith("yaxis") for name in plot["layout"])
+            assert len(axes) == len(plot.panels)
 
 
 def test_names_cannot_leave_their_place(comparisons: Found) -> None:
     evil = "</script><script>alert(1)</script>"
-    plot = {"data": [{"name": evil}], "layout": {"meta": evil}}
+    x = np.arange(2.0)
+    plot = curves.lines([curves.Series(evil, x, x)], evil, evil, evil)
     one = replace(
         comparisons[4],
         title=evil,
@@ -166,7 +168,7 @@ def test_quick_leaves_the_comparisons_out(
         given.append((list(seeds), tuned, [how.protocol for how in settings]))
         return tuple(Tally(tally.runs * len(seeds)) for tally in tallies)
 
-    monkeypatch.setattr(package, "compare_seeds", compare)
+    monkeypatch.setattr(run, "compare_seeds", compare)
     monkeypatch.setattr(virtual, "demonstrate", lambda *_, **__: (identification(), {}))
     written = {f"comparisons.{ending}" for ending in ("html", "json", "md")}
     for arguments, expected in (
@@ -179,62 +181,3 @@ def test_quick_leaves_the_comparisons_out(
         assert {path.name for path in tmp_path.iterdir()} == expected
         assert ("Fig. 15" in done.output) == bool(expected)
     assert given == [([5, 6, 7], None, ["own"]), ([0], None, ["own", "as-published"])]
-
-
-def test_bode_has_bands_and_a_phase_from_the_middle() -> None:
-    f = np.geomspace(1.0, 100.0, 50)
-    response = (1.0 / (2j * np.pi * f)).astype(np.complex128)
-    size = np.abs(response)
-    drawn = curves.bode(
-        [
-            curves.Curve("truth", f, response, true=True),
-            curves.Curve("model", f, response, 0.1 * size, np.full(50, 0.1)),
-        ],
-        "caption",
-    )
-    fills = [trace for trace in drawn["data"] if trace.get("fill")]
-    assert [trace.get("yaxis") for trace in fills] == ["y", "y2"]
-    assert len(fills[0]["x"]) == len(fills[0]["y"]) == 100
-    top = 20.0 * np.log10(1.196 * size[-1])
-    assert fills[0]["y"][50] == pytest.approx(top, abs=1e-3)
-    shown = [trace for trace in drawn["data"] if trace.get("showlegend", True)]
-    assert [trace["name"] for trace in shown] == ["truth", "model"]
-    assert shown[0]["line"]["color"] == curves.TRUTH
-    phases = [t["y"] for t in drawn["data"] if t.get("yaxis") == "y2" and not t.get("fill")]
-    assert phases[0] == pytest.approx([-90.0] * 50)
-    assert drawn["layout"]["meta"] == "caption"
-
-
-def test_no_two_lines_look_alike() -> None:
-    x = np.arange(3.0)
-    many = [curves.Series(f"{k}", x, x) for k in range(6)]
-    drawn = curves.lines(many, "t", "y", "caption")["data"]
-    assert len({t["line"]["color"] for t in drawn}) == len({t["line"]["dash"] for t in drawn}) == 6
-
-
-def test_points_have_bars_and_bounds_have_none() -> None:
-    x = np.array([2.0, 10.0])
-    drawn = curves.scatter(
-        [curves.Points("model", x, x, np.ones(2)), curves.Points("bound", x, x)],
-        "amplitude",
-        "square",
-        "caption",
-    )["data"]
-    assert drawn[0]["error_y"]["array"] == [1.96, 1.96]
-    assert "error_y" not in drawn[1]
-    assert drawn[1]["mode"] == "lines"
-
-
-def test_a_spectrum_is_in_decibels_of_power() -> None:
-    one = curves.Series("a", np.array([0.0, 1.0, 10.0]), np.array([5.0, 1.0, 100.0]))
-    drawn = curves.spectrum([one], "V²/Hz", "caption")
-    assert drawn["data"][0]["x"] == [1.0, 10.0]
-    assert drawn["data"][0]["y"] == [0.0, 20.0]
-
-
-def test_a_pair_shows_its_difference() -> None:
-    t = np.arange(4.0)
-    drawn = curves.pair(
-        curves.Series("arm", t, t), curves.Series("model", t, 0.5 * t), "v", "caption"
-    )
-    assert drawn["data"][2]["y"] == [0.0, 0.5, 1.0, 1.5]

@@ -131,8 +131,8 @@ def test_a_model_s_response_has_the_band_of_its_covariance() -> None:
     response = np.asarray(10.0 / (1.0 + 1j * f), dtype=np.complex128)[:, None, None]
     spread = 1e-4 * np.abs(response[..., None, None]) ** 2 * np.eye(2)
     sure = FrequencyResponse(f, response, covariance=spread)
-    assert len(sure.plot().axes[0].patches) == 1
-    assert len(replace(sure, covariance=None).plot().axes[0].patches) == 0
+    assert len(sure.plot().axes[0].collections) == 1
+    assert len(replace(sure, covariance=None).plot().axes[0].collections) == 0
     with pytest.raises(InvalidInput, match="no point"):
         replace(sure, covariance=1e4 * spread).plot()
 

@@ -82,7 +82,7 @@ class Comparison:
     criteria: tuple[Criterion, ...]
     evidence: tuple[Evidence, ...]  # every estimated model behind it
     message: str  # what the arm shows
-    plots: tuple[dict[str, Any], ...]  # plotly figures; the caption is `layout.meta`
+    plots: tuple[Any, ...]  # figures of `strainwave.presentation`, which lies above
     values: Mapping[str, float] = field(default_factory=dict)  # further numbers; NaN: there is none
     protocol: Protocol = "own"  # whose settings
 

@@ -18,8 +18,8 @@ from strainwave.paper.claims import compared
 from strainwave.paper.estimates import Estimate, curve, estimated_curve, evidence_of, response_of
 from strainwave.paper.rig import Rig, Run
 from strainwave.paper.truth import slopes
-from strainwave.presentation.report.curves import Points, bode, scatter
-from strainwave.presentation.report.figures import Figure
+from strainwave.presentation.figures import Figure
+from strainwave.presentation.figures.curves import Points, bode, scatter
 
 PAYLOAD = 3  # [kg]
 _STARTS = (0, 256, 512, 768)  # clocks of the PRBS that the records begin with

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from strainwave.domain import Comparison, Criterion, Evidence
 from strainwave.errors import StrainwaveError
+from strainwave.presentation.figures import Figure
 
 CLAIMS: dict[int, tuple[str, str]] = {
     2: (
@@ -76,7 +76,7 @@ def compared(
     message: str,
     evidence: Sequence[Evidence] = (),
     values: Mapping[str, float] | None = None,
-    plots: Sequence[dict[str, Any]] = (),
+    plots: Sequence[Figure] = (),
 ) -> Comparison:
     """The comparison of one figure, with its title and claim.
 

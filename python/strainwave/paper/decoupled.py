@@ -19,7 +19,7 @@ from strainwave.paper.estimates import (
     response_of,
 )
 from strainwave.paper.rig import Rig
-from strainwave.presentation.report.curves import Curve, bode
+from strainwave.presentation.figures.curves import Curve, bode
 
 _OUTPUTS: tuple[tuple[str, Channels], ...] = (("one output", "motor"), ("two outputs", "both"))
 

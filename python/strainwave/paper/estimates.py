@@ -28,7 +28,7 @@ from strainwave.dynamics.two_inertia import resonance as true_resonance
 from strainwave.errors import NumericalFailure, StrainwaveError
 from strainwave.identification.joint_model import modes_of, state_space_of
 from strainwave.identification.joint_model.linear import without_alternating
-from strainwave.presentation.report.curves import Curve
+from strainwave.presentation.figures.curves import Curve
 from strainwave.statespace import frequency_response, to_continuous
 
 LINES_HZ = np.geomspace(1.0, 100.0, 240)

@@ -28,7 +28,7 @@ from strainwave.paper.estimates import (
 )
 from strainwave.paper.rig import Rig, Run
 from strainwave.paper.settings import CLASSICAL
-from strainwave.presentation.report.curves import bode
+from strainwave.presentation.figures.curves import bode
 from strainwave.signals.fusion import complement
 
 _CUTS = 6  # records with the loop cut: their mean error is a bias, not one noise's chance

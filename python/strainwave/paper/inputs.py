@@ -11,8 +11,8 @@ from strainwave.dynamics.simulation import build_arm
 from strainwave.numerics.filters import lagged
 from strainwave.paper.claims import compared
 from strainwave.paper.rig import AMPLITUDE, CLOCK, ORDER, Rig, Run
-from strainwave.presentation.report.curves import Series, lines, spectrum
-from strainwave.presentation.report.figures import Figure
+from strainwave.presentation.figures import Figure
+from strainwave.presentation.figures.curves import Series, lines, spectrum
 
 PERIOD = (2**ORDER - 1) * CLOCK  # [s]
 _SHOWN = 0.3  # [s]

@@ -14,7 +14,7 @@ from strainwave.paper.claims import compared
 from strainwave.paper.estimates import Estimate, curve, distance_db, response_evidence, response_of
 from strainwave.paper.rig import Rig, Tuned
 from strainwave.paper.truth import equivalent
-from strainwave.presentation.report.curves import bode
+from strainwave.presentation.figures.curves import bode
 from strainwave.statespace import frequency_response
 
 _LINES_HZ = np.geomspace(0.02, 100.0, 320)  # down to where friction limits the velocity

@@ -10,8 +10,8 @@ from strainwave.identification.closed_loop import as_known
 from strainwave.numerics.filters import band_pass, low_pass
 from strainwave.paper.claims import compared
 from strainwave.paper.rig import TUNING_STEPS, Rig, Tuned, ideal_log, run_steps
-from strainwave.presentation.report.curves import Series, pair
-from strainwave.presentation.report.figures import Figure
+from strainwave.presentation.figures import Figure
+from strainwave.presentation.figures.curves import Series, pair
 from strainwave.signals.link_motion import link_side
 
 _CHECKS = ((0.0, 60.0, 0.0), (0.0, 20.0, -20.0))  # levels of the validation data

@@ -1,17 +1,27 @@
-"""Plotly dictionaries -> Matplotlib figures, PNG and SVG: for notebooks, papers and plain pages.
-
-Only what this package's figures are made of is drawn: lines, points, error bars, filled outlines,
-bars, heat maps; panels one above the other, logarithmic axes, upright lines and words. Anything
-else is refused: a figure that lacks a part would mislead.
-"""
+"""Figures -> Matplotlib, PNG and SVG: for notebooks, papers and plain pages."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 from strainwave.errors import InvalidInput
+from strainwave.presentation.figures import (
+    RESIDUAL,
+    SOLID,
+    TICKS,
+    Axis,
+    Band,
+    Bars,
+    Dash,
+    HeatMap,
+    Line,
+    Mark,
+    Markers,
+    Panel,
+    Upright,
+)
+from strainwave.presentation.figures import Figure as Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,10 +29,12 @@ if TYPE_CHECKING:
 
 _WIDTH, _PANEL, _AROUND = 8.0, 2.2, 1.1  # [in] of a figure, of a panel, of titles and legend
 _ROW = 0.19  # [in] of a row of a heat map
+_NAMES = 1.7  # [in] of names that stand upright below
 _POINT = 0.75  # points in a pixel
 _RESOLUTION = 150  # [1/in] of a PNG
 _GRID = "#d9dee5"
 _WORDS = 8.0  # points high
+_OPACITY = 0.18  # of a band
 
 
 def require_matplotlib() -> None:
@@ -42,13 +54,12 @@ def require_matplotlib() -> None:
         ) from None
 
 
-def draw(figure: Mapping[str, Any]) -> Figure:
-    """One of this package's plotly dictionaries as a Matplotlib figure.
+def draw(figure: Record) -> Figure:
+    """A figure by Matplotlib.
 
     Parameters
     ----------
-    figure : dict
-        `data` and `layout`; the title is `layout.meta`, the height `layout.height` in pixels.
+    figure : strainwave.presentation.figures.Figure
 
     Returns
     -------
@@ -57,41 +68,35 @@ def draw(figure: Mapping[str, Any]) -> Figure:
     Raises
     ------
     InvalidInput
-        Matplotlib is not installed, or the figure has a kind of trace that is not drawn here.
+        Matplotlib is not installed.
     """
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    layout = figure["layout"]
-    names = [key for key in layout if key.startswith("yaxis")] or ["yaxis"]
-    rows = max((len(t["y"]) for t in figure["data"] if t.get("type") == "heatmap"), default=0)
-    panels = _AROUND + max(_PANEL * len(names), _PANEL + _ROW * rows if rows else 0.0)
-    height = layout["height"] * _POINT / 72.0 if "height" in layout else panels
-    drawn = Figure(figsize=(_WIDTH, height), layout="constrained")
-    shares = [high - low for low, high in (_domain(layout, k) for k in range(len(names)))]
-    grid = drawn.add_gridspec(len(names), 1, height_ratios=shares)
-    axes: dict[str, Axes] = {}
-    for k, name in enumerate(names):
-        above = next(iter(axes.values()), None)
-        axes[name.replace("axis", "")] = drawn.add_subplot(grid[k], sharex=above)
-    for trace in figure["data"]:
-        _trace(drawn, axes[trace.get("yaxis", "y")], trace)
-    for name, own in zip(names, axes.values(), strict=True):
-        _vertical(own, layout.get(name, {}))
-    _horizontal(list(axes.values()), layout.get("xaxis", {}))
-    _marks(list(axes.values()), layout)
-    _legend(drawn, list(axes.values()), figure["data"])
-    if layout.get("meta"):
-        drawn.suptitle(str(layout["meta"]), fontsize=_WORDS + 2.0, parse_math=False)
+    drawn = Figure(figsize=(_WIDTH, _height(figure)), layout="constrained")
+    shares = [panel.height for panel in figure.panels]
+    grid = drawn.add_gridspec(len(shares), 1, height_ratios=shares)
+    axes: list[Axes] = []
+    for k, panel in enumerate(figure.panels):
+        axes.append(drawn.add_subplot(grid[k], sharex=axes[0] if axes else None))
+        for mark in panel.marks:
+            _mark(drawn, axes[k], mark)
+        _vertical(axes[k], panel)
+    _horizontal(axes, figure.x, named=_along_names(figure))
+    for one in figure.uprights:
+        _upright(axes, one)
+    _legend(drawn, axes, figure.legend)
+    if figure.caption:
+        drawn.suptitle(figure.caption, fontsize=_WORDS + 2.0, parse_math=False)
     return drawn
 
 
-def images(figure: Mapping[str, Any]) -> dict[str, bytes]:
+def images(figure: Record) -> dict[str, bytes]:
     """A figure as files.
 
     Parameters
     ----------
-    figure : dict
+    figure : Figure
 
     Returns
     -------
@@ -117,142 +122,128 @@ def images(figure: Mapping[str, Any]) -> dict[str, bytes]:
     return found
 
 
-def _trace(drawn: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
-    kind = trace.get("type", "scatter")
-    if kind == "scatter" and trace.get("fill") == "toself":
-        axes.fill(_numbers(trace["x"]), _numbers(trace["y"]), color=_colour(trace["fillcolor"]))
-    elif kind == "scatter":
-        _scatter(axes, trace)
-    elif kind == "bar":
-        colour = _colour(trace["marker"]["color"])
-        axes.bar(_numbers(trace["x"]), _numbers(trace["y"]), width=trace["width"], color=colour)
-    elif kind == "heatmap":
-        _heat_map(drawn, axes, trace)
+def _height(figure: Record) -> float:
+    """[in], with room for names."""
+    rows = max((len(m.names) for m in figure.marks if isinstance(m, HeatMap)), default=0)
+    if rows:
+        return _AROUND + _PANEL + _ROW * rows
+    return _AROUND + _PANEL * figure.height + (_NAMES if _along_names(figure) else 0.0)
+
+
+def _along_names(figure: Record) -> bool:
+    """Whether the horizontal axis has names in place of numbers."""
+    return any(isinstance(m, Markers) and isinstance(m.x, tuple) for m in figure.marks)
+
+
+def _mark(drawn: Figure, axes: Axes, mark: Mark) -> None:
+    if isinstance(mark, Line | Markers):
+        _points(axes, mark)
+    elif isinstance(mark, Band):
+        axes.fill_between(
+            mark.x, mark.low, mark.high, color=mark.colour, alpha=_OPACITY, linewidth=0.0
+        )
+    elif isinstance(mark, Bars):
+        axes.bar(mark.x, mark.y, width=mark.width, color=mark.colour, label=mark.name)
     else:
-        raise InvalidInput(f"a trace of the type '{kind}' is not drawn without a browser")
+        _heat_map(drawn, axes, mark)
 
 
-def _scatter(axes: Axes, trace: Mapping[str, Any]) -> None:
+def _points(axes: Axes, mark: Line | Markers) -> None:
     """A line, points, or both, with error bars where there are any."""
-    words = all(isinstance(value, str) for value in trace["x"])
-    x: Any = list(trace["x"]) if words else _numbers(trace["x"])
-    y = _numbers(trace["y"])
-    look: dict[str, Any] = {"label": trace.get("name", "")}
-    if "lines" in trace["mode"]:
-        own = trace["line"]
-        width = own.get("width", 2.0)
-        look |= {"color": own["color"], "linewidth": _POINT * width}
-        look["linestyle"] = _dashes(own.get("dash", "solid"), width)
+    x: Any = list(mark.x) if isinstance(mark.x, tuple) else mark.x
+    look: dict[str, Any] = {"label": mark.name, "color": mark.colour}
+    if isinstance(mark, Line):
+        look["linewidth"] = _POINT * mark.width
+        look["linestyle"] = _dashes(mark.dash, mark.width)
     else:
-        look |= {"linestyle": "none", "color": trace["marker"]["color"]}
-    if "markers" in trace["mode"]:
-        look |= {"marker": "o", "markersize": _POINT * trace["marker"].get("size", 6.0)}
-    if "error_y" in trace:
-        axes.errorbar(x, y, yerr=_numbers(trace["error_y"]["array"]), capsize=2.0, **look)
+        look |= {"linestyle": "none", "alpha": mark.opacity}
+    if mark.size:
+        look |= {"marker": "o", "markersize": _POINT * mark.size}
+    if mark.error is None:
+        axes.plot(x, mark.y, **look)
     else:
-        axes.plot(x, y, **look)
+        axes.errorbar(x, mark.y, yerr=mark.error, capsize=2.0, **look)
 
 
-def _heat_map(drawn: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
+def _heat_map(drawn: Figure, axes: Axes, mark: HeatMap) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
-    colours = [(at, colour) for at, colour in trace["colorscale"]]
-    scale = LinearSegmentedColormap.from_list("scale", colours)
-    rows = [_numbers(row) for row in trace["z"]]
-    image = axes.imshow(rows, cmap=scale, vmin=trace["zmin"], vmax=trace["zmax"], aspect="auto")
-    axes.set_xticks(range(len(trace["x"])), trace["x"], rotation=90, fontsize=_WORDS)
-    axes.set_yticks(range(len(trace["y"])), trace["y"], fontsize=_WORDS)
+    scale = LinearSegmentedColormap.from_list("scale", mark.colours)
+    image = axes.imshow(mark.values, cmap=scale, vmin=mark.low, vmax=mark.high, aspect="auto")
+    axes.set_xticks(range(len(mark.names)), mark.names, rotation=90, fontsize=_WORDS)
+    axes.set_yticks(range(len(mark.names)), mark.names, fontsize=_WORDS)
     drawn.colorbar(image, ax=axes)
 
 
-def _vertical(axes: Axes, axis: Mapping[str, Any]) -> None:
+def _vertical(axes: Axes, panel: Panel) -> None:
     """Title, scale and range of a panel."""
-    _named(axes.set_ylabel, axis)
-    if axis.get("type") == "log":
+    _named(axes.set_ylabel, panel.axis)
+    if axes.images:
+        return
+    if panel.axis.log:
         axes.set_yscale("log")
-    if "range" in axis:
-        axes.set_ylim(*axis["range"])
-    if "dtick" in axis and not axes.images:
+    if panel.axis.range is not None:
+        axes.set_ylim(*panel.axis.range)
+    if panel.axis.step is not None:
         from matplotlib.ticker import MultipleLocator
 
-        axes.yaxis.set_major_locator(MultipleLocator(axis["dtick"]))
-    if not axes.images:
-        axes.grid(color=_GRID, linewidth=0.5)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
+        axes.yaxis.set_major_locator(MultipleLocator(panel.axis.step))
+    axes.grid(color=_GRID, linewidth=0.5)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
-def _horizontal(axes: list[Axes], axis: Mapping[str, Any]) -> None:
-    if axis.get("type") == "log":
-        axes[-1].set_xscale("log")
-        if "tickvals" in axis:  # those within the range, which asking for all would widen
-            low, high = axes[-1].get_xlim()
-            shown = zip(axis["tickvals"], axis["ticktext"], strict=True)
-            ticks = [(value, text) for value, text in shown if low <= value <= high]
-            axes[-1].set_xticks([v for v, _ in ticks], [t for _, t in ticks])
-            axes[-1].minorticks_off()
-    if "range" in axis:
-        axes[-1].set_xlim(*axis["range"])
+def _horizontal(axes: list[Axes], axis: Axis, *, named: bool) -> None:
+    last = axes[-1]
+    if axis.log:
+        last.set_xscale("log")
+        low, high = last.get_xlim()  # ticks within it: asking for all would widen the range
+        ticks = {value: text for value, text in TICKS.items() if low <= value <= high}
+        last.set_xticks(list(ticks), list(ticks.values()))
+        last.minorticks_off()
+    if axis.range is not None:
+        last.set_xlim(*axis.range)
     for upper in axes[:-1]:
         upper.tick_params(labelbottom=False)
-    if "tickangle" in axis and not axes[-1].images:
-        axes[-1].tick_params(axis="x", labelrotation=-axis["tickangle"], labelsize=_WORDS)
-    _named(axes[-1].set_xlabel, axis)
+    if named:
+        last.tick_params(axis="x", labelrotation=90.0, labelsize=_WORDS)
+    _named(last.set_xlabel, axis)
 
 
-def _named(setter: Any, axis: Mapping[str, Any]) -> None:
-    setter(axis.get("title", {}).get("text", ""), fontsize=_WORDS + 1.0, parse_math=False)
+def _named(setter: Any, axis: Axis) -> None:
+    setter(axis.title, fontsize=_WORDS + 1.0, parse_math=False)
 
 
-def _marks(axes: list[Axes], layout: Mapping[str, Any]) -> None:
-    """Upright lines through all panels, words at the top of the first."""
-    logarithmic = layout.get("xaxis", {}).get("type") == "log"
-    for shape in layout.get("shapes", ()):
-        width = shape["line"]["width"]
-        look = {"color": shape["line"]["color"], "linewidth": _POINT * width, "zorder": 1}
-        for own in axes:
-            own.axvline(shape["x0"], linestyle=_dashes(shape["line"]["dash"], width), **look)
-    for word in layout.get("annotations", ()):
-        panel, height = _within(word["y"], [_domain(layout, k) for k in range(len(axes))])
-        axes[panel].annotate(
-            word["text"],
-            (10.0 ** word["x"] if logarithmic else word["x"], height),
+def _upright(axes: list[Axes], one: Upright) -> None:
+    """A line through all panels, with words in one of them."""
+    dashes = _dashes(one.dash, 1.0)
+    for own in axes:
+        own.axvline(one.x, color=RESIDUAL, linewidth=_POINT, linestyle=dashes, zorder=1)
+    if one.text:
+        axes[one.panel].annotate(
+            one.text,
+            (one.x, one.height),
             xycoords=("data", "axes fraction"),
-            xytext=(-3.0 if word["xanchor"] == "right" else 3.0, -2.0),
+            xytext=(-3.0 if one.before else 3.0, -2.0),
             textcoords="offset points",
-            ha=word["xanchor"],
-            va=word["yanchor"],
+            ha="right" if one.before else "left",
+            va="top",
             fontsize=_WORDS - 1.0,
             parse_math=False,
         )
 
 
-def _domain(layout: Mapping[str, Any], panel: int) -> tuple[float, float]:
-    low, high = layout.get(f"yaxis{panel + 1 if panel else ''}", {}).get("domain", (0.0, 1.0))
-    return float(low), float(high)
-
-
-def _within(height: float, domains: list[tuple[float, float]]) -> tuple[int, float]:
-    """The panel that a height of the whole figure lies in, and how high in it."""
-    for panel, (low, high) in enumerate(domains):
-        if low <= height <= high:
-            return panel, (height - low) / (high - low)
-    return 0, 1.0
-
-
-def _legend(drawn: Figure, axes: list[Axes], data: list[Mapping[str, Any]]) -> None:
-    """One entry a name, above the figure, where there is more than one to tell apart."""
-    wanted = [t["name"] for t in data if t.get("showlegend", True) and t.get("name")]
+def _legend(drawn: Figure, axes: list[Axes], names: list[str]) -> None:
+    """One entry per name, above the figure."""
     handles: dict[str, Any] = {}
     for own in axes:
         for handle, name in zip(*own.get_legend_handles_labels(), strict=True):
-            if name in wanted:
-                handles.setdefault(name, handle)
-    if len(handles) < 2:
+            handles.setdefault(name, handle)
+    if not names:
         return
     box = drawn.legend(
-        list(handles.values()),
-        list(handles),
+        [handles[name] for name in names],
+        names,
         loc="outside upper left",
         ncols=4,
         frameon=False,
@@ -262,21 +253,6 @@ def _legend(drawn: Figure, axes: list[Axes], data: list[Mapping[str, Any]]) -> N
         text.set_parse_math(False)
 
 
-def _numbers(values: Any) -> list[float]:
-    return [float("nan") if value is None else float(value) for value in values]
-
-
-def _colour(css: str) -> str | tuple[float, ...]:
-    """A colour of the style sheets' language, #rrggbb or rgba(r,g,b,a)."""
-    if not css.startswith("rgba"):
-        return css
-    red, green, blue, opacity = (float(part) for part in css[5:-1].split(","))
-    return red / 255.0, green / 255.0, blue / 255.0, opacity
-
-
-def _dashes(dash: str, width: float) -> Any:
-    """Plotly's dashes, in pixels, as Matplotlib's, in widths of the line."""
-    if dash in ("solid", "dot", "dash"):
-        return {"solid": "-", "dot": ":", "dash": "--"}[dash]
-    lengths = [float(part.removesuffix("px")) for part in dash.split(",")]
-    return 0, [length / max(width, 1.0) for length in lengths]
+def _dashes(dash: Dash, width: float) -> Any:
+    """Dashes in pixels as Matplotlib's, in widths of the line."""
+    return "-" if dash == SOLID else (0, [length / max(width, 1.0) for length in dash])

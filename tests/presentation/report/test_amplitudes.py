@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from elastic_results import BAND, elastic_identification, record_model, response
+from figure_parts import line, names
 from strainwave.domain import Delay, Fusion, Identification, LinkSummary, Prbs, RecordModel, Use
 from strainwave.presentation.report import amplitudes, elastic, render
 
@@ -35,14 +36,14 @@ def swept() -> Identification:
 
 def test_models_are_drawn_by_amplitude_within_their_band() -> None:
     drawn = amplitudes.responses(amplitudes.swept(swept())[1])
-    upper = [trace for trace in drawn["data"] if trace.get("yaxis", "y") == "y"]
-    assert [trace["name"] for trace in upper] == ["2, slow", "10, prbs-j1"]
-    f = np.array(upper[0]["x"], dtype=float)
+    assert names(drawn) == names(drawn, 1) == ["2, slow", "10, prbs-j1"]
+    slow = line(drawn, "2, slow")
+    f = slow.x
     assert f[0] >= 0.999 * BAND[0]
     assert f[-1] <= 1.001 * BAND[1]
     # a held input's model is that of the joint where it rings
     true = 20.0 * np.log10(np.abs(response(f)))
-    assert np.max(np.abs(np.array(upper[0]["y"], dtype=float) - true)) < 1.0
+    assert np.max(np.abs(slow.y - true)) < 1.0
 
 
 def test_without_a_sweep_nothing_is_drawn() -> None:

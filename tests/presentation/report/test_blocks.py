@@ -7,6 +7,7 @@ import re
 import pytest
 from jinja2 import UndefinedError
 
+from strainwave.presentation.figures import Axis, Figure, Panel
 from strainwave.presentation.html import filled
 from strainwave.presentation.report.blocks import (
     Block,
@@ -47,7 +48,7 @@ def test_sections_without_blocks_are_left_out() -> None:
 
 
 def test_figures_are_found_in_other_blocks_and_named_once() -> None:
-    plot = Plot("a b", "label", {"data": [], "layout": {}})
+    plot = Plot("a b", "label", Figure(Axis("x"), (Panel(Axis("y"), ()),)))
     inside = Fold("more", (Callout("", (Plot("A/b", "again", plot.figure),)),))
     found = keyed([Section("one", "One", (plot,)), Section("two", "Two", (inside,))])
     assert {key: one.label for key, one in found.items()} == {"a-b": "label", "a-b-2": "again"}
@@ -88,7 +89,7 @@ def test_no_text_leaves_its_place() -> None:
         paragraph(EVIL, Span(EVIL, strong=True)),
         *table(EVIL, (EVIL,), [Group(EVIL), (EVIL,)]),
         Facts(((EVIL, EVIL),)),
-        Fold(EVIL, (Plot(EVIL, EVIL, {"data": [], "layout": {}}, EVIL),)),
+        Fold(EVIL, (Plot(EVIL, EVIL, Figure(Axis("x"), (Panel(Axis("y"), ()),)), EVIL),)),
     )
     page = document(EVIL, EVIL, [Section("one", EVIL, blocks)], before=(paragraph(EVIL),))
     assert "<script>alert" not in page

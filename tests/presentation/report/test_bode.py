@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeGuard
 
 import numpy as np
 import pytest
 
 from elastic_results import BAND, JOINT, SPREAD, joint_model, measured, response, sampled
+from figure_parts import marks, names
 from strainwave.domain import Diagnostic
 from strainwave.identification.joint_model.agreement import motor_response
+from strainwave.presentation.figures import MEASURED, RESIDUAL, Band, Figure, Line, Mark, Markers
 from strainwave.presentation.report import bode
-from strainwave.presentation.report.figures import RESIDUAL, Figure
 
 RATIO = JOINT.gear_ratio
 
 
-def traces(drawn: Figure, name: str, panel: str = "y") -> list[Figure]:
-    return [t for t in drawn["data"] if t["name"] == name and t["yaxis"] == panel]
+def line_of(drawn: Figure, name: str, panel: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    (found,) = (m for m in drawn.panels[panel].marks if _is_point(m) and m.name == name)
+    assert isinstance(found, Line | Markers)
+    return np.asarray(found.x), found.y
 
 
-def line_of(drawn: Figure, name: str, panel: str = "y") -> tuple[np.ndarray, np.ndarray]:
-    (found,) = traces(drawn, name, panel)
-    return np.array(found["x"]), np.array(found["y"])
+def _is_point(mark: Mark) -> TypeGuard[Line | Markers]:
+    return isinstance(mark, Line | Markers)
 
 
 def test_measured_and_both_models_are_one_curve() -> None:
@@ -38,17 +41,15 @@ def test_measured_and_both_models_are_one_curve() -> None:
         f, size = line_of(drawn, name)
         truth = response(f)
         assert size == pytest.approx(20.0 * np.log10(np.abs(truth)), abs=errors[0])
-        _, phase = line_of(drawn, name, "y2")
+        _, phase = line_of(drawn, name, 1)
         assert phase == pytest.approx(np.rad2deg(np.angle(truth)), abs=errors[1])
 
 
 def test_the_band_is_that_of_the_parameters() -> None:
     """Drawn parameters scatter as the delta method says."""
     drawn = bode.bode(joint_model(), RATIO, None)
-    (fill,) = (t for t in drawn["data"] if t.get("fill") and t["yaxis"] == "y")
-    half = len(fill["x"]) // 2
-    low, high = np.array(fill["y"][:half]), np.array(fill["y"][half:])[::-1]
-    f = np.array(fill["x"][:half])
+    (band,) = marks(drawn, Band)
+    f, low, high = band.x, band.low, band.high
     rng = np.random.default_rng(3)
     A = [
         motor_response(JOINT.vector * (1.0 + SPREAD * rng.standard_normal(6)), JOINT.gear_ratio, f)
@@ -71,30 +72,33 @@ def _modes() -> list:  # type: ignore[type-arg]
 
 def test_no_band_without_a_covariance() -> None:
     unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
-    assert not any(t.get("fill") for t in bode.bode(unknown, RATIO, None)["data"])
+    drawn = bode.bode(unknown, RATIO, None)
+    assert not any(marks(drawn, Band, panel) for panel in (0, 1))
 
 
 def test_what_is_not_coherent_is_grey() -> None:
     drawn = bode.bode(joint_model(), RATIO, measured())
-    (grey,) = traces(drawn, "measured, doubtful")
-    assert grey["marker"]["color"] == RESIDUAL
-    assert min(grey["x"]) > 60.0
+    sure, grey = marks(drawn, Markers)
+    assert (sure.name, grey.name) == ("measured", "measured, doubtful")
+    assert (grey.colour, sure.colour) == (RESIDUAL, MEASURED)
+    assert np.min(np.asarray(grey.x)) > 60.0
     f, _ = line_of(drawn, "measured")
     assert max(f) <= 60.0
-    assert len(traces(drawn, "coherence", "y3")) == 1
+    assert names(drawn, 2) == ["coherence"]
+    assert "coherence" not in drawn.legend
     unknown = bode.bode(joint_model(), RATIO, replace(measured(), coherence=None))
-    assert "yaxis3" not in unknown["layout"]
+    assert len(unknown.panels) == 2
     assert max(line_of(unknown, "measured")[0]) > 100.0
 
 
 def test_modes_are_marked_where_the_response_dips_and_peaks() -> None:
     drawn = bode.bode(joint_model(), RATIO, None)
-    words = {a["text"].split(" ")[0]: 10.0 ** a["x"] for a in drawn["layout"]["annotations"]}
+    words = {one.text.split(" ")[0]: one.x for one in drawn.uprights}
     f, size = line_of(drawn, "physical model")
     assert words["anti-resonance"] == pytest.approx(f[np.argmin(size[f < 20])], rel=0.02)
     peak = f[f > 15.0][np.argmax(size[f > 15.0])]
     assert words["resonance"] == pytest.approx(peak, rel=0.02)
-    assert [s["x0"] for s in drawn["layout"]["shapes"][2:]] == list(BAND)
+    assert [one.x for one in drawn.uprights[2:]] == list(BAND)
 
 
 def test_a_long_response_is_thinned_evenly_on_its_axis() -> None:
@@ -115,8 +119,7 @@ def test_the_words_say_where_it_rings_and_what_was_seen() -> None:
 
 def test_a_sliding_joint_has_its_own_units() -> None:
     drawn = bode.bode(joint_model(), RATIO, None, straight=True)
-    title = drawn["layout"]["yaxis"]["title"]["text"]
-    assert title == "dB re m/s/N"
+    assert drawn.panels[0].axis.title == "dB re m/s/N"
 
 
 def test_the_whole_arm_fit_is_drawn_over_pale_measured_points() -> None:
@@ -125,9 +128,9 @@ def test_the_whole_arm_fit_is_drawn_over_pale_measured_points() -> None:
     f, size = line_of(drawn, "whole-arm fit")
     expected = motor_response(1.1 * JOINT.vector, JOINT.gear_ratio, f)
     assert size == pytest.approx(20.0 * np.log10(np.abs(expected)), abs=0.005)
-    names = [t["name"] for t in drawn["data"]]
-    assert names.index("measured") < names.index("physical model")  # the line lies on top
-    assert traces(drawn, "measured")[0]["marker"]["opacity"] < 0.5
+    order = names(drawn)
+    assert order.index("measured") < order.index("physical model")  # the line lies on top
+    assert marks(drawn, Markers)[0].opacity < 0.5
 
 
 def test_the_words_repeat_the_warning_that_model_and_points_differ() -> None:
@@ -135,11 +138,3 @@ def test_the_words_repeat_the_warning_that_model_and_points_differ() -> None:
     said = bode.words(replace(joint_model(), warnings=(apart,)), measured())
     assert said.endswith("Warning: they differ near 7 Hz.")
     assert "Warning" not in bode.words(joint_model(), measured())
-
-
-def test_frequencies_have_whole_labels_with_prefixes() -> None:
-    axis = bode.bode(joint_model(), RATIO, None)["layout"]["xaxis"]
-    shown = dict(zip(axis["tickvals"], axis["ticktext"], strict=True))
-    assert [shown[v] for v in (0.05, 0.1, 2.0, 50.0, 1e3, 2e4, 5e6)] == [
-        "50m", "100m", "2", "50", "1k", "20k", "5M",
-    ]  # fmt: skip

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from figure_parts import marks
 from results import arm_model, identification
 from strainwave.domain import Parameter
+from strainwave.presentation.figures import HeatMap
 from strainwave.presentation.report import correlations
 from strainwave.presentation.report.correlations import Correlations
 
@@ -31,8 +33,9 @@ def test_correlations_are_covariances_in_deviations() -> None:
     assert (first, second) == told.names
     assert size == pytest.approx(-0.98)
     assert "gear stiffness 1 with gear damping 1 (-0.980)" in correlations.words(told)
-    drawn = correlations.heat_map(told)
-    assert drawn["data"][0]["z"][1] == [-0.98, 1.0]
+    (heat,) = marks(correlations.heat_map(told), HeatMap)
+    assert heat.names == told.names
+    assert heat.values[1] == pytest.approx([-0.98, 1.0])
 
 
 def test_what_is_hardly_alike_is_not_named() -> None:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from elastic_results import CURVE, curve_parameters, elastic_identification, joint_model
+from figure_parts import line, marks
 from strainwave.domain import FloatArray
+from strainwave.presentation.figures import Bars
 from strainwave.presentation.report import gears
 from strainwave.presentation.report.gears import Curve
 
@@ -57,18 +59,17 @@ def test_without_the_whole_arm_the_joint_tells_one_slope() -> None:
     assert found.covariance[0, 0] == pytest.approx(joint_model().covariance[4, 4])
     assert found.carried is None
     assert "One stiffness for the whole" in gears.words(found)
-    assert "yaxis2" not in gears.slope_figure(found)["layout"]
+    assert len(gears.slope_figure(found).panels) == 1
 
 
 def test_both_figures_show_the_knees_and_the_records() -> None:
     slope, torsion = gears.slope_figure(curve()), gears.torsion_figure(curve())
-    assert [shape["x0"] for shape in slope["layout"]["shapes"]] == [7.0, 25.0]
+    assert [one.x for one in slope.uprights] == [7.0, 25.0]
     knees = [1e3 * 7.0 / 16000.0, 1e3 * (7.0 / 16000.0 + 18.0 / 25000.0)]
-    assert [shape["x0"] for shape in torsion["layout"]["shapes"]] == pytest.approx(knees)
-    (bars,) = (trace for trace in slope["data"] if trace["type"] == "bar")
-    assert sum(bars["y"]) == pytest.approx(100.0, abs=1e-3)
-    steps = [trace for trace in slope["data"] if trace["name"] == "slope" and "fill" not in trace]
-    assert steps[0]["y"] == [16000.0, 16000.0, 25000.0, 25000.0, 29000.0, 29000.0]
+    assert [one.x for one in torsion.uprights] == pytest.approx(knees)
+    (bars,) = marks(slope, Bars, 1)
+    assert bars.y.sum() == pytest.approx(100.0)
+    assert line(slope, "slope").y.tolist() == [16000.0, 16000.0, 25000.0, 25000.0, 29000.0, 29000.0]
 
 
 def test_the_words_give_slopes_knees_and_reach() -> None:

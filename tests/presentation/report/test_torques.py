@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from elastic_results import decoupled, elastic_identification, record_model
+from figure_parts import marks
+from strainwave.presentation.figures import Line
 from strainwave.presentation.report import torques
 
 
@@ -26,16 +28,15 @@ def test_sweeps_and_lone_joints_are_left_out() -> None:
 
 
 def test_both_are_drawn_as_the_motor_feels_them() -> None:
-    motor, other = torques.over_time(decoupled("a", 0.5))["data"]
-    assert max(motor["x"]) <= 0.5
+    motor, other = marks(torques.over_time(decoupled("a", 0.5)), Line)
+    assert motor.x.max() <= 0.5
     # thinned rows are those of extremes of either line within a bin
-    assert (max(motor["y"]), max(other["y"])) == pytest.approx((1.0, 0.5), rel=3e-3)
+    assert (motor.y.max(), other.y.max()) == pytest.approx((1.0, 0.5), rel=3e-3)
 
 
 def test_the_spectra_peak_where_the_torques_are() -> None:
-    for trace, line in zip(
-        torques.over_frequency(decoupled("a", 0.5))["data"], (10.0, 20.0), strict=True
-    ):
-        f, density = np.array(trace["x"]), np.array(trace["y"])
+    drawn = marks(torques.over_frequency(decoupled("a", 0.5)), Line)
+    for one, line in zip(drawn, (10.0, 20.0), strict=True):
+        f, density = one.x, one.y
         assert f[np.argmax(density)] == pytest.approx(line, abs=f[1] - f[0])
         assert f.max() <= 200.0  # five times the band in which the motor moves

@@ -1,8 +1,9 @@
-"""Records as the report's plotly dictionaries; some may be asked for a part of themselves."""
+"""Records as figures; some may be asked for a part of themselves."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import singledispatch
 
 import numpy as np
@@ -23,13 +24,25 @@ from strainwave.domain import (
 )
 from strainwave.domain.formatting import percent
 from strainwave.errors import InvalidInput
-from strainwave.presentation.report import bode, curves, elastic, figures, predictions
+from strainwave.presentation.figures import (
+    DASHES,
+    MEASURED,
+    PALETTE,
+    Axis,
+    Figure,
+    Line,
+    Markers,
+    Panel,
+    curves,
+    thinned,
+)
+from strainwave.presentation.report import bode, elastic, predictions
 
 _NOISY = 0.3  # relative deviation from which a point of a response is left out
 
 
 @singledispatch
-def figure_of(record: object) -> figures.Figure:
+def figure_of(record: object) -> Figure:
     """A record's figure; `picture_of` says what may be asked for.
 
     Parameters
@@ -38,8 +51,7 @@ def figure_of(record: object) -> figures.Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
 
     Raises
     ------
@@ -50,7 +62,7 @@ def figure_of(record: object) -> figures.Figure:
 
 
 @figure_of.register
-def _(log: Log) -> figures.Figure:
+def _(log: Log) -> Figure:
     """What drives the motors, and where they turn."""
     above = {n: v for n, v in log.channels.items() if n.startswith(("u", "torque"))}
     below = {n: v for n, v in log.channels.items() if n.startswith("theta_m")}
@@ -59,7 +71,7 @@ def _(log: Log) -> figures.Figure:
 
 
 @figure_of.register
-def _(joint: Decoupled) -> figures.Figure:
+def _(joint: Decoupled) -> Figure:
     """The inputs, and both velocities on the link's side of the gear."""
     names = ("motor torque less Coulomb friction", "n times interaction torque")
     sizes = (1.0, joint.gear_ratio)
@@ -78,19 +90,17 @@ def _(joint: Decoupled) -> figures.Figure:
 @figure_of.register(RigidModel)
 @figure_of.register(ArmModel)
 @figure_of.register(Identification)
-def _(model: RigidModel | ArmModel | Identification) -> figures.Figure:
+def _(model: RigidModel | ArmModel | Identification) -> Figure:
     return certainty(model.parameters)
 
 
 @figure_of.register
-def _(
-    joint: JointModel, *, gear_ratio: float, measured: FrequencyResponse | None = None
-) -> figures.Figure:
+def _(joint: JointModel, *, gear_ratio: float, measured: FrequencyResponse | None = None) -> Figure:
     return bode.bode(joint, gear_ratio, measured)
 
 
 @figure_of.register
-def _(record: RecordModel) -> figures.Figure:
+def _(record: RecordModel) -> Figure:
     if record.joint_model is None:
         raise InvalidInput(
             "the record has no physical model to draw",
@@ -107,7 +117,7 @@ def _(
     output: int = 0,
     input: int = 0,
     band_hz: tuple[float, float] | None = None,
-) -> figures.Figure:
+) -> Figure:
     """Where it is told: a point less sure than `_NOISY` would hide the others."""
     f, G = response.frequencies_hz, response.response[:, output, input]
     low, high = band_hz or (0.0, np.inf)
@@ -147,12 +157,12 @@ def _spread(
 
 
 @figure_of.register
-def _(sweep: Sweep) -> figures.Figure:
+def _(sweep: Sweep) -> Figure:
     return elastic.stiffness(sweep)
 
 
 @figure_of.register
-def _(prediction: Prediction, *, channel: str | None = None) -> figures.Figure:
+def _(prediction: Prediction, *, channel: str | None = None) -> Figure:
     fits = prediction.fit_percent
     worst = min(prediction.channels, key=lambda name: fits.get(name, np.inf))
     chosen = channel or worst
@@ -164,11 +174,10 @@ def _(prediction: Prediction, *, channel: str | None = None) -> figures.Figure:
         )
     drawn = predictions.of_prediction(prediction, channels=(chosen,))
     fit = percent(fits.get(chosen, float("nan")))
-    drawn["layout"]["meta"] = f"{prediction.experiment}, {chosen}: fit {fit}"
-    return drawn
+    return replace(drawn, caption=f"{prediction.experiment}, {chosen}: fit {fit}")
 
 
-def certainty(parameters: Iterable[Parameter]) -> figures.Figure:
+def certainty(parameters: Iterable[Parameter]) -> Figure:
     """How well each parameter is known: its deviation as a share of its value.
 
     Parameters
@@ -178,28 +187,13 @@ def certainty(parameters: Iterable[Parameter]) -> figures.Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
     known = [(p, p.std / abs(p.value)) for p in parameters if p.std is not None and p.value]
     names = [p.name + (f" {p.joint}" if p.joint else "") for p, _ in known]
-    return {
-        "data": [
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": "standard deviation",
-                "x": names,
-                "y": [100.0 * share for _, share in known],
-                "marker": {"color": figures.MEASURED, "size": 8},
-            }
-        ],
-        "layout": {
-            "height": 480,  # the names stand upright
-            "xaxis": {"title": {"text": ""}, "tickangle": -90},
-            "yaxis": {"type": "log", "title": {"text": "deviation [% of the value]"}},
-        },
-    }
+    shares = np.array([100.0 * share for _, share in known])
+    points = Markers(tuple(names), shares, "standard deviation", MEASURED, size=8.0)
+    return Figure(Axis(""), (Panel(Axis("deviation [% of the value]", log=True), (points,)),))
 
 
 def _stacked(
@@ -208,21 +202,14 @@ def _stacked(
     below: Mapping[str, FloatArray],
     titles: tuple[str, str],
     caption: str,
-) -> figures.Figure:
+) -> Figure:
     """Lines over one time axis, on two axes, one above the other."""
-    data = []
-    looks = zip(curves.PALETTE * 2, curves.DASHES * 2, strict=True)
-    parts = [("y", *item) for item in above.items()] + [("y2", *item) for item in below.items()]
-    for (axis, name, values), (colour, dash) in zip(parts, looks, strict=False):
-        pick = figures.thinned(values)
-        drawn = figures.line(figures.rounded(time[pick]), values[pick], name, colour, dash=dash)
-        data.append(drawn | {"yaxis": axis})
-    return {
-        "data": data,
-        "layout": {
-            "meta": caption,
-            "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2"},
-            "yaxis": {"title": {"text": titles[0]}, "domain": [0.54, 1.0]},
-            "yaxis2": {"title": {"text": titles[1]}, "domain": [0.0, 0.46]},
-        },
-    }
+    looks = iter(zip(PALETTE * 2, DASHES * 2, strict=True))
+    panels = []
+    for title, group in zip(titles, (above, below), strict=True):
+        marks = []
+        for (name, values), (colour, dash) in zip(group.items(), looks, strict=False):
+            pick = thinned(values)
+            marks.append(Line(time[pick], values[pick], name, colour, dash))
+        panels.append(Panel(Axis(title), tuple(marks)))
+    return Figure(Axis("time [s]"), tuple(panels), caption=caption)

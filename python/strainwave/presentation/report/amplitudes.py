@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, RecordModel
-from strainwave.presentation.report.figures import (
+from strainwave.presentation.figures import (
+    DASHES,
     LINEAR,
     MEASURED,
     MODEL,
     RESIDUAL,
+    Axis,
     Figure,
+    Line,
+    Panel,
     decibel,
-    line,
-    panels,
-    place,
-    rounded,
 )
 from strainwave.statespace import frequency_response
 
@@ -27,7 +27,7 @@ WORDS = "State-space models of each record, within the band of their fit; see th
 
 _POINTS = 200  # of one curve
 _COLOURS = (MEASURED, LINEAR, MODEL, RESIDUAL)
-_DASHES = ("solid", "6px,3px", "2px,2px")  # of one turn of colours each
+_DASHES = DASHES[:3]  # of one turn of colours each
 _NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
 
 
@@ -64,10 +64,9 @@ def responses(records: Sequence[RecordModel]) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
-    data: list[Figure] = []
+    magnitude, phase = [], []
     for k, record in enumerate(records):
         model, joint = record.state_space, record.joint_model
         if model is None or joint is None:
@@ -78,12 +77,13 @@ def responses(records: Sequence[RecordModel]) -> Figure:
         name = f"{_amplitude(record):g}, {record.signals.experiment.name}"
         turn, place_in_turn = divmod(k, len(_COLOURS))
         colour, dash = _COLOURS[place_in_turn], _DASHES[turn % len(_DASHES)]
-        for panel, y in enumerate((decibel(np.abs(G)), np.rad2deg(np.angle(G)))):
-            curve = line(rounded(f), y, name, colour, dash=dash)
-            data.append(curve | place(panel, name, first=panel == 0))
-    layout = panels("frequency [Hz]", ["magnitude [dB]", "phase [°]"], log=True)
-    layout["yaxis2"]["dtick"] = 90
-    return {"data": data, "layout": layout}
+        magnitude.append(Line(f, decibel(np.abs(G)), name, colour, dash))
+        phase.append(Line(f, np.rad2deg(np.angle(G)), name, colour, dash))
+    panels = (
+        Panel(Axis("magnitude [dB]"), tuple(magnitude)),
+        Panel(Axis("phase [°]", step=90.0), tuple(phase)),
+    )
+    return Figure(Axis("frequency [Hz]", log=True), panels)
 
 
 def _amplitude(record: RecordModel) -> float:

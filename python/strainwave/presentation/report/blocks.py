@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from strainwave.presentation.report.figures import Figure
+from strainwave.presentation.figures import Figure
 
 Mark = Literal["", "good", "doubt", "bad"]
 Row = Sequence["str | Cell"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,29 +24,33 @@ from strainwave.identification.joint_model.agreement import (
     trusted,
     vector_of,
 )
-from strainwave.presentation.report.figures import (
+from strainwave.presentation.figures import (
+    DASHES,
     LINEAR,
     MEASURED,
     MODEL,
     RESIDUAL,
+    SOLID,
     TUNED,
+    Axis,
+    Band,
+    Dash,
     Figure,
-    band,
+    Line,
+    Mark,
+    Markers,
+    Panel,
+    Upright,
     decibel,
-    dots,
-    line,
-    marked,
-    panels,
-    place,
-    rounded,
-    upright,
 )
 from strainwave.statespace import frequency_response
 
 _POINTS = 300  # of a model's curve
 _MOST_LINES = 500  # measured; of more, those evenly spread over the logarithm of frequency
 _NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
-_DASHES = ("6px,3px", "2px,2px", "8px,3px,2px,3px")  # of sampled models
+_DASHES = DASHES[1:4]  # of sampled models
+_LONG: Dash = (8.0, 4.0)  # of the whole-arm fit
+_HEIGHTS = (1.4, 1.0, 0.6)  # of magnitude, phase and coherence
 _DOT, _PALE = 5, 0.4  # size and opacity of measured points
 _BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
 
@@ -78,37 +83,31 @@ def bode(
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
     low, high = joint.band_hz[0] / OUTSIDE, joint.band_hz[1] * OUTSIDE
-    data: list[Figure] = []
-    unit = "m/s/N" if straight else "rad/s/(N m)"
-    titles, heights = [f"dB re {unit}", "phase [°]"], [1.0, 0.7]
+    drawn = _Drawn()
     if measured is not None:
         seen = _lines_between(measured, low, high)
-        data += _measured(measured, seen)
-        if measured.coherence is not None:
-            data += _coherence(measured.frequencies_hz[seen], measured.coherence[seen, 0])
-            titles.append("coherence")
-            heights.append(0.4)
+        _measured(drawn, measured, seen)
     for k, (name, model) in enumerate(sampled):
         top = min(joint.band_hz[1], _NYQUIST * 0.5 / model.sample_time)
         f: FloatArray = np.geomspace(joint.band_hz[0], top, _POINTS)
         G = frequency_response(model, f).response[:, 0, 0]
-        dash = _DASHES[k % len(_DASHES)]
-        data += _curve(f, G, f"state space, {name}", LINEAR, dash)
+        _curve(drawn, f, G, f"state space, {name}", LINEAR, _DASHES[k % len(_DASHES)])
     f = np.geomspace(low, high, _POINTS)
-    data += _physical(joint, gear_ratio, f)
+    _physical(drawn, joint, gear_ratio, f)
     if tuned is not None:
         vector = np.array([tuned[name] for name in list(joint.values)[:6]])
-        data += _curve(f, motor_response(vector, gear_ratio, f), "whole-arm fit", TUNED, "8px,4px")
-    layout = panels("frequency [Hz]", titles, log=True, heights=heights)
-    layout["yaxis2"]["dtick"] = 90
-    if "yaxis3" in layout:
-        layout["yaxis3"]["range"] = [0.0, 1.05]
-    marks = _marks(joint, layout["yaxis2"]["domain"][1])
-    return {"data": data, "layout": marked(layout, marks)}
+        _curve(drawn, f, motor_response(vector, gear_ratio, f), "whole-arm fit", TUNED, _LONG)
+    axes = [
+        Axis(f"dB re {'m/s/N' if straight else 'rad/s/(N m)'}"),
+        Axis("phase [°]", step=90.0),
+        Axis("coherence", range=(0.0, 1.05)),
+    ]
+    every = zip(axes, (drawn.magnitude, drawn.phase, drawn.coherence), _HEIGHTS, strict=True)
+    panels = tuple(Panel(axis, tuple(marks), height) for axis, marks, height in every if marks)
+    return Figure(Axis("frequency [Hz]", log=True), panels, tuple(_uprights(joint)))
 
 
 def words(joint: JointModel, measured: FrequencyResponse | None) -> str:
@@ -148,38 +147,40 @@ def _lines_between(measured: FrequencyResponse, low: float, high: float) -> np.n
     return np.unique(np.searchsorted(f, wanted).clip(inside[0], inside[-1]))
 
 
-def _measured(measured: FrequencyResponse, seen: np.ndarray) -> list[Figure]:
-    """Points, grey where they say little."""
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """Marks of each panel, as they come."""
+
+    magnitude: list[Mark] = field(default_factory=list)
+    phase: list[Mark] = field(default_factory=list)
+    coherence: list[Mark] = field(default_factory=list)
+
+
+def _measured(drawn: _Drawn, measured: FrequencyResponse, seen: np.ndarray) -> None:
+    """Points, grey where they say little, and an area below the coherence."""
     G = measured.response[seen, 0, 0]
     f = measured.frequencies_hz[seen]
     sure = trusted(measured)[seen]
-    data = []
     kinds = (("measured", MEASURED, sure), ("measured, doubtful", RESIDUAL, ~sure))
     for name, colour, chosen in kinds:
         if chosen.any():
-            at = rounded(f[chosen])
-            size, phase = decibel(np.abs(G[chosen])), np.rad2deg(np.angle(G[chosen]))
+            at = f[chosen]
             # paler and larger than the lines over them, which are then seen where both agree
-            pale = {"marker": {"color": colour, "size": _DOT, "opacity": _PALE}}
-            data.append(dots(at, size, name, colour) | pale | place(0, name, first=True))
-            data.append(dots(at, phase, name, colour) | pale | place(1, name, first=False))
-    return data
+            size, phase = decibel(np.abs(G[chosen])), np.rad2deg(np.angle(G[chosen]))
+            drawn.magnitude.append(Markers(at, size, name, colour, _DOT, _PALE))
+            drawn.phase.append(Markers(at, phase, name, colour, _DOT, _PALE))
+    if measured.coherence is not None:
+        coherence, name = measured.coherence[seen, 0], "coherence"
+        drawn.coherence.append(Band(f, np.zeros(len(f)), coherence, MEASURED, name))
+        drawn.coherence.append(Line(f, coherence, name, MEASURED, width=1.0, legend=False))
 
 
-def _coherence(f: FloatArray, coherence: FloatArray) -> list[Figure]:
-    """An area below the coherence."""
-    at = rounded(f)
-    area = band(at, np.zeros(len(f)), coherence, MEASURED)
-    edge = line(at, coherence, "coherence", MEASURED, width=1)
-    return [part | place(2, "coherence", first=False) for part in (area, edge)]
-
-
-def _physical(joint: JointModel, gear_ratio: float, f: FloatArray) -> list[Figure]:
+def _physical(drawn: _Drawn, joint: JointModel, gear_ratio: float, f: FloatArray) -> None:
     """The curve of the physical model and its 95 % band, by the delta method."""
     vector = vector_of(joint)
     G = motor_response(vector, gear_ratio, f)
     name = "physical model"
-    data = _curve(f, G, name, MODEL, "solid")
+    _curve(drawn, f, G, name, MODEL, SOLID)
     # dG/G: of the modulus, and i times the phase
     relative = response_jacobian(vector, gear_ratio, f) / G[:, None]
     J = np.concatenate([relative.real, relative.imag])
@@ -190,20 +191,16 @@ def _physical(joint: JointModel, gear_ratio: float, f: FloatArray) -> list[Figur
         reach = np.minimum(np.rad2deg(turn), 180.0)
         modulus = np.abs(G)
         low, high = modulus * np.maximum(1.0 - size, _BOTTOM), modulus * (1.0 + size)
-        at = rounded(f)
-        data.append(band(at, decibel(low), decibel(high), MODEL) | place(0, name, first=False))
-        data.append(band(at, phase - reach, phase + reach, MODEL) | place(1, name, first=False))
-    return data
+        drawn.magnitude.append(Band(f, decibel(low), decibel(high), MODEL, name))
+        drawn.phase.append(Band(f, phase - reach, phase + reach, MODEL, name))
 
 
-def _curve(f: FloatArray, G: ComplexArray, name: str, colour: str, dash: str) -> list[Figure]:
+def _curve(
+    drawn: _Drawn, f: FloatArray, G: ComplexArray, name: str, colour: str, dash: Dash
+) -> None:
     """Magnitude and phase of one model."""
-    at = rounded(f)
-    size, phase = decibel(np.abs(G)), np.rad2deg(np.angle(G))
-    return [
-        line(at, size, name, colour, dash=dash) | place(0, name, first=True),
-        line(at, phase, name, colour, dash=dash) | place(1, name, first=False),
-    ]
+    drawn.magnitude.append(Line(f, decibel(np.abs(G)), name, colour, dash))
+    drawn.phase.append(Line(f, np.rad2deg(np.angle(G)), name, colour, dash))
 
 
 def _modes(joint: JointModel) -> list[tuple[str, Mode]]:
@@ -211,20 +208,13 @@ def _modes(joint: JointModel) -> list[tuple[str, Mode]]:
     return [(name, mode) for name, mode in both if mode is not None]
 
 
-def _marks(joint: JointModel, height: float) -> list[Figure]:
+def _uprights(joint: JointModel) -> Iterator[Upright]:
     """Lines at both modes, and at the edges of the band that was fitted.
 
     The words stand in the phase's panel, which is empty there: left of one, right of the other.
     """
-    marks = [
-        upright(
-            mode.frequency_hz,
-            f"{name} {mode.frequency_hz:.4g} Hz",
-            height=height,
-            before=name == "anti-resonance",
-            log=True,
-            dash="solid",
-        )
-        for name, mode in _modes(joint)
-    ]
-    return marks + [upright(edge, "", log=True) for edge in joint.band_hz]
+    for name, mode in _modes(joint):
+        text, before = f"{name} {mode.frequency_hz:.4g} Hz", name == "anti-resonance"
+        yield Upright(mode.frequency_hz, text, panel=1, before=before, dash=SOLID)
+    for edge in joint.band_hz:
+        yield Upright(edge)

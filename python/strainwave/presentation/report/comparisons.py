@@ -84,7 +84,7 @@ def _blocks(tally: Tally) -> Iterator[Block]:
     heads: Row = ("criterion", number("value"), "limit", "kept")
     yield from table("Criteria", heads, map(_criterion, c.criteria))
     for k, drawn in enumerate(c.plots):
-        yield Plot(f"plot {_key(c)} {k}", str(drawn["layout"].get("meta", c.title)), drawn)
+        yield Plot(f"plot {_key(c)} {k}", drawn.caption or c.title, drawn)
     heads = ("model", "method", number("order"), "status", "warnings")
     yield from table("Models", heads, map(_model, c.evidence))
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter
-from strainwave.presentation.report.figures import MEASURED, MODEL, Figure, panels
+from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, HeatMap, Panel
 
 STRONG = 0.95  # from which two parameters are said to be told only together
 _MOST_PAIRS = 8
 # what follows from others goes with them of necessity, and is left out beside them
 _PARTS = {"total_viscous_friction": "motor_viscous_friction", "link_inertia": "beta"}
-_LETTERS = 10  # pixels high, so that thirty names stand one below the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,30 +94,10 @@ def heat_map(found: Correlations) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
-    names = list(found.names)
-    layout = panels("", [""])
-    every = {"dtick": 1, "tickfont": {"size": _LETTERS}}  # every name is written
-    layout["yaxis"] |= {"autorange": "reversed", **every}
-    layout["xaxis"] |= {"tickangle": -90, **every}
-    room = 10 + round(0.6 * _LETTERS * max(len(name) for name in names))
-    layout["margin"] = {"l": room, "b": room}
-    return {
-        "data": [
-            {
-                "type": "heatmap",
-                "x": names,
-                "y": names,
-                "z": np.round(found.matrix, 3).tolist(),
-                "zmin": -1.0,
-                "zmax": 1.0,
-                "colorscale": [[0.0, MEASURED], [0.5, "#FFFFFF"], [1.0, MODEL]],
-            }
-        ],
-        "layout": layout,
-    }
+    mark = HeatMap(found.names, found.matrix, -1.0, 1.0, (MEASURED, "#FFFFFF", MODEL))
+    return Figure(Axis(""), (Panel(Axis(""), (mark,)),))
 
 
 def _of(parameters: Sequence[Parameter], covariance: FloatArray) -> Correlations | None:

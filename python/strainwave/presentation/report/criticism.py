@@ -8,8 +8,8 @@ import numpy as np
 
 from strainwave.domain import Criticism, ResidualTest, ScoreTest
 from strainwave.domain.formatting import plus_minus
+from strainwave.presentation.figures import BRIEF, MEASURED, RESIDUAL, Axis, Figure, Line, Panel
 from strainwave.presentation.report.blocks import Block, Fold, Plot, Row, Table, number, table
-from strainwave.presentation.report.figures import MEASURED, RESIDUAL, Figure, line, panels, rounded
 from strainwave.presentation.report.predictions import unit_of
 
 _CHANCE = 1e-3  # probabilities below are not told apart
@@ -41,7 +41,7 @@ def criticised(criticism: Criticism) -> Iterator[Block]:
         label = f"{test.experiment}, {test.channel}: residuals over frequency"
         words = f"The residuals are {_loudness(test):.2g} times the sensor's noise, and exceed it"
         words += f" most near {test.worst_hz:.3g} Hz."
-        yield Plot(f"left {test.channel}", label, spectrum(test), words)
+        yield Plot(f"residuals {test.channel}", label, spectrum(test), words)
 
 
 def _tests(title: str, tests: Sequence[ResidualTest], *, heading: bool = True) -> Iterator[Table]:
@@ -59,22 +59,17 @@ def spectrum(test: ResidualTest) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
     seen = test.frequency_hz > 0.0
-    at = rounded(test.frequency_hz[seen])
-    densities = [np.sqrt(d[seen]) for d in (test.density, test.noise_density)]
-    quantity = f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]"
-    layout = panels("frequency [Hz]", [quantity], log=True)
-    layout["yaxis"]["type"] = "log"
-    return {
-        "data": [
-            line(at, densities[0], "left", MEASURED),
-            line(at, densities[1], "noise of the sensor", RESIDUAL, dash="4px,2px"),
-        ],
-        "layout": layout,
-    }
+    f = test.frequency_hz[seen]
+    residuals, noise = (np.sqrt(d[seen]) for d in (test.density, test.noise_density))
+    axis = Axis(f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]", log=True)
+    lines = (
+        Line(f, residuals, "residuals", MEASURED),
+        Line(f, noise, "noise of the sensor", RESIDUAL, BRIEF),
+    )
+    return Figure(Axis("frequency [Hz]", log=True), (Panel(axis, lines),))
 
 
 def _loudness(test: ResidualTest) -> float:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
 from strainwave.presentation.html import filled, source
-from strainwave.presentation.report.blocks import Block, Plot, Section, keyed
-from strainwave.presentation.report.figures import Figure
+from strainwave.presentation.plotly_backend import plotly
+from strainwave.presentation.report.blocks import Block, Section, keyed
 
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 )
 """Nothing may be fetched, and nothing be evaluated but what stands in the page."""
-
-_ROWS = 6  # of a heat map in the height of a panel: their names still stand apart
 
 
 def document(
@@ -49,23 +46,14 @@ def document(
         before=before,
         sections=shown,
         key_of=lambda plot: keys[id(plot)],
-        panels_of=_panels,
         style=Markup(source("report/page.css")),
-        figures=Markup(_inline_json({key: plot.figure for key, plot in plots.items()})),
-        scripts=[Markup(_plotly()), Markup(source("report/page.js"))] if plots else [],
+        figures=Markup(_inline_json({key: plotly(plot.figure) for key, plot in plots.items()})),
+        scripts=[Markup(_script()), Markup(source("report/page.js"))] if plots else [],
     )
 
 
-def _panels(plot: Plot) -> int:
-    """Height of a figure, in panels."""
-    drawn: Figure = plot.figure
-    panels = sum(axis.startswith("yaxis") for axis in drawn["layout"]) or 1
-    rows = max((len(t["y"]) for t in drawn["data"] if t.get("type") == "heatmap"), default=0)
-    return max(panels, 1 + math.ceil(rows / _ROWS) if rows else 0)
-
-
-def _plotly() -> str:
-    """The script alone: to import the package around it takes longer than to fill the page."""
+def _script() -> str:
+    """Plotly's script alone: to import the package around it takes longer than to fill the page."""
     found = find_spec("plotly")
     if found is None or found.origin is None:
         raise ModuleNotFoundError("plotly")

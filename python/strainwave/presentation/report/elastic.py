@@ -6,7 +6,7 @@ import numpy as np
 
 from strainwave.domain import Delay, Identification, JointModel, Mode, RecordModel, Sweep
 from strainwave.domain.formatting import percent, plus_minus
-from strainwave.presentation.report.figures import MEASURED, Figure, dots, panels, rounded
+from strainwave.presentation.figures import MEASURED, Axis, Figure, Markers, Panel
 
 
 def stiffness(sweep: Sweep) -> Figure:
@@ -18,17 +18,14 @@ def stiffness(sweep: Sweep) -> Figure:
 
     Returns
     -------
-    dict
+    Figure
     """
     x = np.array([point.amplitude for point in sweep.points])
     y = np.array([point.gear_stiffness for point in sweep.points])
     bars = 1.96 * np.array([point.gear_stiffness_std for point in sweep.points])
-    points = dots(rounded(x), y, "equivalent stiffness", MEASURED, size=8)
-    points["error_y"] = {"type": "data", "array": rounded(bars), "color": MEASURED}
-    return {
-        "data": [points],
-        "layout": panels("amplitude of excitation [V]", ["k [N m/rad]"]),
-    }
+    points = Markers(x, y, "equivalent stiffness", MEASURED, size=8.0, error=bars)
+    panel = Panel(Axis("k_G [N m/rad]"), (points,))
+    return Figure(Axis("amplitude of excitation [V]"), (panel,))
 
 
 def resonance_rows(identification: Identification) -> list[tuple[str, ...]]:

@@ -9,18 +9,18 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter, TorqueHistogram
 from strainwave.domain.formatting import plus_minus
-from strainwave.presentation.report.figures import (
+from strainwave.presentation.figures import (
+    BRIEF,
     MEASURED,
     MODEL,
     RESIDUAL,
+    Axis,
+    Band,
+    Bars,
     Figure,
-    band,
-    line,
-    marked,
-    panels,
-    place,
-    rounded,
-    upright,
+    Line,
+    Panel,
+    Upright,
 )
 
 _SLOPES = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
@@ -94,30 +94,26 @@ def slope_figure(curve: Curve) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
     edges = np.concatenate([[0.0], curve.knees, [curve.largest]])
     torque = np.repeat(edges, 2)[1:-1]
     slope = np.repeat(curve.slopes, 2)
     reach = _REACH * np.repeat(_stds(curve)[: len(curve.slopes)], 2)
-    at = rounded(torque)
-    data = [
-        band(at, slope - reach, slope + reach, MODEL) | place(0, "slope", first=False),
-        line(at, slope, "slope", MODEL, width=2.0) | place(0, "slope", first=True),
-    ]
-    titles = [f"slope [{curve.slope_unit}]"]
+    stiffness = Panel(
+        Axis(f"slope [{curve.slope_unit}]", range=(0.0, 1.1 * float((slope + reach).max()))),
+        (
+            Band(torque, slope - reach, slope + reach, MODEL, "slope"),
+            Line(torque, slope, "slope", MODEL, width=2.0),
+        ),
+        height=1.1,
+    )
+    panels = [stiffness]
     if curve.carried is not None:
-        titles.append("records [%]")
-        data.append(_bars(curve.carried) | place(1, "torques in the records", first=True))
-    heights = [1.0, 0.8][: len(titles)]
-    layout = panels(f"|torque| of the gear, at the link [{curve.unit}]", titles, heights=heights)
-    if curve.carried is not None:
-        layout["yaxis2"]["type"] = "log"  # the rare large torques tell the last slope
-    layout["yaxis"]["range"] = [0.0, 1.1 * float((slope + reach).max())]
-    low, high = layout["yaxis"]["domain"]
-    marks = _marks(curve, curve.knees, low + 0.25 * (high - low))
-    return {"data": data, "layout": marked(layout, marks)}
+        # logarithmic: the rare large torques identify the last slope
+        panels.append(Panel(Axis("records [%]", log=True), (_bars(curve.carried),), height=0.9))
+    axis = Axis(f"|torque| of the gear, at the link [{curve.unit}]")
+    return Figure(axis, tuple(panels), _knees(curve, curve.knees, height=0.25))
 
 
 def torsion_figure(curve: Curve) -> Figure:
@@ -129,27 +125,22 @@ def torsion_figure(curve: Curve) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
     torque = np.linspace(0.0, curve.largest, _POINTS)
     torsion, std = torsion_at(curve, torque)
-    at = rounded(1e3 * torsion)
     # the band of the torque at a given torsion: that of the torsion times the slope
     slope = curve.slopes[np.searchsorted(curve.knees, torque)]
     reach = _REACH * std * slope
-    straight = curve.slopes[0] * torsion
-    data = [
-        band(at, torque - reach, torque + reach, MODEL),
-        line(at, torque, "gear", MODEL, width=2.0),
-        line(at, straight, "its first slope", RESIDUAL, dash="4px,2px", width=1.0),
-    ]
-    layout = panels(
-        f"torsion of the gear, at the link [{'mm' if curve.straight else 'mrad'}]",
-        [f"torque [{curve.unit}]"],
+    at, straight = 1e3 * torsion, curve.slopes[0] * torsion
+    marks = (
+        Band(at, torque - reach, torque + reach, MODEL, "gear"),
+        Line(at, torque, "gear", MODEL, width=2.0),
+        Line(at, straight, "its first slope", RESIDUAL, BRIEF, width=1.0),
     )
+    axis = Axis(f"torsion of the gear, at the link [{'mm' if curve.straight else 'mrad'}]")
     knees = 1e3 * torsion_at(curve, curve.knees)[0]
-    return {"data": data, "layout": marked(layout, _marks(curve, knees, 1.0))}
+    return Figure(axis, (Panel(Axis(f"torque [{curve.unit}]"), marks),), _knees(curve, knees))
 
 
 def torsion_at(curve: Curve, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -239,22 +230,16 @@ def _stds(curve: Curve) -> FloatArray:
     return np.asarray(np.sqrt(np.clip(np.diag(curve.covariance), 0.0, None)))
 
 
-def _bars(carried: TorqueHistogram) -> Figure:
+def _bars(carried: TorqueHistogram) -> Bars:
     """Share of the samples in each bin."""
     middle = 0.5 * (carried.edges[1:] + carried.edges[:-1])
-    return {
-        "type": "bar",
-        "name": "torques in the records",
-        "x": rounded(middle),
-        "y": rounded(100.0 * carried.share),
-        "width": float(np.diff(carried.edges)[0]),
-        "marker": {"color": MEASURED},
-    }
+    width = float(np.diff(carried.edges)[0])
+    return Bars(middle, 100.0 * carried.share, width, "torques in the records", MEASURED)
 
 
-def _marks(curve: Curve, at: FloatArray, height: float) -> list[Figure]:
+def _knees(curve: Curve, at: FloatArray, height: float = 1.0) -> tuple[Upright, ...]:
     """A line at each knee."""
-    return [
-        upright(float(x), f"{torque:.3g} {curve.unit}", height=height)
+    return tuple(
+        Upright(float(x), f"{torque:.3g} {curve.unit}", height=height)
         for x, torque in zip(at, curve.knees, strict=True)
-    ]
+    )

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from strainwave.domain import FloatArray, MotorResponse
-from strainwave.presentation.report.figures import (
+from strainwave.presentation.figures import (
+    DOTTED,
     MEASURED,
     RESIDUAL,
+    SOLID,
     TUNED,
+    Axis,
     Figure,
+    Line,
+    Mark,
+    Markers,
+    Panel,
+    Upright,
     decibel,
-    dots,
-    line,
-    marked,
-    panels,
-    place,
-    rounded,
-    upright,
 )
 
 _SURE = 0.8  # coherence from which a measured line is drawn as such
@@ -37,44 +38,47 @@ def figure_of(seen: MotorResponse, *, straight: bool = False) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
-    unit = "m/s/N" if straight else "rad/s/(N m)"
     f = seen.frequencies_hz
     chosen = _spread(f)
     sure = seen.coherence >= _SURE
-    data: list[Figure] = []
+    magnitude: list[Mark] = []
+    phase: list[Mark] = []
     kinds = (("measured", MEASURED, sure), ("measured, doubtful", RESIDUAL, ~sure))
     for name, colour, own in kinds:
         at = chosen[own[chosen]]
         if at.size:
-            x, G = rounded(f[at]), seen.measured[at]
-            data.append(dots(x, decibel(np.abs(G)), name, colour) | place(0, name, first=True))
-            phase = np.rad2deg(np.angle(G))
-            data.append(dots(x, phase, name, colour) | place(1, name, first=False))
-    x, G, name = rounded(f[chosen]), seen.fitted[chosen], "fitted arm, simulated"
-    data.append(line(x, decibel(np.abs(G)), name, TUNED) | place(0, name, first=True))
-    data.append(line(x, np.rad2deg(np.angle(G)), name, TUNED) | place(1, name, first=False))
-    layout = panels("frequency [Hz]", (f"dB re {unit}", "phase [°]"), log=True, heights=(1.0, 0.7))
-    layout["yaxis2"]["dtick"] = 90
-    height = layout["yaxis2"]["domain"][1]
+            x, G = f[at], seen.measured[at]
+            magnitude.append(Markers(x, decibel(np.abs(G)), name, colour))
+            phase.append(Markers(x, np.rad2deg(np.angle(G)), name, colour))
+    x, G, name = f[chosen], seen.fitted[chosen], "fitted arm, simulated"
+    magnitude.append(Line(x, decibel(np.abs(G)), name, TUNED))
+    phase.append(Line(x, np.rad2deg(np.angle(G)), name, TUNED))
+    panels = (
+        Panel(Axis(f"dB re {'m/s/N' if straight else 'rad/s/(N m)'}"), tuple(magnitude), 1.2),
+        Panel(Axis("phase [°]", step=90.0), tuple(phase), 0.8),
+    )
+    return Figure(Axis("frequency [Hz]", log=True), panels, tuple(_uprights(seen)))
+
+
+def _uprights(seen: MotorResponse) -> Iterator[Upright]:
+    """A line at each mode; words of neighbours differ in height, the first of a kind says which."""
+    f = seen.frequencies_hz
     modes = [
         *((value, "anti-resonance", True) for value in _within(seen.anti_resonances_hz, f)),
         *((value, "resonance", False) for value in _within(seen.resonances_hz, f)),
     ]
-    marks = [
-        upright(
+    for k, (value, name, before) in enumerate(modes):
+        alike = k > 0 and name == modes[k - 1][1]
+        yield Upright(
             value,
-            f"{name} {value:.3g} Hz" if k < 1 or name != modes[k - 1][1] else f"{value:.3g} Hz",
-            height=height * (1.0 - 0.16 * (k % 2)),
+            f"{value:.3g} Hz" if alike else f"{name} {value:.3g} Hz",
+            panel=1,
+            height=1.0 - 0.16 * (k % 2),
             before=before,
-            log=True,
-            dash="solid" if before else "dot",
+            dash=SOLID if before else DOTTED,
         )
-        for k, (value, name, before) in enumerate(modes)
-    ]
-    return {"data": data, "layout": marked(layout, marks)}
 
 
 def words_of(seen: MotorResponse) -> str:

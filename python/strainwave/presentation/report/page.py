@@ -9,6 +9,7 @@ from strainwave.domain import CONDITIONS, ArmModel, Identification, JointModel, 
 from strainwave.domain.formatting import percent
 from strainwave.domain.options import chosen_options
 from strainwave.domain.parameters import link_inertia
+from strainwave.presentation.figures import MOST_POINTS, Figure
 from strainwave.presentation.report import (
     amplitudes,
     bode,
@@ -33,7 +34,6 @@ from strainwave.presentation.report.blocks import (
 )
 from strainwave.presentation.report.criticism import criticised
 from strainwave.presentation.report.document import document
-from strainwave.presentation.report.figures import MOST_POINTS, Figure
 from strainwave.presentation.report.parameters import meanings_table, parameter_table
 from strainwave.presentation.report.predictions import of_prediction
 from strainwave.presentation.report.remedies import warnings_table
@@ -70,7 +70,7 @@ def figures_of(identification: Identification) -> dict[str, Figure]:
     Returns
     -------
     dict
-        Name, fit for a file, to a plotly figure.
+        Name, fit for a file, to a figure.
     """
     return {key: plot.figure for key, plot in keyed(_sections(identification)).items()}
 

@@ -1,4 +1,4 @@
-"""Records over time: what was measured, what the model predicts, and what is between."""
+"""Records over time: what was measured and what the model predicts; below, the residuals."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import Joint, Prediction
-from strainwave.presentation.report.figures import (
+from strainwave.presentation.figures import (
     MEASURED,
     MODEL,
     MOST_POINTS,
     RESIDUAL,
+    Axis,
+    Dash,
     Figure,
-    line,
-    panels,
-    place,
-    rounded,
+    Line,
+    Panel,
     thinned,
 )
 
+_WIDE: Dash = (6.0, 4.0)  # of the model, over what was measured
+_RESIDUALS = 0.45  # height of a panel of residuals beside the one above it
 _UNITS = {"u": "V", "torque": "N m", "omega_m": "rad/s", "a": "m/s²"}
 _STRAIGHT = {"u": "V", "torque": "N", "omega_m": "m/s", "a": "m/s²"}
 
@@ -30,7 +32,7 @@ def of_prediction(
     most: int = MOST_POINTS,
     channels: Sequence[str] = (),
 ) -> Figure:
-    """A record's channels over time, one above the other: measured, predicted, and the difference.
+    """A record's channels over time: measured and predicted, and beneath each its residuals.
 
     Parameters
     ----------
@@ -44,26 +46,23 @@ def of_prediction(
 
     Returns
     -------
-    dict
-        A plotly figure: `data` and `layout`.
+    Figure
     """
-    data: list[Figure] = []
-    names = channels or prediction.channels
-    for k, channel in enumerate(names):
+    panels: list[Panel] = []
+    for channel in channels or prediction.channels:
         column = prediction.channels.index(channel)
         measured, predicted = prediction.measured[:, column], prediction.predicted[:, column]
-        pick = thinned(np.column_stack([measured, predicted, measured - predicted]), most)
-        time = rounded(prediction.time[pick])
-        looks = (
-            (measured - predicted, "difference", RESIDUAL, "solid", 1.0),
-            (measured, "measured", MEASURED, "solid", 2.5),
-            (predicted, "model", MODEL, "6px,4px", 1.5),
+        residuals = measured - predicted
+        pick = thinned(np.column_stack([measured, predicted, residuals]), most)
+        time = prediction.time[pick]
+        both = (
+            Line(time, measured[pick], "measured", MEASURED, width=2.5),
+            Line(time, predicted[pick], "model", MODEL, _WIDE),
         )
-        for y, name, colour, dash, width in looks:
-            drawn = line(time, y[pick], name, colour, dash=dash, width=width)
-            data.append(drawn | place(k, name, first=k == 0))
-    titles = [f"{name} [{unit_of(name, joints)}]" for name in names]
-    return {"data": data, "layout": panels("time [s]", titles)}
+        beneath = Line(time, residuals[pick], "residuals", RESIDUAL, width=1.0)
+        panels.append(Panel(Axis(f"{channel} [{unit_of(channel, joints)}]"), both))
+        panels.append(Panel(Axis("residuals"), (beneath,), _RESIDUALS))
+    return Figure(Axis("time [s]"), tuple(panels))
 
 
 def unit_of(channel: str, joints: Sequence[Joint] = ()) -> str:

@@ -6,20 +6,21 @@ import numpy as np
 
 from strainwave.domain import Decoupled, FloatArray, Identification
 from strainwave.numerics.spectra import cross_spectral_densities
-from strainwave.presentation.report.figures import (
+from strainwave.presentation.figures import (
+    BRIEF,
     MEASURED,
     MODEL,
+    SOLID,
+    Axis,
     Figure,
-    line,
-    panels,
-    place,
-    rounded,
+    Line,
+    Panel,
     thinned,
 )
 
 _NAMES = ("motor torque", "interaction torque, at the motor")
 _COLOURS = (MEASURED, MODEL)
-_DASHES = ("solid", "4px,2px")
+_DASHES = (SOLID, BRIEF)
 _SEGMENTS = 8  # Welch segments in a record
 _LONGEST = 0.5  # [s] shown over time: more would be a smear
 _ROOM = 5.0  # times the band in which the motor moves, up to which spectra are drawn
@@ -62,15 +63,13 @@ def over_time(record: Decoupled) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
     shown = record.time <= record.time[0] + _LONGEST
     torques = _at_motor(record)[shown]
     pick = thinned(torques)
-    time = rounded(record.time[shown][pick])
-    layout = panels("time [s]", ["torque [N m]"])
-    return {"data": _lines(time, torques[pick]), "layout": layout}
+    panel = Panel(Axis("torque [N m]"), _lines(record.time[shown][pick], torques[pick]))
+    return Figure(Axis("time [s]"), (panel,))
 
 
 def over_frequency(record: Decoupled) -> Figure:
@@ -82,8 +81,7 @@ def over_frequency(record: Decoupled) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure.
+    Figure
     """
     torques = _at_motor(record)
     segment = min(len(torques), max(16, 2 * len(torques) // (_SEGMENTS + 1)))
@@ -91,10 +89,8 @@ def over_frequency(record: Decoupled) -> Figure:
     power = np.einsum("fii->fi", density).real
     end = _ROOM * float(record.richness_hz.max(initial=0.0)) or np.inf
     shown = (frequency > 0.0) & (frequency <= end)
-    layout = panels("frequency [Hz]", ["N m/sqrt(Hz)"], log=True)
-    layout["yaxis"]["type"] = "log"
-    at = rounded(frequency[shown])
-    return {"data": _lines(at, np.sqrt(power[shown])), "layout": layout}
+    panel = Panel(Axis("N m/sqrt(Hz)", log=True), _lines(frequency[shown], np.sqrt(power[shown])))
+    return Figure(Axis("frequency [Hz]", log=True), (panel,))
 
 
 def words(record: Decoupled) -> str:
@@ -120,8 +116,6 @@ def _at_motor(record: Decoupled) -> FloatArray:
     return np.asarray(record.inputs * np.array([1.0, record.gear_ratio]))
 
 
-def _lines(x: list[float | None], torques: FloatArray) -> list[Figure]:
-    return [
-        line(x, torques[:, k], name, colour, dash=dash) | place(0, name, first=True)
-        for k, (name, colour, dash) in enumerate(zip(_NAMES, _COLOURS, _DASHES, strict=True))
-    ]
+def _lines(x: FloatArray, torques: FloatArray) -> tuple[Line, ...]:
+    looks = enumerate(zip(_NAMES, _COLOURS, _DASHES, strict=True))
+    return tuple(Line(x, torques[:, k], name, colour, dash) for k, (name, colour, dash) in looks)

@@ -1,7 +1,7 @@
-"""Figures of the comparisons: responses, lines over time, spectra, points with error bars.
+"""Charts of any arm's data: responses, lines over time, spectra, points with error bars.
 
-No two lines of a figure look alike: colours are Okabe and Ito's, and every colour has its dash. The
-truth is grey and wide, and lies below the others.
+No two lines of a figure look alike: every colour has its dash. The truth is grey and wide, and lies
+below the others.
 """
 
 from __future__ import annotations
@@ -12,24 +12,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray
-from strainwave.presentation.report.figures import (
+from strainwave.presentation.figures.records import (
+    SOLID,
+    Axis,
+    Band,
+    Dash,
+    Figure,
+    Line,
+    Mark,
+    Panel,
+)
+from strainwave.presentation.figures.samples import decibel, thinned
+from strainwave.presentation.figures.style import (
+    BRIEF,
+    DASHES,
     MEASURED,
     MODEL,
+    PALETTE,
     RESIDUAL,
-    Figure,
-    band,
-    decibel,
-    line,
-    panels,
-    place,
-    rounded,
-    thinned,
 )
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-DASHES = ("solid", "6px,3px", "2px,2px", "8px,3px,2px,3px", "10px,4px", "4px,2px,1px,2px")
-TRUTH = RESIDUAL
+_TRUTH = RESIDUAL
 _REACH = 1.96  # of a 95 % band, in deviations
+_DOT = 6.0  # [px] of a point with an error bar
+_SMALL = 0.4  # height of a panel of residuals beside the one above it
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,35 +82,33 @@ def bode(curves: Sequence[Curve], caption: str) -> Figure:
 
     Returns
     -------
-    dict
-        A plotly figure; its caption is `layout.meta`.
+    Figure
     """
-    data: list[Figure] = []
+    magnitude: list[Mark] = []
+    phases: list[Mark] = []
     for curve, (colour, dash, width) in zip(curves, _looks([c.true for c in curves]), strict=True):
-        frequency = rounded(curve.frequencies_hz)
+        f, name = curve.frequencies_hz, curve.name
         size = np.abs(curve.response)
         phase = np.rad2deg(np.unwrap(np.angle(curve.response)))
         phase = phase - 360.0 * np.round(phase[len(phase) // 2] / 360.0)
         if curve.magnitude_std is not None:
             reach = _REACH * curve.magnitude_std
             low = np.maximum(size - reach, 1e-2 * size)  # a band down to zero has no bottom in dB
-            edges = decibel(low), decibel(size + reach)
-            drawn = band(frequency, *edges, colour)
-            data.append(drawn | place(0, curve.name, first=False))
+            magnitude.append(Band(f, decibel(low), decibel(size + reach), colour, name))
         if curve.phase_std is not None:
             reach = np.minimum(np.rad2deg(_REACH * curve.phase_std), 180.0)
-            drawn = band(frequency, phase - reach, phase + reach, colour)
-            data.append(drawn | place(1, curve.name, first=False))
-        for panel, y in enumerate((decibel(size), phase)):
-            drawn = line(frequency, y, curve.name, colour, dash=dash, width=width)
-            data.append(drawn | place(panel, curve.name, first=panel == 0))
-    layout = panels("frequency [Hz]", ["magnitude [dB]", "phase [°]"], log=True)
-    layout["yaxis2"]["dtick"] = 90
-    return {"data": data, "layout": {"meta": caption} | layout}
+            phases.append(Band(f, phase - reach, phase + reach, colour, name))
+        magnitude.append(Line(f, decibel(size), name, colour, dash, width))
+        phases.append(Line(f, phase, name, colour, dash, width))
+    panels = (
+        Panel(Axis("magnitude [dB]"), tuple(magnitude)),
+        Panel(Axis("phase [°]", step=90.0), tuple(phases)),
+    )
+    return Figure(Axis("frequency [Hz]", log=True), panels, caption=caption)
 
 
 def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure:
-    """What was measured over time, the model's answer, and their difference.
+    """What was measured over time and the model's answer; below, their difference.
 
     Parameters
     ----------
@@ -116,18 +120,18 @@ def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure
 
     Returns
     -------
-    dict
+    Figure
     """
-    pick = thinned(np.column_stack([measured.y, model.y, measured.y - model.y]))
-    time = rounded(measured.x[pick])
-    return {
-        "data": [
-            line(time, measured.y[pick], measured.name, MEASURED),
-            line(time, model.y[pick], model.name, MODEL, dash="4px,2px"),
-            line(time, (measured.y - model.y)[pick], "difference", RESIDUAL, width=1),
-        ],
-        "layout": _axes("time [s]", quantity, caption),
-    }
+    residual = measured.y - model.y
+    pick = thinned(np.column_stack([measured.y, model.y, residual]))
+    time = measured.x[pick]
+    both = (
+        Line(time, measured.y[pick], measured.name, MEASURED),
+        Line(time, model.y[pick], model.name, MODEL, BRIEF),
+    )
+    left = Line(time, residual[pick], "difference", RESIDUAL, width=1.0, legend=False)
+    panels = Panel(Axis(quantity), both), Panel(Axis("difference"), (left,), _SMALL)
+    return Figure(Axis("time [s]"), panels, caption=caption)
 
 
 def lines(series: Sequence[Series], axis: str, quantity: str, caption: str) -> Figure:
@@ -142,15 +146,9 @@ def lines(series: Sequence[Series], axis: str, quantity: str, caption: str) -> F
 
     Returns
     -------
-    dict
+    Figure
     """
-    data = []
-    for one, (colour, dash, width) in zip(series, _looks([s.true for s in series]), strict=True):
-        pick = thinned(one.y)
-        data.append(
-            line(rounded(one.x[pick]), one.y[pick], one.name, colour, dash=dash, width=width)
-        )
-    return {"data": data, "layout": _axes(axis, quantity, caption)}
+    return Figure(Axis(axis), (Panel(Axis(quantity), _lines(series)),), caption=caption)
 
 
 def spectrum(series: Sequence[Series], quantity: str, caption: str) -> Figure:
@@ -166,12 +164,11 @@ def spectrum(series: Sequence[Series], quantity: str, caption: str) -> Figure:
 
     Returns
     -------
-    dict
+    Figure
     """
     inside = [Series(s.name, s.x[s.x > 0.0], 0.5 * decibel(s.y[s.x > 0.0]), s.true) for s in series]
-    figure = lines(inside, "frequency [Hz]", f"density [dB re {quantity}]", caption)
-    figure["layout"]["xaxis"]["type"] = "log"
-    return figure
+    panel = Panel(Axis(f"density [dB re {quantity}]"), _lines(inside))
+    return Figure(Axis("frequency [Hz]", log=True), (panel,), caption=caption)
 
 
 def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) -> Figure:
@@ -185,33 +182,29 @@ def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) ->
 
     Returns
     -------
-    dict
+    Figure
     """
-    data = []
+    drawn = []
     for one, (colour, dash, width) in zip(points, _looks([p.true for p in points]), strict=True):
-        trace = line(rounded(one.x), one.y, one.name, colour, dash=dash, width=width)
-        if one.std is not None:
-            trace |= {"mode": "lines+markers", "marker": {"color": colour}}
-            bar = rounded(_REACH * one.std)
-            trace["error_y"] = {"type": "data", "array": bar, "color": colour, "thickness": 1.2}
-        data.append(trace)
-    return {"data": data, "layout": _axes(axis, quantity, caption)}
+        error, dot = (None, 0.0) if one.std is None else (_REACH * one.std, _DOT)
+        drawn.append(Line(one.x, one.y, one.name, colour, dash, width, size=dot, error=error))
+    return Figure(Axis(axis), (Panel(Axis(quantity), tuple(drawn)),), caption=caption)
 
 
-def _axes(axis: str, quantity: str, caption: str) -> Figure:
-    return {
-        "meta": caption,
-        "xaxis": {"title": {"text": axis}},
-        "yaxis": {"title": {"text": quantity}},
-    }
+def _lines(series: Sequence[Series]) -> tuple[Line, ...]:
+    drawn = []
+    for one, (colour, dash, width) in zip(series, _looks([s.true for s in series]), strict=True):
+        pick = thinned(one.y)
+        drawn.append(Line(one.x[pick], one.y[pick], one.name, colour, dash, width))
+    return tuple(drawn)
 
 
-def _looks(true: Sequence[bool]) -> list[tuple[str, str, float]]:
+def _looks(true: Sequence[bool]) -> list[tuple[str, Dash, float]]:
     """Colour, dash and width of each line: no two look alike, also without colour."""
     looks, k = [], 0
     for is_true in true:
         if is_true:
-            looks.append((TRUTH, "solid", 4.0))
+            looks.append((_TRUTH, SOLID, 4.0))
         else:
             looks.append((PALETTE[k % len(PALETTE)], DASHES[k % len(DASHES)], 1.5))
             k += 1

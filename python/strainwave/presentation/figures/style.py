@@ -1,0 +1,27 @@
+"""Colours and dashes: Okabe and Ito's, which the colour-blind can distinguish.
+
+Measured is always dark blue, the model always vermilion, and every colour has its dash, so that
+nothing is distinguished by colour alone.
+"""
+
+from __future__ import annotations
+
+from strainwave.presentation.figures.records import SOLID, Dash
+
+MEASURED = "#0072B2"
+MODEL = "#D55E00"
+LINEAR = "#009E73"
+TUNED = "#CC79A7"
+RESIDUAL = "#888888"
+
+PALETTE = (MEASURED, MODEL, LINEAR, TUNED, "#56B4E9", "#E69F00")
+DASHES: tuple[Dash, ...] = (
+    SOLID,
+    (6.0, 3.0),
+    (2.0, 2.0),
+    (8.0, 3.0, 2.0, 3.0),
+    (10.0, 4.0),
+    (4.0, 2.0, 1.0, 2.0),
+)
+BRIEF: Dash = (4.0, 2.0)
+"""Of a second line over a first, where there are two."""

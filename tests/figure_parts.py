@@ -1,0 +1,23 @@
+"""Parts of a figure by name, for the tests of what is drawn."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from strainwave.presentation.figures import Band, Bars, Figure, HeatMap, Line, Mark, Markers
+
+T = TypeVar("T", Line, Markers, Band, Bars, HeatMap)
+
+
+def marks(figure: Figure, kind: type[T], panel: int = 0) -> list[T]:
+    return [mark for mark in figure.panels[panel].marks if isinstance(mark, kind)]
+
+
+def line(figure: Figure, name: str, panel: int = 0) -> Line:
+    (found,) = (mark for mark in marks(figure, Line, panel) if mark.name == name)
+    return found
+
+
+def names(figure: Figure, panel: int = 0) -> list[str]:
+    found: list[Mark] = list(figure.panels[panel].marks)
+    return [mark.name for mark in found if isinstance(mark, Line | Markers)]

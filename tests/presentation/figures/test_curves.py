@@ -1,0 +1,63 @@
+"""The common charts: bands, decibels, error bars, residuals, and no two lines alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from figure_parts import line, marks, names
+from strainwave.presentation.figures import RESIDUAL, Band, Line, curves
+
+
+def test_bode_has_bands_and_a_phase_from_the_middle() -> None:
+    f = np.geomspace(1.0, 100.0, 50)
+    response = (1.0 / (2j * np.pi * f)).astype(np.complex128)
+    size = np.abs(response)
+    drawn = curves.bode(
+        [
+            curves.Curve("truth", f, response, true=True),
+            curves.Curve("model", f, response, 0.1 * size, np.full(50, 0.1)),
+        ],
+        "caption",
+    )
+    (above,), (below,) = marks(drawn, Band), marks(drawn, Band, 1)
+    assert above.high == pytest.approx(20.0 * np.log10(1.196 * size))
+    assert below.high - below.low == pytest.approx(np.full(50, np.rad2deg(2.0 * 1.96 * 0.1)))
+    assert drawn.legend == ["truth", "model"]
+    assert line(drawn, "truth").colour == RESIDUAL
+    assert line(drawn, "truth", 1).y == pytest.approx([-90.0] * 50)
+    assert drawn.caption == "caption"
+
+
+def test_no_two_lines_look_alike() -> None:
+    x = np.arange(3.0)
+    many = [curves.Series(f"{k}", x, x) for k in range(6)]
+    drawn = marks(curves.lines(many, "t", "y", "caption"), Line)
+    assert len({one.colour for one in drawn}) == len({one.dash for one in drawn}) == 6
+
+
+def test_points_have_bars_and_bounds_have_none() -> None:
+    x = np.array([2.0, 10.0])
+    points = [curves.Points("model", x, x, np.ones(2)), curves.Points("bound", x, x)]
+    model, bound = marks(curves.scatter(points, "amplitude", "square", "caption"), Line)
+    assert model.error is not None
+    assert model.error.tolist() == [1.96, 1.96]
+    assert model.size > 0.0
+    assert (bound.error, bound.size) == (None, 0.0)
+
+
+def test_a_spectrum_is_in_decibels_of_power() -> None:
+    one = curves.Series("a", np.array([0.0, 1.0, 10.0]), np.array([5.0, 1.0, 100.0]))
+    drawn = curves.spectrum([one], "V²/Hz", "caption")
+    assert drawn.x.log
+    assert line(drawn, "a").x.tolist() == [1.0, 10.0]
+    assert line(drawn, "a").y.tolist() == [0.0, 20.0]
+
+
+def test_a_pair_has_its_difference_beneath() -> None:
+    t = np.arange(4.0)
+    drawn = curves.pair(
+        curves.Series("arm", t, t), curves.Series("model", t, 0.5 * t), "v", "caption"
+    )
+    assert names(drawn) == ["arm", "model"]
+    assert line(drawn, "difference", 1).y.tolist() == [0.0, 0.5, 1.0, 1.5]

@@ -1,0 +1,129 @@
+"""Figures as plotly's dictionaries: panels, rounding, gaps, legends and marks."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from elastic_results import elastic_identification
+from strainwave.presentation.figures import (
+    DOTTED,
+    MEASURED,
+    MODEL,
+    SOLID,
+    Axis,
+    Band,
+    Bars,
+    Figure,
+    HeatMap,
+    Line,
+    Markers,
+    Panel,
+    Upright,
+)
+from strainwave.presentation.plotly_backend import plotly, rounded
+from strainwave.presentation.report import figures_of
+
+X = np.array([1.0, 2.0, 3.0])
+LINE = Line(X, X, "a", MODEL)
+
+
+def figure(*marks: object, **changed: object) -> Figure:
+    return Figure(Axis("x"), (Panel(Axis("y"), marks),), **changed)  # type: ignore[arg-type]
+
+
+def test_panels_do_not_overlap_and_have_their_heights() -> None:
+    panels = tuple(
+        Panel(Axis(name), (LINE,), height) for name, height in zip("abc", (2, 1, 1), strict=True)
+    )
+    layout = plotly(Figure(Axis("x"), panels))["layout"]
+    domains = [layout[name]["domain"] for name in ("yaxis", "yaxis2", "yaxis3")]
+    assert (domains[0][1], domains[2][0]) == (1.0, pytest.approx(0.0, abs=1e-4))
+    for upper, lower in pairwise(domains):
+        assert upper[0] > lower[1]
+    sizes = [high - low for low, high in domains]
+    assert sizes[0] == pytest.approx(2.0 * sizes[1], abs=1e-3)
+    assert layout["xaxis"]["anchor"] == "y3"
+    assert [layout[name]["title"]["text"] for name in ("yaxis", "yaxis2", "yaxis3")] == [*"abc"]
+
+
+def test_numbers_have_five_digits_of_the_largest_and_gaps_are_null() -> None:
+    assert rounded(np.array([123.456789, 1.0, np.nan])) == [123.457, 1.0, None]
+    assert rounded(np.array([np.nan, np.inf])) == [None, None]
+    (trace,) = plotly(figure(Line(X, np.array([1.0, np.nan, 3.0]), "a", MODEL)))["data"]
+    assert trace["y"] == [1.0, None, 3.0]
+
+
+def test_each_name_is_one_entry_and_hides_its_band() -> None:
+    other = Line(X, X, "b", MEASURED, legend=False)
+    drawn = Figure(
+        Axis("x"),
+        (
+            Panel(Axis("y"), (Band(X, X, X, MODEL, "a"), LINE, other)),
+            Panel(Axis("y"), (LINE, Markers(X, X, "c", MEASURED))),
+        ),
+    )
+    data = plotly(drawn)["data"]
+    assert [t["name"] for t in data] == ["a", "a", "b", "a", "c"]
+    assert [t["showlegend"] for t in data] == [False, True, False, False, True]
+    assert [t["legendgroup"] for t in data] == ["a", "a", "b", "a", "c"]
+    assert [t["yaxis"] for t in data] == ["y", "y", "y", "y2", "y2"]
+    assert [t["showlegend"] for t in plotly(figure(LINE))["data"]] == [False]
+
+
+def test_words_on_a_logarithmic_axis_stand_at_the_logarithm_in_their_panel() -> None:
+    panels = (Panel(Axis("y"), (LINE,)), Panel(Axis("y"), (LINE,)))
+    uprights = (Upright(100.0, "here", panel=1, height=0.5, dash=SOLID), Upright(10.0))
+    layout = plotly(Figure(Axis("x", log=True), panels, uprights))["layout"]
+    assert [shape["x0"] for shape in layout["shapes"]] == [100.0, 10.0]
+    assert [shape["line"]["dash"] for shape in layout["shapes"]] == ["solid", "3px,3px"]
+    (word,) = layout["annotations"]
+    low, high = layout["yaxis2"]["domain"]
+    assert (word["x"], word["y"]) == (2.0, pytest.approx(0.5 * (low + high)))
+    assert Upright(1.0).dash == DOTTED
+
+
+def test_frequencies_have_whole_labels_with_prefixes() -> None:
+    axis = plotly(Figure(Axis("x", log=True), (Panel(Axis("y"), (LINE,)),)))["layout"]["xaxis"]
+    shown = dict(zip(axis["tickvals"], axis["ticktext"], strict=True))
+    assert [shown[v] for v in (0.05, 0.1, 2.0, 50.0, 1e3, 2e4, 5e6)] == [
+        "50m", "100m", "2", "50", "1k", "20k", "5M",
+    ]  # fmt: skip
+
+
+def test_a_band_goes_there_and_back() -> None:
+    (trace,) = plotly(figure(Band(X, X - 1.0, X + 1.0, "#102030", "a")))["data"]
+    assert trace["x"] == [1.0, 2.0, 3.0, 3.0, 2.0, 1.0]
+    assert trace["y"] == [0.0, 1.0, 2.0, 4.0, 3.0, 2.0]
+    assert trace["fillcolor"] == "rgba(16,32,48,0.18)"
+    assert trace["hoverinfo"] == "skip"
+
+
+def test_bars_error_bars_and_heat_maps() -> None:
+    (bars,) = plotly(figure(Bars(X, X, 0.5, "a", MEASURED)))["data"]
+    assert (bars["type"], bars["width"]) == ("bar", 0.5)
+    (points,) = plotly(figure(Markers(X, X, "a", MEASURED, error=0.1 * X)))["data"]
+    assert points["error_y"]["array"] == pytest.approx([0.1, 0.2, 0.3])
+    (joined,) = plotly(figure(Line(X, X, "a", MEASURED, size=6.0)))["data"]
+    assert joined["mode"] == "lines+markers"
+    heat = HeatMap(("one", "two"), np.eye(2), -1.0, 1.0, (MEASURED, "#FFFFFF", MODEL))
+    drawn = plotly(figure(heat))
+    assert drawn["data"][0]["z"] == [[1.0, 0.0], [0.0, 1.0]]
+    assert [at for at, _ in drawn["data"][0]["colorscale"]] == [0.0, 0.5, 1.0]
+    assert drawn["layout"]["yaxis"]["autorange"] == "reversed"
+    assert drawn["layout"]["margin"]["l"] > 10
+
+
+def test_names_along_the_axis_stand_upright() -> None:
+    drawn = plotly(figure(Markers(("one", "two"), X[:2], "a", MEASURED)))
+    assert drawn["data"][0]["x"] == ["one", "two"]
+    assert drawn["layout"]["xaxis"]["tickangle"] == -90
+
+
+def test_every_figure_of_a_report_is_json() -> None:
+    for name, drawn in figures_of(elastic_identification()).items():
+        found = plotly(drawn)
+        assert json.loads(json.dumps(found, allow_nan=False)) == found, name
