@@ -37,9 +37,9 @@ from strainwave.domain import (
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
-from strainwave.identification.whole_arm.dataset import dataset_of
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, space_of, with_curves
+from strainwave.identification.whole_arm.preparation import dataset_of
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 from strainwave.numerics.parallel import one_blas_thread

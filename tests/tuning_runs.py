@@ -24,7 +24,8 @@ from strainwave.domain import (
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.rigid_regressor import columns_of
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, simulate
-from strainwave.identification.whole_arm.dataset import Channel, Dataset, Kernels
+from strainwave.identification.whole_arm.dataset import Channel, Dataset
+from strainwave.identification.whole_arm.low_pass import Kernels
 from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior, Unknown
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study

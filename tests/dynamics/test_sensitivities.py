@@ -12,7 +12,7 @@ import pytest
 from strainwave.domain import FloatArray, Prbs, Spring
 from strainwave.dynamics import excitation
 from strainwave.dynamics.simulation import build_arm, parameter_vector
-from strainwave.identification.whole_arm.dataset import low_pass_kernels
+from strainwave.identification.whole_arm.low_pass import low_pass_kernels
 from strainwave.virtual import scara
 
 STUDY = scara.study(Path())

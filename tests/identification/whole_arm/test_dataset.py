@@ -13,12 +13,9 @@ from strainwave.domain import FloatArray, Log, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import LONGEST_STEP, simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.dataset import (
-    INITIAL,
-    dataset_of,
-    low_pass_kernels,
-    usable,
-)
+from strainwave.identification.whole_arm.dataset import INITIAL
+from strainwave.identification.whole_arm.low_pass import low_pass_kernels
+from strainwave.identification.whole_arm.preparation import dataset_of, usable
 from tuning_runs import beginning, later, rig_logs, shaken, simulated, truth
 
 T = 2.5e-4
@@ -102,7 +99,7 @@ def off_by(motor: float, link: float) -> FloatArray:
 
 
 # the package has a function of the module's name
-MODULE = import_module("strainwave.identification.whole_arm.dataset")
+MODULE = import_module("strainwave.identification.whole_arm.preparation")
 # that of the records, and the longer one of fits, which accelerations feel most
 STEPS = [(LONGEST_STEP, off_by(1e-8, 1e-8)), (MODULE._STEP, off_by(3e-5, 2e-3))]
 

@@ -13,15 +13,15 @@ from effect_runs import ALL, SIZES, records, rig, tuned
 from strainwave.domain import ArmModel
 from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
 from strainwave.identification.closed_loop import as_known, with_known_effects
-from strainwave.identification.whole_arm.dataset import dataset_of
 from strainwave.identification.whole_arm.effects import (
     idle,
+    named_effects,
     records_with,
-    tried,
     with_effects,
     without,
 )
 from strainwave.identification.whole_arm.parametrisation import COULOMB, ParameterSpace, Prior
+from strainwave.identification.whole_arm.preparation import dataset_of
 from tuning_runs import linear_search, truth
 
 
@@ -60,7 +60,7 @@ def test_an_arm_without_effects_gets_none() -> None:
     assert told_out(model) == list(ALL)
     assert not any(key in model.values for key in SIZES)
     assert model.values == plain.values
-    assert model.iterations > plain.iterations  # they were tried
+    assert model.iterations > plain.iterations  # they were named_effects
 
 
 def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
@@ -89,7 +89,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     np.testing.assert_array_equal(space.prior.rows, [[1.0, 1.0, *np.zeros(6)]])
     units = ["N m", "rad/s", "N m", "rad", "rad", "rad"]
     assert [unknown.unit for unknown in space.unknowns[2:]] == units
-    assert tried(study) == [(1, effect) for effect in ALL]
+    assert named_effects(study) == [(1, effect) for effect in ALL]
     less = without(space, {(1, "stribeck"), (1, "kinematic-error")})
     assert less.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
     assert less.prior.rows.shape == (1, 4)

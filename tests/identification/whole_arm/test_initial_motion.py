@@ -9,10 +9,10 @@ import pytest
 
 from strainwave.domain import FloatArray, Log
 from strainwave.identification.whole_arm import tune
-from strainwave.identification.whole_arm.dataset import dataset_of
 from strainwave.identification.whole_arm.initial_motion import in_motion
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import space_of
+from strainwave.identification.whole_arm.preparation import dataset_of
 from tuning_runs import beginning, joint_models, later, rig_logs, rigid_model, shaken
 
 CUTOFF = 80.0

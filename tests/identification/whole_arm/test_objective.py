@@ -11,7 +11,8 @@ import pytest
 from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
-from strainwave.identification.whole_arm.dataset import Dataset, Kernels, dataset_of
+from strainwave.identification.whole_arm.dataset import Dataset
+from strainwave.identification.whole_arm.low_pass import Kernels
 from strainwave.identification.whole_arm.objective import BLOCKS, Objective, Weights
 from strainwave.identification.whole_arm.parametrisation import (
     ParameterSpace,
@@ -20,6 +21,7 @@ from strainwave.identification.whole_arm.parametrisation import (
     with_curves,
     with_settling,
 )
+from strainwave.identification.whole_arm.preparation import dataset_of
 from tuning_runs import (
     beginning,
     joint_models,

@@ -11,8 +11,8 @@ from scipy import signal
 from effect_runs import SIZES, tuned
 from strainwave.domain import Effect, FloatArray, ResidualTest
 from strainwave.domain.parameters import EFFECT_PARAMETERS
-from strainwave.identification.whole_arm.dataset import low_pass_kernels
 from strainwave.identification.whole_arm.effects import sizes_of
+from strainwave.identification.whole_arm.low_pass import low_pass_kernels
 from strainwave.identification.whole_arm.residual_analysis import (
     coloured_alike,
     follows,

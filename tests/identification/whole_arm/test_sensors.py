@@ -12,8 +12,8 @@ from strainwave.domain import ArmModel, Log, Study, TuningOptions
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.link_sensors import moved
 from strainwave.identification.whole_arm import tune
-from strainwave.identification.whole_arm.dataset import dataset_of
 from strainwave.identification.whole_arm.parametrisation import Key
+from strainwave.identification.whole_arm.preparation import dataset_of
 from tuning_runs import joint_models, rigid_model, shaken
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))

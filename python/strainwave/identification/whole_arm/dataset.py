@@ -1,4 +1,4 @@
-"""Log -> `Dataset`: a record to simulate, and what of it is compared with a simulated arm.
+"""A record ready to be compared: how it is simulated, and what its channels should read.
 
 The recorded voltages drive the arm, so that no servo has to be known. Angles are compared as
 velocities, which do not drift away as open-loop angles do. Every channel passes through one
@@ -7,12 +7,12 @@ linear-phase low-pass on both sides and is then thinned to what that leaves of i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Imu, Joint, Log, Study
+from strainwave.domain import FloatArray, Log, Study
 from strainwave.dynamics.link_sensors import (
     bandwidth_of,
     constants_of,
@@ -25,38 +25,25 @@ from strainwave.dynamics.link_sensors import (
 from strainwave.dynamics.mounting import (
     TILT,
     Axis,
-    axes_of,
     factors,
     is_mounting,
     scale_is_apart,
     slopes,
 )
 from strainwave.dynamics.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
-from strainwave.errors import InvalidInput
-from strainwave.identification.closed_loop import has_accelerometer
+from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_deviation
-from strainwave.signals.recorded_input import (
-    driven_by_voltage,
-    missing_for_replay,
-    missing_motor_signal,
-    replay,
-)
 
 INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """What is unknown of the beginning of a record that begins in motion, joint by joint."""
 
-_STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
+BEGINNING = 0.02
+"""[s] In which it is looked for whether a record begins at standstill, and how fast it moves."""
+
 _SHORTER = 4.0  # times shorter steps, whose error no longer counts
 _SHORT_STEPS = 120.0  # nor that of so many in a period of the cut-off, 600 in one of a resonance
-_PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat each other
-_REACH = 1.5  # periods of the cut-off that the low-pass reaches to either side
-_BAND = 8  # rows of the low-pass that share a matrix product
-_SHAPE = 5.0  # of its Kaiser window: 50 dB outside its band
-_REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at rest
-_BEGINNING = 0.02  # [s] that are looked at for it
 _WIDER = 1e-3  # share by which a bandwidth is varied for its slope
 _SENSORS = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")  # that have a bandwidth
-_TURN = 0.002  # [s] over which accelerations are seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,44 +71,6 @@ class Channel:
     def reads(self) -> tuple[Quantity, ...]:
         """What has to be simulated for it."""
         return (self.quantity,) if self.axis is None else self.axis.quantities
-
-
-@dataclass(frozen=True, slots=True)
-class Kernels:
-    """A low-pass as weights of the samples around each row, and the same of the slope."""
-
-    smooth: FloatArray  # (n_taps,)
-    slope: FloatArray  # (n_taps,) [1/s]
-    step: int  # samples from row to row
-
-    def taps(self, *, rate: bool) -> FloatArray:
-        """Those of the slope, or of the low-pass itself: (n_taps,)."""
-        return self.slope if rate else self.smooth
-
-    def rows(self, samples: FloatArray, *, rate: bool) -> FloatArray:
-        """(n_samples, ...) -> (n_rows, ...), without the edges that the low-pass cannot reach.
-
-        Some rows at a time are one product of a banded matrix with the samples that they reach.
-        """
-        taps, step = self.taps(rate=rate), self.step
-        n_rows = (len(samples) - len(taps)) // step + 1
-        band = np.zeros((_BAND, (_BAND - 1) * step + len(taps)))
-        for k in range(_BAND):
-            band[k, k * step : k * step + len(taps)] = taps
-        flat = np.ascontiguousarray(samples).reshape(len(samples), -1)
-        rows = np.empty((n_rows, flat.shape[1]))
-        whole = n_rows // _BAND * _BAND
-        if whole:
-            reach, (along, across) = band.shape[1], flat.strides
-            blocks: FloatArray = np.ndarray(  # views that overlap: each has what its rows reach
-                (whole // _BAND, reach, flat.shape[1]),
-                buffer=flat,
-                strides=(_BAND * step * along, along, across),
-            )
-            rows[:whole] = np.matmul(band, blocks).reshape(whole, -1)
-        rest = flat[whole * step : (n_rows - 1) * step + len(taps)]
-        rows[whole:] = band[: n_rows - whole, : len(rest)] @ rest
-        return rows.reshape(n_rows, *samples.shape[1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +103,7 @@ class Dataset:
         if not self.moving:
             return np.zeros(0)
         n, T = self.study.arm.n_joints, self.log.sample_time
-        first = max(2, round(_BEGINNING / T))
+        first = max(2, round(BEGINNING / T))
         ratios = np.array([joint.gear_ratio for joint in self.study.arm.joints])
         angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:first] for i in range(n)])
         slope, origin = np.polyfit(T * np.arange(first), angle, 1)
@@ -384,7 +333,7 @@ class Dataset:
             self.log.channels[c.name] - scale * self._reading(c, runs, values)
             for c, scale in zip(self.channels, scales, strict=True)
         ]
-        return _noise(self.channels, left, self.kernels, self.counts)
+        return noise_behind(self.channels, left, self.kernels, self.counts)
 
     def _begun(self, local: FloatArray) -> Drive:
         if not self.moving:
@@ -443,214 +392,30 @@ class Dataset:
         return np.asarray(sum(count * of[name][:, at] for count, name in parts))
 
 
-def dataset_of(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:
-    """A record ready to be compared with simulated arms.
-
-    Parameters
-    ----------
-    log : Log
-    study : Study
-    cutoff_hz : float [Hz]
-        Of the low-pass.
-    closed_loop : bool
-        Servoed joints follow their references under the study's servo, where the log has enough
-        for that; otherwise the recorded voltages drive them.
-
-    Returns
-    -------
-    Dataset
-
-    Raises
-    ------
-    InvalidInput
-        The log lacks something that going through it again needs, or is too short.
-    """
-    missing = missing_motor_signal(study, log)
-    if missing:
-        raise InvalidInput(missing, where=log.name, remedy="log every motor's angle and voltage")
-    log = _with_link_angles(log, study)
-    T = log.sample_time
-    kernels = low_pass_kernels(cutoff_hz, T)
-    reach = len(kernels.smooth)
-    if len(log) < 4 * reach:
-        raise InvalidInput(
-            f"lasts {len(log) * T:.3g} s, which a low-pass of {cutoff_hz:.3g} Hz leaves little of",
-            where=log.name,
-            remedy=f"record at least {4 * reach * T:.2g} s",
-        )
-    channels = tuple(_channels(log, study))
-    raw = [log.channels[channel.name] for channel in channels]
-    rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
-    counts = tuple(
-        _count(study.arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0
-        for c in channels
-    )
-    middle = 0.5 * (reach - 1) * T
-    return Dataset(
-        log=log,
-        study=_as_driven(log, study),
-        cutoff_hz=cutoff_hz,
-        drive=_drive(log, study, closed_loop=closed_loop),
-        channels=channels,
-        kernels=kernels,
-        time=log.time[0] + middle + kernels.step * T * np.arange(len(rows[0])),
-        measured=np.column_stack(rows),
-        noise=_noise(channels, raw, kernels, counts),
-        counts=counts,
-        moving=_begins_in_motion(log, study),
-        longest_step=_STEP,
-        lacking=np.zeros((len(rows[0]), len(channels))),
-    )
-
-
-def coarsened(record: Dataset, longest_step: float) -> Dataset:
-    """The same record in longer steps, for a search that is still far off.
-
-    Parameters
-    ----------
-    record : Dataset
-    longest_step : float [s]
-        Of the integrator; samples that lie closer are thinned, and voltages become their means.
-
-    Returns
-    -------
-    Dataset
-        Its rows lie as far apart, about.
-    """
-    log = record.log
-    every = max(1, int(longest_step / log.sample_time))
-    n = len(log) // every
-    channels = {
-        name: x[: n * every].reshape(n, every).mean(axis=1)
-        if name.startswith(("u", "torque"))
-        else x[: n * every : every]
-        for name, x in log.channels.items()
-    }
-    thinned = replace(
-        log,
-        sample_time=every * log.sample_time,
-        time=log.time[: n * every : every],
-        channels=channels,
-    )
-    coarse = dataset_of(
-        thinned, record.study, record.cutoff_hz, closed_loop=any(record.drive.servo)
-    )
-    step = max(longest_step, _STEP)
-    return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
-
-
-def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -> Kernels:
-    """A windowed-sinc low-pass and its slope, for rows as far apart as the cut-off allows.
-
-    Parameters
-    ----------
-    cutoff_hz : float [Hz]
-    sample_time : float [s]
-    ahead : float [samples], between -1 and 1
-        By which the rows look ahead of their time.
-
-    Returns
-    -------
-    Kernels
-        Its number of taps is a multiple of `step`.
-    """
-    step = max(1, int(1.0 / (_PER_PERIOD * cutoff_hz * sample_time)))
-    n_parts = 2 * int(np.ceil(_REACH / (cutoff_hz * sample_time * step)))
-    n = n_parts * step
-    half = 0.5 * (n - 1)
-    at = np.arange(n) - half - ahead
-    window = np.i0(_SHAPE * np.sqrt(np.clip(1.0 - (at / half) ** 2, 0.0, None)))
-    smooth = np.sinc(2.0 * cutoff_hz * sample_time * at) * np.where(np.abs(at) > half, 0.0, window)
-    smooth /= smooth.sum()
-    # an angle's slope is the product with minus the kernel's own; a ramp must give one exactly
-    slope = -np.gradient(smooth)
-    slope /= np.sum(slope * at) * sample_time
-    return Kernels(smooth, slope, step)
-
-
-def _with_link_angles(log: Log, study: Study) -> Log:
-    """With theta_l = n theta_m + deflection of joints whose torsion is what was measured."""
-    channels = dict(log.channels)
-    for i, joint in enumerate(study.arm.joints, start=1):
-        if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
-            motor = channels[f"theta_m{i}"]
-            channels[f"theta_l{i}"] = joint.gear_ratio * motor + channels[f"deflection{i}"]
-    return replace(log, channels=channels)
-
-
-def _noise(
+def noise_behind(
     channels: Sequence[Channel],
     samples: Sequence[FloatArray],
     kernels: Kernels,
     counts: Sequence[float],
 ) -> FloatArray:
-    """Behind the low-pass, of noise at the top of the samples' spectra, no less than rounding's."""
+    """Standard deviation behind the low-pass of the noise at the top of the samples' spectra.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+    samples : sequence of (n_samples,)
+        Of each channel.
+    kernels : Kernels
+    counts : sequence of float
+        By which each channel's samples are rounded: the noise is no less than rounding's.
+
+    Returns
+    -------
+    (n_channels,)
+    """
     own = [noise_deviation(x) for x in samples]
     norm = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
     return np.asarray(np.maximum(own, np.array(counts) / np.sqrt(12.0)) * norm)
-
-
-def _channels(log: Log, study: Study) -> Iterator[Channel]:
-    for i in range(1, study.arm.n_joints + 1):
-        yield Channel(f"theta_m{i}", i, "motor_angle", rate=True, shifted=False)
-    for i in range(1, study.arm.n_joints + 1):
-        if has_accelerometer(log, study, i):
-            yield Channel(f"a{i}", i, "accelerometer", rate=False, shifted=True)
-        elif f"theta_l{i}" in log.channels:
-            yield Channel(f"theta_l{i}", i, "link_angle", rate=True, shifted=False)
-        elif f"gyro{i}" in log.channels:
-            yield Channel(f"gyro{i}", i, "gyro", rate=False, shifted=True)
-        for axis in axes_of(log.channels, study, i):
-            yield Channel(axis.channel, i, axis.quantities[0], False, True, axis)
-
-
-def _drive(log: Log, study: Study, *, closed_loop: bool) -> Drive:
-    """The recorded voltages, held from sample to sample, in place of servos and references."""
-    if closed_loop and missing_for_replay(study, log) is None:
-        return replay(study, log)
-    return driven_by_voltage(study, log)[1]
-
-
-def _begins_in_motion(log: Log, study: Study) -> bool:
-    """Whether any motor is further on, at some early instant, than it could get from rest.
-
-    From rest it gets no further than a t^2 / 2, a its largest acceleration in the whole record.
-    """
-    T = log.sample_time
-    span = max(1, round(_TURN / T))
-    first = min(max(2, round(_BEGINNING / T)), len(log) // 4)
-    t = T * np.arange(first)
-    for i, joint in enumerate(study.arm.joints, start=1):
-        angle = log.channels[f"theta_m{i}"]
-        error = _REST * max(_count(joint), noise_deviation(angle))
-        bend = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
-        fastest = np.max(np.abs(bend)) / (span * T) ** 2
-        if np.any(np.abs(angle[:first] - angle[0]) > error + 0.5 * fastest * t**2):
-            return True
-    return False
-
-
-def _count(joint: Joint) -> float:
-    """One step of the encoder [rad]."""
-    return 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
-
-
-def _as_driven(log: Log, study: Study) -> Study:
-    """Encoders without counts; an accelerometer of unknown place is simulated as an IMU."""
-    joints = tuple(
-        replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, study, i), joint))
-        for i, joint in enumerate(study.arm.joints, start=1)
-    )
-    return replace(study, arm=replace(study.arm, joints=joints))
-
-
-def _imu(axes: Sequence[Axis], joint: Joint) -> Imu | None:
-    """What the axes that may sit anywhere need to be simulated."""
-    if not axes:
-        return None
-    if axes[0].kind == "tangential":
-        return Imu(accelerometer_hz=joint.accelerometer_hz)
-    return joint.imu or Imu()
 
 
 def with_bandwidths(study: Study, values: Mapping[tuple[str, int | None], float]) -> Study:
@@ -680,21 +445,3 @@ def with_bandwidths(study: Study, values: Mapping[tuple[str, int | None], float]
         outer = {k: hz for k, hz in given.items() if not k.startswith("imu_")}
         joints.append(replace(joint, imu=imu, **outer))  # type: ignore[arg-type]
     return replace(study, arm=replace(study.arm, joints=tuple(joints)))
-
-
-def usable(logs: Sequence[Log], study: Study) -> list[Log]:
-    """The records of the whole-arm fit: all that excite gears and can be gone through again.
-
-    Parameters
-    ----------
-    logs : sequence of Log
-    study : Study
-
-    Returns
-    -------
-    list of Log
-    """
-    uses = ("frequency", "sweep", "tuning")
-    return [
-        log for log in logs if log.experiment.use in uses and not missing_motor_signal(study, log)
-    ]

@@ -32,7 +32,7 @@ HYSTERESIS_TWIST = 1.5e-4
 _KINEMATIC_ERROR = 1e-4  # [rad] that count as much as a factor e elsewhere
 
 
-def tried(study: Study) -> list[NamedEffect]:
+def named_effects(study: Study) -> list[NamedEffect]:
     """The effects that a study names.
 
     Parameters
@@ -83,7 +83,7 @@ def with_effects(
         Where to start.
     """
     starts: Values = {}
-    for number, effect in tried(study):
+    for number, effect in named_effects(study):
         sizes = {
             "stribeck": (_STRIBECK_SHARE * values[COULOMB, number], STRIBECK_VELOCITY),
             "hysteresis": (_HYSTERESIS_SHARE * largest_torque[number - 1], HYSTERESIS_TWIST),
@@ -161,8 +161,8 @@ def left_out(space: ParameterSpace, study: Study) -> Iterator[Diagnostic]:
     ------
     Diagnostic
     """
-    known = set(tried(with_known_effects(study, space.keys)))
-    for joint, effect in tried(study):
+    known = set(named_effects(with_known_effects(study, space.keys)))
+    for joint, effect in named_effects(study):
         if (joint, effect) not in known:
             text = f"{effect} was tried and left out: the records do not show it; take it out of"
             text += " this joint's effects, or record slow motions and reversals"

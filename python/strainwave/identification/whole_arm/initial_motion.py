@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from functools import partial
 
-from strainwave.domain import FloatArray, TuningOptions
+from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
+from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import resumed_coarse_search
 from strainwave.numerics.parallel import side_by_side
 
@@ -20,25 +21,25 @@ _EVIDENT = 28.0  # chi-square of six initial states that chance exceeds once in 
 _SHARE = 0.5  # of the record's cost that they must take: model errors go on after the beginning
 
 
-def with_evident_initial_motion(fit: Fit, options: TuningOptions) -> Fit:
+def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
     """A rough fit in which those records begin in motion that speak for it.
 
     Parameters
     ----------
     fit : Fit
-    options : TuningOptions
+    selection : Selection
 
     Returns
     -------
     Fit
         Its objective's records say which begin in motion.
     """
-    if fit.iterations >= options.max_iterations:
+    if fit.iterations >= selection.most:
         return fit
     objective = in_motion(fit.objective, fit.z)
     if objective is fit.objective:
         return fit
-    return resumed_coarse_search(objective, fit.z, fit.iterations, options)
+    return resumed_coarse_search(objective, fit.z, fit.iterations, selection.options)
 
 
 def in_motion(objective: Objective, z: FloatArray) -> Objective:

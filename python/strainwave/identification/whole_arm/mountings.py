@@ -18,6 +18,7 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import Key, ParameterSpace
+from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.sensors import with_sensors
 from strainwave.identification.whole_arm.solver import (
     COARSE_GAIN,
@@ -121,20 +122,20 @@ def _is_flat(space: ParameterSpace, joint: int) -> bool:
     return (TURN[2], joint) in space.keys and (TURN[0], joint) not in space.keys
 
 
-def placed_again(fit: Fit, study: Study, options: TuningOptions) -> Fit:
+def with_better_mountings(fit: Fit, selection: Selection) -> Fit:
     """A rough fit with each IMU where the arm that it found has it best, and on from there.
 
     Parameters
     ----------
     fit : Fit
-    study : Study
-    options : TuningOptions
+    selection : Selection
 
     Returns
     -------
     Fit
         As it is where a short search from no other mounting ends lower.
     """
+    study, options = selection.study, selection.options
     for joint in range(1, study.arm.n_joints + 1):
         space, values = fit.objective.space, fit.objective.space.values(fit.z)
         axes = _axes_on(fit.objective, joint)
@@ -160,7 +161,7 @@ def _axes_on(objective: Objective, joint: int) -> list[Axis]:
     return list(dict.fromkeys(a for a in every if a and a.joint == joint))
 
 
-def with_evident_tilts(fit: Fit, study: Study, options: TuningOptions) -> Fit:
+def with_evident_tilts(fit: Fit, selection: Selection) -> Fit:
     """A fit with those tilts of IMUs that were taken to lie flat that its residuals speak for.
 
     Lying flat, a sensor's readings do not change by a tilt at first: a search starts from some.
@@ -168,13 +169,13 @@ def with_evident_tilts(fit: Fit, study: Study, options: TuningOptions) -> Fit:
     Parameters
     ----------
     fit : Fit
-    study : Study
-    options : TuningOptions
+    selection : Selection
 
     Returns
     -------
     Fit
     """
+    study, options = selection.study, selection.options
     for joint in range(1, study.arm.n_joints + 1):
         # on an axis that stands still a tilt is hardly apart from the distance
         if not _is_flat(fit.objective.space, joint) or (joint == 1 and not study.arm.gravity):

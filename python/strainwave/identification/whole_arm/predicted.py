@@ -16,7 +16,7 @@ from strainwave.identification.whole_arm.covariance import (
     gradient_covariance,
     inverse_information,
 )
-from strainwave.identification.whole_arm.dataset import Dataset, dataset_of, usable
+from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.objective import LEAST_ERROR, lagged, repetitions_of
 from strainwave.identification.whole_arm.parametrisation import (
     COULOMB,
@@ -29,6 +29,7 @@ from strainwave.identification.whole_arm.parametrisation import (
     total_viscous,
     unit_of_arm,
 )
+from strainwave.identification.whole_arm.preparation import dataset_of, usable
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import one_blas_thread, side_by_side
 

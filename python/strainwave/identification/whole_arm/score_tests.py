@@ -18,9 +18,9 @@ from strainwave.identification.whole_arm.effects import (
     HYSTERESIS_TWIST,
     STRIBECK_VELOCITY,
     NamedEffect,
+    named_effects,
     records_with,
     sizes_of,
-    tried,
 )
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Evaluated
@@ -172,7 +172,7 @@ def effect_warnings(score_tests: Sequence[ScoreTest], study: Study) -> Iterator[
     ------
     Diagnostic
     """
-    named = tried(study)
+    named = named_effects(study)
     for one in score_tests:
         if not one.evident or (one.joint, one.effect) in named:
             continue

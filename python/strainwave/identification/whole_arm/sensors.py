@@ -39,10 +39,11 @@ from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Evaluated, Objective
 from strainwave.identification.whole_arm.parametrisation import Key, ParameterSpace, Unknown
 from strainwave.identification.whole_arm.restricted import is_held
+from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import refined, resumed_coarse_search
 
 _EVIDENT = 4.0  # deviations at which a constant joins: of eight candidates none by chance
-_MATTERS_ROUGHLY = 0.1  # and share of the cost far from the minimum, where long steps err as well
+_MATTERS_COARSELY = 0.1  # and share of the cost far from the minimum, where long steps err as well
 _STAYS = 3.0  # and that it must keep, by the more cautious covariance
 
 _AT_END = 0.99  # share of its range from which a constant is at its end
@@ -98,21 +99,21 @@ def _unknown(key: Key, starts: Values) -> Unknown:
     return Unknown(name, joint, unit, nominal(key), scale, True, 1.0)
 
 
-def with_bandwidths_apart(fit: Fit, study: Study, options: TuningOptions, *, rough: bool) -> Fit:
+def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
     """A fit with the bandwidths of late sensors beside their delays, where none is given.
 
     Parameters
     ----------
     fit : Fit
-    study : Study
-    options : TuningOptions
-    rough : bool
+    selection : Selection
+    coarse : bool
         Whether the fit is only near the minimum, and may stay so.
 
     Returns
     -------
     Fit
     """
+    study, options = selection.study, selection.options
     space = fit.objective.space
     values, starts = space.values(fit.z), {}
     for delay, bandwidth in _late(fit, study):
@@ -124,7 +125,7 @@ def with_bandwidths_apart(fit: Fit, study: Study, options: TuningOptions, *, rou
         return fit
     wider = with_sensors(space, list(starts), starts)
     objective, begin = fit.objective.for_unknowns(wider), wider.coordinates(values | starts)
-    if rough:
+    if coarse:
         return resumed_coarse_search(objective, begin, fit.iterations, options)
     return _refined_from(fit, objective, begin, options)
 
@@ -146,29 +147,30 @@ def _late(fit: Fit, study: Study) -> Iterator[tuple[Key, Key]]:
             yield delay, bandwidth
 
 
-def with_evident_sensors(fit: Fit, options: TuningOptions, *, rough: bool) -> Fit:
+def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
     """A fit with those sensor constants besides that its residuals speak for.
 
     Parameters
     ----------
     fit : Fit
-    options : TuningOptions
-    rough : bool
+    selection : Selection
+    coarse : bool
         Whether the fit is only near the minimum, and may stay so.
 
     Returns
     -------
     Fit
     """
+    options = selection.options
     while fit.iterations < options.max_iterations and not options.as_published:
-        sizes = _evident(fit, options, _MATTERS_ROUGHLY * fit.cost if rough else 0.0)
+        sizes = _evident(fit, options, _MATTERS_COARSELY * fit.cost if coarse else 0.0)
         if not sizes:
             break
         values = fit.objective.space.values(fit.z)
         space = with_sensors(fit.objective.space, list(sizes))
         begin = space.coordinates(values | sizes)
         objective = fit.objective.for_unknowns(space)
-        if rough:
+        if coarse:
             fit = resumed_coarse_search(objective, begin, fit.iterations, options)
         else:
             fit = _refined_from(fit, objective, begin, options)
@@ -181,13 +183,13 @@ def _refined_from(fit: Fit, objective: Objective, z: FloatArray, options: Tuning
     return refined(near, options)
 
 
-def without_idle_sensors(fit: Fit, options: TuningOptions) -> Fit:
+def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
     """Again without the sensor constants that are nothing as far as the records say.
 
     Parameters
     ----------
     fit : Fit
-    options : TuningOptions
+    selection : Selection
 
     Returns
     -------
@@ -197,7 +199,7 @@ def without_idle_sensors(fit: Fit, options: TuningOptions) -> Fit:
         values = fit.objective.space.values(fit.z)
         space = fit.objective.space.holding(idle)
         fit = _refined_from(
-            fit, fit.objective.for_unknowns(space), space.coordinates(values), options
+            fit, fit.objective.for_unknowns(space), space.coordinates(values), selection.options
         )
     return fit
 

@@ -8,17 +8,81 @@ between them is hardly felt, and a search that came there from far seldom gets t
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from strainwave.domain.parameters import Values
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm.estimates import Fit
+from strainwave.identification.whole_arm.gear_load import gear_torques
 from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES
+from strainwave.identification.whole_arm.selection import TRIAL, Selection, better, trial
+from strainwave.identification.whole_arm.solver import fine_search
 
 _SAME = 0.01  # relative difference below which two slopes are one
 _NOTHING = 0.02  # share of the largest torque below which a knee is at zero
 _CLOSE = 0.3  # relative distance below which two knees are one
 _FEW = ((0.1, 0.3), (0.3, 0.7))  # of the largest torque: knees where no bend was found
 _RISE = 1.05  # of slopes to start from that are one
+
+
+def with_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
+    """The best of a fit and those from other curves, for each gear whose curve lost a bend.
+
+    Parameters
+    ----------
+    fit : Fit
+    selection : Selection
+
+    Returns
+    -------
+    Fit
+    """
+    for unknown in fit.objective.space.unknowns:
+        if unknown.name != CURVE[0] or unknown.joint is None:
+            continue
+        values = fit.objective.space.values(fit.z)
+        largest = gear_torques(fit.objective.records, values)[unknown.joint - 1]
+        for start in other_starts(values, unknown.joint, largest):
+            if fit.iterations >= selection.most:
+                return replace(fit, converged=False)
+            z = fit.objective.space.coordinates(start)
+            try:
+                other = trial(fit, fit.objective, z, selection, TRIAL)
+            except NotIdentifiable:
+                continue  # such a curve cannot be simulated
+            fit = better(fit, other)
+            found = fit.objective.space.values(fit.z)
+            if found != values and not any(other_starts(found, unknown.joint, largest)):
+                break  # it bends twice again
+    return fit
+
+
+def with_fine_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
+    """A fit again from other curves, where one lost a bend that does not show in long steps.
+
+    These have evaluations of their own, as many as the fit without them.
+
+    Parameters
+    ----------
+    fit : Fit
+    selection : Selection
+
+    Returns
+    -------
+    Fit
+    """
+    before = selection.options
+    selection.options = replace(before, max_iterations=fit.iterations + before.max_iterations)
+    again = with_stiffness_restarts(fit, selection)
+    if again.iterations == fit.iterations:
+        selection.options = before
+        return fit
+    if again.cost < fit.cost:
+        objective = again.objective.reweighted(again.z)
+        return fine_search(objective, again.z, again.iterations, selection.options)
+    return replace(again, converged=fit.converged)
 
 
 def other_starts(values: Values, joint: int, largest_torque: float) -> Iterator[Values]:

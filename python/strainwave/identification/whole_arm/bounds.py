@@ -1,0 +1,62 @@
+"""Parameters that a fit left at the end of their ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from strainwave.domain import (
+    Study,
+)
+from strainwave.identification.whole_arm.estimates import Fit
+from strainwave.identification.whole_arm.parametrisation import (
+    SETTLING,
+    Key,
+    link_inertia,
+    rigid_inertia,
+)
+
+_EDGE = 0.01  # of half its range, so near to which a parameter counts as at its bound
+
+
+def parameters_at_bounds(fit: Fit, study: Study) -> Iterator[Key]:
+    """Parameters that ended at the end of their range, and inertias that such ones are part of.
+
+    A joint's total viscous friction is known where its split is not, and is spared.
+
+    Parameters
+    ----------
+    fit : Fit
+    study : Study
+
+    Yields
+    ------
+    (name, joint)
+    """
+    keys = fit.objective.space.keys
+    ended = [key for key, at in zip(keys, at_bounds(fit), strict=True) if at and key[0] != SETTLING]
+    yield from ended
+    derived: dict[Key, Mapping[Key, float]] = {
+        (name, 1): parts for name, parts in rigid_inertia(study).items()
+    }
+    for number in range(1, study.arm.n_joints + 1):
+        derived["link_inertia", number] = link_inertia(study, number)
+    for key, parts in derived.items():
+        if key not in ended and any(part in ended for part in parts):
+            yield key
+
+
+def at_bounds(fit: Fit) -> list[bool]:
+    """Which unknowns ended at the end of their range.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    list of bool
+    """
+    space = fit.objective.space
+    edge = 0.5 * _EDGE * (space.upper - space.lower)
+    near: list[bool] = ((fit.z < space.lower + edge) | (fit.z > space.upper - edge)).tolist()
+    return near

@@ -1,0 +1,112 @@
+"""A fit of the whole arm -> `ArmModel`: its parameters, how sure they are, and what it leaves."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from strainwave.domain import (
+    ArmModel,
+    Criticism,
+    Study,
+)
+from strainwave.dynamics.mounting import is_hidden
+from strainwave.identification.closed_loop import (
+    predict_closed_loop,
+)
+from strainwave.identification.whole_arm.agreement import (
+    agreement_tests,
+    disagreement,
+    stage_differences,
+)
+from strainwave.identification.whole_arm.bounds import at_bounds, parameters_at_bounds
+from strainwave.identification.whole_arm.effects import left_out
+from strainwave.identification.whole_arm.estimates import Fit, parameters_of, warnings_of
+from strainwave.identification.whole_arm.gear_load import (
+    gear_torque_samples,
+    histograms_of,
+    largest_of,
+)
+from strainwave.identification.whole_arm.motor_side_limits import motor_side_limits
+from strainwave.identification.whole_arm.parametrisation import (
+    SETTLING,
+)
+from strainwave.identification.whole_arm.residual_analysis import residual_tests, residual_warnings
+from strainwave.identification.whole_arm.score_tests import effect_warnings, score_tests_of
+from strainwave.identification.whole_arm.sensor_gains import sensor_gains
+from strainwave.identification.whole_arm.sensors import (
+    sensor_warnings,
+)
+from strainwave.identification.whole_arm.start import Start
+from strainwave.numerics.parallel import side_by_side
+from strainwave.signals.recorded_input import missing_for_replay
+
+
+def arm_model(fit: Fit, start: Start, study: Study) -> ArmModel:
+    """What a fit means: parameters with intervals, warnings, what it explains and what it does not.
+
+    Parameters
+    ----------
+    fit : Fit
+    start : Start
+        That the fit went on from.
+    study : Study
+
+    Returns
+    -------
+    ArmModel
+    """
+    before = start.coarse.fits(start.initial)
+    first = start.coarse.space.values(start.initial)
+    at_once = {(SETTLING, number): 0.0 for number in range(1, study.arm.n_joints + 1)}
+    values = at_once | fit.objective.space.values(fit.z)
+    carried = gear_torque_samples(fit.objective.records, values)
+    largest = largest_of(carried).tolist()
+    parameters, covariance = parameters_of(fit, study, largest)
+    status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
+    if np.any(at_bounds(fit)):
+        status = "at-bounds"
+    if not fit.converged:
+        status = "iteration-limit"
+    ended = tuple(parameters_at_bounds(fit, study))
+    differences, agreement = stage_differences(fit, study), agreement_tests(fit)
+    criticism = Criticism(residual_tests(fit.objective, fit.z), tuple(score_tests_of(fit, study)))
+    repeated = [
+        log
+        for log in start.logs
+        if log.experiment.use == "tuning" and missing_for_replay(study, log) is None
+    ]
+    arms = (values, first)
+    repeats = side_by_side(
+        [partial(predict_closed_loop, arm, log, study) for arm in arms for log in repeated]
+    )
+    public = [k for k, p in enumerate(parameters) if not is_hidden((p.name, p.joint))]
+    return ArmModel(
+        parameters=tuple(parameters[k] for k in public),
+        values=values,
+        covariance=covariance[np.ix_(public, public)],
+        fit_percent=fit.objective.fits(fit.z),
+        initial_fit_percent=before,
+        simulated=tuple(repeats[: len(repeated)]),
+        initial=tuple(repeats[len(repeated) :]),
+        iterations=fit.iterations,
+        status=status,
+        warnings=(
+            *start.rejected,
+            *warnings_of(fit, at_bounds(fit), parameters),
+            *motor_side_limits(fit, study, parameters, ended),
+            *disagreement(differences, agreement),
+            *left_out(fit.objective.space, study),
+            *sensor_warnings(parameters),
+            *residual_warnings(criticism.residuals),
+            *effect_warnings(criticism.score_tests, study),
+        ),
+        criticism=criticism,
+        carried=histograms_of(carried),
+        at_bounds=ended,
+        differences=differences,
+        agreement=agreement,
+        sensor_gains=tuple(sensor_gains(fit, study, parameters)) if fit.converged else (),
+    )

@@ -1,0 +1,90 @@
+"""Effects that the study names: in the model where the records show them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from strainwave.domain import Study
+from strainwave.identification.whole_arm.effects import (
+    NamedEffect,
+    idle,
+    named_effects,
+    records_with,
+    with_effects,
+    without,
+)
+from strainwave.identification.whole_arm.estimates import Fit
+from strainwave.identification.whole_arm.gear_load import gear_torques
+from strainwave.identification.whole_arm.objective import Objective
+from strainwave.identification.whole_arm.parametrisation import ParameterSpace
+from strainwave.identification.whole_arm.selection import Selection, better
+from strainwave.identification.whole_arm.solver import COARSE_GAIN, fine_search, search_from
+
+_TRIAL = 30  # evaluations in which the effects must show, with several parameters each
+
+
+def with_named_effects(fit: Fit, selection: Selection) -> Fit:
+    """A rough fit with the effects that the study names, or the one without if they gain little.
+
+    Parameters
+    ----------
+    fit : Fit
+    selection : Selection
+        Its study has the effects that the joints may have.
+
+    Returns
+    -------
+    Fit
+    """
+    study = selection.study
+    if not named_effects(study):
+        return fit
+    selection.grant(selection.options.max_iterations)  # as many as the fit without them
+    values = fit.objective.space.values(fit.z)
+    largest = gear_torques(fit.objective.records, values).tolist()
+    space, begin = with_effects(fit.objective.space, study, values, largest)
+    extended = search_from(
+        _on(fit.objective, space, study),
+        begin,
+        fit.iterations,
+        selection.options,
+        tolerance=COARSE_GAIN,
+        most=_TRIAL,
+    )
+    return better(fit, extended)
+
+
+def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
+    """Again without the effects that the records do not show, until all others are identified.
+
+    Parameters
+    ----------
+    fit : Fit
+    selection : Selection
+        Its study has the effects that the joints may have.
+
+    Returns
+    -------
+    Fit
+    """
+    study = selection.study
+    if not named_effects(study):
+        return fit
+    while gone := _idle(fit):
+        values = fit.objective.space.values(fit.z)
+        space = without(fit.objective.space, gone)
+        objective = _on(fit.objective, space, study)
+        fit = fine_search(objective, space.coordinates(values), fit.iterations, selection.options)
+    return fit
+
+
+def _idle(fit: Fit) -> set[NamedEffect]:
+    """The effects among the unknowns that the records do not show."""
+    covariance = fit.confidence.cautious
+    return set(idle(fit.objective.space, fit.z, covariance))
+
+
+def _on(objective: Objective, space: ParameterSpace, study: Study) -> Objective:
+    """The same records and weights for other unknowns, the effects among them in the arm."""
+    records = records_with(objective.records, study, space.keys)
+    return replace(objective.for_unknowns(space), records=records)

@@ -1,0 +1,214 @@
+"""Log -> `Dataset`: which records are fitted, and what of each is compared with a simulated arm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from strainwave.domain import Imu, Joint, Log, Study
+from strainwave.dynamics.mounting import Axis, axes_of
+from strainwave.dynamics.simulation import Drive
+from strainwave.errors import InvalidInput
+from strainwave.identification.closed_loop import has_accelerometer
+from strainwave.identification.whole_arm.dataset import BEGINNING, Channel, Dataset, noise_behind
+from strainwave.identification.whole_arm.low_pass import low_pass_kernels
+from strainwave.numerics.filters import noise_deviation
+from strainwave.signals.recorded_input import (
+    driven_by_voltage,
+    missing_for_replay,
+    missing_motor_signal,
+    replay,
+)
+
+_STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
+_REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at rest
+_TURN = 0.002  # [s] over which accelerations are seen
+
+
+def usable(logs: Sequence[Log], study: Study) -> list[Log]:
+    """The records of the whole-arm fit: all that excite gears and can be gone through again.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+    study : Study
+
+    Returns
+    -------
+    list of Log
+    """
+    uses = ("frequency", "sweep", "tuning")
+    return [
+        log for log in logs if log.experiment.use in uses and not missing_motor_signal(study, log)
+    ]
+
+
+def dataset_of(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:
+    """A record ready to be compared with simulated arms.
+
+    Parameters
+    ----------
+    log : Log
+    study : Study
+    cutoff_hz : float [Hz]
+        Of the low-pass.
+    closed_loop : bool
+        Servoed joints follow their references under the study's servo, where the log has enough
+        for that; otherwise the recorded voltages drive them.
+
+    Returns
+    -------
+    Dataset
+
+    Raises
+    ------
+    InvalidInput
+        The log lacks something that going through it again needs, or is too short.
+    """
+    missing = missing_motor_signal(study, log)
+    if missing:
+        raise InvalidInput(missing, where=log.name, remedy="log every motor's angle and voltage")
+    log = _with_link_angles(log, study)
+    T = log.sample_time
+    kernels = low_pass_kernels(cutoff_hz, T)
+    reach = len(kernels.smooth)
+    if len(log) < 4 * reach:
+        raise InvalidInput(
+            f"lasts {len(log) * T:.3g} s, which a low-pass of {cutoff_hz:.3g} Hz leaves little of",
+            where=log.name,
+            remedy=f"record at least {4 * reach * T:.2g} s",
+        )
+    channels = tuple(_channels(log, study))
+    raw = [log.channels[channel.name] for channel in channels]
+    rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
+    counts = tuple(
+        _count(study.arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0
+        for c in channels
+    )
+    middle = 0.5 * (reach - 1) * T
+    return Dataset(
+        log=log,
+        study=_as_driven(log, study),
+        cutoff_hz=cutoff_hz,
+        drive=_drive(log, study, closed_loop=closed_loop),
+        channels=channels,
+        kernels=kernels,
+        time=log.time[0] + middle + kernels.step * T * np.arange(len(rows[0])),
+        measured=np.column_stack(rows),
+        noise=noise_behind(channels, raw, kernels, counts),
+        counts=counts,
+        moving=_begins_in_motion(log, study),
+        longest_step=_STEP,
+        lacking=np.zeros((len(rows[0]), len(channels))),
+    )
+
+
+def coarsened(record: Dataset, longest_step: float) -> Dataset:
+    """The same record in longer steps, for a search that is still far off.
+
+    Parameters
+    ----------
+    record : Dataset
+    longest_step : float [s]
+        Of the integrator; samples that lie closer are thinned, and voltages become their means.
+
+    Returns
+    -------
+    Dataset
+        Its rows lie as far apart, about.
+    """
+    log = record.log
+    every = max(1, int(longest_step / log.sample_time))
+    n = len(log) // every
+    channels = {
+        name: x[: n * every].reshape(n, every).mean(axis=1)
+        if name.startswith(("u", "torque"))
+        else x[: n * every : every]
+        for name, x in log.channels.items()
+    }
+    thinned = replace(
+        log,
+        sample_time=every * log.sample_time,
+        time=log.time[: n * every : every],
+        channels=channels,
+    )
+    coarse = dataset_of(
+        thinned, record.study, record.cutoff_hz, closed_loop=any(record.drive.servo)
+    )
+    step = max(longest_step, _STEP)
+    return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
+
+
+def _with_link_angles(log: Log, study: Study) -> Log:
+    """With theta_l = n theta_m + deflection of joints whose torsion is what was measured."""
+    channels = dict(log.channels)
+    for i, joint in enumerate(study.arm.joints, start=1):
+        if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
+            motor = channels[f"theta_m{i}"]
+            channels[f"theta_l{i}"] = joint.gear_ratio * motor + channels[f"deflection{i}"]
+    return replace(log, channels=channels)
+
+
+def _channels(log: Log, study: Study) -> Iterator[Channel]:
+    for i in range(1, study.arm.n_joints + 1):
+        yield Channel(f"theta_m{i}", i, "motor_angle", rate=True, shifted=False)
+    for i in range(1, study.arm.n_joints + 1):
+        if has_accelerometer(log, study, i):
+            yield Channel(f"a{i}", i, "accelerometer", rate=False, shifted=True)
+        elif f"theta_l{i}" in log.channels:
+            yield Channel(f"theta_l{i}", i, "link_angle", rate=True, shifted=False)
+        elif f"gyro{i}" in log.channels:
+            yield Channel(f"gyro{i}", i, "gyro", rate=False, shifted=True)
+        for axis in axes_of(log.channels, study, i):
+            yield Channel(axis.channel, i, axis.quantities[0], False, True, axis)
+
+
+def _drive(log: Log, study: Study, *, closed_loop: bool) -> Drive:
+    """The recorded voltages, held from sample to sample, in place of servos and references."""
+    if closed_loop and missing_for_replay(study, log) is None:
+        return replay(study, log)
+    return driven_by_voltage(study, log)[1]
+
+
+def _begins_in_motion(log: Log, study: Study) -> bool:
+    """Whether any motor is further on, at some early instant, than it could get from rest.
+
+    From rest it gets no further than a t^2 / 2, a its largest acceleration in the whole record.
+    """
+    T = log.sample_time
+    span = max(1, round(_TURN / T))
+    first = min(max(2, round(BEGINNING / T)), len(log) // 4)
+    t = T * np.arange(first)
+    for i, joint in enumerate(study.arm.joints, start=1):
+        angle = log.channels[f"theta_m{i}"]
+        error = _REST * max(_count(joint), noise_deviation(angle))
+        bend = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
+        fastest = np.max(np.abs(bend)) / (span * T) ** 2
+        if np.any(np.abs(angle[:first] - angle[0]) > error + 0.5 * fastest * t**2):
+            return True
+    return False
+
+
+def _count(joint: Joint) -> float:
+    """One step of the encoder [rad]."""
+    return 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
+
+
+def _as_driven(log: Log, study: Study) -> Study:
+    """Encoders without counts; an accelerometer of unknown place is simulated as an IMU."""
+    joints = tuple(
+        replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, study, i), joint))
+        for i, joint in enumerate(study.arm.joints, start=1)
+    )
+    return replace(study, arm=replace(study.arm, joints=joints))
+
+
+def _imu(axes: Sequence[Axis], joint: Joint) -> Imu | None:
+    """What the axes that may sit anywhere need to be simulated."""
+    if not axes:
+        return None
+    if axes[0].kind == "tangential":
+        return Imu(accelerometer_hz=joint.accelerometer_hz)
+    return joint.imu or Imu()

@@ -1,0 +1,212 @@
+"""Where a whole-arm fit starts: its records, the parameters that are free, and their values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave.domain import (
+    Diagnostic,
+    FloatArray,
+    JointModel,
+    Log,
+    RigidModel,
+    Study,
+    TuningOptions,
+)
+from strainwave.dynamics.link_sensors import is_optional, nominal
+from strainwave.dynamics.mounting import START
+from strainwave.errors import NotIdentifiable, NumericalFailure
+from strainwave.identification.closed_loop import (
+    velocity_band,
+    with_known_effects,
+)
+from strainwave.identification.whole_arm.candidates import best_candidate
+from strainwave.identification.whole_arm.dataset import Dataset
+from strainwave.identification.whole_arm.gear_load import (
+    gear_torques,
+)
+from strainwave.identification.whole_arm.mountings import (
+    best_placed,
+)
+from strainwave.identification.whole_arm.objective import Objective
+from strainwave.identification.whole_arm.parametrisation import (
+    CURVE,
+    LINEAR,
+    Key,
+    ParameterSpace,
+    space_of,
+    with_curves,
+)
+from strainwave.identification.whole_arm.predicted import BAND, LEAST_BAND
+from strainwave.identification.whole_arm.preparation import coarsened, dataset_of, usable
+from strainwave.identification.whole_arm.restricted import (
+    published_records,
+    restricted,
+)
+from strainwave.identification.whole_arm.sensors import (
+    with_sensors,
+)
+from strainwave.identification.whole_arm.starts import rejected_starts, starts_of
+from strainwave.signals.mounting_start import mounting_starts
+
+_STEPS = 8.0  # in a period of the cut-off, of the first search; the fit itself takes more
+_LOOKS = 31  # along a stiffness of which nothing is known, over a factor of nine
+_UNLIKELY = (
+    "the arm that the steps before found cannot be simulated. Check the signs, units and assignment"
+    " of the channels, gear_ratio and torque_per_volt"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """All that a fit starts from."""
+
+    logs: list[Log]
+    records: tuple[Dataset, ...]
+    coarse: Objective  # the same records in long steps
+    initial: FloatArray  # (n_unknowns,) by the steps before
+    start: FloatArray  # (n_unknowns,) the same, or where it led to while starts were compared
+    rejected: tuple[Diagnostic, ...]  # starts that were impossible
+
+
+def start_of(
+    logs: Sequence[Log],
+    model: RigidModel | None,
+    candidates: Sequence[Sequence[JointModel]],
+    study: Study,
+    chosen: TuningOptions,
+    given: Mapping[Key, float] | None,
+) -> Start:
+    """Records, objective and point that a fit starts from.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+        Those of other uses are left out.
+    model : RigidModel or None
+    candidates : sequence of sequence of JointModel
+        Sets of joints to start from: the records decide.
+    study : Study
+    chosen : TuningOptions
+    given : dict, optional
+        (name, joint) -> value, in place of those of the stages before.
+
+    Returns
+    -------
+    Start
+
+    Raises
+    ------
+    NotIdentifiable
+        There is no record to fit, or a start is missing or impossible.
+    InvalidInput
+        A record lacks something that going through it again needs.
+    """
+    used = usable(logs, study)
+    if chosen.as_published:
+        used = published_records(used, study)
+    if not used:
+        raise NotIdentifiable(
+            'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
+            " angle and the voltage of every motor"
+        )
+    every = [joint for joints in candidates for joint in joints]
+    records, long_steps = _records(used, every, study, chosen)
+
+    placed = mounting_starts(logs, study, used)
+    given = placed | ({} if given is None else dict(given))
+
+    def search_by(joints: Sequence[JointModel]) -> ParameterSpace:
+        found = _space(records, model, joints, study, chosen)
+        return with_sensors(found, [key for key in placed if key[0] not in START], given)
+
+    def objective_of(joints: Sequence[JointModel]) -> Objective:
+        return Objective.of(search_by(joints), long_steps)
+
+    best = best_candidate(candidates, objective_of, chosen)
+    joints = best.joints
+    if len(candidates) > 1:  # the band is now known better
+        records, long_steps = _records(used, joints, study, chosen)
+    space = search_by(joints)
+    own = {key for record in records for key in record.sensor_constants()}
+    space = with_sensors(space, [key for key in given if key in own])
+    nothing = {key: nominal(key) for key in space.keys if is_optional(key)}
+    start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nothing | given)
+    initial = start
+    if best.reached is not None:
+        start = space.coordinates(space.values(start) | best.reached | given)
+    keys = space.keys
+    space = restricted(space, chosen, start)
+    kept = [key in space.keys for key in keys]
+    start, initial = start[kept], initial[kept]
+    coarse = Objective.of(space, long_steps)
+    if coarse.linearise(start) is None:
+        raise NotIdentifiable(_UNLIKELY)
+    if placed:
+        coarse, start = best_placed(coarse, start, study, chosen)
+    starts = starts_of(model, joints, study)
+    for name, joint in starts.rejected:
+        if name in LINEAR:
+            start = _best_along(coarse, start, joint)
+    if best.reached is None or placed:
+        initial = start
+    return Start(used, records, coarse, initial, start, tuple(rejected_starts(starts, study)))
+
+
+def _records(
+    used: Sequence[Log], joints: Sequence[JointModel], study: Study, chosen: TuningOptions
+) -> tuple[tuple[Dataset, ...], list[Dataset]]:
+    """Records in a band that such joints need, and the same in long steps."""
+    cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
+    plain = with_known_effects(study, ())
+    records = tuple(dataset_of(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
+    return records, [coarsened(r, 1.0 / (_STEPS * cutoff)) for r in records]
+
+
+def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> FloatArray:
+    """Where the cost is least along the range of a stiffness of which nothing is known.
+
+    A resonance is a tenth wide, and from further off a search ends beside it.
+    """
+    names = {(name, joint) for name in (*LINEAR, *CURVE)}
+    own = [k for k, key in enumerate(coarse.space.keys) if key in names]
+    low, high = coarse.space.lower[own], coarse.space.upper[own]
+    best, least = start, np.inf
+    for share in np.linspace(0.0, 1.0, _LOOKS):
+        z = start.copy()
+        z[own] = low + share * (high - low)
+        found = coarse.linearise(z)
+        if found is not None and found.cost < least:
+            best, least = z, found.cost
+    return best
+
+
+def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], study: Study) -> float:
+    """Some way above the highest resonance, but no higher than the motors show motion."""
+    shown = min(velocity_band(log, study) for log in used)
+    resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
+    limit = LEAST_BAND / max(log.sample_time for log in used)
+    return min([shown, limit] + ([BAND * max(resonances)] if resonances else []))
+
+
+def _space(
+    records: Sequence[Dataset],
+    model: RigidModel | None,
+    joints: Sequence[JointModel],
+    study: Study,
+    options: TuningOptions,
+) -> ParameterSpace:
+    voltage = np.max([np.max(np.abs(r.drive.voltage), axis=0) for r in records], axis=0)
+    space = space_of(
+        model, joints, study, largest_voltage=voltage.tolist(), floor=options.least_deviation
+    )
+    if any(joint.spring == "three-slope" for joint in study.arm.joints):
+        values = space.values(np.zeros(len(space.unknowns)))
+        try:
+            space = with_curves(space, study, gear_torques(records, values).tolist())
+        except NumericalFailure as failure:
+            raise NotIdentifiable(_UNLIKELY) from failure
+    return space
