@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.timing import Row, best_of
 from strainwave.domain import FloatArray, Parameter, Prbs
 from strainwave.dynamics import excitation
-from strainwave.dynamics.simulation import build_arm, parameter_vector
+from strainwave.dynamics.arm import Arm
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
 from strainwave.virtual import scara
@@ -72,8 +72,8 @@ def _voltage() -> FloatArray:
 
 def _ours(arms: int) -> float:
     study = scara.study(Path())
-    arm = build_arm(study)
-    one = parameter_vector(arm, scara.parameters(), study)
+    rig = Arm.of(study.arm)
+    arm, one = rig.core, rig.parameter_vector(scara.parameters())
     rng = np.random.default_rng(0)
     many = one * (1.0 + 0.05 * rng.standard_normal((arms, len(one))) * (arms > 1))
     voltage = _voltage()
@@ -95,8 +95,8 @@ def _ours(arms: int) -> float:
 
 def _followed(directions: int) -> float:
     study = scara.study(Path())
-    arm = build_arm(study)
-    values = parameter_vector(arm, scara.parameters(), study)
+    rig = Arm.of(study.arm)
+    arm, values = rig.core, rig.parameter_vector(scara.parameters())
     names = [name for name in arm.parameter_names if not name[0].startswith("gravity")]
     voltage = _voltage()
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from benchmarks.timing import Row
 from strainwave.domain import FloatArray
+from strainwave.dynamics.arm import Arm
 
 SIZES = (50_000, 500_000)
 SAMPLE_TIME = 1e-3
@@ -147,9 +148,9 @@ def _fit(folder: Path) -> None:
     study = read_study(folder / "study.toml")
     (log,) = logs.read_logs(study)
     read = time.perf_counter()
-    seen = signals.motor_side(log, study)
+    seen = signals.motor_side(log, Arm.of(study.arm))
     del log
-    model = rigid.fit([seen], study)
+    model = rigid.fit([seen], Arm.of(study.arm))
     ended = time.perf_counter()
     found = [model.value(name) for name in ("beta", "gamma")]
     errors = [abs((x or np.nan) / t - 1.0) for x, t in zip(found, TRUTH[2:4], strict=True)]

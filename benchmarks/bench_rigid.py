@@ -14,6 +14,7 @@ from benchmarks.peers.rigid import pinocchio
 from benchmarks.timing import Row, best_of
 from strainwave.domain import Log, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import rigid
 from strainwave.io.logs import read_log
@@ -45,11 +46,11 @@ def _recorded() -> tuple[Study, Log, Values]:
         only = replace(study, experiments=motion)
         simulate_study(only, values, Path(folder), noise=SensorNoise(), replay=False)
         written = read_study(Path(folder) / "study.toml")
-        return written, read_log(written, written.experiments[0]), derived(values, written)
+        return written, read_log(written, written.experiments[0]), derived(values, written.arm)
 
 
 def _ours(study: Study, log: Log) -> Values:
-    model = rigid.fit([signals.motor_side(log, study)], study)
+    model = rigid.fit([signals.motor_side(log, Arm.of(study.arm))], Arm.of(study.arm))
     return {(p.name, p.joint): p.value for p in model.parameters if p.value is not None}
 
 

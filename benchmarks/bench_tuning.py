@@ -35,6 +35,7 @@ from strainwave.domain import (
     TuningOptions,
 )
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
 from strainwave.identification.whole_arm.objective import Objective
@@ -187,7 +188,7 @@ def _start(values: Values) -> Values:
 def _fit(study: Study, logs: list[Log], values: Values) -> Values:
     options = TuningOptions(cutoff_hz=CUTOFF, settling=False)
     models = _models(study, values)
-    found = tune(logs, _nothing(values), models, study, options, start=_start(values))
+    found = tune(logs, _nothing(values), models, Arm.of(study.arm), options, start=_start(values))
     return dict(found.values)
 
 
@@ -206,12 +207,16 @@ def _nothing(values: Values) -> RigidModel:
 
 def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
     """Soft L1 by SciPy's trust region from the same start, by weights as the truth shows them."""
-    records = [dataset_of(log, study, CUTOFF) for log in logs]
+    records = [dataset_of(log, Arm.of(study.arm), CUTOFF) for log in logs]
     space = space_of(
-        _nothing(values), _models(study, values), study, largest_voltage=[10.0, 10.0], floor=1.0
+        _nothing(values),
+        _models(study, values),
+        Arm.of(study.arm),
+        largest_voltage=[10.0, 10.0],
+        floor=1.0,
     )
     if study.arm.joints[0].spring == "three-slope":
-        space = with_curves(space, study, [60.0, 15.0])
+        space = with_curves(space, Arm.of(study.arm), [60.0, 15.0])
     objective = Objective.of(space, records).reweighted(space.coordinates(values))
     repeats = [np.sqrt(weights.repeats) for weights in objective.weights]
 

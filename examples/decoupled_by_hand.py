@@ -11,6 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from strainwave.dynamics.arm import Arm
 from strainwave.identification import decoupling, frequency, rigid
 from strainwave.identification import joint_model as physical
 from strainwave.io import logs
@@ -23,22 +24,23 @@ from strainwave.virtual import scara
 
 def main(study_path: Path) -> None:
     study = read_study(study_path)
+    arm = Arm.of(study.arm)
     all_logs = {e.name: logs.read_log(study, e) for e in study.experiments}
     motion = [log for log in all_logs.values() if log.experiment.use == "motion"]
     # a bare joint can do without a rigid model
-    model = rigid.fit([signals.motor_side(log, study) for log in motion], study) if motion else None
+    model = rigid.fit([signals.motor_side(log, arm) for log in motion], arm) if motion else None
 
     for log in all_logs.values():
         if log.experiment.use != "frequency":
             continue
-        both_sides = links.link_side(log, study)  # link motion from accelerometers, (8)-(10)
-        for joint in decoupling.decouple(both_sides, model, study):  # (13), (14)
+        both_sides = links.link_side(log, arm)  # link motion from accelerometers, (8)-(10)
+        for joint in decoupling.decouple(both_sides, model, arm):  # (13), (14)
             if joint.joint != log.experiment.joint:
                 continue
             print(f"\n{log.name}, joint {joint.joint}: inputs {joint.inputs.shape}")
             for check in joint.checks:
                 print(f"  {'ok  ' if check.passed else 'FAIL'} {check.message}")
-            found = physical.identify_joint([(both_sides, joint)], model, study)
+            found = physical.identify_joint([(both_sides, joint)], model, arm)
             for p in found.parameters:
                 print(f"  {p.name:24s} {p.value} +- {p.std} {p.unit}")
             assert found.anti_resonance is not None

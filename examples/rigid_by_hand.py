@@ -11,6 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid, validation
 from strainwave.io import logs
 from strainwave.io.study import read_study
@@ -21,26 +22,27 @@ from strainwave.virtual import scara
 
 def main(study_path: Path) -> None:
     study = read_study(study_path)
+    arm = Arm.of(study.arm)
     seen = {
-        experiment.name: signals.motor_side(logs.read_log(study, experiment), study)
+        experiment.name: signals.motor_side(logs.read_log(study, experiment), arm)
         for experiment in study.experiments
         if experiment.use in ("motion", "check")
     }
     motion = [record for record in seen.values() if record.experiment.use == "motion"]
 
-    model = rigid.fit(motion, study)
+    model = rigid.fit(motion, arm)
     print(f"{model.status}, bandwidth {model.bandwidth_hz:.1f} Hz, {model.n_rows} equations")
     for p in model.parameters:
         print(f"{p.name:24s} {p.joint or 'arm'!s:4s} {p.value} +- {p.std} {p.unit}")
 
     # The same data in half the band: what moves by more than its deviation is not to be trusted.
-    narrow = rigid.fit(motion, study, rigid.RigidOptions(bandwidth_hz=model.bandwidth_hz / 2.0))
+    narrow = rigid.fit(motion, arm, rigid.RigidOptions(bandwidth_hz=model.bandwidth_hz / 2.0))
     for wide, half in zip(model.parameters, narrow.parameters, strict=True):
         if wide.value is not None and half.value is not None:
             print(f"{wide.name:24s} in half the band: {100 * (half.value / wide.value - 1):+.2f} %")
 
     for record in seen.values():
-        prediction = validation.predict_rigid(model, record, study)
+        prediction = validation.predict_rigid(model, record, arm)
         print(prediction.experiment, dict(prediction.fit_percent))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import ArmModel, Effect, Log, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import TuningOptions, tune
 from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
@@ -51,5 +52,9 @@ def tuned(has: tuple[Effect, ...], asked: tuple[Effect, ...], most: int = 60) ->
     asks = replace(study, arm=replace(study.arm, joints=rig(asked).arm.joints))
     joints = joint_models(asks, known, 0.05, FACTORS)
     return tune(
-        logs, rigid_model(asks, known, 0.01, 1.0), joints, asks, TuningOptions(max_iterations=most)
+        logs,
+        rigid_model(asks, known, 0.01, 1.0),
+        joints,
+        Arm.of(asks.arm),
+        TuningOptions(max_iterations=most),
     )

@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import Experiment, FloatArray, Log, Parameter, Prbs, RigidModel, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation, simulation
-from strainwave.dynamics.rigid_regressor import columns_of
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory
 from strainwave.virtual import scara
 
@@ -44,7 +44,7 @@ def prbs_run(
         voltage[:, 2 - joint] = np.roll(sequence, 341)
     drive = Drive(1e-3, voltage, np.zeros_like(voltage), (False, False), (0.0, 0.0), (0.0, 0.0))
     return simulation.simulate(
-        study,
+        Arm.of(study.arm),
         values,
         drive,
         sample_time=SAMPLE,
@@ -88,7 +88,7 @@ def true_model(study: Study, values: Values) -> RigidModel:
         )
     parameters = tuple(
         Parameter(c.name, c.joint, truth[c.name, c.joint], 0.0, c.unit, "rigid")
-        for c in columns_of(study)
+        for c in Arm.of(study.arm).rigid_columns
     )
     return RigidModel(
         parameters=parameters,

@@ -10,6 +10,7 @@ import numpy as np
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
 from strainwave.domain import Decoupled, LinkSignals, RigidModel, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.identification import decoupling
 from strainwave.signals import link_motion as links
@@ -45,8 +46,8 @@ def case(seed: int, joint: int = 1) -> Case:
             values[name, number] = value * float(np.exp(rng.uniform(-0.26, 0.26)))
     run = prbs_run(study, joint, both=True, values=values)
     model = erring(true_model(study, values), rng)
-    signals = links.link_side(log_of(run, joint, seed=seed), study)
-    decoupled = decoupling.decouple(signals, model, study)[joint - 1]
+    signals = links.link_side(log_of(run, joint, seed=seed), Arm.of(study.arm))
+    decoupled = decoupling.decouple(signals, model, Arm.of(study.arm))[joint - 1]
     return Case(study, values, model, signals, decoupled, truth_of(values, joint))
 
 

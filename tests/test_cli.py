@@ -44,7 +44,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def test_the_demonstration_finds_its_arm(demo: tuple[Path, str]) -> None:
     folder, printed = demo
     document = json.loads((folder / "result.json").read_text())
-    truth = virtual.derived(scara.parameters(), scara.study(folder))
+    truth = virtual.derived(scara.parameters(), scara.study(folder).arm)
     names = [p["name"] for p in document["parameters"]]
     # its gears have three slopes, not one
     assert "gear_stiffness" not in names

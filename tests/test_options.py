@@ -30,6 +30,7 @@ from strainwave.domain import (
     Study,
     TuningOptions,
 )
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import frequency, rigid
 from strainwave.identification import joint_model as physical
@@ -84,17 +85,19 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @cache
 def motion() -> tuple[Study, Any]:
     study = rigid_two_link()
-    return study, signals.motor_side(motion_log(study, values_of(study, 1), 1, 5.0), study)
+    return study, signals.motor_side(
+        motion_log(study, values_of(study, 1), 1, 5.0), Arm.of(study.arm)
+    )
 
 
 def rigid_with(options: RigidOptions) -> Any:
     study, seen = motion()
-    return rigid.fit([seen], study, options).solution
+    return rigid.fit([seen], Arm.of(study.arm), options).solution
 
 
 def links_with(options: LinkOptions) -> Any:
     study = rig()
-    return links.link_side(_log(), study, options).link_velocity
+    return links.link_side(_log(), Arm.of(study.arm), options).link_velocity
 
 
 @cache
@@ -114,7 +117,9 @@ def state_space_with(options: LinearOptions) -> Any:
 def physical_with(options: PhysicalOptions) -> Any:
     one = case(1, 1)
     how = physical.RecordOptions(options, state_space=False)
-    found = physical.identify_record(one.signals, one.decoupled, one.model, one.study, how)
+    found = physical.identify_record(
+        one.signals, one.decoupled, one.model, Arm.of(one.study.arm), how
+    )
     assert found.joint_model is not None
     return np.array(list(found.joint_model.values.values()))
 
@@ -181,7 +186,7 @@ def test_an_option_changes_what_its_stage_finds(stage: str, key: str) -> None:
 def begun(small: Path) -> Callable[[TuningOptions], tuning.Fit]:
     """The whole-arm fit of the small study from what its stages before found."""
     before = pipeline.identify(small, stages=("rigid", "decoupled"))
-    from_here = (read_logs(before.study), before.rigid, before.joints, before.study)
+    from_here = (read_logs(before.study), before.rigid, before.joints, Arm.of(before.study.arm))
     usual = tuning.fitted(*from_here)
 
     def fit(options: TuningOptions) -> tuning.Fit:

@@ -22,7 +22,7 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.rigid_regressor import columns_of
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, simulate
 from strainwave.identification.whole_arm.dataset import Channel, Dataset
 from strainwave.identification.whole_arm.low_pass import Kernels
@@ -49,7 +49,7 @@ def truth(spring: str = "linear") -> tuple[Study, Values]:
     assert spring in ("linear", "three-slope")
     study = scara.study(Path("nowhere"), "linear" if spring == "linear" else "three-slope")
     values = scara.parameters(5, "linear" if spring == "linear" else "three-slope")
-    return study, derived(values, study)
+    return study, derived(values, study.arm)
 
 
 @lru_cache(maxsize=8)
@@ -114,9 +114,9 @@ def beginning(study: Study, values: Values, log: Log, first: int) -> FloatArray:
     """The true initial states of what is left of an open-loop record from one of its samples on."""
     record: list[Quantity] = ["motor_velocity", "link_angle", "link_velocity"]
     run = simulate(
-        study,
+        Arm.of(study.arm),
         values,
-        replay(study, log),
+        replay(Arm.of(study.arm), log),
         sample_time=log.sample_time,
         samples=len(log),
         record=record,
@@ -170,8 +170,8 @@ def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) 
 
     Inertias and gravity are off by `factor` deviations; friction is as it is.
     """
-    columns = columns_of(study)
-    known = derived(known, study)
+    columns = Arm.of(study.arm).rigid_columns
+    known = derived(known, study.arm)
     if study.arm.n_joints == 1:
         ratio = study.arm.joints[0].gear_ratio
         known["inertia", 1] = known["motor_inertia", 1] + ratio**2 * known["link_inertia", 1]
@@ -248,7 +248,7 @@ def linear_record(
     channels = [Channel(f"a{k}", 1, "accelerometer", False, shifted) for k in range(n_channels)]
     return LinearRecord(
         log=Log(experiment, time, 1e-3, {}),
-        study=study,
+        arm=Arm.of(study.arm),
         cutoff_hz=100.0,
         drive=Drive(1e-3, still, still, (False, False), (0.0, 0.0), (0.0, 0.0)),
         channels=tuple(channels),

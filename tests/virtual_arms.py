@@ -10,6 +10,7 @@ import numpy as np
 from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Log, Signals, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation, simulation
+from strainwave.dynamics.arm import Arm
 from strainwave.virtual import scara
 
 MOTION = Experiment("motion", "motion.csv", "motion", ("servo", "servo"))
@@ -117,7 +118,7 @@ def servoed_log(
         initial_voltage=held,
     )
     run = simulation.simulate(
-        study,
+        Arm.of(study.arm),
         values,
         drive,
         sample_time=CLOCK,

@@ -17,6 +17,7 @@ from rich.console import Console
 from benchmarks.studies.arms import each, with_logs
 from strainwave import pipeline
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm import tune
 from strainwave.io import logs
 from strainwave.io.study import read_study
@@ -32,7 +33,10 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     before = pipeline.identify(path, stages=("rigid", "decoupled"))
     rng = np.random.default_rng(int(1e12 * values["motor_inertia", 1]))
     starts = values, _far_from(values, rng)
-    ends = [tune(all_logs, before.rigid, before.joints, study, start=start) for start in starts]
+    ends = [
+        tune(all_logs, before.rigid, before.joints, Arm.of(study.arm), start=start)
+        for start in starts
+    ]
     home = {(q.name, q.joint): q for q in ends[0].parameters if q.value is not None}
     apart = {
         f"{p.name} {p.joint or ''}".strip(): abs(p.value - q.value) / q.std

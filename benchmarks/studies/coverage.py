@@ -58,7 +58,7 @@ def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]
     if tuned is None:
         suspected = [one.code for one in identification.suspected]
         return {"failure": f"no whole-arm fit; suspected: {suspected}"}
-    known = derived(values, read_study(path))
+    known = derived(values, read_study(path).arm)
     left_out = [
         [name, joint]
         for (name, joint), true in values.items()

@@ -238,7 +238,7 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     if tuned is None:
         return {"failure": identification.reason}
     study = read_study(path)
-    known = derived(values, study)
+    known = derived(values, study.arm)
     for joint in range(1, study.arm.n_joints + 1):
         known["friction_settling_time", joint] = settling(values, joint)
     rows = []

@@ -206,7 +206,7 @@ def tried(n_faults: int, seed: int, stages: tuple[str, ...], path: Path, values:
     """What `identify` says of one arm without a fault, and with each of some drawn ones."""
     study = read_study(path)
     logs = read_logs(study)
-    truth = derived(values, study)
+    truth = derived(values, study.arm)
     faults = [Fault("none", "", (), logs, study)]
     rng = np.random.default_rng([seed, len(logs[0]), int(1e6 * values["alpha", None])])
     for fault, _ in zip(drawn_faults(logs, study, rng), range(n_faults), strict=False):

@@ -107,7 +107,9 @@ def main() -> None:
     console = Console(width=160)
     for folder in chosen.folders:
         found = _identified(folder, bare=chosen.without_link_sensors)
-        truth = derived(read_parameters(folder / "truth.json"), read_study(folder / "study.toml"))
+        truth = derived(
+            read_parameters(folder / "truth.json"), read_study(folder / "study.toml").arm
+        )
         table = Table("stage", *(f"{kind} %" for kind in KINDS), "inside", box=None)
         for stage, parameters in stages(found).items():
             table.add_row(stage, *cells(parameters, truth))

@@ -24,6 +24,7 @@ from benchmarks.studies.arms import each, with_logs
 from strainwave import pipeline
 from strainwave.domain import FloatArray
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm import Fit, fitted
 from strainwave.identification.whole_arm.objective import Rows
 from strainwave.io import logs
@@ -37,7 +38,7 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     """Relative errors both ways."""
     study = read_study(path)
     before = pipeline.identify(path, stages=("rigid", "decoupled"))
-    fit = fitted(logs.read_logs(study), before.rigid, before.joints, study)
+    fit = fitted(logs.read_logs(study), before.rigid, before.joints, Arm.of(study.arm))
     space = fit.objective.space
     ends = {"rows": fit.z, "predictor": space.moved(fit.z, _step(fit))}
     found: dict[str, Any] = {}

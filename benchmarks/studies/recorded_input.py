@@ -19,6 +19,7 @@ from rich.table import Table
 from benchmarks.studies.arms import each, with_logs
 from strainwave import pipeline
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm import TuningOptions, tune
 from strainwave.io import logs
 from strainwave.io.study import read_study
@@ -31,12 +32,12 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
     """Relative errors and deviations both ways."""
     study = read_study(path)
     all_logs = logs.read_logs(study)
-    known = derived(values, study)
+    known = derived(values, study.arm)
     before = pipeline.identify(path, stages=("rigid", "decoupled"))
     found: dict[str, Any] = {}
     for way, closed in WAYS.items():
         options = TuningOptions(closed_loop=closed)
-        model = tune(all_logs, before.rigid, before.joints, study, options)
+        model = tune(all_logs, before.rigid, before.joints, Arm.of(study.arm), options)
         found[way] = {
             f"{p.name} {p.joint or ''}".strip(): [p.value / true - 1.0, p.std / abs(true)]
             for p in model.parameters

@@ -27,6 +27,7 @@ from benchmarks.studies.convergence import SAME
 from benchmarks.studies.coverage import EXACT_STEP, OF_THE_ENGINE, drawn_rig, kind_of, rows_of
 from strainwave.domain import Channel, FloatArray, Identification, JointModel, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.identification import joint_model as physical
 from strainwave.identification.whole_arm import tune
@@ -147,7 +148,7 @@ def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]
     if found.tuned is None:
         return told
     study = read_study(path)
-    known = derived(values, study)
+    known = derived(values, study.arm)
     own = [p for p in found.tuned.parameters if not (engine and p.name == OF_THE_ENGINE)]
     rows = rows_of([p for p in own if p.value is not None], known)
     told |= {"status": found.tuned.status, "parameters": rows}
@@ -172,11 +173,11 @@ def _apart(found: Identification, study: Study, values: Values) -> dict[str, Any
     every = logs.read_logs(study)
     joints = found.joints
     if len(joints) < study.arm.n_joints:
-        joints = physical.models_from_catalogue(found.rigid, study)[0]
+        joints = physical.models_from_catalogue(found.rigid, Arm.of(study.arm))[0]
     joints = tuple(_true(joint, values, study) for joint in joints)
     options = study.options.tuning
     try:
-        home = tune(every, found.rigid, joints, study, options, start=values)
+        home = tune(every, found.rigid, joints, Arm.of(study.arm), options, start=values)
     except Exception as failure:  # the truth itself may not do
         return {"home": f"{type(failure).__name__}: {failure}"}
     at = {(q.name, q.joint): q for q in home.parameters if q.value is not None}
@@ -194,7 +195,7 @@ def _apart(found: Identification, study: Study, values: Values) -> dict[str, Any
 
 def _true(joint: JointModel, values: Values, study: Study) -> JointModel:
     """A joint's model with the truth for its values: limits of the search lie about it."""
-    known = derived(values, study)
+    known = derived(values, study.arm)
     own = {}
     for name, value in joint.values.items():
         alike = "gear_stiffness_k2" if name == "gear_stiffness" else name

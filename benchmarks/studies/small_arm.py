@@ -167,7 +167,7 @@ def write(folder: Path) -> None:
     write_study(copy, copy.path)
     truth = [
         {"name": name, "joint": joint, "value": value}
-        for (name, joint), value in derived(values(), copy).items()
+        for (name, joint), value in derived(values(), copy.arm).items()
     ]
     (folder / "truth.json").write_text(json.dumps({"parameters": truth}, indent=1) + "\n")
 

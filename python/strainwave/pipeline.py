@@ -39,8 +39,10 @@ from strainwave.domain import (
     StateSpace,
     Study,
 )
+from strainwave.domain.combinations import is_uncoupled
 from strainwave.domain.diagnostics import published_warnings
 from strainwave.domain.progress import Progress, ProgressEvent, ignored
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import with_places
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import amplitude_sweep as sweep
@@ -143,10 +145,11 @@ def identify(
 
 
 def _identify(the_study: Study, all_logs: Sequence[Log], run: _Run) -> Identification:
+    run.arm = Arm.of(the_study.arm)
     for log in all_logs:
         run.warnings.extend(log.warnings)
     input_check = _consistency(run, the_study, all_logs)
-    elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in the_study.arm.joints)
+    elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in run.arm.joints)
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     model: RigidModel | None = None
     fitted: tuple[Prediction, ...] = ()
@@ -165,11 +168,11 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: _Run) -> Identific
     starts = joints
     if elastic and "tuned" in run.stages and not excited:
         starts = _from_catalogue(run, the_study, all_logs, model)
-    if "tuned" in run.stages and len(starts) == the_study.arm.n_joints:
+    if "tuned" in run.stages and len(starts) == run.arm.n_joints:
         tuned = _tuned(run, the_study, all_logs, model, starts)
     if tuned is not None:
-        checks = _with_elastic(run, the_study, all_logs, tuned, checks)
-        motors = _motor_responses(run, the_study, all_logs, tuned, starts)
+        checks = _with_elastic(run, all_logs, tuned, checks)
+        motors = _motor_responses(run, all_logs, tuned, starts)
     found = Identification(
         study=the_study,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -189,7 +192,7 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: _Run) -> Identific
         suspected=input_check.suspected,
         motor_responses=motors,
         failures=tuple(run.failures),
-        activity=activity_of(all_logs, the_study),
+        activity=activity_of(all_logs, run.arm),
     )
     return replace(found, warnings=published_warnings(found))
 
@@ -215,13 +218,11 @@ def _rigid(
 ) -> tuple[RigidModel | None, tuple[Prediction, ...], tuple[Prediction, ...]]:
     """The rigid model, and its predictions of the fitted and of the check records."""
     with run.timed("rigid", "rigid joints: least squares"):
-        seen = {
-            use: _signals(all_logs, use, the_study, run.warnings) for use in ("motion", "check")
-        }
+        seen = {use: _signals(run, all_logs, use) for use in ("motion", "check")}
         try:
-            model = rigid.fit(seen["motion"], the_study, the_study.options.rigid)
+            model = rigid.fit(seen["motion"], run.arm, the_study.options.rigid)
         except NotIdentifiable as failure:
-            if _single_and_excited(the_study, all_logs) and "decoupled" in run.stages:
+            if _single_and_excited(run.arm, all_logs) and "decoupled" in run.stages:
                 run.warnings.append(Diagnostic("no-rigid-model", str(the_study.path), str(failure)))
             else:
                 run.failures.append(str(failure))
@@ -233,9 +234,7 @@ def _rigid(
         predictions = {
             use: tuple(
                 made
-                for made in side_by_side(
-                    [partial(_predicted, run, model, each, the_study) for each in chosen]
-                )
+                for made in side_by_side([partial(_predicted, run, model, each) for each in chosen])
                 if made is not None
             )
             for use, chosen in seen.items()
@@ -244,10 +243,10 @@ def _rigid(
     return model, predictions["motion"], predictions["check"]
 
 
-def _predicted(run: _Run, model: RigidModel, each: Signals, the_study: Study) -> Prediction | None:
+def _predicted(run: _Run, model: RigidModel, each: Signals) -> Prediction | None:
     """A record's torques by the rigid model; None, with a warning, of one that is too short."""
     try:
-        return validation.predict_rigid(model, each, the_study)
+        return validation.predict_rigid(model, each, run.arm)
     except NotIdentifiable as failure:
         name = each.experiment.name
         run.warnings.append(Diagnostic("nothing-to-predict", name, f"{name} {failure}"))
@@ -267,12 +266,12 @@ def _decoupled(
         text += " the whole-arm fit starts from gears that such arms have"
         run.warnings.append(Diagnostic("no-frequency-record", str(the_study.path), text))
         return (), (), {}
-    if model is None and not _alone(the_study):
+    if model is None and not is_uncoupled(run.arm):
         return (), (), {}  # why there is none has been said
 
     with run.timed("decoupled", "decoupling the joints"):
         # where it is not known how a sensor sits, something like it stands in until the whole fit
-        placed_logs, placed = with_stand_ins(excited, the_study, all_logs)
+        placed_logs, placed = with_stand_ins(excited, run.arm, all_logs)
         sides, delays = links.both_sides(placed_logs, placed, the_study.options.links)
         run.warnings.extend(links.corrected(delays))
         run.sensors = links.constants_of(sides, delays)
@@ -305,7 +304,7 @@ def _from_motors(
         run.links += side.summaries
     full = [side for side in sides if side.experiment.use == "frequency"]
     try:
-        joints, *run.others = physical.models_from_motors(full or sides, model, the_study)
+        joints, *run.others = physical.models_from_motors(full or sides, model, run.arm)
     except NotIdentifiable as failure:
         run.warnings.append(Diagnostic("not-identifiable", str(the_study.path), str(failure)))
         return ()
@@ -320,7 +319,7 @@ def _from_catalogue(
     if not _used_for(all_logs, "tuning"):
         return ()
     try:
-        joints, *run.others = physical.models_from_catalogue(model, the_study)
+        joints, *run.others = physical.models_from_catalogue(model, run.arm)
     except NotIdentifiable as failure:
         run.warnings.append(Diagnostic("not-identifiable", str(the_study.path), str(failure)))
         return ()
@@ -353,8 +352,8 @@ def _physical(
         own = together[joint]
         try:
             if options.physical.route == "equations":
-                return physical.fit_joint(own, model, the_study, options.physical), response
-            return physical.joint_by_transfer([d for _, d in own], model, the_study, how), response
+                return physical.fit_joint(own, model, run.arm, options.physical), response
+            return physical.joint_by_transfer([d for _, d in own], model, run.arm, how), response
         except (NotIdentifiable, np.linalg.LinAlgError) as failure:
             return Diagnostic("not-identifiable", f"joint {joint}", str(failure)), response
 
@@ -370,14 +369,15 @@ def _physical(
         own = [decoupling.without_friction(s, d, joint) for s, d in together[joint.joint]]
         response = _response(own, options.responses)
         responses |= {} if response is None else {joint.joint: response}
-    ratios = [each.gear_ratio for each in the_study.arm.joints]
+    ratios = [each.gear_ratio for each in run.arm.joints]
     joints = [physical.compared(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints]
-    records = _record_models(the_study, model, seen, fits)
+    records = _record_models(run, the_study.options, model, seen, fits)
     return records, joints, responses
 
 
 def _record_models(
-    the_study: Study,
+    run: _Run,
+    options: Options,
     model: RigidModel | None,
     seen: Sequence[_Seen],
     fits: Mapping[int, physical.JointFit],
@@ -386,14 +386,13 @@ def _record_models(
 
     The state-space models of a sweep start from those at full amplitude.
     """
-    options = the_study.options
     how = physical.RecordOptions(options.physical, options.statespace)
     models: dict[int, StateSpace] = {}  # of a joint at full amplitude
 
     def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
         own = replace(how, judged=log.experiment.use == "frequency")
         fit, near = fits.get(part.joint), models.get(part.joint)
-        found = physical.identify_record(both_sides, part, model, the_study, own, fit, near)
+        found = physical.identify_record(both_sides, part, model, run.arm, own, fit, near)
         return replace(found, response=_response([part], options.responses))
 
     every = [(log, both, part) for log, both, ps in seen for part in _excited_joints(ps, log)]
@@ -428,7 +427,7 @@ def _tuned(
                 all_logs,
                 model,
                 joints,
-                the_study,
+                run.arm,
                 options,
                 start=start,
                 others=run.others,
@@ -446,7 +445,6 @@ def _tuned(
 
 def _with_elastic(
     run: _Run,
-    the_study: Study,
     all_logs: Sequence[Log],
     tuned: ArmModel,
     checks: tuple[Prediction, ...],
@@ -455,11 +453,9 @@ def _with_elastic(
     made = list(checks)
     with run.timed("checks", "simulating the check records"):
         told = [
-            log
-            for log in _used_for(all_logs, "check")
-            if missing_for_replay(the_study, log) is None
+            log for log in _used_for(all_logs, "check") if missing_for_replay(run.arm, log) is None
         ]
-        placed = with_places(the_study, tuned.values)
+        placed = with_places(run.arm, tuned.values)
         found = side_by_side(
             [partial(validation.predict_elastic, tuned, log, placed) for log in told]
         )
@@ -470,7 +466,6 @@ def _with_elastic(
 
 def _motor_responses(
     run: _Run,
-    the_study: Study,
     all_logs: Sequence[Log],
     tuned: ArmModel,
     joints: Sequence[JointModel],
@@ -480,9 +475,9 @@ def _motor_responses(
         seen = [
             log
             for log in _used_for(all_logs, "frequency")
-            if log.experiment.joint is not None and missing_motor_signal(the_study, log) is None
+            if log.experiment.joint is not None and missing_motor_signal(run.arm, log) is None
         ]
-        made = [partial(motor_response, log, tuned, joints, the_study) for log in seen]
+        made = [partial(motor_response, log, tuned, joints, run.arm) for log in seen]
         return tuple(side_by_side(made))
 
 
@@ -503,14 +498,9 @@ def _excited_joints(parts: Sequence[Decoupled], log: Log) -> list[Decoupled]:
     return [part for part in parts if log.experiment.joint in (None, part.joint)]
 
 
-def _single_and_excited(the_study: Study, all_logs: Sequence[Log]) -> bool:
+def _single_and_excited(arm: Arm, all_logs: Sequence[Log]) -> bool:
     """Whether a joint can be identified without a rigid model."""
-    return _alone(the_study) and any(log.experiment.use == "frequency" for log in all_logs)
-
-
-def _alone(the_study: Study) -> bool:
-    """Whether nothing acts on the joint but its motor."""
-    return the_study.arm.n_joints == 1 and the_study.arm.gravity is None
+    return is_uncoupled(arm) and any(log.experiment.use == "frequency" for log in all_logs)
 
 
 def write(
@@ -559,6 +549,7 @@ class _Run:
 
     stages: tuple[str, ...]
     progress: Progress
+    arm: Arm = field(init=False)  # as soon as the study is read
     parts: list[str] = field(default_factory=list)  # that have begun, or been passed over
     warnings: list[Diagnostic] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
@@ -595,11 +586,9 @@ def _planned(stages: Sequence[str]) -> list[str]:
     return [*planned, "report"]
 
 
-def _signals(
-    all_logs: Sequence[Log], use: str, the_study: Study, warnings: list[Diagnostic]
-) -> list[Signals]:
+def _signals(run: _Run, all_logs: Sequence[Log], use: str) -> list[Signals]:
     """Motor-side signals of the records of one use, which have them."""
     chosen = _used_for(all_logs, use)
-    found = side_by_side([partial(signals.motor_side, log, the_study) for log in chosen])
-    warnings.extend(caution for each in found for caution in each.warnings)
+    found = side_by_side([partial(signals.motor_side, log, run.arm) for log in chosen])
+    run.warnings.extend(caution for each in found for caution in each.warnings)
     return found

@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 from strainwave import pipeline
 from strainwave.domain import ArmDescription, Effect, FloatArray, Joint, Study
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.simulation import Drive, build_arm, sensitivities, simulate
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive, sensitivities, simulate
 from strainwave.errors import InvalidInput
 from strainwave.io import logs
 from strainwave.io.study import read_study
@@ -82,7 +83,7 @@ def by_scipy(volts: float, seconds: FloatArray, values: Values) -> FloatArray:
 def test_an_arm_with_effects_moves_as_scipy_integrates_it() -> None:
     samples = 300
     run = simulate(
-        one_joint(),
+        Arm.of(one_joint().arm),
         VALUES | EFFECTS,
         drive(np.full(samples, 4.0)),
         sample_time=1e-3,
@@ -104,12 +105,21 @@ def test_every_effect_asks_for_its_parameters_and_changes_the_motion(effect: Eff
     study, volts = one_joint((effect,)), drive(np.full(200, 4.0))
     own = {key: value for key, value in EFFECTS.items() if key[0].startswith(effect[:9])}
     assert len(own) == 2
-    names = build_arm(study).parameter_names
-    assert names[-2:] == list(own)
+    names = Arm.of(study.arm).parameter_names
+    assert names[-2:] == tuple(own)
     with pytest.raises(InvalidInput, match=f"lack {names[-2][0]} of joint 1, {names[-1][0]}"):
-        simulate(study, VALUES, volts, sample_time=1e-3, samples=200, record=["encoder"])
+        simulate(
+            Arm.of(study.arm), VALUES, volts, sample_time=1e-3, samples=200, record=["encoder"]
+        )
     with_it, without = (
-        simulate(of, VALUES | EFFECTS, volts, sample_time=1e-3, samples=200, record=["encoder"])
+        simulate(
+            Arm.of(of.arm),
+            VALUES | EFFECTS,
+            volts,
+            sample_time=1e-3,
+            samples=200,
+            record=["encoder"],
+        )
         for of in (study, one_joint(()))
     )
     assert np.abs(with_it["encoder"] - without["encoder"]).max() > 1e-3
@@ -121,23 +131,29 @@ def test_the_core_refuses_effects_that_are_none() -> None:
         study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], spring="rigid"),))
     )
     with pytest.raises(ValueError, match="a rigid gear has neither"):
-        build_arm(rigid)
+        _ = Arm.of(rigid.arm).core
     unheard: tuple[Effect, ...] = ("backlash",)  # type: ignore[assignment]
     with pytest.raises(ValueError, match='no effect "backlash"'):
-        build_arm(one_joint(unheard))
+        _ = Arm.of(one_joint(unheard).arm).core
 
 
 def test_derivatives_reach_the_effects_parameters() -> None:
     study, values = one_joint(), VALUES | EFFECTS
     volts = drive(4.0 * np.sign(np.sin(2.0 * np.pi * 11.0 * 1e-3 * np.arange(200) + 0.1)))
     found = sensitivities(
-        study, values, volts, list(EFFECTS), sample_time=1e-3, samples=200, record=["link_velocity"]
+        Arm.of(study.arm),
+        values,
+        volts,
+        list(EFFECTS),
+        sample_time=1e-3,
+        samples=200,
+        record=["link_velocity"],
     )["link_velocity"][1]
     for k, key in enumerate(EFFECTS):
         size = 1e-4 * values[key]
         up, down = (
             simulate(
-                study,
+                Arm.of(study.arm),
                 values | {key: values[key] + change},
                 volts,
                 sample_time=1e-3,
@@ -182,7 +198,7 @@ def test_the_rigid_step_takes_an_arm_whose_gears_have_effects(tmp_path: Path) ->
     virtual.simulate_study(study, scara.parameters() | EFFECTS, tmp_path)
     found = pipeline.identify(tmp_path / "study.toml", stages=pipeline.STAGES[:1])
     assert found.rigid is not None
-    true = virtual.derived(scara.parameters(), study)
+    true = virtual.derived(scara.parameters(), study.arm)
     for name, joint in (("rigid_inertia", 1), ("beta", None), ("gamma", None)):
         # a few parts in a thousand, as without effects: slow motion hardly sees them
         assert found.rigid.value(name, joint) == pytest.approx(true[name, joint], rel=0.01)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Imu, Study
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
     BASIS,
     RATE,
@@ -43,7 +44,7 @@ def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
 
 
 def axes(study: Study, joint: int) -> tuple[Axis, ...]:
-    return axes_of([f"{name}{joint}" for name in NAMES], study, joint)
+    return axes_of([f"{name}{joint}" for name in NAMES], Arm.of(study.arm), joint)
 
 
 def path_of(angle: FloatArray, study: Study, joint: int) -> tuple[FloatArray, FloatArray]:
@@ -78,7 +79,7 @@ def test_the_simulated_imu_reads_what_its_path_gives(gravity: float | None, join
     still = (0.0, 0.0)
     drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (30.0, 60.0), still)
     record: list[Quantity] = ["link_angle", *BASIS, RATE]
-    run = simulate(study, values, drive, sample_time=T, samples=n, record=record)
+    run = simulate(Arm.of(study.arm), values, drive, sample_time=T, samples=n, record=record)
     place, turned = path_of(run["link_angle"], study, joint)
     second = (place[2:] - 2.0 * place[1:-1] + place[:-2]) / T**2
     force = second + np.array([0.0, gravity or 0.0, 0.0])
@@ -87,7 +88,7 @@ def test_the_simulated_imu_reads_what_its_path_gives(gravity: float | None, join
     rate = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
     for axis in axes(study, joint):
         parts = np.column_stack([run[name][:, joint - 1] for name in axis.quantities])
-        found = (parts @ factors(axis, study, {}))[1:-1]
+        found = (parts @ factors(axis, Arm.of(study.arm), {}))[1:-1]
         expected = (read if axis.kind == "accelerometer" else rate)[:, axis.number]
         off = np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2))
         # differences lack T^2/12 of the next but one derivative, and blur what a voltage's step does
@@ -105,9 +106,11 @@ def test_the_core_and_the_start_take_one_basis(gravity: float | None) -> None:
     still = (0.0, 0.0)
     drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (10.0, -90.0), still)
     motion: list[Quantity] = ["link_angle", "link_velocity", "link_acceleration"]
-    run = simulate(study, values, drive, sample_time=1e-3, samples=300, record=[*motion, *BASIS])
+    run = simulate(
+        Arm.of(study.arm), values, drive, sample_time=1e-3, samples=300, record=[*motion, *BASIS]
+    )
     q, dq, ddq = (run[name] for name in motion)
-    found = kinematics(q, dq, ddq, study)
+    found = kinematics(q, dq, ddq, Arm.of(study.arm))
     for k, name in enumerate(BASIS):
         np.testing.assert_allclose(found[:, :, k], run[name], atol=1e-9)
 
@@ -130,13 +133,15 @@ def test_slopes_are_those_of_the_factors(gravity: float | None, joint: int) -> N
     for imu in (Imu(), Imu(xyz=XYZ), Imu(rpy=RPY)):
         study = rig(gravity, joint, imu)
         own = axes(study, joint)
-        keys = unknowns_of(own, study)
+        keys = unknowns_of(own, Arm.of(study.arm))
         values = {key: float(rng.uniform(0.1, 0.5)) for key in keys}
         for axis in own:
-            found = slopes(axis, study, values, keys)
+            found = slopes(axis, Arm.of(study.arm), values, keys)
             for k, key in enumerate(keys):
                 moved = {**values, key: values[key] + 1e-4}
-                step = factors(axis, study, moved) - factors(axis, study, values)
+                step = factors(axis, Arm.of(study.arm), moved) - factors(
+                    axis, Arm.of(study.arm), values
+                )
                 np.testing.assert_allclose(found[:, k], step / 1e-4, atol=1e-3)
 
 
@@ -144,12 +149,14 @@ def test_distances_by_the_slow_part() -> None:
     """Short records leave a start of the right size."""
     study, _, logs = shaken(order=10)
     joints = tuple(replace(joint, accelerometer_distance=None) for joint in study.arm.joints)
-    starts = mounting_starts(logs, replace(study, arm=replace(study.arm, joints=joints)))
+    starts = mounting_starts(
+        logs, Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm)
+    )
     assert starts == {
         ("accelerometer_distance", 1): pytest.approx(0.33, rel=0.4),
         ("accelerometer_distance", 2): pytest.approx(0.27, rel=0.4),
     }
-    assert mounting_starts(logs, study) == {}
+    assert mounting_starts(logs, Arm.of(study.arm)) == {}
 
 
 def test_what_is_unknown_of_an_imu() -> None:
@@ -162,13 +169,15 @@ def test_what_is_unknown_of_an_imu() -> None:
     }
     for (joint, gravity), names in expected.items():
         study = rig(gravity, joint, Imu())
-        assert unknowns_of(axes(study, joint), study) == [(name, joint) for name in names]
-        one = axes_of([f"ay{joint}", f"gz{joint}"], study, joint)
+        assert unknowns_of(axes(study, joint), Arm.of(study.arm)) == [
+            (name, joint) for name in names
+        ]
+        one = axes_of([f"ay{joint}", f"gz{joint}"], Arm.of(study.arm), joint)
         alone = [*names[:-3], "imu_turn_z", "imu_gz_z"]
-        assert unknowns_of(one, study) == [(name, joint) for name in alone]
-        assert not unknowns_of(axes(rig(gravity, joint), joint), rig(gravity, joint))
+        assert unknowns_of(one, Arm.of(study.arm)) == [(name, joint) for name in alone]
+        assert not unknowns_of(axes(rig(gravity, joint), joint), Arm.of(rig(gravity, joint).arm))
     turned = rig(None, 1, Imu(rpy=RPY))
-    assert unknowns_of(axes(turned, 1), turned) == [("imu_x", 1), ("imu_y", 1)]
+    assert unknowns_of(axes(turned, 1), Arm.of(turned.arm)) == [("imu_x", 1), ("imu_y", 1)]
 
 
 def test_a_rotation_vector() -> None:
@@ -195,16 +204,19 @@ def test_the_search_finds_a_drawn_mounting(gravity: float | None, joint: int, co
     xyz = (rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), 0.02)
     true = rig(gravity, joint, Imu(xyz, tuple(rpy.tolist())))
     lost = rig(gravity, joint, Imu())
-    own = axes_of([f"{name}{joint}" for name in names], lost, joint)
-    basis = kinematics(q, dq, ddq, true)[:, joint - 1]
+    own = axes_of([f"{name}{joint}" for name in names], Arm.of(lost.arm), joint)
+    basis = kinematics(q, dq, ddq, Arm.of(true.arm))[:, joint - 1]
     rate = dq[:, :joint].sum(axis=1)[:, None]
     tables = []
     for axis in own:
         parts = rate if axis.kind == "gyro" else basis
-        rows = np.column_stack([parts, parts @ factors(axis, true, {})])
+        rows = np.column_stack([parts, parts @ factors(axis, Arm.of(true.arm), {})])
         tables.append(rows - rows.mean(axis=0))
-    found = imu_starts(own, tables, lost)
+    found = imu_starts(own, tables, Arm.of(lost.arm))
     for axis in own:
-        counts, expected = factors(axis, lost, found), factors(axis, true, {})
+        counts, expected = (
+            factors(axis, Arm.of(lost.arm), found),
+            factors(axis, Arm.of(true.arm), {}),
+        )
         felt = np.linalg.norm(tables[own.index(axis)][:, :-1], axis=0) > 1e-9
         np.testing.assert_allclose(counts[felt], expected[felt], atol=1e-5)

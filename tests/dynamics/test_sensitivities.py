@@ -11,13 +11,13 @@ import pytest
 
 from strainwave.domain import FloatArray, Prbs, Spring
 from strainwave.dynamics import excitation
-from strainwave.dynamics.simulation import build_arm, parameter_vector
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.low_pass import low_pass_kernels
 from strainwave.virtual import scara
 
-STUDY = scara.study(Path())
-ARM = build_arm(STUDY)
-VALUES = parameter_vector(ARM, scara.parameters(), STUDY)
+RIG = Arm.of(scara.study(Path()).arm)
+ARM = RIG.core
+VALUES = RIG.parameter_vector(scara.parameters())
 ONE = excitation.prbs(Prbs(8, 1e-3, 1, 6.0))[:200]
 VOLTAGE = np.column_stack([ONE, ONE[::-1]])
 RECORD = ["motor_velocity", "accelerometer", "gyro", "link_angle"]
@@ -75,9 +75,8 @@ def test_unknown_directions_are_refused(direction: tuple[str, int | None]) -> No
 @pytest.mark.parametrize("spring", ["three-slope", "rigid"])  # derivatives go two ways
 @pytest.mark.parametrize("n_directions", [0, 3, 8])
 def test_rows_are_those_of_the_samples(spring: Spring, n_directions: int) -> None:
-    study = scara.study(Path(), spring)
-    arm = build_arm(study)
-    values = parameter_vector(arm, scara.parameters(spring=spring), study)
+    rig = Arm.of(scara.study(Path(), spring).arm)
+    arm, values = rig.core, rig.parameter_vector(scara.parameters(spring=spring))
     directions = arm.parameter_names[:n_directions]
     full = arm.sensitivities(values, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
     kernels = low_pass_kernels(60.0, 1e-3)

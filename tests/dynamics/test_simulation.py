@@ -9,18 +9,14 @@ import pytest
 
 from strainwave.domain import Experiment, FloatArray, Prbs, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import LONGEST_STEP, Arm
 from strainwave.dynamics.simulation import (
-    LONGEST_STEP,
     Drive,
     Quantity,
     SensorNoise,
     Trajectory,
-    build_arm,
     common_step,
-    fastest_resonance,
-    longest_step,
     measure,
-    parameter_vector,
     simulate,
     simulate_arms,
 )
@@ -46,7 +42,12 @@ def fit(measured: FloatArray, simulated: FloatArray) -> float:
 def test_a_constant_voltage_accelerates_the_whole_arm() -> None:
     study, values = scara.study(Path()), scara.parameters()
     run = simulate(
-        study, values, drive(2001), sample_time=1e-3, samples=2001, record=["link_angle"]
+        Arm.of(study.arm),
+        values,
+        drive(2001),
+        sample_time=1e-3,
+        samples=2001,
+        record=["link_angle"],
     )
     # Motor 1 pulls with 0.24 N m less 0.06 N m friction, a hundredfold at the link: it has swung.
     assert run["link_angle"][-1, 0] > 1.0
@@ -55,15 +56,15 @@ def test_a_constant_voltage_accelerates_the_whole_arm() -> None:
 
 def test_the_parameters_of_an_arm_go_by_name() -> None:
     study = scara.study(Path())
-    arm = build_arm(study)
-    vector = parameter_vector(arm, scara.parameters(), study)
+    arm = Arm.of(study.arm)
+    vector = arm.parameter_vector(scara.parameters())
     named = dict(zip(arm.parameter_names, vector, strict=True))
     assert named["gear_knee_t2", 1] == 25.0
     assert named["gravity_torque_1", None] == 0.0
     incomplete = scara.parameters()
     del incomplete["gear_damping", 2]
     with pytest.raises(InvalidInput, match="lack gear_damping of joint 2"):
-        parameter_vector(arm, incomplete, study)
+        arm.parameter_vector(incomplete)
 
 
 def test_an_impossible_arm_is_refused_by_name() -> None:
@@ -76,13 +77,20 @@ def test_an_impossible_arm_is_refused_by_name() -> None:
     for change, said in cases:
         values = scara.parameters() | change
         with pytest.raises(InvalidInput, match=said):
-            simulate(study, values, drive(20), sample_time=1e-3, samples=20, record=["encoder"])
+            simulate(
+                Arm.of(study.arm),
+                values,
+                drive(20),
+                sample_time=1e-3,
+                samples=20,
+                record=["encoder"],
+            )
 
 
 def test_a_rigid_arm_runs_on_what_its_rigid_model_knows() -> None:
     study = scara.study(Path(), "rigid")
     whole = scara.parameters(spring="rigid")
-    known = virtual.derived(whole, study)
+    known = virtual.derived(whole, study.arm)
     sums = {
         name: known[name]
         for name in known
@@ -91,7 +99,9 @@ def test_a_rigid_arm_runs_on_what_its_rigid_model_knows() -> None:
     }
     record: list[Quantity] = ["link_angle"]
     runs = [
-        simulate(study, values, drive(400), sample_time=1e-3, samples=400, record=record)
+        simulate(
+            Arm.of(study.arm), values, drive(400), sample_time=1e-3, samples=400, record=record
+        )
         for values in (whole, sums)
     ]
     np.testing.assert_allclose(runs[0]["link_angle"], runs[1]["link_angle"], atol=1e-10)
@@ -132,7 +142,7 @@ def test_the_fastest_resonance_is_that_of_the_equations() -> None:
     alone: Values = {("motor_inertia", 1): motor, ("link_inertia", 1): link}
     alone["gear_stiffness", 1] = k
     expected = np.sqrt(k * (1.0 / link + n**2 / motor)) / (2.0 * np.pi)
-    assert fastest_resonance(one, alone) == pytest.approx(expected, rel=1e-12)
+    assert Arm.of(one.arm).fastest_resonance(alone) == pytest.approx(expected, rel=1e-12)
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
     highest = 0.0
     for cosine in np.linspace(-1.0, 1.0, 21):
@@ -145,25 +155,27 @@ def test_the_fastest_resonance_is_that_of_the_equations() -> None:
         flexible = (np.linalg.inv(links) + np.diag(1.0 / np.array(referred))) @ spring
         roots = np.linalg.eigvals(flexible).real
         highest = max(highest, float(np.sqrt(np.max(roots))) / (2.0 * np.pi))
-    assert fastest_resonance(study, values) == pytest.approx(highest, rel=1e-9)
-    assert fastest_resonance(study, {}) == 0.0
+    arm = Arm.of(study.arm)
+    assert arm.fastest_resonance(values) == pytest.approx(highest, rel=1e-9)
+    assert arm.fastest_resonance({}) == 0.0
 
 
 def test_steps_follow_the_fastest_resonance() -> None:
     """Ten times the stiffness: records stay within what a sensor resolves of far shorter steps'."""
     study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
-    assert longest_step(study, values) == LONGEST_STEP
+    arm = Arm.of(study.arm)
+    assert arm.longest_step(values) == LONGEST_STEP
     stiff = dict(values)
     for joint in (1, 2):
         stiff["gear_stiffness", joint] *= 10.0
-    step = longest_step(study, stiff)
-    assert step == pytest.approx(1.0 / (120.0 * fastest_resonance(study, stiff)))
+    step = arm.longest_step(stiff)
+    assert step == pytest.approx(1.0 / (120.0 * arm.fastest_resonance(stiff)))
     record: tuple[Quantity, ...] = ("motor_angle", "accelerometer")
     pushed = drive(200)
 
     def run(longest: float) -> dict[Quantity, FloatArray]:
         found = simulate_arms(
-            study,
+            Arm.of(study.arm),
             [stiff],
             pushed,
             sample_time=1e-3,
@@ -185,7 +197,7 @@ def test_steps_follow_the_fastest_resonance() -> None:
     own, shorter = (
         off(
             simulate(
-                study,
+                Arm.of(study.arm),
                 stiff,
                 pushed,
                 sample_time=1e-3,
@@ -212,14 +224,26 @@ def test_a_servo_must_be_described() -> None:
     study = replace(scara.study(Path()), arm=replace(scara.study(Path()).arm, servo=None))
     held = replace(drive(20), servo=(True, True))
     with pytest.raises(InvalidInput, match="no servo"):
-        simulate(study, scara.parameters(), held, sample_time=1e-3, samples=20, record=["encoder"])
+        simulate(
+            Arm.of(study.arm),
+            scara.parameters(),
+            held,
+            sample_time=1e-3,
+            samples=20,
+            record=["encoder"],
+        )
 
 
 def test_sensors_add_bias_noise_and_rounding() -> None:
     study = scara.study(Path())
     record: list[Quantity] = ["accelerometer", "gyro", "encoder"]
     run = simulate(
-        study, scara.parameters(), drive(4000, 0.0), sample_time=1e-3, samples=4000, record=record
+        Arm.of(study.arm),
+        scara.parameters(),
+        drive(4000, 0.0),
+        sample_time=1e-3,
+        samples=4000,
+        record=record,
     )
     noise = SensorNoise(accelerometer_bits=12)
     read = measure(run, noise, np.random.default_rng(0))

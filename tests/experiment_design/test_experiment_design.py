@@ -19,6 +19,7 @@ from strainwave import pipeline
 from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Servo, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation, simulation
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import command_table, motions, rigid_motion, voltages
 from strainwave.experiment_design.band import LINES, band_of
@@ -87,7 +88,7 @@ def worst_use(study: Study, values: Values, limits: Limits, record: design.Plann
         "gear_torque",
     )
     run = simulation.simulate(
-        study,
+        Arm.of(study.arm),
         values,
         record.drive,
         sample_time=2.5e-4,
@@ -125,7 +126,7 @@ def test_the_motion_is_conditioned_three_times_as_well_as_the_built_in_one(
         )
         angle, acceleration = np.cumsum(velocity, 0) * 1e-3, np.gradient(velocity, 1e-3, axis=0)
         motion = angle, velocity, acceleration
-        return float(rigid_motion.condition_number(STUDY, LIMITS, motion))
+        return float(rigid_motion.condition_number(Arm.of(STUDY.arm), LIMITS, motion))
 
     found = designed.records[0].condition_number
     assert found is not None
@@ -164,7 +165,7 @@ def test_a_way_in_meets_both_ends() -> None:
 @pytest.mark.parametrize("volts", [40.0, 2.0])
 def test_every_point_of_the_search_is_feasible(volts: float) -> None:
     limits = replace(LIMITS, voltage=(volts, volts))
-    search = rigid_motion.Search(STUDY, GUESS, limits, 5.0)
+    search = rigid_motion.Search(Arm.of(STUDY.arm), GUESS, limits, 5.0)
     rng = np.random.default_rng(0)
     limited = 0
     for point in 3.0 * rng.normal(size=(30, search.n_unknowns)):
@@ -183,7 +184,7 @@ def test_every_point_of_the_search_is_feasible(volts: float) -> None:
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_prbs_covers_the_band(designed: design.Design, joint: int) -> None:
     record = next(r for r in designed.records if r.experiment.joint == joint)
-    prbs, band = record.experiment.prbs, band_of(STUDY, GUESS, joint)
+    prbs, band = record.experiment.prbs, band_of(Arm.of(STUDY.arm), GUESS, joint)
     assert prbs is not None
     assert band is not None
     # as the drive holds it: ten points a clock
@@ -198,7 +199,7 @@ def test_a_prbs_covers_the_band(designed: design.Design, joint: int) -> None:
 
 def test_a_band_is_what_the_two_inertias_say() -> None:
     study, values = drive(motor_viscous_friction=0.0, gear_damping=1e-6)
-    band = band_of(study, values, 1)
+    band = band_of(Arm.of(study.arm), values, 1)
     assert band is not None
     k, link, motor = 3000.0, 0.3, 1e-4 / 0.02**2
     assert band.anti_resonance_hz == pytest.approx(np.sqrt(k / link) / (2 * np.pi), rel=1e-9)
@@ -207,16 +208,16 @@ def test_a_band_is_what_the_two_inertias_say() -> None:
     rigid = replace(
         study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], spring="rigid"),))
     )
-    assert band_of(rigid, values, 1) is None
+    assert band_of(Arm.of(rigid.arm), values, 1) is None
 
 
 @pytest.mark.usefixtures("quick")
 def test_a_multisine_is_flat_in_the_band_and_silent_outside() -> None:
     study, values = drive()
     limits = Limits((1.5,), (200.0,), (10.0,), ANY[:1])
-    band = band_of(study, values, 1)
+    band = band_of(Arm.of(study.arm), values, 1)
     assert band is not None
-    record = voltage_record(study, values, limits, band, 1, kind="multisine", seed=0)
+    record = voltage_record(Arm.of(study.arm), values, limits, band, 1, kind="multisine", seed=0)
     assert record.experiment.prbs is None
     u = record.drive.voltage[:, 0]
     samples = int(np.ceil(band.period / record.drive.tick))
@@ -233,13 +234,13 @@ def test_a_multisine_is_flat_in_the_band_and_silent_outside() -> None:
 def test_coarse_sensors_ask_for_more_periods() -> None:
     study, values = drive()
     limits = Limits((3.0,), (200.0,), (2.0,), ANY[:1])
-    band = band_of(study, values, 1)
+    band = band_of(Arm.of(study.arm), values, 1)
     assert band is not None
     coarse = replace(
         study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], encoder_counts=200),))
     )
     fine, rough = (
-        voltage_record(s, values, limits, band, 1, kind="multisine", seed=0)
+        voltage_record(Arm.of(s.arm), values, limits, band, 1, kind="multisine", seed=0)
         for s in (study, coarse)
     )
     assert rough.duration > 2.0 * fine.duration
@@ -249,13 +250,13 @@ def test_coarse_sensors_ask_for_more_periods() -> None:
 def test_under_gravity_servos_hold_the_arm() -> None:
     study, values = upright()
     limits = replace(LIMITS, gear_torque=ANY)
-    band = band_of(study, values, 2)
+    band = band_of(Arm.of(study.arm), values, 2)
     assert band is not None
-    record = voltage_record(study, values, limits, band, 2, kind="prbs", seed=0)
+    record = voltage_record(Arm.of(study.arm), values, limits, band, 2, kind="prbs", seed=0)
     assert record.experiment.control == ("servo", "servo")
     assert worst_use(study, values, limits, record) < 1.005
     with pytest.raises(InvalidInput, match="multisine"):
-        voltage_record(study, values, limits, band, 2, kind="multisine", seed=0)
+        voltage_record(Arm.of(study.arm), values, limits, band, 2, kind="multisine", seed=0)
 
 
 # --- the whole design ---------------------------------------------------------------------------
@@ -312,16 +313,18 @@ def names_of(record: design.Planned) -> str:
 
 def test_steps_shrink_to_the_limits_or_are_left_out() -> None:
     study, values = drive()
-    band = band_of(study, values, 1)
+    band = band_of(Arm.of(study.arm), values, 1)
     assert band is not None
     wide, narrow = (
-        step_records(study, values, Limits((1.5,), (200.0,), (10.0,), (torque,)), band, 1)
+        step_records(
+            Arm.of(study.arm), values, Limits((1.5,), (200.0,), (10.0,), (torque,)), band, 1
+        )
         for torque in (ANY[0], 8.0)
     )
     assert wide[0].predicted.gear_torque[0] > 8.0
     assert 4.0 < narrow[0].predicted.gear_torque[0] <= 8.0
     with pytest.raises(LimitBroken, match=r"no step of joint 1 keeps .* gear torque of joint 1"):
-        step_records(study, values, Limits((1.5,), (200.0,), (10.0,), (0.1,)), band, 1)
+        step_records(Arm.of(study.arm), values, Limits((1.5,), (200.0,), (10.0,), (0.1,)), band, 1)
 
 
 @pytest.mark.usefixtures("quick")
@@ -439,7 +442,9 @@ def test_an_excitation_that_only_friction_holds_is_left_out_and_told() -> None:
 @pytest.mark.usefixtures("quick")
 def test_without_a_servo_voltages_are_planned_in_open_loop() -> None:
     study, values = drive()
-    limits = limits_of(replace(study, arm=replace(study.arm, servo=None)), "1.5", "200", "10", None)
+    limits = limits_of(
+        replace(study, arm=replace(study.arm, servo=None)).arm, "1.5", "200", "10", None
+    )
     found = design.design(replace(study, arm=replace(study.arm, servo=None)), values, limits)
     assert {r.experiment.use for r in found.records} == {"frequency", "sweep"}
     assert {r.experiment.control for r in found.records} == {("open",)}
@@ -546,7 +551,7 @@ def test_the_records_tell_another_arm_than_the_guess(
     for number, record in enumerate(designed.records):
         samples = round(record.duration / 1e-3)
         run = simulation.simulate(
-            STUDY,
+            Arm.of(STUDY.arm),
             truth,
             record.drive,
             sample_time=1e-3,
@@ -591,7 +596,7 @@ def test_the_table_says_how_long_and_why(
 
 
 def no_voltage() -> None:
-    limits_of(replace(STUDY, arm=replace(STUDY.arm, servo=None)), "1", "1", None, None)
+    limits_of(replace(STUDY, arm=replace(STUDY.arm, servo=None)).arm, "1", "1", None, None)
 
 
 def no_servo_under_gravity() -> None:
@@ -632,12 +637,12 @@ def unstiff() -> None:
         (unheld, "hold"),
         (immovable, r"keeps to the limits.*gear torque of joint 1 would be .* of 0.1"),
         (unstiff, "gear_stiffness_k2 of joint 1"),
-        (lambda: limits_of(STUDY, "1,2,3", "1", None, None), "--limit-angle"),
-        (lambda: limits_of(STUDY, "69", "180", None, None), "69 degrees are 1.204 rad"),
-        (lambda: limits_of(STUDY, "1,0.9", "3000", None, None), "3000 rpm are 314.2"),
-        (lambda: limits_of(STUDY, "1", "fast", None, None), "--limit-velocity"),
-        (lambda: limits_of(STUDY, "1", "1", "-3", None), "--limit-voltage"),
-        (lambda: limits_of(STUDY, "1", "1", None, "nan"), "--limit-torque"),
+        (lambda: limits_of(STUDY.arm, "1,2,3", "1", None, None), "--limit-angle"),
+        (lambda: limits_of(STUDY.arm, "69", "180", None, None), "69 degrees are 1.204 rad"),
+        (lambda: limits_of(STUDY.arm, "1,0.9", "3000", None, None), "3000 rpm are 314.2"),
+        (lambda: limits_of(STUDY.arm, "1", "fast", None, None), "--limit-velocity"),
+        (lambda: limits_of(STUDY.arm, "1", "1", "-3", None), "--limit-voltage"),
+        (lambda: limits_of(STUDY.arm, "1", "1", None, "nan"), "--limit-torque"),
     ],
 )
 def test_what_cannot_be_designed_is_refused(ask: Callable[[], object], said: str) -> None:
@@ -646,5 +651,5 @@ def test_what_cannot_be_designed_is_refused(ask: Callable[[], object], said: str
 
 
 def test_limits_are_one_or_one_a_joint_and_the_servo_s_at_most() -> None:
-    found = limits_of(STUDY, "1.2,0.9", "180", "24,8", None)
+    found = limits_of(STUDY.arm, "1.2,0.9", "180", "24,8", None)
     assert found == Limits((1.2, 0.9), (180.0, 180.0), (10.0, 8.0), ANY)

@@ -13,6 +13,7 @@ import exports
 from strainwave.domain import FloatArray, Motion, Prbs, Spring, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.export.mjcf import to_mjcf
 
@@ -67,7 +68,12 @@ def misfit(mujoco: ModuleType, study: Study, values: Values, amplitude: float) -
     """Largest relative difference (root mean square) over all quantities and joints."""
     applied = drive(study, amplitude)
     ours = simulate(
-        study, values, applied, sample_time=TICK, samples=len(applied.voltage), record=RECORDED
+        Arm.of(study.arm),
+        values,
+        applied,
+        sample_time=TICK,
+        samples=len(applied.voltage),
+        record=RECORDED,
     )
     theirs = in_mujoco(mujoco, study, values, applied)
     off = [
@@ -102,7 +108,7 @@ def test_sensors_read_what_our_channels_are(
     if spring == "linear":
         channels |= {"theta_m": ("motor_angle", 0), "omega_m": ("motor_velocity", 0)}
     ours = simulate(
-        study,
+        Arm.of(study.arm),
         values,
         applied,
         sample_time=TICK,
@@ -162,7 +168,9 @@ def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> N
     study = exports.two_links(tmp_path, "three-slope")
     values = frictionless(exports.values_of(study))
     applied = drive(study, 10.0)
-    ours = simulate(study, values, applied, sample_time=TICK, samples=400, record=["gear_torque"])
+    ours = simulate(
+        Arm.of(study.arm), values, applied, sample_time=TICK, samples=400, record=["gear_torque"]
+    )
     for joint in (1, 2):
         assert np.abs(ours["gear_torque"][:, joint - 1]).max() > values["gear_knee_t2", joint]
     assert misfit(mujoco, study, values, 10.0) < 2e-5
@@ -173,7 +181,9 @@ def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> N
     linear = values | {("gear_stiffness", j): values["gear_stiffness_k2", j] for j in (1, 2)}
     (tmp_path / "linear").mkdir()
     middle = replace(middle, path=tmp_path / "linear" / "study.toml")
-    wrong = simulate(middle, linear, applied, sample_time=TICK, samples=400, record=RECORDED)
+    wrong = simulate(
+        Arm.of(middle.arm), linear, applied, sample_time=TICK, samples=400, record=RECORDED
+    )
     theirs = in_mujoco(mujoco, study, values, applied)["motor_velocity"]
     assert np.linalg.norm(theirs - wrong["motor_velocity"]) > 0.01 * np.linalg.norm(theirs)
 

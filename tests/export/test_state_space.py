@@ -13,6 +13,7 @@ import exports
 from strainwave.domain import ComplexArray, FloatArray, Prbs
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, coefficients, joint_of
 from strainwave.errors import InvalidInput
@@ -73,7 +74,12 @@ def test_python_control_moves_the_joint_as_our_simulator_does(tmp_path: Path) ->
     still = (0.0,)
     drive = Drive(1e-3, torque[:, None], 0.0 * torque[:, None], (False,), still, still)
     ours = simulate(
-        study, values, drive, sample_time=1e-3, samples=len(torque), record=["motor_velocity"]
+        Arm.of(study.arm),
+        values,
+        drive,
+        sample_time=1e-3,
+        samples=len(torque),
+        record=["motor_velocity"],
     )
     A, B, C, D = state_space(exports.arm_of(study, values), 1)
     sampled = control.c2d(control.ss(A, B[:, :1], C[:1], D[:1, :1]), 1e-3, "zoh")

@@ -12,6 +12,7 @@ import pytest
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
 from strainwave.domain import ArmDescription, Decoupled, FloatArray, Joint, RigidModel, Study
 from strainwave.dynamics import interaction_torque as interaction
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Trajectory
 from strainwave.errors import NotIdentifiable
 from strainwave.identification import decoupling, rigid
@@ -28,9 +29,9 @@ def run_of(gravity: float | None, both: bool = False) -> tuple[Study, Trajectory
 
 
 def torques(study: Study, model: RigidModel, run: Trajectory) -> FloatArray:
-    base = interaction.base_parameters(model, study)
+    base = interaction.base_parameters(model, Arm.of(study.arm))
     motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
-    return interaction.interaction_torques(study, base, *motion)
+    return interaction.interaction_torques(Arm.of(study.arm), base, *motion)
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
@@ -49,11 +50,13 @@ def test_every_joint_alone_obeys_its_two_inertias(gravity: float | None) -> None
 
 def test_alpha_cancels() -> None:
     study, run = run_of(None)
-    base = interaction.base_parameters(true_model(study, rig_values(study)), study)
+    base = interaction.base_parameters(true_model(study, rig_values(study)), Arm.of(study.arm))
     motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
     other = base.copy()
     other[0] += 7.0
-    first, second = (interaction.interaction_torques(study, b, *motion) for b in (base, other))
+    first, second = (
+        interaction.interaction_torques(Arm.of(study.arm), b, *motion) for b in (base, other)
+    )
     assert first == pytest.approx(second, abs=1e-10 * np.abs(first).max())
 
 
@@ -64,7 +67,11 @@ def test_the_closed_form_of_a_two_link_arm() -> None:
     values = rig_values(study)
     beta, gamma = values["beta", None], values["gamma", None]
     tau = interaction.interaction_torques(
-        study, interaction.base_parameters(true_model(study, values), study), q, dq, ddq
+        Arm.of(study.arm),
+        interaction.base_parameters(true_model(study, values), Arm.of(study.arm)),
+        q,
+        dq,
+        ddq,
     )
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
     first = 2.0 * gamma * (1.0 - c2) * ddq[:, 0] - (beta + gamma * c2) * ddq[:, 1]
@@ -76,8 +83,8 @@ def test_the_closed_form_of_a_two_link_arm() -> None:
 @cache
 def decoupled(gravity: float | None = None, both: bool = False) -> tuple[Decoupled, ...]:
     study, run = run_of(gravity, both)
-    seen = links.link_side(log_of(run, seed=2), study)
-    return decoupling.decouple(seen, true_model(study, rig_values(study)), study)
+    seen = links.link_side(log_of(run, seed=2), Arm.of(study.arm))
+    return decoupling.decouple(seen, true_model(study, rig_values(study)), Arm.of(study.arm))
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
@@ -153,20 +160,22 @@ def test_two_sequences_tell_more_than_one() -> None:
 
 def test_a_band_may_be_set() -> None:
     study, run = run_of(None)
-    seen = links.link_side(log_of(run), study)
+    seen = links.link_side(log_of(run), Arm.of(study.arm))
     model = true_model(study, rig_values(study))
-    found = decoupling.decouple(seen, model, study, decoupling.DecouplingOptions((8.0, 25.0)))
+    found = decoupling.decouple(
+        seen, model, Arm.of(study.arm), decoupling.DecouplingOptions((8.0, 25.0))
+    )
     assert found[0].richness_hz[0] >= 8.0
     assert found[0].richness_hz[-1] <= 25.0
 
 
 def test_much_swing_is_told() -> None:
     study, run = run_of(None)
-    seen = links.link_side(log_of(run), study)
+    seen = links.link_side(log_of(run), Arm.of(study.arm))
     swing = seen.link_angle.copy()
     swing[:, 1] += np.linspace(0.0, 2.0, len(swing))
     model = true_model(study, rig_values(study))
-    found = decoupling.decouple(replace(seen, link_angle=swing), model, study)
+    found = decoupling.decouple(replace(seen, link_angle=swing), model, Arm.of(study.arm))
     assert "constant-inertia" in {w.code for w in found[0].warnings}
     assert all(c.passed for c in found[1].checks if c.name == "constant-inertia")
 
@@ -179,7 +188,7 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
     two_link = rig()
     study = Study(arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=())
     run = prbs_run(two_link)
-    seen = links.link_side(log_of(run), two_link)
+    seen = links.link_side(log_of(run), Arm.of(two_link.arm))
     one = {
         name: getattr(seen, name)[:, :1]
         for name in (
@@ -205,7 +214,7 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
             ("friction_offset", 1, 0.01),
         )
     )
-    (found,) = decoupling.decouple(seen, replace(model, parameters=parameters), study)
+    (found,) = decoupling.decouple(seen, replace(model, parameters=parameters), Arm.of(study.arm))
     assert found.inputs.shape[1] == inputs
     assert found.total_inertia == pytest.approx(0.2)
     assert found.gear_ratio == 0.5
@@ -217,15 +226,15 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
 
 def test_only_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
     study, run = run_of(None)
-    seen = links.link_side(log_of(run), study)
+    seen = links.link_side(log_of(run), Arm.of(study.arm))
     with pytest.raises(NotIdentifiable, match="rigid model"):
-        decoupling.decouple(seen, None, study)
+        decoupling.decouple(seen, None, Arm.of(study.arm))
 
 
 def test_a_bare_joint_keeps_its_friction(shared_data: Path) -> None:
     study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    seen = links.link_side(read_log(study, study.experiments[0]), study)
-    (found,) = decoupling.decouple(seen, None, study)
+    seen = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
+    (found,) = decoupling.decouple(seen, None, Arm.of(study.arm))
     assert found.inputs == pytest.approx(seen.motor_torque)
     assert found.total_inertia is None
     assert found.total_viscous_friction is None
@@ -237,16 +246,22 @@ def test_an_unknown_parameter_is_refused_by_name() -> None:
     unknown = tuple(replace(p, value=None) if p.name == "gamma" else p for p in model.parameters)
     with pytest.raises(NotIdentifiable, match="gamma"):
         decoupling.decouple(
-            links.link_side(log_of(run), study), replace(model, parameters=unknown), study
+            links.link_side(log_of(run), Arm.of(study.arm)),
+            replace(model, parameters=unknown),
+            Arm.of(study.arm),
         )
 
 
 def test_lab_records_pass_their_checks(shared_data: Path) -> None:
     study = read_study(shared_data / "lab" / "scara-linear-5kg" / "study.toml")
     named = {e.name: e for e in study.experiments}
-    model = rigid.fit([signals.motor_side(read_log(study, named["motion"]), study)], study)
+    model = rigid.fit(
+        [signals.motor_side(read_log(study, named["motion"]), Arm.of(study.arm))], Arm.of(study.arm)
+    )
     found = decoupling.decouple(
-        links.link_side(read_log(study, named["prbs-j1"]), study), model, study
+        links.link_side(read_log(study, named["prbs-j1"]), Arm.of(study.arm)),
+        model,
+        Arm.of(study.arm),
     )
     assert all(check.passed for check in found[0].checks)
     # 1.5e-4 + 1e-4 * 3.82895 of truth.json

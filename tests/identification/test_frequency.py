@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
 from strainwave.domain import ComplexArray, Decoupled, FloatArray
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, frequency
 from strainwave.io.logs import read_log
@@ -159,8 +160,8 @@ def joint_records(joint: int) -> tuple[Decoupled, ...]:
     found = []
     for excited in (1, 2):
         run = prbs_run(study, excited)
-        seen = links.link_side(log_of(run, excited, seed=excited), study)
-        found.append(decoupling.decouple(seen, model, study)[joint - 1])
+        seen = links.link_side(log_of(run, excited, seed=excited), Arm.of(study.arm))
+        found.append(decoupling.decouple(seen, model, Arm.of(study.arm))[joint - 1])
     return tuple(found)
 
 
@@ -216,8 +217,8 @@ def test_lab_resonances_are_those_of_the_arm(shared_data: Path) -> None:
     records = []
     for experiment in study.experiments:
         if experiment.use == "frequency":
-            seen = links.link_side(read_log(study, experiment), study)
-            records.append(decoupling.decouple(seen, model, study))
+            seen = links.link_side(read_log(study, experiment), Arm.of(study.arm))
+            records.append(decoupling.decouple(seen, model, Arm.of(study.arm)))
     # sqrt(k / m_L) and sqrt(k (1 / m_L + n^2 / m_M)) of truth.json, over 2 pi
     for i, (anti, res) in enumerate([(12.860, 24.242), (15.487, 23.428)]):
         found = frequency.respond([r[i] for r in records])

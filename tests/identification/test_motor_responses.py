@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from elastic_runs import log_of, prbs_run, rig, rig_values
 from strainwave.domain import ArmDescription, ArmModel, Joint, Log, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.motor_responses import modes_of_motor, motor_response
 from strainwave.presentation.figures import Line, Markers
 from strainwave.presentation.report import motors
@@ -59,7 +60,7 @@ def test_one_joint_rings_as_in_closed_form(
         ("gear_stiffness", 1): k,
         ("gear_damping", 1): 1e-6 * k,
     }
-    zeros, poles = modes_of_motor(values, study, np.zeros(1), 1, servoed=False)
+    zeros, poles = modes_of_motor(values, Arm.of(study.arm), np.zeros(1), 1, servoed=False)
     assert zeros == pytest.approx([ring], rel=1e-4)
     expected = np.sqrt(k * (1.0 / link + ratio**2 / motor)) / (2.0 * np.pi)
     assert poles == pytest.approx([expected], rel=1e-4)
@@ -68,7 +69,9 @@ def test_one_joint_rings_as_in_closed_form(
 def test_modes_of_the_rig_are_those_of_its_linear_motion() -> None:
     """The coupled modes of the arm with 5 kg: worked out by an independent tool."""
     study = rig()
-    zeros, poles = modes_of_motor(rig_values(study), study, np.zeros(2), 1, servoed=False)
+    zeros, poles = modes_of_motor(
+        rig_values(study), Arm.of(study.arm), np.zeros(2), 1, servoed=False
+    )
     assert zeros[0] == pytest.approx(14.7, abs=0.05)
     assert poles[0] == pytest.approx(21.9, abs=0.05)
 
@@ -91,13 +94,13 @@ def test_a_servo_lies_between_a_free_and_a_held_motor() -> None:
         )
         zeros, _ = modes_of_motor(
             rig_values(study),
-            replace(study, arm=replace(study.arm, servo=stiffer)),
+            Arm.of(replace(study, arm=replace(study.arm, servo=stiffer)).arm),
             np.zeros(2),
             1,
             servoed=True,
         )
         first.append(float(zeros[0]))
-    free = modes_of_motor(rig_values(study), study, np.zeros(2), 1, servoed=False)[0][0]
+    free = modes_of_motor(rig_values(study), Arm.of(study.arm), np.zeros(2), 1, servoed=False)[0][0]
     assert first[0] == pytest.approx(free)
     assert first[1] < 0.99 * free
     assert first[2] == pytest.approx(first[3], rel=0.03)
@@ -108,12 +111,12 @@ def test_the_true_arm_answers_as_its_record_and_another_does_not(
     recorded: tuple[Study, Values, Log],
 ) -> None:
     study, values, log = recorded
-    seen = motor_response(log, _arm_model(values), (), study)
+    seen = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
     softer = motor_response(
         log,
         _arm_model({**values, ("gear_stiffness", 1): 0.8 * values["gear_stiffness", 1]}),
         (),
-        study,
+        Arm.of(study.arm),
     )
     ring = (seen.frequencies_hz > 5.0) & (seen.frequencies_hz < 40.0)
 
@@ -130,7 +133,7 @@ def test_the_true_arm_answers_as_its_record_and_another_does_not(
 
 def test_the_figure_shows_both_and_marks_the_modes(recorded: tuple[Study, Values, Log]) -> None:
     study, values, log = recorded
-    seen = motor_response(log, _arm_model(values), (), study)
+    seen = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
     drawn = motors.figure_of(seen)
     names = {mark.name for mark in drawn.marks if isinstance(mark, Line | Markers)}
     assert {"measured", "fitted arm, simulated"} <= names

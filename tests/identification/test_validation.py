@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, RigidModel, Signals, Study
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import fit_percent, standing
 from strainwave.errors import NotIdentifiable
 from strainwave.identification import rigid, validation
@@ -25,7 +26,7 @@ def fitted() -> tuple[Study, RigidModel, Signals]:
     study = rigid_drive()
     motion = exact_motion(1, 0)
     exact = exact_signals(motion, torque_of(motion, np.sign(motion[2])))
-    return study, rigid.fit([exact], study), exact
+    return study, rigid.fit([exact], Arm.of(study.arm)), exact
 
 
 def test_fit_percent_is_the_contracts() -> None:
@@ -40,7 +41,7 @@ def test_an_exact_model_predicts_another_record_exactly() -> None:
     study, model, _ = fitted()
     motion = exact_motion(1, 7)
     other = exact_signals(motion, torque_of(motion, np.sign(motion[2])))
-    prediction = validation.predict_rigid(model, other, study)
+    prediction = validation.predict_rigid(model, other, Arm.of(study.arm))
     assert prediction.channels == ("torque1",)
     assert prediction.fit_percent["torque1"] == pytest.approx(100.0, abs=1e-6)
     assert prediction.unfiltered_fit_percent["torque1"] == pytest.approx(100.0, abs=1e-6)
@@ -51,7 +52,7 @@ def test_the_fit_is_that_of_the_arrays_it_comes_with() -> None:
     study, model, exact = fitted()
     noise = np.random.default_rng(0).normal(0.0, 0.1, exact.motor_torque.shape)
     noisy = replace(exact, motor_torque=exact.motor_torque + noise)
-    prediction = validation.predict_rigid(model, noisy, study)
+    prediction = validation.predict_rigid(model, noisy, Arm.of(study.arm))
     again = fit_percent(prediction.measured, prediction.predicted)
     assert prediction.fit_percent["torque1"] == pytest.approx(again[0])
 
@@ -62,8 +63,8 @@ def test_logged_voltages_are_predicted_in_volts() -> None:
         study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], torque_per_volt=0.1),))
     )
     volts = replace(exact, torque_channel=("u1",))
-    in_volts = validation.predict_rigid(model, volts, drive)
-    in_torque = validation.predict_rigid(model, exact, study)
+    in_volts = validation.predict_rigid(model, volts, Arm.of(drive.arm))
+    in_torque = validation.predict_rigid(model, exact, Arm.of(study.arm))
     assert in_volts.channels == ("u1",)
     assert in_volts.predicted == pytest.approx(10.0 * in_torque.predicted)
 
@@ -78,16 +79,20 @@ def test_a_standing_motor_takes_any_torque_within_its_friction() -> None:
     torque = torque_of((time, angle, velocity, acceleration), direction)
     torque[held, 0] = OFFSET + COULOMB * np.sin(2.0 * time[held])
     record = exact_signals((time, angle, velocity, acceleration), torque, direction)
-    assert validation.predict_rigid(model, record, study).fit_percent["torque1"] > 99.0
+    assert validation.predict_rigid(model, record, Arm.of(study.arm)).fit_percent["torque1"] > 99.0
     torque[held, 0] = OFFSET + 6.0 * COULOMB  # more than friction can hold
     impossible = exact_signals((time, angle, velocity, acceleration), torque, direction)
-    assert validation.predict_rigid(model, impossible, study).fit_percent["torque1"] < 90.0
+    assert (
+        validation.predict_rigid(model, impossible, Arm.of(study.arm)).fit_percent["torque1"] < 90.0
+    )
 
 
 def test_a_motor_that_mostly_stands_gets_no_fit() -> None:
     study, model, exact = fitted()
     still = replace(exact, direction=np.zeros_like(exact.direction))
-    assert np.isnan(validation.predict_rigid(model, still, study).fit_percent["torque1"])
+    assert np.isnan(
+        validation.predict_rigid(model, still, Arm.of(study.arm)).fit_percent["torque1"]
+    )
 
 
 def test_short_stretches_are_reversals_and_long_ones_standing() -> None:
@@ -98,7 +103,9 @@ def test_short_stretches_are_reversals_and_long_ones_standing() -> None:
 def test_an_unknown_model_predicts_nothing() -> None:
     study, model, exact = fitted()
     with pytest.raises(NotIdentifiable):
-        validation.predict_rigid(replace(model, status="not-identifiable"), exact, study)
+        validation.predict_rigid(
+            replace(model, status="not-identifiable"), exact, Arm.of(study.arm)
+        )
 
 
 def test_a_record_shorter_than_the_low_pass_is_refused() -> None:
@@ -106,6 +113,8 @@ def test_a_record_shorter_than_the_low_pass_is_refused() -> None:
     lasts = len(exact.time) * exact.sample_time
     slow = replace(model, bandwidth_hz=2.0 / lasts)
     with pytest.raises(NotIdentifiable, match="too short to be predicted"):
-        validation.predict_rigid(slow, exact, study)
-    enough = validation.predict_rigid(replace(model, bandwidth_hz=3.0 / lasts), exact, study)
+        validation.predict_rigid(slow, exact, Arm.of(study.arm))
+    enough = validation.predict_rigid(
+        replace(model, bandwidth_hz=3.0 / lasts), exact, Arm.of(study.arm)
+    )
     assert len(enough.time) > 0

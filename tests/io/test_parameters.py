@@ -113,26 +113,26 @@ def test_no_document_causes_anything_but_a_refusal(
 def test_an_identification_of_an_elastic_arm_can_be_simulated() -> None:
     study = scara.study(Path("x"), "linear")
     whole = scara.parameters(5, "linear")
-    derived = virtual.derived(whole, study)
+    derived = virtual.derived(whole, study.arm)
     told = {
         key: value
         for key, value in derived.items()
         if key[0] not in ("alpha", "rigid_inertia")
         and key not in {("motor_viscous_friction", 1), ("link_viscous_friction", 2)}
     }
-    made = completed(told, study)
+    made = completed(told, study.arm)
     assert made["alpha", None] == pytest.approx(whole["alpha", None])
     d_motor = whole["motor_viscous_friction", 1]
     assert made["motor_viscous_friction", 1] == pytest.approx(d_motor)
     assert made["motor_viscous_friction", 2] == whole["motor_viscous_friction", 2]
     assert made["link_viscous_friction", 2] == 0.0
     without_link = {k: v for k, v in derived.items() if k[0] not in ("alpha", "link_inertia")}
-    assert completed(without_link, study)["alpha", None] == pytest.approx(whole["alpha", None])
+    assert completed(without_link, study.arm)["alpha", None] == pytest.approx(whole["alpha", None])
 
 
 def test_one_stiffness_stands_for_three_slopes() -> None:
     study = scara.study(Path("x"), "three-slope")
-    made = completed(scara.parameters(5, "linear"), study)
+    made = completed(scara.parameters(5, "linear"), study.arm)
     slopes = {made[f"gear_stiffness_{k}", 1] for k in ("k1", "k2", "k3")}
     assert slopes == {scara.parameters(5, "linear")["gear_stiffness", 1]}
     assert made["gear_knee_t1", 1] < made["gear_knee_t2", 1]

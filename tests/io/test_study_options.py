@@ -19,6 +19,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.options import chosen_options
 from strainwave.domain.parameters import whole_arm_parameters
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io.study import read_study, with_options, write_study
 from tuning_runs import joint_models, rigid_model, truth
@@ -166,11 +167,11 @@ def test_parameters_of_the_fit_are_those_options_may_name(spring: str) -> None:
     study, known = truth(spring)
     joints = joint_models(study, known, 0.01, np.zeros((2, 6)))
     rigid = rigid_model(study, known, 0.01)
-    search = space_of(rigid, joints, study, largest_voltage=[10.0, 10.0], floor=0.01)
+    search = space_of(rigid, joints, Arm.of(study.arm), largest_voltage=[10.0, 10.0], floor=0.01)
     if spring == "three-slope":
-        search = with_curves(search, study, [60.0, 20.0])
+        search = with_curves(search, Arm.of(study.arm), [60.0, 20.0])
     fitted = {name if joint is None else f"{name} {joint}" for name, joint in search.keys}
-    known_to_options = set(whole_arm_parameters(study))
+    known_to_options = set(whole_arm_parameters(study.arm))
     assert fitted <= known_to_options
     everywhere = {name for name, _ in search.keys}
     if spring == "three-slope":  # one word for all slopes

@@ -24,6 +24,7 @@ from strainwave.domain import (
     Sweep,
     SweepPoint,
 )
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.identification import frequency
 from strainwave.identification import joint_model as physical
@@ -32,7 +33,7 @@ from strainwave.identification import joint_model as physical
 @cache
 def joint_model() -> JointModel:
     met = case(1)
-    return physical.identify_joint(met.records, met.model, met.study)
+    return physical.identify_joint(met.records, met.model, Arm.of(met.study.arm))
 
 
 @cache

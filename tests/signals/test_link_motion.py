@@ -11,6 +11,7 @@ import pytest
 
 from elastic_runs import SAMPLE, log_of, prbs_run, rig
 from strainwave.domain import FloatArray, Fusion, Lag, Log, Study
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Quantity, Trajectory
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_log
@@ -171,7 +172,7 @@ def test_a_bias_is_found_beside_a_vibration() -> None:
 @pytest.mark.parametrize("gravity", [None, 9.81])
 def test_ideal_sensors_give_the_links_motion(gravity: float | None) -> None:
     study, run = run_of(gravity, None)
-    seen = links.link_side(log_of(run), study)
+    seen = links.link_side(log_of(run), Arm.of(study.arm))
     assert seen.shared == SHARED
     assert seen.sources == ("accelerometer", "accelerometer")
     assert not any(seen.held)
@@ -191,8 +192,10 @@ def test_biases_are_taken_off_and_told() -> None:
     log = log_of(run)
     a1 = log.channels["a1"] + 0.12
     a2 = log.channels["a2"] - 0.20
-    seen = links.link_side(replace(log, channels={**log.channels, "a1": a1, "a2": a2}), study)
-    plain = links.link_side(log, study)
+    seen = links.link_side(
+        replace(log, channels={**log.channels, "a1": a1, "a2": a2}), Arm.of(study.arm)
+    )
+    plain = links.link_side(log, Arm.of(study.arm))
     assert seen.bias - plain.bias == pytest.approx([0.12 / 0.33, -0.20 / 0.27 - 0.0], abs=2e-3)
     assert seen.link_velocity == pytest.approx(plain.link_velocity, abs=5e-3)
 
@@ -203,7 +206,7 @@ def test_the_fusion_tells_how_wrong_it_is() -> None:
     errors = []
     for order, time_constant in ((1, 0.05), (1, 0.2), (2, 0.2)):
         options = links.LinkOptions(time_constant, 1 if order == 1 else 2)
-        seen = links.link_side(log_of(run), study, options)
+        seen = links.link_side(log_of(run), Arm.of(study.arm), options)
         error = (seen.link_velocity - truth)[INNER].std(axis=0)
         assert seen.fusion == (Fusion(time_constant, options.order),) * 2
         # the estimate takes the fused velocity for the true one
@@ -218,7 +221,7 @@ def test_accelerometers_of_two_bandwidths_share_both() -> None:
     slower = replace(study.arm.joints[1], accelerometer_hz=150.0)
     study = replace(study, arm=replace(study.arm, joints=(study.arm.joints[0], slower)))
     run = prbs_run(study)
-    seen = links.link_side(log_of(run), study)
+    seen = links.link_side(log_of(run), Arm.of(study.arm))
     assert seen.shared == (Lag(2, 300.0), Lag(2, 150.0))
     truth = lagged(run["link_acceleration"], seen.shared, SAMPLE)[INNER]
     error = (seen.link_acceleration[INNER] - truth).std(axis=0) / truth.std(axis=0)
@@ -240,7 +243,9 @@ def test_other_sensors_of_a_link_serve_as_well(channel: str) -> None:
     kept |= {f"{channel}{i + 1}": reading[:, i] for i in range(2)}
     options = links.LinkOptions(bandwidth_hz=200.0)
     seen = links.link_side(
-        replace(log, channels=kept), replace(study, arm=replace(study.arm, joints=joints)), options
+        replace(log, channels=kept),
+        Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
+        options,
     )
     assert set(seen.sources) == {"encoder" if channel == "theta_l" else channel}
     assert seen.fusion == (None, None)
@@ -253,7 +258,7 @@ def test_without_a_link_sensor_the_motor_stands_in_with_a_warning() -> None:
     study, run = run_of()
     log = log_of(run)
     kept = {k: v for k, v in log.channels.items() if not k.startswith("a")}
-    seen = links.link_side(replace(log, channels=kept), study)
+    seen = links.link_side(replace(log, channels=kept), Arm.of(study.arm))
     assert seen.sources == ("motor", "motor")
     assert [w.code for w in seen.warnings] == ["no-link-sensor"] * 2
     assert seen.link_velocity == pytest.approx(0.01 * seen.motor_velocity)
@@ -265,7 +270,7 @@ def test_without_a_link_sensor_the_motor_stands_in_with_a_warning() -> None:
 @pytest.mark.parametrize("joint", [1, 2])
 def test_aligned_channels_give_no_warning(joint: int) -> None:
     study, run = run_of(joint=joint)
-    seen = links.link_side(log_of(run, joint, seed=3), study)
+    seen = links.link_side(log_of(run, joint, seed=3), Arm.of(study.arm))
     assert not seen.warnings
     for delay in (*seen.sensor_delay, seen.drive_delay[joint - 1]):
         assert delay is not None
@@ -278,8 +283,8 @@ def test_aligned_channels_give_no_warning(joint: int) -> None:
 def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
     study, run = run_of(joint=joint)
     log = log_of(run, joint, seed=3)
-    plain = links.link_side(log, study)
-    late = links.link_side(shifted(log, f"a{joint}", samples), study)
+    plain = links.link_side(log, Arm.of(study.arm))
+    late = links.link_side(shifted(log, f"a{joint}", samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in late.warnings}
     found, before = late.sensor_delay[joint - 1], plain.sensor_delay[joint - 1]
     assert found is not None
@@ -288,7 +293,7 @@ def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
     # one linear step of what is not linear
     assert found.value / SAMPLE - before_it == pytest.approx(samples, rel=0.45)
     assert late.motor_velocity == pytest.approx(plain.motor_velocity)
-    drive = links.link_side(shifted(log, "u", -samples), study)
+    drive = links.link_side(shifted(log, "u", -samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in drive.warnings}
     told = drive.drive_delay[joint - 1]
     assert told is not None
@@ -300,8 +305,8 @@ def test_late_link_sensors_are_moved_back_in_all_records() -> None:
     pairs = [run_of(joint=joint) for joint in (1, 2)]
     study, logs = pairs[0][0], [log_of(run, j, seed=3) for j, (_, run) in enumerate(pairs, 1)]
     late = [shifted(shifted(log, "a1", 8), "a2", -4) for log in logs]
-    plain, none = links.both_sides(logs, study)
-    found, delays = links.both_sides(late, study)
+    plain, none = links.both_sides(logs, Arm.of(study.arm))
+    found, delays = links.both_sides(late, Arm.of(study.arm))
     assert [delay.value for delay in none] == [0.0, 0.0]
     assert not list(links.corrected(none))
     for delay, samples in zip(delays, (8, -4), strict=True):
@@ -323,7 +328,7 @@ def test_late_link_sensors_are_moved_back_in_all_records() -> None:
 def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
     study, run = run_of()
     log = log_of(run, 1, seed=3)
-    (seen,), delays = links.both_sides([shifted(log, "a", 24)], study)
+    (seen,), delays = links.both_sides([shifted(log, "a", 24)], Arm.of(study.arm))
     assert [delay.value for delay in delays] == [0.0, 0.0]
     assert "misaligned" in {w.code for w in seen.warnings}
     assert not list(links.corrected(delays))
@@ -334,7 +339,8 @@ def test_a_bent_spring_tells_a_delay_only_of_the_joint_that_was_excited(joint: i
     study, run = run_of(joint=joint)
     joints = tuple(replace(own, spring="three-slope") for own in study.arm.joints)
     seen = links.link_side(
-        log_of(run, joint, seed=3), replace(study, arm=replace(study.arm, joints=joints))
+        log_of(run, joint, seed=3),
+        Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
     )
     told = seen.sensor_delay[joint - 1]
     assert told is not None
@@ -346,7 +352,7 @@ def test_a_bandwidth_left_out_of_the_study_shows_as_a_delay() -> None:
     study, run = run_of()
     joints = tuple(replace(joint, accelerometer_hz=None) for joint in study.arm.joints)
     seen = links.link_side(
-        log_of(run, seed=1), replace(study, arm=replace(study.arm, joints=joints))
+        log_of(run, seed=1), Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm)
     )
     delay = seen.sensor_delay[0]
     assert delay is not None
@@ -359,7 +365,7 @@ def test_a_voltage_logged_below_its_clock_is_told() -> None:
     log = log_of(run)
     coarse = {k: v[::8] for k, v in log.channels.items()}
     seen = links.link_side(
-        replace(log, time=log.time[::8], sample_time=8 * SAMPLE, channels=coarse), study
+        replace(log, time=log.time[::8], sample_time=8 * SAMPLE, channels=coarse), Arm.of(study.arm)
     )
     assert "sub-sampled" in {w.code for w in seen.warnings}
 
@@ -378,9 +384,9 @@ def test_lab_channels_are_aligned_until_one_is_moved(
     study = read_study(shared_data / "lab" / arm / "study.toml")
     (experiment,) = [e for e in study.experiments if e.name == record]
     log = read_log(study, experiment)
-    assert not links.link_side(log, study).warnings
+    assert not links.link_side(log, Arm.of(study.arm)).warnings
     for name in ("a", "u"):
-        codes = {w.code for w in links.link_side(shifted(log, name, 2), study).warnings}
+        codes = {w.code for w in links.link_side(shifted(log, name, 2), Arm.of(study.arm)).warnings}
         assert codes == {"misaligned"}
 
 
@@ -392,10 +398,10 @@ def test_what_cannot_be_used_is_refused() -> None:
     log = log_of(run)
     nowhere = tuple(replace(joint, accelerometer_distance=None) for joint in study.arm.joints)
     with pytest.raises(InvalidInput, match="accelerometer_distance"):
-        links.link_side(log, replace(study, arm=replace(study.arm, joints=nowhere)))
+        links.link_side(log, Arm.of(replace(study, arm=replace(study.arm, joints=nowhere)).arm))
     powerless = tuple(replace(joint, torque_per_volt=None) for joint in study.arm.joints)
     with pytest.raises(InvalidInput, match="torque_per_volt"):
-        links.link_side(log, replace(study, arm=replace(study.arm, joints=powerless)))
+        links.link_side(log, Arm.of(replace(study, arm=replace(study.arm, joints=powerless)).arm))
     short: dict[str, FloatArray] = {k: v[:60] for k, v in log.channels.items()}
     with pytest.raises(InvalidInput, match="too few"):
-        links.link_side(replace(log, time=log.time[:60], channels=short), study)
+        links.link_side(replace(log, time=log.time[:60], channels=short), Arm.of(study.arm))

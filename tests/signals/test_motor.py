@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave.domain import FloatArray, Log
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.numerics import filters
 from strainwave.numerics.filters import differentiate, low_pass, noise_deviation, signal_band
@@ -97,7 +98,7 @@ def test_signals_follow_a_known_motion() -> None:
     w = 2.0 * np.pi * 1.0
     angle = np.round(30.0 * np.sin(w * TIME) / 1e-3) * 1e-3
     seen = signals.motor_side(
-        log_of({"theta_m1": angle, "torque1": np.cos(w * TIME)}), rigid_drive()
+        log_of({"theta_m1": angle, "torque1": np.cos(w * TIME)}), Arm.of(rigid_drive().arm)
     )
     assert seen.motor_velocity[INNER, 0] == pytest.approx(
         30.0 * w * np.cos(w * TIME)[INNER], abs=0.3
@@ -114,7 +115,8 @@ def test_the_bandwidth_option_changes_the_outcome() -> None:
     log = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": np.cos(9.0 * TIME)})
     study = rigid_drive()
     seen = [
-        signals.motor_side(log, study, signals.SignalOptions(bandwidth_hz=f)) for f in (2.0, 20.0)
+        signals.motor_side(log, Arm.of(study.arm), signals.SignalOptions(bandwidth_hz=f))
+        for f in (2.0, 20.0)
     ]
     assert [s.bandwidth_hz for s in seen] == [2.0, 20.0]
     assert np.std(seen[0].motor_velocity) < np.std(seen[1].motor_velocity)
@@ -125,13 +127,15 @@ def test_a_missing_channel_is_named(missing: str) -> None:
     channels = {"theta_m1": np.sin(TIME), "torque1": np.cos(TIME)}
     del channels[missing]
     with pytest.raises(InvalidInput, match=missing):
-        signals.motor_side(log_of(channels), rigid_drive())
+        signals.motor_side(log_of(channels), Arm.of(rigid_drive().arm))
 
 
 def test_a_record_shorter_than_its_filter_is_refused() -> None:
     short = {"theta_m1": np.sin(TIME[:60]), "torque1": np.cos(TIME[:60])}
     with pytest.raises(InvalidInput, match="too few"):
-        signals.motor_side(log_of(short), rigid_drive(), signals.SignalOptions(bandwidth_hz=1.0))
+        signals.motor_side(
+            log_of(short), Arm.of(rigid_drive().arm), signals.SignalOptions(bandwidth_hz=1.0)
+        )
 
 
 # --- stiction ---------------------------------------------------------------------------------
@@ -208,7 +212,9 @@ def test_free_friction_spans_constants_where_and_only_where_uncertain(
 
 def test_sticking_is_found_where_the_arm_sticks() -> None:
     study = scara.study(Path("nowhere"), "linear")
-    seen = signals.motor_side(motion_log(study, scara.parameters(5, "linear"), 0), study)
+    seen = signals.motor_side(
+        motion_log(study, scara.parameters(5, "linear"), 0), Arm.of(study.arm)
+    )
     certain = seen.direction != 0.0
     assert 0.7 < certain.mean() < 0.999
     moving = np.abs(seen.motor_velocity) > 5.0
@@ -225,7 +231,7 @@ def test_servo_limits_are_left_out_with_a_warning() -> None:
     voltage = log.channels["u1"].copy()
     voltage[2000:2300] = 10.0
     limited = replace(log, channels={**log.channels, "u1": voltage})
-    seen = signals.motor_side(limited, study)
+    seen = signals.motor_side(limited, Arm.of(study.arm))
     assert not seen.valid[2000:2300, 0].any()
     assert seen.valid[2000:2300, 1].all()
     assert [w.code for w in seen.warnings] == ["saturated"]
@@ -234,15 +240,17 @@ def test_servo_limits_are_left_out_with_a_warning() -> None:
 def test_flat_tops_count_as_saturation_and_a_free_joint_does_not() -> None:
     torque = np.clip(2.0 * np.sin(9.0 * TIME), -1.5, 1.5)
     seen = signals.motor_side(
-        log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": torque}), rigid_drive()
+        log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": torque}), Arm.of(rigid_drive().arm)
     )
     assert [w.code for w in seen.warnings] == ["saturated"]
     idle = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": np.zeros_like(TIME)})
-    assert not signals.motor_side(idle, rigid_drive()).warnings
+    assert not signals.motor_side(idle, Arm.of(rigid_drive().arm)).warnings
 
 
 def test_an_open_loop_test_may_sit_at_its_extremes() -> None:
     experiment = replace(DRIVE, control=("open",))
     square = np.sign(np.sin(9.0 * TIME + 0.1))
     log = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": square})
-    assert not signals.motor_side(replace(log, experiment=experiment), rigid_drive()).warnings
+    assert not signals.motor_side(
+        replace(log, experiment=experiment), Arm.of(rigid_drive().arm)
+    ).warnings

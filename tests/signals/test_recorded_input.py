@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Control, Log, Prbs
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.identification.closed_loop import as_known, observe, predict_closed_loop
 from strainwave.signals.recorded_input import missing_for_replay, replay
@@ -21,7 +22,7 @@ def log_named(name: str) -> Log:
 def test_a_servoed_log_is_replayed_by_its_references() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
-    drive = replay(study, log)
+    drive = replay(Arm.of(study.arm), log)
     assert drive.servo == (True, True)
     assert drive.tick == log.sample_time
     np.testing.assert_array_equal(drive.reference[:, 0], log.channels["ref1"])
@@ -35,21 +36,21 @@ def test_an_open_joint_is_replayed_by_its_voltage_and_a_servoed_one_by_its_prbs(
     log = log_named("step-j1")
     open_servo: tuple[Control, Control] = ("open", "servo")
     opened = replace(log, experiment=replace(log.experiment, control=open_servo))
-    drive = replay(study, opened)
+    drive = replay(Arm.of(study.arm), opened)
     np.testing.assert_array_equal(drive.voltage[:, 0], log.channels["u1"])
     # the first sample's voltage begins with the record; before it there was none
     assert drive.initial_voltage[0] == 0.0
     prbs = Prbs(order=4, clock=1e-3, periods=2, amplitude=5.0)
     excited = replace(log, experiment=replace(log.experiment, prbs=prbs))
-    assert set(np.unique(replay(study, excited).voltage[:, 0])) == {-5.0, 5.0}
+    assert set(np.unique(replay(Arm.of(study.arm), excited).voltage[:, 0])) == {-5.0, 5.0}
 
 
 def test_what_replaying_needs_is_named() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
-    assert missing_for_replay(study, log) is None
+    assert missing_for_replay(Arm.of(study.arm), log) is None
     assert (
-        missing_for_replay(replace(study, arm=replace(study.arm, servo=None)), log)
+        missing_for_replay(Arm.of(replace(study, arm=replace(study.arm, servo=None)).arm), log)
         == "the study describes no servo"
     )
     for channel, said in [
@@ -59,16 +60,16 @@ def test_what_replaying_needs_is_named() -> None:
     ]:
         channels = {name: signal for name, signal in log.channels.items() if name != channel}
         with pytest.raises(InvalidInput, match=said):
-            observe(replace(log, channels=channels), study)
+            observe(replace(log, channels=channels), Arm.of(study.arm))
     # nobody moved joint 2
     channels = {name: signal for name, signal in log.channels.items() if name != "ref2"}
-    assert missing_for_replay(study, replace(log, channels=channels)) is None
+    assert missing_for_replay(Arm.of(study.arm), replace(log, channels=channels)) is None
 
 
 @pytest.mark.parametrize("name", ["step-check-j1", "step-check-j2", "motion-check"])
 def test_the_true_arm_predicts_its_own_records(name: str) -> None:
     study, _ = rig_logs()
-    prediction = predict_closed_loop(truth()[1], log_named(name), study)
+    prediction = predict_closed_loop(truth()[1], log_named(name), Arm.of(study.arm))
     assert prediction.channels == ("omega_m1", "omega_m2", "a1", "a2")
     # counts and the accelerometers' noise are all that is left
     assert min(prediction.fit_percent.values()) > 97.0
@@ -83,14 +84,14 @@ def test_an_open_loop_record_is_predicted_too() -> None:
     log = log_named("step-j1")
     both: tuple[Control, Control] = ("open", "servo")
     opened = replace(log, experiment=replace(log.experiment, control=both))
-    assert predict_closed_loop(truth()[1], opened, study).fit_percent["omega_m1"] > 95.0
+    assert predict_closed_loop(truth()[1], opened, Arm.of(study.arm)).fit_percent["omega_m1"] > 95.0
 
 
 def test_a_motor_that_stands_gets_no_fit() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
     still = {**log.channels, "theta_m2": np.zeros(len(log))}
-    prediction = predict_closed_loop(truth()[1], replace(log, channels=still), study)
+    prediction = predict_closed_loop(truth()[1], replace(log, channels=still), Arm.of(study.arm))
     assert np.isnan(prediction.fit_percent["omega_m2"])
     assert np.isfinite(prediction.fit_percent["omega_m1"])
     assert [c.code for c in prediction.warnings] == ["nothing-to-predict"]
@@ -99,13 +100,14 @@ def test_a_motor_that_stands_gets_no_fit() -> None:
 def test_the_cutoff_is_from_the_record_or_as_asked() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
-    assert observe(log, study, 40.0).cutoff_hz == 40.0
+    assert observe(log, Arm.of(study.arm), 40.0).cutoff_hz == 40.0
     # above the gears' 26 Hz, below what the counts' noise covers
-    assert 40.0 < observe(log, study).cutoff_hz < 400.0
+    assert 40.0 < observe(log, Arm.of(study.arm)).cutoff_hz < 400.0
 
 
 def test_one_stiffness_makes_a_three_slope_spring_linear() -> None:
     study, values = truth("three-slope")
-    assert as_known(study, values) == study
+    arm = Arm.of(study.arm)
+    assert as_known(arm, values) == arm
     one = {key: v for key, v in values.items() if not key[0].startswith("gear_")}
-    assert [joint.spring for joint in as_known(study, one).arm.joints] == ["linear", "linear"]
+    assert [joint.spring for joint in as_known(arm, one).joints] == ["linear", "linear"]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, Self
 
 from annotated_types import Ge, Gt
 
@@ -69,7 +70,6 @@ class ArmDescription:
         """Number of joints."""
         return len(self.joints)
 
-    @property
-    def gear_ratios(self) -> tuple[float, ...]:
-        """n, link turns per motor turn, of each joint."""
-        return tuple(joint.gear_ratio for joint in self.joints)
+    def with_joints(self, joints: Iterable[Joint]) -> Self:
+        """The same arm with other joints."""
+        return replace(self, joints=tuple(joints))

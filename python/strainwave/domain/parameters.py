@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from strainwave.domain.arm import Effect, Joint
-from strainwave.domain.study import Study
+from strainwave.domain.arm import ArmDescription, Effect, Joint
+from strainwave.domain.kinds import Values, kind_of
 
-Values = dict[tuple[str, int | None], float]
-"""Parameter values by (name, joint), joint from 1 or None for the arm's own."""
+__all__ = [
+    "EFFECT_PARAMETERS",
+    "SENSOR_PARAMETERS",
+    "Values",
+    "completed",
+    "unit_of",
+    "whole_arm_parameters",
+]
 
 EFFECT_PARAMETERS: Mapping[Effect, tuple[str, str]] = {
     "stribeck": ("stribeck_friction", "stribeck_velocity"),
@@ -65,27 +71,27 @@ def unit_of(name: str, joint: Joint) -> str:
     return units[joint.motion == "prismatic"]
 
 
-def whole_arm_parameters(study: Study) -> tuple[str, ...]:
+def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:
     """Names that the options of the whole-arm fit may use: of all joints, and of each on its own.
 
     Parameters
     ----------
-    study : Study
+    arm : ArmDescription
 
     Returns
     -------
     tuple of str
         "beta", "gear_stiffness", "gear_stiffness 1", ...
     """
-    names = ["alpha", "beta", "gamma"] if study.arm.n_joints > 1 else []
-    if study.arm.gravity is not None:
-        names += [f"gravity_torque_{i}" for i in range(1, study.arm.n_joints + 1)]
+    inertias = kind_of(arm).inertias
+    names = [name for name, joint in inertias if joint is None]
+    if arm.gravity is not None:
+        names += [f"gravity_torque_{i}" for i in range(1, arm.n_joints + 1)]
     of_joints: dict[str, list[int]] = {}
-    for number, joint in enumerate(study.arm.joints, start=1):
+    for number, joint in enumerate(arm.joints, start=1):
         own = ["motor_inertia", "motor_viscous_friction", "motor_coulomb_friction"]
         own += ["friction_offset", "link_viscous_friction", "gear_stiffness", "gear_damping"]
-        if study.arm.n_joints == 1:
-            own.append("link_inertia")
+        own += [name for name, of in inertias if of == number]
         if joint.spring == "three-slope":
             own += [f"gear_stiffness_k{k}" for k in (1, 2, 3)]
             own += [f"gear_knee_t{k}" for k in (1, 2)]
@@ -96,40 +102,19 @@ def whole_arm_parameters(study: Study) -> tuple[str, ...]:
     return tuple(names)
 
 
-def link_inertia(values: Values, study: Study, joint: int) -> float:
-    """m_L of a joint: its own, or of two links alpha + beta + 2 gamma, or beta (3).
-
-    Parameters
-    ----------
-    values : dict
-        (name, joint) -> value.
-    study : Study
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    float [kg m^2], or [kg] of a prismatic joint
-    """
-    if study.arm.n_joints == 1:
-        return values["link_inertia", 1]
-    alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
-    return alpha + beta + 2.0 * gamma if joint == 1 else beta
-
-
-def completed(values: Values, study: Study) -> Values:
+def completed(values: Values, arm: ArmDescription) -> Values:
     """What an arm needs for being simulated, made of what an identification found.
 
     A sum stands for its parts where they hardly matter apart: `total_viscous_friction` for the
     motor's, where that is not known; one `gear_stiffness` for the three slopes of a gear; and
-    where motor and link only ever move together, `inertia` or `rigid_inertia` for both. `alpha`
-    follows from `link_inertia` of joint 1, or from `rigid_inertia` and the motor's inertia.
+    where motor and link only ever move together, `inertia` or `rigid_inertia` for both. The links'
+    inertias follow as their kind of arm has it.
 
     Parameters
     ----------
     values : dict
         (name, joint) -> value.
-    study : Study
+    arm : ArmDescription
 
     Returns
     -------
@@ -137,24 +122,9 @@ def completed(values: Values, study: Study) -> Values:
         With what follows added; nothing that was there is changed.
     """
     known = dict(values)
-    for number, joint in enumerate(study.arm.joints, start=1):
+    for number, joint in enumerate(arm.joints, start=1):
         _complete_joint(known, number, joint)
-    first, n2 = study.arm.joints[0], study.arm.joints[0].gear_ratio ** 2
-    if study.arm.n_joints == 1 or ("alpha", None) in known:
-        return known
-    beta, gamma = known.get(("beta", None)), known.get(("gamma", None))
-    if beta is None or gamma is None:
-        return known
-    rigid, motor = known.get(("rigid_inertia", 1)), known.get(("motor_inertia", 1))
-    if ("link_inertia", 1) in known:
-        known["alpha", None] = known["link_inertia", 1] - beta - 2.0 * gamma
-    elif rigid is not None and motor is not None:
-        known["alpha", None] = rigid - motor / n2
-    elif rigid is not None and first.spring == "rigid":
-        # all of it counted as the motor's but what alpha needs for a proper link: gamma^2/beta
-        known["alpha", None] = min(1.5 * gamma**2 / beta, rigid)
-    if motor is None and rigid is not None and ("alpha", None) in known:
-        known["motor_inertia", 1] = (rigid - known["alpha", None]) * n2
+    kind_of(arm).complete(known, arm)
     return known
 
 
@@ -166,9 +136,6 @@ def _complete_joint(known: Values, number: int, joint: Joint) -> None:
         known.setdefault(("motor_viscous_friction", number), total - n2 * link)
     if joint.spring == "rigid":
         known.setdefault(("link_viscous_friction", number), 0.0)
-        if ("inertia", number) in known:
-            known.setdefault(("motor_inertia", number), known["inertia", number])
-            known.setdefault(("link_inertia", number), 0.0)
     if joint.spring == "three-slope" and ("gear_stiffness", number) in known:
         for slope in ("k1", "k2", "k3"):
             known.setdefault((f"gear_stiffness_{slope}", number), known["gear_stiffness", number])

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import FloatArray, RigidModel, Study
-from strainwave.dynamics.rigid_regressor import gear_ratios
-from strainwave.dynamics.simulation import base_names, build_arm, inertia_matrix
+from strainwave.domain import FloatArray, RigidModel
+from strainwave.domain.combinations import total_inertia
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 
 
-def base_parameters(model: RigidModel, study: Study) -> FloatArray:
+def base_parameters(model: RigidModel, arm: Arm) -> FloatArray:
     """What the link-side inverse dynamics need, from the rigid model.
 
-    In alpha's place stands alpha + m_M1/n1^2, because the rigid model cannot part them; see
-    `interaction_torques` for why nothing is lost.
+    Where rigid motion does not separate a motor's inertia from a link's, as m_M1/n1^2 from alpha,
+    all of it counts as the link's; see `interaction_torques` for why nothing is lost.
 
     Parameters
     ----------
     model : RigidModel
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -31,22 +31,16 @@ def base_parameters(model: RigidModel, study: Study) -> FloatArray:
     NotIdentifiable
         One of them is not known.
     """
-    values = []
-    for name, joint in base_names(study):
-        if name.startswith("gravity") and study.arm.gravity is None:
-            values.append(0.0)
-        elif name == "alpha":
-            values.append(known(model, "rigid_inertia", 1))
-        elif study.arm.n_joints == 1 and not name.startswith("gravity"):
-            # its share of the total cancels likewise
-            values.append(known(model, "inertia", 1) / study.arm.joints[0].gear_ratio ** 2)
-        else:
-            values.append(known(model, name, joint))
-    return np.array(values)
+    rows = arm.base_of_rigid()
+    solution = [
+        known(model, *column.key) if row.any() else 0.0
+        for column, row in zip(arm.rigid_columns[: arm.n_body], rows.T, strict=True)
+    ]
+    return np.asarray(rows @ np.array(solution))
 
 
 def interaction_torques(
-    study: Study,
+    arm: Arm,
     base: FloatArray,
     angle: FloatArray,
     velocity: FloatArray,
@@ -63,7 +57,7 @@ def interaction_torques(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     base : (n_base,)
         From `base_parameters`.
     angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
@@ -73,57 +67,36 @@ def interaction_torques(
     -------
     (n_samples, n_joints) [N m] at the links
     """
-    arm = build_arm(study)
-    motion = tuple(np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
-    rigid = arm.base_regressor(*motion) @ base
-    return np.asarray(own_inertias(study, base) * acceleration - rigid)
+    rigid = arm.base_regressor(angle, velocity, acceleration) @ base
+    return np.asarray(arm.link_inertias(base) * acceleration - rigid)
 
 
-def base_variations(model: RigidModel, study: Study) -> FloatArray:
+def base_variations(model: RigidModel, arm: Arm) -> FloatArray:
     """How the rigid model's errors move what `interaction_torques` needs: d base / d solution.
 
-    The first inertia of a single joint, and alpha, cancel and do not move.
+    Inertias that rigid motion does not separate from a motor's cancel and do not move.
 
     Parameters
     ----------
     model : RigidModel
-    study : Study
+    arm : Arm
 
     Returns
     -------
     (n_base, n_parameters)
     """
-    arm = build_arm(study)
-    named = {(p.name, p.joint): k for k, p in enumerate(model.parameters)}
-    moved = np.zeros((len(base_parameters(model, study)), len(model.parameters)))
-    for row, key in enumerate(arm.parameter_names[: len(moved)]):
-        if key in named and (study.arm.n_joints > 1 or key[0].startswith("gravity")):
-            moved[row, named[key]] = 1.0
+    moved = np.zeros((len(arm.base_names), len(model.parameters)))
+    moved[:, : arm.n_body] = arm.base_of_rigid(motor_share=1.0)
     return moved
 
 
-def own_inertias(study: Study, base: FloatArray) -> FloatArray:
-    """mbar, each link's own inertia with the arm stretched, out of the core's regressor.
-
-    Parameters
-    ----------
-    study : Study
-    base : (n_base,)
-
-    Returns
-    -------
-    (n_joints,) [kg m^2]
-    """
-    return np.diagonal(inertia_matrix(study, base, np.zeros(study.arm.n_joints))).copy()
-
-
-def total_inertias(model: RigidModel, study: Study) -> FloatArray:
+def total_inertias(model: RigidModel, arm: Arm) -> FloatArray:
     """c_1 = m_M + n^2 m_L of (18), at the motors.
 
     Parameters
     ----------
     model : RigidModel
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -134,10 +107,10 @@ def total_inertias(model: RigidModel, study: Study) -> FloatArray:
     NotIdentifiable
         A parameter it is made of is not known.
     """
-    own = own_inertias(study, base_parameters(model, study)) * gear_ratios(study) ** 2
-    if study.arm.n_joints > 1:
-        own[1] += known(model, "motor_inertia", 2)
-    return np.asarray(own)
+    rows = [total_inertia(arm, joint) for joint in range(1, arm.n_joints + 1)]
+    return np.array(
+        [sum(weight * known(model, *key) for key, weight in row.items()) for row in rows]
+    )
 
 
 def known(model: RigidModel, name: str, joint: int | None) -> float:

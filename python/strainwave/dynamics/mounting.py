@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Imu, Study
+from strainwave.domain import FloatArray, Imu
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Quantity
 
 Key = tuple[str, int | None]
@@ -69,7 +70,7 @@ class Axis:
         return (RATE,) if self.kind == "gyro" else BASIS
 
 
-def axes_of(channels: Collection[str], study: Study, joint: int) -> tuple[Axis, ...]:
+def axes_of(channels: Collection[str], arm: Arm, joint: int) -> tuple[Axis, ...]:
     """The axes on a link that need a mounting: all of its IMU, or `a{i}` of unknown distance.
 
     Beside an IMU such an `a{i}` is left out: it has little to add.
@@ -78,7 +79,7 @@ def axes_of(channels: Collection[str], study: Study, joint: int) -> tuple[Axis, 
     ----------
     channels : collection of str
         That were logged.
-    study : Study
+    arm : Arm
     joint : int
         From 1.
 
@@ -86,7 +87,7 @@ def axes_of(channels: Collection[str], study: Study, joint: int) -> tuple[Axis, 
     -------
     tuple of Axis
     """
-    own = study.arm.joints[joint - 1]
+    own = arm.joints[joint - 1]
     if own.motion == "prismatic":
         return ()
     found = tuple(
@@ -100,7 +101,7 @@ def axes_of(channels: Collection[str], study: Study, joint: int) -> tuple[Axis, 
     return (Axis(f"a{joint}", joint, "tangential"),)
 
 
-def unknowns_of(axes: Sequence[Axis], study: Study) -> list[Key]:
+def unknowns_of(axes: Sequence[Axis], arm: Arm) -> list[Key]:
     """What of the mounting of a link's axes is unknown, in the terms that a fit searches in.
 
     An attitude is a start, `START`, which stays, and a turn from there, which has no singular
@@ -113,7 +114,7 @@ def unknowns_of(axes: Sequence[Axis], study: Study) -> list[Key]:
     ----------
     axes : sequence of Axis
         Of one link.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -122,14 +123,14 @@ def unknowns_of(axes: Sequence[Axis], study: Study) -> list[Key]:
     if not axes:
         return []
     joint = axes[0].joint
-    imu = study.arm.joints[joint - 1].imu or Imu()
+    imu = arm.joints[joint - 1].imu or Imu()
     if axes[0].kind == "tangential":
         return [(DISTANCE, joint)]
     names: list[str] = []
     count = sum(axis.kind == "accelerometer" for axis in axes)
     if count and imu.xyz is None:
-        polar = is_polar(study, joint)
-        names += (FROM_AXIS, *((BEARING,) if study.arm.gravity else ())) if polar else PLACE
+        polar = is_polar(arm, joint)
+        names += (FROM_AXIS, *((BEARING,) if arm.gravity else ())) if polar else PLACE
     if count and imu.rpy is None:
         names += TURN if count > 1 else TURN[2:]
     if imu.rpy is None and count < 2:
@@ -137,12 +138,12 @@ def unknowns_of(axes: Sequence[Axis], study: Study) -> list[Key]:
     return [(name, joint) for name in names]
 
 
-def is_polar(study: Study, joint: int) -> bool:
+def is_polar(arm: Arm, joint: int) -> bool:
     """Whether the place of a link's IMU is unknown together with its attitude, on a fixed axis.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     joint : int
         From 1.
 
@@ -150,11 +151,11 @@ def is_polar(study: Study, joint: int) -> bool:
     -------
     bool
     """
-    imu = study.arm.joints[joint - 1].imu or Imu()
+    imu = arm.joints[joint - 1].imu or Imu()
     return joint == 1 and imu.xyz is None and imu.rpy is None
 
 
-def scale_is_apart(axis: Axis, axes: Sequence[Axis], study: Study) -> bool:
+def scale_is_apart(axis: Axis, axes: Sequence[Axis], arm: Arm) -> bool:
     """Whether an axis's scale is identifiable beside its mounting.
 
     Parameters
@@ -162,14 +163,14 @@ def scale_is_apart(axis: Axis, axes: Sequence[Axis], study: Study) -> bool:
     axis : Axis
     axes : sequence of Axis
         All of its sensor, itself among them.
-    study : Study
+    arm : Arm
 
     Returns
     -------
     bool
     """
-    imu = study.arm.joints[axis.joint - 1].imu or Imu()
-    moves = axis.joint > 1 or bool(study.arm.gravity)
+    imu = arm.joints[axis.joint - 1].imu or Imu()
+    moves = axis.joint > 1 or bool(arm.gravity)
     count = sum(one.kind == "accelerometer" for one in axes)
     if axis.kind == "gyro":
         return imu.rpy is not None or count > 1
@@ -205,13 +206,13 @@ def is_mounting(key: Key) -> bool:
     return key[0] in (DISTANCE, TILT, FROM_AXIS, *PLACE) or is_hidden(key)
 
 
-def factors(axis: Axis, study: Study, values: Mapping[Key, float]) -> FloatArray:
+def factors(axis: Axis, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
     """What each of an axis's `quantities` counts in its reading.
 
     Parameters
     ----------
     axis : Axis
-    study : Study
+    arm : Arm
     values : dict
         Of the mounting's unknowns.
 
@@ -220,16 +221,16 @@ def factors(axis: Axis, study: Study, values: Mapping[Key, float]) -> FloatArray
     (n_quantities,)
     """
     joint = axis.joint
-    imu = study.arm.joints[joint - 1].imu or Imu()
+    imu = arm.joints[joint - 1].imu or Imu()
     if axis.kind == "tangential":
         tilt = values.get((TILT, joint), 0.0)
         return _at(-np.sin(tilt), np.cos(tilt), values[DISTANCE, joint], 0.0)
     if axis.kind == "gyro":
         share = values.get((_share(axis), joint))
-        return np.array([_turned(study, joint, values)[2, axis.number] if share is None else share])
-    turned = _turned(study, joint, values)[:2]
+        return np.array([_turned(arm, joint, values)[2, axis.number] if share is None else share])
+    turned = _turned(arm, joint, values)[:2]
     along = turned[:, axis.number]
-    if not is_polar(study, joint):
+    if not is_polar(arm, joint):
         place = imu.xyz[:2] if imu.xyz is not None else [values[name, joint] for name in PLACE]
         return _at(along[0], along[1], place[0], place[1])
     bearing = values.get((BEARING, joint), 0.0)
@@ -239,9 +240,9 @@ def factors(axis: Axis, study: Study, values: Mapping[Key, float]) -> FloatArray
     return np.array([c.real, c.imag, distance * across, -distance * away])
 
 
-def _turned(study: Study, joint: int, values: Mapping[Key, float]) -> FloatArray:
+def _turned(arm: Arm, joint: int, values: Mapping[Key, float]) -> FloatArray:
     """The attitude of a link's IMU: (3, 3), its columns the sensor's axes in the link's frame."""
-    imu = study.arm.joints[joint - 1].imu or Imu()
+    imu = arm.joints[joint - 1].imu or Imu()
     return attitude_of(values, joint) if imu.rpy is None else attitude(imu.rpy)
 
 
@@ -283,15 +284,13 @@ def rotation(vector: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
 
 
-def slopes(
-    axis: Axis, study: Study, values: Mapping[Key, float], keys: Sequence[Key]
-) -> FloatArray:
+def slopes(axis: Axis, arm: Arm, values: Mapping[Key, float], keys: Sequence[Key]) -> FloatArray:
     """How an axis's factors depend on unknowns: (n_quantities, n_keys).
 
     Parameters
     ----------
     axis : Axis
-    study : Study
+    arm : Arm
     values : dict
     keys : sequence of (name, joint)
 
@@ -304,26 +303,26 @@ def slopes(
         if key[1] != axis.joint or not is_mounting(key):
             continue
         at = values.get(key, 0.0)
-        ends = [factors(axis, study, {**values, key: at + off}) for off in (_STEP, -_STEP)]
+        ends = [factors(axis, arm, {**values, key: at + off}) for off in (_STEP, -_STEP)]
         found[:, k] = (ends[0] - ends[1]) / (2.0 * _STEP)
     return found
 
 
-def with_places(study: Study, values: Mapping[Key, float]) -> Study:
-    """The study with the distances of accelerometers that are among the values.
+def with_places(arm: Arm, values: Mapping[Key, float]) -> Arm:
+    """The arm with the distances of accelerometers that are among the values.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
 
     Returns
     -------
-    Study
+    Arm
         With bandwidths that were found, too.
     """
     joints = []
-    for i, joint in enumerate(study.arm.joints, start=1):
+    for i, joint in enumerate(arm.joints, start=1):
         hz = values.get(("accelerometer_bandwidth", i), np.inf)
         wide = joint.accelerometer_hz is None and np.isfinite(hz)
         joints.append(
@@ -333,7 +332,7 @@ def with_places(study: Study, values: Mapping[Key, float]) -> Study:
                 accelerometer_hz=hz if wide else joint.accelerometer_hz,
             )
         )
-    return replace(study, arm=replace(study.arm, joints=tuple(joints)))
+    return arm.with_joints(joints)
 
 
 def attitude(rpy: Sequence[float]) -> FloatArray:
@@ -375,7 +374,7 @@ def angles(matrix: FloatArray) -> FloatArray:
 
 
 def reported(
-    axes: Sequence[Axis], study: Study, values: Mapping[Key, float]
+    axes: Sequence[Axis], arm: Arm, values: Mapping[Key, float]
 ) -> dict[str, tuple[float, str]]:
     """Place and attitude of a link's IMU for the reader, as far as they are made of unknowns.
 
@@ -387,7 +386,7 @@ def reported(
     ----------
     axes : sequence of Axis
         Of one link.
-    study : Study
+    arm : Arm
     values : dict
         Those of unknowns, held ones left out.
 
@@ -400,7 +399,7 @@ def reported(
         return {}
     joint = axes[0].joint
     found: dict[str, tuple[float, str]] = {}
-    turned = _turned(study, joint, values)
+    turned = _turned(arm, joint, values)
     if (BEARING, joint) in values:
         bearing, distance = values[BEARING, joint], values[FROM_AXIS, joint]
         found["imu_x"] = distance * float(np.cos(bearing)), "m"

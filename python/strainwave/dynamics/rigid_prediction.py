@@ -7,13 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, Parameter, Signals, Study
-from strainwave.dynamics.rigid_regressor import (
-    FRICTION_COLUMNS,
-    body_regressor,
-    gear_ratios,
-    n_body,
-)
+from strainwave.domain import BoolArray, FloatArray, Parameter, Signals
+from strainwave.domain.combinations import FRICTION_COLUMNS
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 
 _PIECE = 1 << 16  # samples predicted at once
@@ -50,7 +46,7 @@ def fit_percent(measured: FloatArray, predicted: FloatArray) -> FloatArray:
 
 
 def band_fit(
-    study: Study,
+    arm: Arm,
     solution: FloatArray,
     signals: Signals,
     model_hz: float,
@@ -60,7 +56,7 @@ def band_fit(
 
     Parameters
     ----------
-    study, solution, signals, model_hz, load_friction
+    arm, solution, signals, model_hz, load_friction
         As of `band_predictions`, whose first fit it is, in less memory.
 
     Returns
@@ -68,7 +64,7 @@ def band_fit(
     (n_joints,) [%]
     """
     torque = predict_torque(
-        study, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
+        arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
     )
     T = signals.sample_time
     fits = []
@@ -81,7 +77,7 @@ def band_fit(
 
 
 def band_predictions(
-    study: Study,
+    arm: Arm,
     solution: FloatArray,
     signals: Signals,
     model_hz: float,
@@ -91,9 +87,9 @@ def band_predictions(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     solution : (n_parameters,)
-        As in `columns_of`.
+        As in `Arm.rigid_columns`.
     signals : Signals
     model_hz : float [Hz]
         Bandwidth in which the model was estimated.
@@ -108,7 +104,7 @@ def band_predictions(
         The measured torque as logged, the predicted one as wide as the signals are.
     """
     torque = predict_torque(
-        study, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
+        arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
     )
     T = signals.sample_time
     within = low_pass(signals.motor_torque, model_hz, T), low_pass(torque, model_hz, T)
@@ -146,7 +142,7 @@ def _inside(signal: FloatArray, model_hz: float, T: float) -> slice:
 
 
 def predict_torque(
-    study: Study,
+    arm: Arm,
     solution: FloatArray,
     signals: Signals,
     longest_bridge: int,
@@ -161,7 +157,7 @@ def predict_torque(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     solution : (n_parameters,)
     signals : Signals
     longest_bridge : int
@@ -173,7 +169,7 @@ def predict_torque(
     -------
     (n_samples, n_joints) [N m]
     """
-    share = np.zeros(study.arm.n_joints)
+    share = np.zeros(arm.n_joints)
     for parameter in load_friction:
         share[(parameter.joint or 1) - 1] = parameter.value or 0.0
     direction = np.column_stack([_bridged(d) for d in signals.direction.T])
@@ -182,12 +178,12 @@ def predict_torque(
     for start in range(0, len(torque), _PIECE):  # a regressor of all samples is many times as large
         piece = slice(start, start + _PIECE)
         known = direction[piece], stands[piece]
-        torque[piece] = _predicted(study, solution, share, signals, piece, *known)
+        torque[piece] = _predicted(arm, solution, share, signals, piece, *known)
     return torque
 
 
 def _predicted(
-    study: Study,
+    arm: Arm,
     solution: FloatArray,
     load_friction: FloatArray,
     signals: Signals,
@@ -196,7 +192,7 @@ def _predicted(
     stands: BoolArray,
 ) -> FloatArray:
     """Motor torques of some samples, with the directions and standstills there."""
-    n, first = gear_ratios(study), n_body(study)
+    n, first = arm.gear_ratios, arm.n_body
     angle, velocity, acceleration, measured = (
         x[piece]
         for x in (
@@ -206,8 +202,8 @@ def _predicted(
             signals.motor_torque,
         )
     )
-    phi = body_regressor(study, angle * n, velocity * n, acceleration * n)
-    viscous, coulomb, offset = solution[first:].reshape(study.arm.n_joints, FRICTION_COLUMNS).T
+    phi = arm.rigid_regressor(angle * n, velocity * n, acceleration * n)
+    viscous, coulomb, offset = solution[first:].reshape(arm.n_joints, FRICTION_COLUMNS).T
     body = phi @ solution[:first]
     rest = body + viscous * velocity + offset
     dry = coulomb + load_friction * np.abs(body)

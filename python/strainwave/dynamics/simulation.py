@@ -1,18 +1,17 @@
-"""Forward models over the compiled core: a study, parameter values and a drive in, motion out."""
+"""Forward models over the compiled core: an arm, parameter values and a drive in, motion out."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from strainwave import _core
-from strainwave.domain import FloatArray, Study
-from strainwave.domain.parameters import Values, completed
-from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.domain import FloatArray
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import LONGEST_STEP, Arm, core_errors
+from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import stop_if_asked
 
 Quantity = Literal[
@@ -36,23 +35,9 @@ Quantity = Literal[
 ]
 """What a run can record."""
 
-LONGEST_STEP = 1.25e-4
-"""[s] Of the integrator, where no gear resonance asks for shorter ones."""
-_STEPS_PER_PERIOD = 120.0
-"""Of the fastest gear resonance: there w h = 0.05. The integrator, of fourth order, is then off by
-(w h)^4/120 or 6e-8, the sensors' filters, of second, by (w h)^2/12 or 2e-4: a fiftieth of an
-accelerometer's usual error of calibration. Records that are to be truths ask for shorter steps."""
-
 _SAME_CLOCK = 2e-4
 """Two crystals of one nominal frequency differ by up to so much."""
 _FEW_PARTS = 16
-
-_OPTIONAL = {
-    "friction_offset": 0.0,
-    "friction_settling_time": 0.0,
-    "gravity_torque_1": 0.0,
-    "gravity_torque_2": 0.0,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,116 +85,8 @@ class SensorNoise:
     gyro_deviation: float = 2e-3  # [rad/s] per sample
 
 
-def build_arm(study: Study) -> _core.Arm:
-    """The core's arm for a study: kind, gears and effects, electronics, sensors.
-
-    Parameters
-    ----------
-    study : Study
-
-    Returns
-    -------
-    _core.Arm
-    """
-    joints = study.arm.joints
-    distance = [joint.accelerometer_distance or 1.0 for joint in joints]
-    return _core.Arm(
-        study.arm.kind,
-        [joint.spring for joint in joints],
-        [joint.gear_ratio for joint in joints],
-        torque_per_volt=[joint.torque_per_volt or 1.0 for joint in joints],
-        link_length=study.arm.link_length or 0.0,
-        gravity=study.arm.gravity or 0.0,
-        current_loop_hz=[joint.current_loop_hz for joint in joints],
-        encoder_counts=[joint.encoder_counts for joint in joints],
-        accelerometer_distance=distance,
-        accelerometer_hz=[joint.accelerometer_hz for joint in joints],
-        gyro_hz=[joint.gyro_hz for joint in joints],
-        effects=[joint.effects for joint in joints],
-        **_imu_bandwidths(study),
-    )
-
-
-def _imu_bandwidths(study: Study) -> dict[str, Any]:
-    """What an arm needs to know of its IMUs' low-passes; nothing where it has no IMU."""
-    imus = [joint.imu for joint in study.arm.joints]
-    if not any(imus):
-        return {}
-    return {
-        "imu_accelerometer_hz": [imu.accelerometer_hz if imu else None for imu in imus],
-        "imu_gyro_hz": [imu.gyro_hz if imu else None for imu in imus],
-    }
-
-
-def parameter_vector(arm: _core.Arm, values: Values, study: Study) -> FloatArray:
-    """Values by name -> the core's flat list.
-
-    Parameters
-    ----------
-    arm : _core.Arm
-    values : dict
-        (name, joint) -> value.
-    study : Study
-
-    Returns
-    -------
-    (n_parameters,)
-
-    Raises
-    ------
-    InvalidInput
-        A parameter the arm needs is not there.
-    """
-    known = completed(values, study)
-    missing = [
-        name for name in arm.parameter_names if name not in known and name[0] not in _OPTIONAL
-    ]
-    if missing:
-        listed = ", ".join(f"{name} of joint {joint}" if joint else name for name, joint in missing)
-        raise InvalidInput(
-            f"the parameters lack {listed}",
-            where="--parameters",
-            remedy="give every parameter of docs/notation.md that this arm has",
-        )
-    vector = [known.get(name, _OPTIONAL.get(name[0], 0.0)) for name in arm.parameter_names]
-    return np.array(vector)
-
-
-def holding_voltage(
-    study: Study, values: Values, motor_angle: tuple[float, ...]
-) -> tuple[float, ...]:
-    """What keeps an arm up where it stands: gravity's torque over the torque per volt.
-
-    Parameters
-    ----------
-    study : Study
-    values : dict
-        (name, joint) -> value.
-    motor_angle : (n_joints,) [rad]
-
-    Returns
-    -------
-    (n_joints,) [V], or [N m] where the study has no torque per volt
-
-    Raises
-    ------
-    InvalidInput
-        A parameter is missing or impossible.
-    """
-    arm = build_arm(study)
-    vector = parameter_vector(arm, values, study)
-    ratio = np.array([joint.gear_ratio for joint in study.arm.joints])
-    still = np.zeros((1, study.arm.n_joints))
-    try:
-        holding = arm.inverse_dynamics(vector, np.array([motor_angle]) * ratio, still, still)[0]
-    except ValueError as error:
-        raise InvalidInput(str(error), where="--parameters", remedy="mend that value") from error
-    per_volt = [joint.torque_per_volt or 1.0 for joint in study.arm.joints]
-    return tuple(float(t / e) for t, e in zip(holding, per_volt, strict=True))
-
-
 def simulate(
-    study: Study,
+    arm: Arm,
     values: Values,
     drive: Drive,
     *,
@@ -222,7 +99,7 @@ def simulate(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value.
     drive : Drive
@@ -246,122 +123,20 @@ def simulate(
         The motion left the finite numbers.
     """
     recorded = simulate_arms(
-        study,
+        arm,
         [values],
         drive,
         sample_time=sample_time,
         samples=samples,
         record=record,
-        longest_step=min(longest, longest_step(study, values)),
+        longest_step=min(longest, arm.longest_step(values)),
     )
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
     return Trajectory(time, {name: recorded[name][0] for name in record})
 
 
-def longest_step(study: Study, values: Values) -> float:
-    """The integrator's longest step that an arm's fastest gear resonance allows.
-
-    Parameters
-    ----------
-    study : Study
-    values : dict
-        (name, joint) -> value.
-
-    Returns
-    -------
-    float [s]
-        `LONGEST_STEP` where no resonance asks for less.
-    """
-    fastest = fastest_resonance(study, values)
-    return min(LONGEST_STEP, 1.0 / (_STEPS_PER_PERIOD * fastest)) if fastest else LONGEST_STEP
-
-
-def fastest_resonance(study: Study, values: Values) -> float:
-    """The highest undamped natural frequency of motors and links on their stiffest springs.
-
-    det(K - w^2 M) = 0 with M of the links, folded or stretched, and of the motors, J/n^2.
-
-    Parameters
-    ----------
-    study : Study
-    values : dict
-        (name, joint) -> value.
-
-    Returns
-    -------
-    float [Hz]
-        Zero where the values do not give it.
-    """
-    known, n = completed(values, study), study.arm.n_joints
-    try:
-        own = [(known.get(("gear_stiffness", i)), i) for i in range(1, n + 1)]
-        k = np.diag([one or known["gear_stiffness_k3", i] for one, i in own])
-        ratios = [joint.gear_ratio for joint in study.arm.joints]
-        motor = np.diag([known["motor_inertia", i] / r**2 for i, r in enumerate(ratios, start=1)])
-        links = [_link_inertias(study, known, elbow) for elbow in (np.pi, 0.0)]
-    except KeyError:
-        return 0.0
-    stiffness, fastest = np.block([[k, -k], [-k, k]]), 0.0
-    for link in links:
-        inertia = np.block([[link, np.zeros((n, n))], [np.zeros((n, n)), motor]])
-        try:
-            root = np.linalg.inv(np.linalg.cholesky(inertia))
-        except np.linalg.LinAlgError:
-            return 0.0  # an impossible arm: the core says what is wrong with it
-        squared = float(np.linalg.eigvalsh(root @ stiffness @ root.T)[-1])
-        fastest = max(fastest, float(np.sqrt(max(squared, 0.0)) / (2.0 * np.pi)))
-    return fastest
-
-
-def _link_inertias(study: Study, known: Values, elbow: float) -> FloatArray:
-    """M of the links alone, (n_joints, n_joints), with the elbow at an angle."""
-    keys = base_names(study)
-    base = [0.0 if key[0].startswith("gravity") else known[key] for key in keys]
-    angle = np.zeros(study.arm.n_joints)
-    angle[1:] = elbow
-    return inertia_matrix(study, np.array(base), angle)
-
-
-def base_names(study: Study) -> list[tuple[str, int | None]]:
-    """The parameters in which the inverse dynamics are linear, in the core's order.
-
-    Parameters
-    ----------
-    study : Study
-
-    Returns
-    -------
-    list of (name, joint)
-    """
-    arm, still = build_arm(study), np.zeros((1, study.arm.n_joints))
-    return arm.parameter_names[: arm.base_regressor(still, still, still).shape[2]]
-
-
-def inertia_matrix(study: Study, base: FloatArray, angle: FloatArray) -> FloatArray:
-    """M(q) of the links, out of the core's regressor.
-
-    Column k is the torques of a unit acceleration of joint k, less those of gravity.
-
-    Parameters
-    ----------
-    study : Study
-    base : (n_base,)
-    angle : (n_joints,) [rad]
-        Of the links.
-
-    Returns
-    -------
-    (n_joints, n_joints) [kg m^2], or [kg] of a prismatic joint
-    """
-    arm, unit = build_arm(study), np.eye(study.arm.n_joints)
-    at, still = np.tile(angle, (study.arm.n_joints, 1)), np.zeros_like(unit)
-    torque = arm.base_regressor(at, still, unit) @ base
-    held = arm.base_regressor(at, still, still) @ base
-    return np.asarray(torque - held).T
-
-
 def simulate_arms(
-    study: Study,
+    arm: Arm,
     arms: Sequence[Values],
     drive: Drive,
     *,
@@ -374,7 +149,7 @@ def simulate_arms(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     arms : sequence of dict
         (name, joint) -> value, one per arm.
     drive : Drive
@@ -398,17 +173,16 @@ def simulate_arms(
     NumericalFailure
         A motion left the finite numbers.
     """
-    arm = build_arm(study)
-    vectors = np.array([parameter_vector(arm, values, study) for values in arms])
-    experiment = _experiment(study, drive, sample_time, samples, longest_step)
-    with _told():
+    vectors = np.array([arm.parameter_vector(values) for values in arms])
+    experiment = _experiment(arm, drive, sample_time, samples, longest_step)
+    with core_errors():
         stop_if_asked()
-        recorded = arm.simulate(vectors, record=record, **experiment)
+        recorded = arm.core.simulate(vectors, record=record, **experiment)
     return {name: recorded[name] for name in record}
 
 
 def sensitivities(
-    study: Study,
+    arm: Arm,
     values: Values,
     drive: Drive,
     directions: Sequence[tuple[str, int | None]],
@@ -423,7 +197,7 @@ def sensitivities(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value.
     drive : Drive
@@ -453,29 +227,28 @@ def sensitivities(
     NumericalFailure
         The motion left the finite numbers.
     """
-    arm = build_arm(study)
-    vector = parameter_vector(arm, values, study)
-    experiment = _experiment(study, drive, sample_time, samples, longest_step)
+    vector = arm.parameter_vector(values)
+    experiment = _experiment(arm, drive, sample_time, samples, longest_step)
     if low_pass is not None:
         experiment["taps"] = [low_pass.taps[name] for name in record]
         experiment["samples_per_row"] = low_pass.samples_per_row
-    with _told():
+    with core_errors():
         stop_if_asked()
-        found = arm.sensitivities(
+        found = arm.core.sensitivities(
             vector, with_respect_to=list(directions), record=record, **experiment
         )
     return {name: found[name] for name in record}
 
 
 def _experiment(
-    study: Study, drive: Drive, sample_time: float, samples: int, longest_step: float
+    arm: Arm, drive: Drive, sample_time: float, samples: int, longest_step: float
 ) -> dict[str, Any]:
     """What the core needs to know of an experiment."""
-    servo = study.arm.servo if any(drive.servo) else None
+    servo = arm.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
         raise InvalidInput(
             "an experiment is under servo control but the study describes no servo",
-            where=str(study.path),
+            where="[servo]",
             remedy="add a [servo] table",
         )
     clocks = [drive.tick, sample_time] + ([servo.period] if servo else [])
@@ -496,17 +269,6 @@ def _experiment(
         "link_velocity": drive.link_velocity,
         "initial_voltage": drive.initial_voltage,
     }
-
-
-@contextmanager
-def _told() -> Iterator[None]:
-    """The core's complaints as this package's errors."""
-    try:
-        yield
-    except ValueError as error:
-        raise InvalidInput(str(error), remedy="check the parameters and the study") from error
-    except FloatingPointError as error:
-        raise NumericalFailure(str(error)) from error
 
 
 def common_step(clocks: Sequence[float], longest: float = LONGEST_STEP) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, Study
 from strainwave.domain.parameters import Values, completed
-from strainwave.dynamics.simulation import build_arm, parameter_vector
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.band import Band, band_of
 from strainwave.experiment_design.motions import motion_records
@@ -100,7 +100,7 @@ def excite_study_file(
         )
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
-    limits = limits_of(study, limit_angle, limit_velocity, limit_voltage, limit_torque)
+    limits = limits_of(study.arm, limit_angle, limit_velocity, limit_voltage, limit_torque)
     chosen: Kind = "prbs" if kind == "prbs" else "multisine"
     planned = design(study, values, limits, kind=chosen, seed=seed, progress=progress)
     write(planned, folder)
@@ -144,17 +144,18 @@ def design(
         A parameter is missing, the limits leave no experiment, or the arm asks for a servo that is
         not described. One experiment that the limits do not leave is a warning.
     """
-    parameter_vector(build_arm(study), values, study)  # refuses what is missing
-    bands = {j: band_of(study, values, j) for j in range(1, study.arm.n_joints + 1)}
+    arm = Arm.of(study.arm)
+    arm.parameter_vector(values)  # refuses what is missing
+    bands = {j: band_of(arm, values, j) for j in range(1, arm.n_joints + 1)}
     warnings = _without_servo(study, bands)
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
     records: tuple[Planned, ...] = ()
     refused: list[LimitBroken] = []
-    if study.arm.servo is not None:
+    if arm.servo is not None:
         progress("searching the rigid motion")
         try:
             records = motion_records(
-                study, values, limits, anti_resonance_hz=lowest, starts=_STARTS, seed=seed
+                arm, values, limits, anti_resonance_hz=lowest, starts=_STARTS, seed=seed
             )
         except LimitBroken as error:
             refused.append(error)
@@ -162,20 +163,20 @@ def design(
         if band:
             progress(f"sizing the excitation of joint {joint}")
             try:
-                record = voltage_record(study, values, limits, band, joint, kind=kind, seed=seed)
+                record = voltage_record(arm, values, limits, band, joint, kind=kind, seed=seed)
             except LimitBroken as error:
                 refused.append(error)
             else:
-                weaker, left_out = sweep_records(study, values, limits, band, record, seed=seed)
+                weaker, left_out = sweep_records(arm, values, limits, band, record, seed=seed)
                 records += (record, *weaker)
                 warnings += tuple(
                     Diagnostic("limit-broken", f"sweep of joint {joint}", f"not planned: {why}")
                     for why in left_out
                 )
-        if band and study.arm.servo is not None:
+        if band and arm.servo is not None:
             progress(f"sizing the steps of joint {joint}")
             try:
-                records += step_records(study, values, limits, band, joint)
+                records += step_records(arm, values, limits, band, joint)
             except LimitBroken as error:
                 refused.append(error)
     if not records:
@@ -186,15 +187,15 @@ def design(
         )
         for error in refused
     )
-    known = completed(values, study)
-    warnings += tuple(c for record in records for c in _cautions(study, known, record))
+    known = completed(values, arm)
+    warnings += tuple(c for record in records for c in _cautions(arm, known, record))
     for joint, band in bands.items():
         of_it = [record for record in records if record.experiment.joint == joint]
         if band and of_it and of_it[0].band_hz[1] < 0.99 * band.high_hz:
             text = f"the servo's clock lets {of_it[0].band_hz[1]:.3g} Hz through at most, and "
             text += f"{band.high_hz:.3g} Hz are wanted; drive the voltages by a faster clock"
             warnings += (Diagnostic("slow-clock", of_it[0].experiment.name, text),)
-    warnings += _torques_without_limit(study, limits, records)
+    warnings += _torques_without_limit(arm, limits, records)
     experiments = tuple(record.experiment for record in records)
     progress("predicting the intervals")
     precision = predicted_precision(study, values, records, seed=seed)
@@ -202,12 +203,12 @@ def design(
 
 
 def _torques_without_limit(
-    study: Study, limits: Limits, records: Sequence[Planned]
+    arm: Arm, limits: Limits, records: Sequence[Planned]
 ) -> tuple[Diagnostic, ...]:
     """What the gears bear where nobody said what they may."""
     found = []
-    for i in range(study.arm.n_joints):
-        if np.isfinite(limits.gear_torque[i]) or study.arm.joints[i].spring == "rigid":
+    for i in range(arm.n_joints):
+        if np.isfinite(limits.gear_torque[i]) or arm.joints[i].spring == "rigid":
             continue
         worst = max(records, key=lambda record: float(record.predicted.gear_torque[i]))
         text = (
@@ -242,7 +243,7 @@ def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diag
     return (Diagnostic("no-servo", study.path.name, text),)
 
 
-def _cautions(study: Study, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
+def _cautions(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
     """What to know before one record is taken."""
     name, seen = record.experiment.name, record.predicted
     found = []
@@ -250,7 +251,7 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Diagnostic,
         text = f"condition number {record.condition_number:.0f}: the motion hardly separates the "
         text += "rigid parameters; allow more voltage, velocity or angle"
         found.append(Diagnostic("poor-excitation", name, text))
-    for i in range(study.arm.n_joints):
+    for i in range(arm.n_joints):
         joint = i + 1
         moved = record.experiment.joint in (None, joint)
         stepped = record.experiment.joint is not None and record.motor_angle is not None
@@ -261,7 +262,7 @@ def _cautions(study: Study, known: Values, record: Planned) -> tuple[Diagnostic,
         knees = [known[knee, joint] for knee in _KNEES if (knee, joint) in known]
         beyond = [knee for knee in knees if knee > seen.gear_torque[i]]
         strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
-        excited = strongest and study.arm.joints[i].spring == "three-slope"
+        excited = strongest and arm.joints[i].spring == "three-slope"
         if excited and beyond:
             text = f"the gear of joint {joint} sees {seen.gear_torque[i]:.3g} N m, and its knees "
             text += f"are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: its stiffness "

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Study
-from strainwave.domain.parameters import Values, completed, link_inertia
+from strainwave.domain.combinations import value_of
+from strainwave.domain.parameters import Values, completed
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 
 MARGIN = 5.0  # below the anti-resonance and above the resonance
@@ -38,7 +39,7 @@ class Band:
         return max(LINES / self.width_hz, 1.0 / self.low_hz)
 
 
-def band_of(study: Study, values: Values, joint: int) -> Band | None:
+def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
     """The band of one joint, as if the others stood still.
 
     omega_a^2 = k/m_L and width (d_L + d_G)/m_L, zeros of (17), with the inertia of the stretched
@@ -47,7 +48,7 @@ def band_of(study: Study, values: Values, joint: int) -> Band | None:
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value, all that simulating the arm needs.
     joint : int
@@ -58,8 +59,8 @@ def band_of(study: Study, values: Values, joint: int) -> Band | None:
     Band or None
         None: the gear is rigid.
     """
-    known = completed(values, study)
-    drive = study.arm.joints[joint - 1]
+    known = completed(values, arm)
+    drive = arm.joints[joint - 1]
     slopes = [
         known["gear_stiffness" if drive.spring == "linear" else f"gear_stiffness_{k}", joint]
         for k in {"linear": ("",), "three-slope": ("k1", "k2", "k3"), "rigid": ()}[drive.spring]
@@ -70,7 +71,7 @@ def band_of(study: Study, values: Values, joint: int) -> Band | None:
         TwoInertia(
             motor_inertia=known["motor_inertia", joint],
             motor_viscous_friction=known["motor_viscous_friction", joint],
-            link_inertia=link_inertia(known, study, joint),
+            link_inertia=value_of(arm.link_inertia(joint), known),
             link_viscous_friction=known["link_viscous_friction", joint],
             gear_stiffness=stiffness,
             gear_damping=known["gear_damping", joint],

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import Experiment, FloatArray, Study
+from strainwave.domain import ArmDescription, Experiment, FloatArray
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.simulation import Drive, holding_voltage
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.tables import open_table
 
@@ -30,13 +31,13 @@ def table_name(experiment: Experiment) -> str:
 
 
 def applied_columns(
-    study: Study, experiment: Experiment, drive: Drive, motor_angle: FloatArray | None
+    arm: ArmDescription, experiment: Experiment, drive: Drive, motor_angle: FloatArray | None
 ) -> dict[str, FloatArray]:
     """What is to be applied, a value a tick, with the unit in the name; zeros are left out.
 
     Parameters
     ----------
-    study : Study
+    arm : ArmDescription
     experiment : Experiment
     drive : Drive
     motor_angle : (n_ticks, n_joints) [rad], optional
@@ -48,7 +49,7 @@ def applied_columns(
     """
     time: FloatArray = drive.tick * np.arange(len(drive.voltage), dtype=np.float64)
     columns = {"t [s]": time}
-    for i, joint in enumerate(study.arm.joints):
+    for i, joint in enumerate(arm.joints):
         angle = "rad" if joint.motion == "revolute" else "m"
         number = i + 1
         if motor_angle is not None:
@@ -61,12 +62,14 @@ def applied_columns(
     return columns
 
 
-def read_applied(study: Study, experiment: Experiment, values: Values) -> Drive | None:
-    """The drive of a planned experiment, if its table lies beside the study.
+def read_applied(folder: Path, arm: Arm, experiment: Experiment, values: Values) -> Drive | None:
+    """The drive of a planned experiment, if its table lies in a folder.
 
     Parameters
     ----------
-    study : Study
+    folder : Path
+        The study's.
+    arm : Arm
     experiment : Experiment
     values : dict
         (name, joint) -> value of the arm, for what holds it at the start.
@@ -80,7 +83,7 @@ def read_applied(study: Study, experiment: Experiment, values: Values) -> Drive 
     InvalidInput
         The table is damaged, its clock is uneven, or it drives nothing of this arm.
     """
-    path = study.path.parent / table_name(experiment)
+    path = folder / table_name(experiment)
     if not path.exists():
         return None
     table = open_table(path)
@@ -88,10 +91,10 @@ def read_applied(study: Study, experiment: Experiment, values: Values) -> Drive 
     columns = {name.partition(" ")[0]: column for name, column in read.items()}
     tick = _tick(columns.pop("t", np.zeros(0)), path)
     rows = len(next(iter(columns.values()), np.zeros(0)))
-    voltage = np.zeros((rows, study.arm.n_joints))
+    voltage = np.zeros((rows, arm.n_joints))
     reference = np.zeros_like(voltage)
-    start = np.zeros(study.arm.n_joints)
-    for i in range(study.arm.n_joints):
+    start = np.zeros(arm.n_joints)
+    for i in range(arm.n_joints):
         for name, into in ((f"u{i + 1}", voltage), (f"torque{i + 1}", voltage)):
             into[:, i] = columns.get(name, into[:, i])
         reference[:, i] = columns.get(f"ref{i + 1}", reference[:, i])
@@ -109,7 +112,7 @@ def read_applied(study: Study, experiment: Experiment, values: Values) -> Drive 
         reference=reference,
         servo=tuple(control == "servo" for control in experiment.control),
         motor_angle=angle,
-        initial_voltage=holding_voltage(study, values, angle),
+        initial_voltage=arm.holding_voltage(values, angle),
     )
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Experiment, FloatArray, Study, Use
+from strainwave.domain import Experiment, FloatArray, Use
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.rigid_regressor import columns_of, gear_ratios
-from strainwave.dynamics.simulation import Drive, holding_voltage
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.plan import HELD, LimitBroken, Limits, Planned, clock_of
 from strainwave.experiment_design.predicted_motion import predicted_motion, run
@@ -37,7 +37,7 @@ _TRIES = 20
 
 
 def motion_records(
-    study: Study,
+    arm: Arm,
     values: Values,
     limits: Limits,
     *,
@@ -49,7 +49,7 @@ def motion_records(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value of the guessed arm.
     limits : Limits
@@ -71,17 +71,17 @@ def motion_records(
         No motion keeps to the limits.
     """
     top = min(_TOP_HZ, anti_resonance_hz / _BELOW_RINGING) if anti_resonance_hz else _TOP_HZ
-    tick = clock_of(study)
+    tick = clock_of(arm)
     period = tick * round(HARMONICS / top / tick)
-    search = Search(study, values, limits, period)
-    still = np.zeros((1, study.arm.n_joints))
+    search = Search(arm, values, limits, period)
+    still = np.zeros((1, arm.n_joints))
     if not search.within((still, still, still)):
         raise InvalidInput(
             "the drives can hardly hold the guessed arm at zero angles",
             where="--limit-voltage",
             remedy="check torque_per_volt, the gravity torques and the limit",
         )
-    found = optimised(study, values, limits, period=period, starts=starts, seed=seed)
+    found = optimised(arm, values, limits, period=period, starts=starts, seed=seed)
     uses: tuple[tuple[str, Use], ...] = (("motion", "motion"), ("motion-check", "check"))
     return tuple(
         _record(search, values, series, *use) for series, use in zip(found, uses, strict=False)
@@ -90,11 +90,11 @@ def motion_records(
 
 def _record(search: Search, values: Values, series: Fourier, name: str, use: Use) -> Planned:
     """The record of one series, made smaller until the simulated arm keeps to all limits."""
-    study, limits = search.study, search.limits
+    arm, limits = search.arm, search.limits
     periods, reason = _periods(search, values, series)
     for _ in range(_TRIES):
         drive, angle, lead = _drive(search, values, series, periods)
-        seen = predicted_motion(run(study, values, drive, drive.tick))
+        seen = predicted_motion(run(arm, values, drive, drive.tick))
         if seen.use_of(limits) <= 1.0:
             break
         series = replace(series.scaled(_SMALLER), offset=_SMALLER * series.offset)
@@ -106,9 +106,9 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
             remedy="give a wider limit if the arm bears it, or check the servo's gains and the "
             "parameters",
         )
-    condition = float(condition_number(study, limits, series.at(search.time)))
+    condition = float(condition_number(arm, limits, series.at(search.time)))
     return Planned(
-        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * study.arm.n_joints),
+        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * arm.n_joints),
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / series.period, HARMONICS / series.period),
@@ -127,9 +127,9 @@ def _drive(
     search: Search, values: Values, series: Fourier, periods: int
 ) -> tuple[Drive, FloatArray, float]:
     """References of a whole record, the motor angles meant, and the seconds of the way in."""
-    study = search.study
-    tick = clock_of(study)
-    still = np.zeros(study.arm.n_joints)
+    arm = search.arm
+    tick = clock_of(arm)
+    still = np.zeros(arm.n_joints)
     rest = (still, still, still)
     joint_state = [x[0] for x in series.at(np.zeros(1))]
     for lead in _LEADS:
@@ -138,7 +138,7 @@ def _drive(
         if search.within(into) and search.within(out):
             break
     steady = series.at(_ticks(periods * series.period, tick))
-    ratio = gear_ratios(study)
+    ratio = arm.gear_ratios
     angle = np.concatenate([into[0], steady[0], out[0]]) / ratio
     # the servo counts the encoder's steps, so what it is told is the angle's difference
     reference = np.diff(angle, axis=0, append=angle[-1:]) / tick
@@ -147,9 +147,9 @@ def _drive(
         tick=tick,
         voltage=np.zeros_like(angle),
         reference=reference,
-        servo=(True,) * study.arm.n_joints,
+        servo=(True,) * arm.n_joints,
         motor_angle=start,
-        initial_voltage=holding_voltage(study, values, start),
+        initial_voltage=arm.holding_voltage(values, start),
     )
     return drive, angle, float(lead)
 
@@ -166,21 +166,21 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
     rigid step's low-pass B of variance (2 pi)^4 B^5/5 S, S = 2 tick q^2/12; with the rigid
     inertia it is an error of the torque, independent 2 B times a second.
     """
-    study = search.study
+    arm = search.arm
     once = "1 period, as a repetition shows noise but no new motion"
-    counts = [joint.encoder_counts for joint in study.arm.joints]
+    counts = [joint.encoder_counts for joint in arm.joints]
     if not all(counts):
         return 1, f"{once}; the encoders' noise is not known"
     motion = series.at(search.time)
-    phi = full_regressor(study, motion)
+    phi = full_regressor(arm, motion)
     heard = _HEARD * HARMONICS / series.period
     rounding = np.array([2.0 * np.pi / count for count in counts if count])
-    density = 2.0 * clock_of(study) * rounding**2 / 12.0
+    density = 2.0 * clock_of(arm) * rounding**2 / 12.0
     acceleration = np.sqrt((2.0 * np.pi) ** 4 * heard**5 / 5.0 * density)
     rows = phi / (_inertia_at_motor(search) * acceleration)[:, None]
     rows = rows.reshape(-1, rows.shape[2]) * np.sqrt(2.0 * heard * series.period / len(motion[0]))
     deviation = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
-    sizes = _sizes(study, values)
+    sizes = _sizes(arm, values)
     worst = max(d / sizes[k] for k, d in enumerate(deviation) if k in sizes)
     needed = int(np.ceil((worst / _WANTED) ** 2))
     if needed == 1:
@@ -193,17 +193,17 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
 
 def _inertia_at_motor(search: Search) -> FloatArray:
     """What each motor has to turn with the arm stretched, friction left out: (n_joints,)."""
-    n = search.study.arm.n_joints
+    n = search.arm.n_joints
     still = np.zeros((n, n))
     moved = search.arm.inverse_dynamics(search.vector, still, still, np.eye(n))
     unmoved = search.arm.inverse_dynamics(search.vector, still, still, still)
-    return np.asarray(np.diag(moved - unmoved) * gear_ratios(search.study))
+    return np.asarray(np.diag(moved - unmoved) * search.arm.gear_ratios)
 
 
-def _sizes(study: Study, values: Values) -> dict[int, float]:
+def _sizes(arm: Arm, values: Values) -> dict[int, float]:
     """Column of the regressor -> size of its parameter, where the guess has one."""
     sizes = {}
-    for k, column in enumerate(columns_of(study)):
+    for k, column in enumerate(arm.rigid_columns):
         size = abs(values.get((column.name, column.joint), 0.0))
         if size > 0.0:
             sizes[k] = size

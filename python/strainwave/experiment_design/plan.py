@@ -6,7 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Control, Diagnostic, Experiment, FloatArray, Parameter, Study
+from strainwave.domain import (
+    ArmDescription,
+    Control,
+    Diagnostic,
+    Experiment,
+    FloatArray,
+    Parameter,
+    Study,
+)
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 
@@ -102,13 +110,13 @@ class Design:
 
 
 def limits_of(
-    study: Study, angle: str, velocity: str, voltage: str | None, gear_torque: str | None
+    arm: ArmDescription, angle: str, velocity: str, voltage: str | None, gear_torque: str | None
 ) -> Limits:
     """The limits as they are written on the command line.
 
     Parameters
     ----------
-    study : Study
+    arm : ArmDescription
         Its servo's limit holds as well.
     angle, velocity : str
         One number, or one per joint with commas between.
@@ -126,19 +134,19 @@ def limits_of(
     InvalidInput
         One is not a positive number, or there are not as many as joints.
     """
-    if voltage is None and study.arm.servo is None:
+    if voltage is None and arm.servo is None:
         raise InvalidInput(
             "the drives' limit is not known: there is no [servo] table that has it",
             where="--limit-voltage",
             remedy=f"give it in V, or {ADD_SERVO}",
         )
-    largest = study.arm.servo.limit if study.arm.servo else float("inf")
-    top = (largest,) * study.arm.n_joints
-    given = top if voltage is None else _numbers(voltage, study.arm.n_joints, "--limit-voltage")
-    any_torque = (float("inf"),) * study.arm.n_joints
-    angles = _numbers(angle, study.arm.n_joints, "--limit-angle")
-    velocities = _numbers(velocity, study.arm.n_joints, "--limit-velocity")
-    for i, joint in enumerate(study.arm.joints):
+    largest = arm.servo.limit if arm.servo else float("inf")
+    top = (largest,) * arm.n_joints
+    given = top if voltage is None else _numbers(voltage, arm.n_joints, "--limit-voltage")
+    any_torque = (float("inf"),) * arm.n_joints
+    angles = _numbers(angle, arm.n_joints, "--limit-angle")
+    velocities = _numbers(velocity, arm.n_joints, "--limit-velocity")
+    for i, joint in enumerate(arm.joints):
         if joint.motion == "revolute":
             _check_plausible(angles[i], velocities[i], i + 1)
     return Limits(
@@ -147,7 +155,7 @@ def limits_of(
         voltage=tuple(min(pair) for pair in zip(given, top, strict=True)),
         gear_torque=any_torque
         if gear_torque is None
-        else _numbers(gear_torque, study.arm.n_joints, "--limit-torque"),
+        else _numbers(gear_torque, arm.n_joints, "--limit-torque"),
     )
 
 
@@ -170,9 +178,9 @@ def _check_plausible(angle: float, velocity: float, joint: int) -> None:
         )
 
 
-def clock_of(study: Study) -> float:
+def clock_of(arm: ArmDescription) -> float:
     """The clock of what is planned [s]: the servo's, or that of a usual drive."""
-    return study.arm.servo.period if study.arm.servo else _USUAL_CLOCK
+    return arm.servo.period if arm.servo else _USUAL_CLOCK
 
 
 def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from strainwave.domain import Log, Parameter, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Quantity, SensorNoise, measure, simulate
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.experiment_design.plan import Planned, clock_of
@@ -42,17 +43,17 @@ def predicted_precision(
     fast = [r for r in records if r.experiment.use in ("frequency", "tuning")]
     logs = [_log(study, values, one, rng) for one in fast]
     try:
-        return predicted_parameters(logs, study, values)
+        return predicted_parameters(logs, Arm.of(study.arm), values)
     except (InvalidInput, NumericalFailure):  # records in which friction holds the motor, say
         return ()
 
 
 def _log(study: Study, values: Values, record: Planned, rng: np.random.Generator) -> Log:
     """A planned record as it would be logged, at the drive's clock."""
-    tick = clock_of(study)
+    tick = clock_of(study.arm)
     quantities: list[Quantity] = ["voltage", "encoder", "accelerometer", "gyro", "link_angle"]
     run = simulate(
-        study,
+        Arm.of(study.arm),
         values,
         record.drive,
         sample_time=tick,

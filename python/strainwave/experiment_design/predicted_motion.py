@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Study
+from strainwave.domain import FloatArray
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
 from strainwave.experiment_design.plan import PredictedMotion
 
@@ -19,12 +20,12 @@ _QUANTITIES: tuple[Quantity, ...] = (
 )
 
 
-def run(study: Study, values: Values, drive: Drive, sample_time: float) -> Trajectory:
+def run(arm: Arm, values: Values, drive: Drive, sample_time: float) -> Trajectory:
     """The guessed arm's answer to a drive.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value.
     drive : Drive
@@ -37,7 +38,7 @@ def run(study: Study, values: Values, drive: Drive, sample_time: float) -> Traje
     """
     samples = round(len(drive.voltage) * drive.tick / sample_time)
     return simulate(
-        study, values, drive, sample_time=sample_time, samples=samples, record=_QUANTITIES
+        arm, values, drive, sample_time=sample_time, samples=samples, record=_QUANTITIES
     )
 
 

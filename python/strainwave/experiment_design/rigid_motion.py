@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Study
+from strainwave.domain import FloatArray
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.rigid_regressor import body_regressor, gear_ratios
-from strainwave.dynamics.simulation import build_arm, parameter_vector
+from strainwave.dynamics.arm import Arm
 from strainwave.experiment_design.plan import Limits
 from strainwave.numerics.parallel import one_blas_thread
 
@@ -81,7 +80,7 @@ def waves(period: float, harmonics: int, time: FloatArray) -> Waves:
     return rate, np.sin(angle), np.cos(angle)
 
 
-def full_regressor(study: Study, motion: Motion) -> FloatArray:
+def full_regressor(arm: Arm, motion: Motion) -> FloatArray:
     """Motor torques per unknown of the rigid model, friction included: (5)-(7).
 
     The direction of sliding is rounded over a hundredth of the largest velocity, so that a search
@@ -89,17 +88,17 @@ def full_regressor(study: Study, motion: Motion) -> FloatArray:
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     motion : tuple of (..., n_samples, n_joints)
 
     Returns
     -------
     (..., n_samples, n_joints, n_unknowns)
-        Columns as in `strainwave.dynamics.rigid_regressor.columns_of`.
+        Columns as in `Arm.rigid_columns`.
     """
-    velocity = motion[1] / gear_ratios(study)
-    n = study.arm.n_joints
-    bodies = body_regressor(study, *(x.reshape(-1, n) for x in motion))
+    velocity = motion[1] / arm.gear_ratios
+    n = arm.n_joints
+    bodies = arm.rigid_regressor(*(x.reshape(-1, n) for x in motion))
     parts = [bodies.reshape(*velocity.shape, bodies.shape[-1])]
     for i in range(n):
         friction = np.zeros((*velocity.shape, 3))
@@ -112,7 +111,7 @@ def full_regressor(study: Study, motion: Motion) -> FloatArray:
     return np.concatenate(parts, axis=-1)
 
 
-def condition_number(study: Study, limits: Limits, motion: Motion) -> FloatArray:
+def condition_number(arm: Arm, limits: Limits, motion: Motion) -> FloatArray:
     """How well motions separate the rigid parameters; one is best.
 
     Rows are torques in shares of what each drive can give, columns are scaled to one: it depends
@@ -120,7 +119,7 @@ def condition_number(study: Study, limits: Limits, motion: Motion) -> FloatArray
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     limits : Limits
     motion : tuple of (..., n_samples, n_joints)
 
@@ -128,8 +127,8 @@ def condition_number(study: Study, limits: Limits, motion: Motion) -> FloatArray
     -------
     (...)
     """
-    strongest = np.array(limits.voltage) * torque_per_volt(study)
-    rows = full_regressor(study, motion) / strongest[:, None]
+    strongest = np.array(limits.voltage) * arm.torque_per_volt
+    rows = full_regressor(arm, motion) / strongest[:, None]
     rows = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
     norms = np.linalg.norm(rows, axis=-2, keepdims=True)
     values = np.linalg.svd(rows / np.maximum(norms, 1e-300), compute_uv=False)
@@ -137,19 +136,14 @@ def condition_number(study: Study, limits: Limits, motion: Motion) -> FloatArray
     return np.where(excited, values[..., 0] / np.maximum(values[..., -1], 1e-300), np.inf)
 
 
-def torque_per_volt(study: Study) -> FloatArray:
-    """e, or one where torque is commanded: (n_joints,)."""
-    return np.array([joint.torque_per_volt or 1.0 for joint in study.arm.joints])
-
-
 def optimised(
-    study: Study, values: Values, limits: Limits, *, period: float, starts: int, seed: int
+    arm: Arm, values: Values, limits: Limits, *, period: float, starts: int, seed: int
 ) -> tuple[Fourier, ...]:
     """Motions of low condition number within the limits, the best first.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value of the guessed arm, for its voltages.
     limits : Limits
@@ -165,7 +159,7 @@ def optimised(
     """
     from scipy.optimize import minimize
 
-    search = Search(study, values, limits, period)
+    search = Search(arm, values, limits, period)
     rng = np.random.default_rng(seed)
     with one_blas_thread():
         drawn = rng.normal(size=(_DRAWN, search.n_unknowns))
@@ -188,19 +182,18 @@ class Search:
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
     limits : Limits
     period : float [s]
     """
 
-    def __init__(self, study: Study, values: Values, limits: Limits, period: float) -> None:
-        self.study, self.limits, self.period = study, limits, period
-        self.arm = build_arm(study)
-        self.vector = parameter_vector(self.arm, values, study)
+    def __init__(self, arm: Arm, values: Values, limits: Limits, period: float) -> None:
+        self.arm, self.limits, self.period = arm, limits, period
+        self.vector = arm.parameter_vector(values)
         self.time: FloatArray = period / _GRID * np.arange(_GRID, dtype=np.float64)
         self.waves = waves(period, HARMONICS, self.time)
-        self.n_unknowns = study.arm.n_joints * (2 * HARMONICS + 1)
+        self.n_unknowns = arm.n_joints * (2 * HARMONICS + 1)
 
     def cost(self, points: FloatArray) -> FloatArray:
         """Logarithm of the condition number of the feasible series that points stand for.
@@ -213,7 +206,7 @@ class Search:
         -------
         (...)
         """
-        return np.log(condition_number(self.study, self.limits, self.motion_of(points)))
+        return np.log(condition_number(self.arm, self.limits, self.motion_of(points)))
 
     def with_gradient(self, point: FloatArray) -> tuple[float, FloatArray]:
         """Cost of one point and its forward differences, all at once."""
@@ -241,7 +234,7 @@ class Search:
 
     def _feasible(self, points: FloatArray) -> tuple[Fourier, Motion, FloatArray]:
         """Shapes, their feasible motions, and the joints' scales (..., 1, n_joints) from these."""
-        n = self.study.arm.n_joints
+        n = self.arm.n_joints
         table = points.reshape(*points.shape[:-1], -1, n)
         most = _SHARE_ANGLE * np.array(self.limits.angle)
         offset = 0.8 * most * np.tanh(table[..., :1, :])
@@ -249,7 +242,7 @@ class Search:
         angle, velocity, acceleration = Fourier(
             self.period, np.zeros_like(offset), sine, cosine
         ).of(self.waves)
-        fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * gear_ratios(self.study)
+        fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * self.arm.gear_ratios
         highest, lowest = (f(angle, axis=-2, keepdims=True) for f in (np.max, np.min))
         room = np.minimum((most - offset) / highest, (most + offset) / -lowest)
         scale = np.minimum(room, fastest / np.abs(velocity).max(axis=-2, keepdims=True))
@@ -287,14 +280,14 @@ class Search:
     def voltage_use(self, motion: Motion) -> FloatArray:
         """Share that motions of the rigid arm take of what the drives may give it: (...)."""
         shape = motion[0].shape
-        rows = (np.ascontiguousarray(x.reshape(-1, shape[-1])) for x in motion)
+        rows = (x.reshape(-1, shape[-1]) for x in motion)
         torque = self.arm.inverse_dynamics(self.vector, *rows).reshape(shape)
-        given = _SHARE_VOLTAGE * np.array(self.limits.voltage) * torque_per_volt(self.study)
+        given = _SHARE_VOLTAGE * np.array(self.limits.voltage) * self.arm.torque_per_volt
         return np.asarray((np.abs(torque) / given).max(axis=(-2, -1)))
 
     def within(self, motion: Motion) -> bool:
         """Whether a motion keeps to all limits, with something to spare."""
-        fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * gear_ratios(self.study)
+        fastest = _SHARE_VELOCITY * np.array(self.limits.velocity) * self.arm.gear_ratios
         near = np.abs(motion[0]).max(0) <= _SHARE_ANGLE * np.array(self.limits.angle) + 1e-12
         slow = np.abs(motion[1]).max(0) <= fastest + 1e-12
         return bool(near.all() and slow.all()) and bool(self.voltage_use(motion) <= 1.0 + 1e-9)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import Experiment, FloatArray, Servo, Study, Use
+from strainwave.domain import Experiment, FloatArray, Servo, Use
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation
-from strainwave.dynamics.simulation import Drive, holding_voltage
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive
 from strainwave.experiment_design.band import Band
 from strainwave.experiment_design.plan import HELD, LimitBroken, Limits, Planned, clock_of
 from strainwave.experiment_design.predicted_motion import predicted_motion, run
@@ -26,13 +27,13 @@ _PLANS: tuple[tuple[str, Use, tuple[float, ...], float], ...] = (
 
 
 def step_records(
-    study: Study, values: Values, limits: Limits, band: Band, joint: int
+    arm: Arm, values: Values, limits: Limits, band: Band, joint: int
 ) -> tuple[Planned, ...]:
     """Steps of one joint's velocity reference, to be fitted, and others to check the model with.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
         With a servo.
     values : dict
         (name, joint) -> value of the guessed arm.
@@ -52,26 +53,26 @@ def step_records(
     LimitBroken
         No step of the guessed arm keeps to the limits.
     """
-    assert study.arm.servo is not None
+    assert arm.servo is not None
     hold = float(np.clip(_PERIODS / band.anti_resonance_hz, _LEAST_HOLD, _LONGEST_HOLD))
-    hold = clock_of(study) * round(hold / clock_of(study))
-    largest = _largest(study, study.arm.servo, limits, joint, hold)
+    hold = clock_of(arm) * round(hold / clock_of(arm))
+    largest = _largest(arm, arm.servo, limits, joint, hold)
     return tuple(
-        _record(study, values, limits, joint, f"{name}-j{joint}", use, hold, levels, size * largest)
+        _record(arm, values, limits, joint, f"{name}-j{joint}", use, hold, levels, size * largest)
         for name, use, levels, size in _PLANS
     )
 
 
-def _largest(study: Study, servo: Servo, limits: Limits, joint: int, hold: float) -> float:
+def _largest(arm: Arm, servo: Servo, limits: Limits, joint: int, hold: float) -> float:
     """The largest step that no limit forbids by itself [rad/s at the motor]."""
     i = joint - 1
-    ratio = abs(study.arm.joints[i].gear_ratio)
+    ratio = abs(arm.joints[i].gear_ratio)
     by_voltage = limits.voltage[i] / servo.kp[i] if servo.kp[i] > 0.0 else np.inf
     return _ROOM * min(limits.velocity[i], by_voltage, limits.angle[i] / (ratio * hold))
 
 
 def _record(
-    study: Study,
+    arm: Arm,
     values: Values,
     limits: Limits,
     joint: int,
@@ -83,8 +84,8 @@ def _record(
 ) -> Planned:
     """One record, made smaller until the simulated arm keeps to all limits."""
     for _ in range(_TRIES):
-        drive, angle = _drive(study, values, joint, size * np.array(levels), hold)
-        seen = predicted_motion(run(study, values, drive, drive.tick))
+        drive, angle = _drive(arm, values, joint, size * np.array(levels), hold)
+        seen = predicted_motion(run(arm, values, drive, drive.tick))
         unsaturated = (seen.voltage <= _SATURATED * np.array(limits.voltage)).all()
         if unsaturated and seen.use_of(limits) <= 1.0:
             break
@@ -100,7 +101,7 @@ def _record(
         "fitted with the rest" if use == "tuning" else "never fitted: it checks the elastic model"
     )
     return Planned(
-        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * study.arm.n_joints, joint=joint),
+        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * arm.n_joints, joint=joint),
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / (len(levels) * hold), 0.5 / drive.tick),
@@ -113,23 +114,21 @@ def _record(
 
 
 def _drive(
-    study: Study, values: Values, joint: int, levels: FloatArray, hold: float
+    arm: Arm, values: Values, joint: int, levels: FloatArray, hold: float
 ) -> tuple[Drive, FloatArray]:
     """References of a whole record, and the motor angles meant."""
-    tick = clock_of(study)
+    tick = clock_of(arm)
     stepped = excitation.steps(levels, hold=hold, clock=tick)
-    reference = np.zeros((len(stepped), study.arm.n_joints))
+    reference = np.zeros((len(stepped), arm.n_joints))
     reference[:, joint - 1] = stepped
-    angle = tick * np.concatenate(
-        [np.zeros((1, study.arm.n_joints)), np.cumsum(reference, axis=0)[:-1]]
-    )
-    start = (0.0,) * study.arm.n_joints
+    angle = tick * np.concatenate([np.zeros((1, arm.n_joints)), np.cumsum(reference, axis=0)[:-1]])
+    start = (0.0,) * arm.n_joints
     drive = Drive(
         tick=tick,
         voltage=np.zeros_like(reference),
         reference=reference,
-        servo=(True,) * study.arm.n_joints,
+        servo=(True,) * arm.n_joints,
         motor_angle=start,
-        initial_voltage=holding_voltage(study, values, start),
+        initial_voltage=arm.holding_voltage(values, start),
     )
     return drive, angle

@@ -34,7 +34,7 @@ def print_design(design: Design, folder: Path, *, console: Console | None = None
     for record in design.records:
         why = "; ".join(record.reasons)
         console.print(Text(f"{record.experiment.name}: {record.duration:.1f} s. {why}."))
-    console.print(Text(f"log every {1e3 * clock_of(design.study):g} ms or faster"))
+    console.print(Text(f"log every {1e3 * clock_of(design.study.arm):g} ms or faster"))
     for line in _precision(design):
         console.print(Text(line))
     for warning in design.warnings:

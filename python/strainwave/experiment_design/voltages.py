@@ -7,10 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import Control, Experiment, FloatArray, Prbs, Study
+from strainwave.domain import Control, Experiment, FloatArray, Prbs
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation
-from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, holding_voltage
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.band import Band
 from strainwave.experiment_design.plan import (
@@ -43,7 +44,7 @@ _SATURATED = 0.995  # of the limit: a servo that reaches it no longer acts
 class Signal:
     """One joint's excitation with amplitude left open."""
 
-    study: Study
+    arm: Arm
     values: Values
     joint: int  # from 1
     kind: Kind
@@ -65,21 +66,21 @@ class Signal:
     def drive(self, amplitude: float, periods: int, control: tuple[Control, ...]) -> Drive:
         """The excitation of this joint; servos hold what they control at zero velocity."""
         excited = self.voltage(amplitude, periods)
-        voltage = np.zeros((len(excited), self.study.arm.n_joints))
+        voltage = np.zeros((len(excited), self.arm.n_joints))
         voltage[:, self.joint - 1] = excited
-        start = (0.0,) * self.study.arm.n_joints
+        start = (0.0,) * self.arm.n_joints
         return Drive(
             tick=self.clock,
             voltage=voltage,
             reference=np.zeros_like(voltage),
             servo=tuple(c == "servo" for c in control),
             motor_angle=start,
-            initial_voltage=holding_voltage(self.study, self.values, start),
+            initial_voltage=self.arm.holding_voltage(self.values, start),
         )
 
 
 def voltage_record(
-    study: Study,
+    arm: Arm,
     values: Values,
     limits: Limits,
     band: Band,
@@ -95,7 +96,7 @@ def voltage_record(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value of the guessed arm.
     limits : Limits
@@ -118,17 +119,17 @@ def voltage_record(
     LimitBroken
         No amplitude keeps to the limits.
     """
-    signal = _signal(study, values, band, joint, kind, seed)
-    free: tuple[Control, ...] = (FREE,) * study.arm.n_joints
-    held: tuple[Control, ...] = (HELD,) * study.arm.n_joints
+    signal = _signal(arm, values, band, joint, kind, seed)
+    free: tuple[Control, ...] = (FREE,) * arm.n_joints
+    held: tuple[Control, ...] = (HELD,) * arm.n_joints
     controls: tuple[tuple[Control, ...], ...] = (
         (held,)
-        if study.arm.gravity
+        if arm.gravity
         else (free,)
-        if kind == "multisine" or study.arm.servo is None
+        if kind == "multisine" or arm.servo is None
         else (free, held)
     )
-    if kind == "multisine" and study.arm.gravity:
+    if kind == "multisine" and arm.gravity:
         raise InvalidInput(
             "under gravity a servo holds the arm, and a study cannot describe a multisine there",
             where="--kind",
@@ -158,7 +159,7 @@ def voltage_record(
 
 
 def sweep_records(
-    study: Study,
+    arm: Arm,
     values: Values,
     limits: Limits,
     band: Band,
@@ -170,7 +171,7 @@ def sweep_records(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value of the guessed arm.
     limits : Limits
@@ -189,12 +190,12 @@ def sweep_records(
     of = full.experiment
     if of.prbs is None or of.joint is None:
         return (), ()
-    signal = _signal(study, values, band, of.joint, "prbs", seed)
+    signal = _signal(arm, values, band, of.joint, "prbs", seed)
     planned, left_out = [], []
     for share in _SWEEP:
         amplitude = float(f"{share * of.prbs.amplitude:.2g}")
         drive = signal.drive(amplitude, of.prbs.periods, of.control)
-        seen = predicted_motion(run(study, values, drive, clock_of(study)))
+        seen = predicted_motion(run(arm, values, drive, clock_of(arm)))
         if seen.use_of(limits) > 1.0 + 1e-12:  # a free arm drifts, less strongly driven or not
             left_out.append(f"at {amplitude:g} V {seen.broken(limits)}")
             continue
@@ -224,7 +225,7 @@ def _too_strong(
     least = _SMALLEST * top
     while True:
         drive = signal.drive(least, periods, control)
-        seen = predicted_motion(run(signal.study, signal.values, drive, clock_of(signal.study)))
+        seen = predicted_motion(run(signal.arm, signal.values, drive, clock_of(signal.arm)))
         if (_moves(seen, signal.joint) and seen.broken(limits)) or least >= top:
             break
         least = min(1.5 * least, top)
@@ -237,9 +238,9 @@ def _too_strong(
     )
 
 
-def _signal(study: Study, values: Values, band: Band, joint: int, kind: Kind, seed: int) -> Signal:
+def _signal(arm: Arm, values: Values, band: Band, joint: int, kind: Kind, seed: int) -> Signal:
     """Clock and order, or the lines, of a band."""
-    tick = clock_of(study)
+    tick = clock_of(arm)
     slower = max(1, int(_HALF_POWER / band.high_hz / tick)) if kind == "prbs" else 1
     clock = tick * slower
     order = int(np.ceil(np.log2(band.period / clock + 1.0)))
@@ -259,7 +260,7 @@ def _signal(study: Study, values: Values, band: Band, joint: int, kind: Kind, se
             rng=np.random.default_rng([seed, joint]),
         )
     )
-    return Signal(study, values, joint, kind, clock, order, ticks, lines, shape)
+    return Signal(arm, values, joint, kind, clock, order, ticks, lines, shape)
 
 
 def _excited(signal: Signal) -> tuple[float, float]:
@@ -273,11 +274,11 @@ def _largest(
 ) -> tuple[float, PredictedMotion | None]:
     """The largest amplitude within the limits, rounded down, and its predicted motion."""
     top = limits.voltage[signal.joint - 1]
-    sample_time = clock_of(signal.study)
+    sample_time = clock_of(signal.arm)
 
     def within(amplitude: float, count: int) -> PredictedMotion | None:
         drive = signal.drive(amplitude, count, control)
-        seen = predicted_motion(run(signal.study, signal.values, drive, sample_time))
+        seen = predicted_motion(run(signal.arm, signal.values, drive, sample_time))
         free = "servo" not in control
         unsaturated = free or (seen.voltage <= _SATURATED * np.array(limits.voltage)).all()
         return seen if unsaturated and seen.use_of(limits) <= 1.0 + 1e-12 else None
@@ -314,10 +315,10 @@ def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
     A line's amplitude has the deviation sqrt(2 S/T) in a period T of noise of density S. The
     encoder's rounding has S = 2 t q^2/12, times w^2 for the velocity.
     """
-    study = signal.study
-    tick = clock_of(study)
-    seen = run(study, signal.values, drive, tick)
-    drive_of = study.arm.joints[signal.joint - 1]
+    arm = signal.arm
+    tick = clock_of(arm)
+    seen = run(arm, signal.values, drive, tick)
+    drive_of = arm.joints[signal.joint - 1]
     ratios = {}
     if drive_of.encoder_counts:
         q = 2.0 * np.pi / drive_of.encoder_counts

@@ -41,7 +41,7 @@ def write(design: Design, folder: Path) -> None:
 
 
 def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
-    return applied_columns(study, record.experiment, record.drive, record.motor_angle)
+    return applied_columns(study.arm, record.experiment, record.drive, record.motor_angle)
 
 
 def _csv(columns: dict[str, FloatArray]) -> str:

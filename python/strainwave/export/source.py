@@ -49,7 +49,7 @@ class IdentifiedArm:
         told = self._told()
         for number in self._lumped():
             told.pop(("motor_viscous_friction", number), None)
-        return completed(told, self.study)
+        return completed(told, self.study.arm)
 
     def need(self, name: str, joint: int | None = None) -> float:
         """The value of a parameter that cannot be done without.

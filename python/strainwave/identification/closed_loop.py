@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Log, Prediction, Study
+from strainwave.domain import Diagnostic, FloatArray, Log, Prediction
 from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import as_read
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.dynamics.simulation import Drive, Quantity, simulate_arms
@@ -23,17 +24,17 @@ from strainwave.signals.recorded_input import check_replay, replay
 _MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
 
 
-def with_known_effects(study: Study, known: Collection[tuple[str, int | None]]) -> Study:
-    """The study with only those effects whose parameters are known.
+def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> Arm:
+    """The arm with only those effects whose parameters are known.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     known : collection of (name, joint)
 
     Returns
     -------
-    Study
+    Arm
     """
     joints = tuple(
         replace(
@@ -44,46 +45,46 @@ def with_known_effects(study: Study, known: Collection[tuple[str, int | None]]) 
                 if all((name, number) in known for name in EFFECT_PARAMETERS[effect])
             ),
         )
-        for number, joint in enumerate(study.arm.joints, start=1)
+        for number, joint in enumerate(arm.joints, start=1)
     )
-    return replace(study, arm=replace(study.arm, joints=joints))
+    return arm.with_joints(joints)
 
 
-def as_known(study: Study, values: Mapping[tuple[str, int | None], float]) -> Study:
-    """The study with linear springs where the values know only one stiffness, and known effects.
+def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
+    """The arm with linear springs where the values know only one stiffness, and known effects.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value.
 
     Returns
     -------
-    Study
+    Arm
     """
     joints = tuple(
         replace(joint, spring="linear")
         if joint.spring == "three-slope" and ("gear_stiffness_k1", number) not in values
         else joint
-        for number, joint in enumerate(study.arm.joints, start=1)
+        for number, joint in enumerate(arm.joints, start=1)
     )
-    return with_known_effects(replace(study, arm=replace(study.arm, joints=joints)), values.keys())
+    return with_known_effects(arm.with_joints(joints), values.keys())
 
 
-def velocity_band(log: Log, study: Study) -> float:
+def velocity_band(log: Log, arm: Arm) -> float:
     """Frequency up to which the liveliest motor's angle stands out of its noise [Hz].
 
     Parameters
     ----------
     log : Log
-    study : Study
+    arm : Arm
 
     Returns
     -------
     float [Hz]
     """
-    numbers = range(1, study.arm.n_joints + 1)
+    numbers = range(1, arm.n_joints + 1)
     return max(signal_band(log.channels[f"theta_m{i}"], log.sample_time) for i in numbers)
 
 
@@ -106,7 +107,7 @@ class Observed:
         """Per channel, whether it stands well out of its noise."""
         return tuple((np.std(self.measured, axis=0) > _MOVES * self.noise).tolist())
 
-    def simulated(self, study: Study, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
+    def simulated(self, arm: Arm, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
         """The same channels of an arm that goes through the same experiment.
 
         An accelerometer's bias is unknown: its simulated mean is set to the measured one. Its delay
@@ -114,7 +115,7 @@ class Observed:
 
         Parameters
         ----------
-        study : Study
+        arm : Arm
             With springs and effects that fit the values.
         values : dict
             (name, joint) -> value.
@@ -124,10 +125,10 @@ class Observed:
         (n_rows, n_channels)
         """
         record: list[Quantity] = ["encoder"]
-        if len(self.channels) > study.arm.n_joints:
+        if len(self.channels) > arm.n_joints:
             record.append("accelerometer")
         runs = simulate_arms(
-            study,
+            arm,
             [dict(values)],
             self.drive,
             sample_time=self.log.sample_time,
@@ -135,23 +136,23 @@ class Observed:
             record=record,
         )
         columns = [runs["encoder"][0]]
-        for name in self.channels[study.arm.n_joints :]:
+        for name in self.channels[arm.n_joints :]:
             joint, T = int(name[1:]), self.log.sample_time
             read = as_read(runs["accelerometer"][0, :, joint - 1], T, joint, values)
             columns.append(read[:, None])
-        seen = _filtered(np.hstack(columns), study.arm.n_joints, self.log, self.cutoff_hz)
+        seen = _filtered(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
         shift = self.measured.mean(axis=0) - seen.mean(axis=0)
-        shift[: study.arm.n_joints] = 0.0
+        shift[: arm.n_joints] = 0.0
         return np.asarray(seen + shift)
 
 
-def observe(log: Log, study: Study, cutoff_hz: float | None = None) -> Observed:
+def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observed:
     """Velocities and accelerations of a record, ready to be compared.
 
     Parameters
     ----------
     log : Log
-    study : Study
+    arm : Arm
     cutoff_hz : float [Hz], optional
         Of the low-pass; as far up as the encoders show motion if it is not given.
 
@@ -164,30 +165,30 @@ def observe(log: Log, study: Study, cutoff_hz: float | None = None) -> Observed:
     InvalidInput
         The log lacks something that simulating it needs.
     """
-    check_replay(study, log)
-    cutoff = cutoff_hz or velocity_band(log, study)
-    numbers = range(1, study.arm.n_joints + 1)
-    placed = [i for i in numbers if has_accelerometer(log, study, i)]
+    check_replay(arm, log)
+    cutoff = cutoff_hz or velocity_band(log, arm)
+    numbers = range(1, arm.n_joints + 1)
+    placed = [i for i in numbers if has_accelerometer(log, arm, i)]
     raw = [log.channels[f"theta_m{i}"] for i in numbers]
     raw += [log.channels[f"a{i}"] for i in placed]
     T = log.sample_time
     # of white noise below the cut-off, differentiated for the encoders
     slope = 2.0 * np.pi * cutoff / np.sqrt(3.0)
-    shares = np.array([slope] * study.arm.n_joints + [1.0] * len(placed))
+    shares = np.array([slope] * arm.n_joints + [1.0] * len(placed))
     noise = np.array([noise_deviation(channel) for channel in raw])
     return Observed(
         log=log,
-        drive=replay(study, log),
+        drive=replay(arm, log),
         cutoff_hz=cutoff,
         channels=tuple([f"omega_m{i}" for i in numbers] + [f"a{i}" for i in placed]),
         time=log.time[_inside(log, cutoff)],
-        measured=_filtered(np.column_stack(raw), study.arm.n_joints, log, cutoff),
+        measured=_filtered(np.column_stack(raw), arm.n_joints, log, cutoff),
         noise=noise * shares * np.sqrt(min(1.0, 2.0 * T * cutoff)),
     )
 
 
 def predict_closed_loop(
-    values: Values, log: Log, study: Study, cutoff_hz: float | None = None
+    values: Values, log: Log, arm: Arm, cutoff_hz: float | None = None
 ) -> Prediction:
     """Simulate a record on an arm with elastic joints, and compare.
 
@@ -197,7 +198,7 @@ def predict_closed_loop(
         (name, joint) -> value; of a three-slope gear one `gear_stiffness` will do.
     log : Log
         Of any experiment whose references and open-loop voltages are there.
-    study : Study
+    arm : Arm
     cutoff_hz : float [Hz], optional
         Of the low-pass for both sides; from the record if it is not given.
 
@@ -214,8 +215,8 @@ def predict_closed_loop(
     NumericalFailure
         The motion left the finite numbers.
     """
-    seen = observe(log, study, cutoff_hz)
-    return prediction_of(seen, seen.simulated(as_known(study, values), values))
+    seen = observe(log, arm, cutoff_hz)
+    return prediction_of(seen, seen.simulated(as_known(arm, values), values))
 
 
 def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:
@@ -249,13 +250,13 @@ def _still(seen: Observed) -> Iterator[Diagnostic]:
             yield Diagnostic("nothing-to-predict", seen.log.name, text)
 
 
-def has_accelerometer(log: Log, study: Study, joint: int) -> bool:
+def has_accelerometer(log: Log, arm: Arm, joint: int) -> bool:
     """Whether a joint's accelerometer was logged, and it is known where it sits.
 
     Parameters
     ----------
     log : Log
-    study : Study
+    arm : Arm
     joint : int
         From 1.
 
@@ -263,7 +264,7 @@ def has_accelerometer(log: Log, study: Study, joint: int) -> bool:
     -------
     bool
     """
-    own = study.arm.joints[joint - 1]
+    own = arm.joints[joint - 1]
     placed = own.motion == "prismatic" or own.accelerometer_distance is not None
     return placed and f"a{joint}" in log.channels
 

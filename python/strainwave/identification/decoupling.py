@@ -16,16 +16,15 @@ from strainwave.domain import (
     JointModel,
     LinkSignals,
     RigidModel,
-    Study,
 )
+from strainwave.domain.combinations import is_uncoupled, viscous_friction
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import (
     base_parameters,
     interaction_torques,
     known,
-    own_inertias,
     total_inertias,
 )
-from strainwave.dynamics.simulation import build_arm
 from strainwave.errors import NotIdentifiable
 from strainwave.numerics.spectra import cross_spectral_densities
 
@@ -50,7 +49,7 @@ class DecouplingOptions:
 def decouple(
     signals: LinkSignals,
     model: RigidModel | None,
-    study: Study,
+    arm: Arm,
     options: DecouplingOptions | None = None,
 ) -> tuple[Decoupled, ...]:
     """Each joint as a two-inertia system of its own, driven by u and by the other links.
@@ -62,7 +61,7 @@ def decouple(
     signals : LinkSignals
     model : RigidModel or None
         None will do for a single joint without gravity; its friction then stays in u.
-    study : Study
+    arm : Arm
     options : DecouplingOptions, optional
 
     Returns
@@ -76,9 +75,9 @@ def decouple(
         The rigid model is missing, or lacks a parameter that the torques need.
     """
     chosen = options or DecouplingOptions()
-    base, tau = _interaction(signals, model, study)
+    base, tau = _interaction(signals, model, arm)
     found = []
-    for i in range(study.arm.n_joints):
+    for i in range(arm.n_joints):
         u = signals.motor_torque[:, i]
         if model is not None:
             u = u - _dry_friction(signals, model, i)
@@ -86,7 +85,7 @@ def decouple(
         band = chosen.band_hz or _band(signals, i)
         densities = _spectra(inputs, signals.sample_time)
         frequency, richness = _richness(densities, band)
-        checks = tuple(_checks(signals, study, base, i, inputs, band, densities, richness))
+        checks = tuple(_checks(signals, arm, base, i, inputs, band, densities, richness))
         found.append(
             Decoupled(
                 experiment=signals.experiment,
@@ -99,39 +98,38 @@ def decouple(
                 ),
                 valid=np.asarray(signals.valid.all(axis=1)),
                 held=signals.held[i],
-                gear_ratio=study.arm.joints[i].gear_ratio,
-                total_inertia=float(total_inertias(model, study)[i]) if model else None,
-                total_viscous_friction=_viscous(model, study, i + 1) if model else None,
+                gear_ratio=arm.joints[i].gear_ratio,
+                total_inertia=float(total_inertias(model, arm)[i]) if model else None,
+                total_viscous_friction=_viscous(model, arm, i + 1) if model else None,
                 bandwidth_hz=signals.bandwidth_hz,
                 shared=signals.shared,
                 fusion=signals.fusion[i],
                 richness_hz=frequency,
                 richness=richness,
                 checks=checks,
-                warnings=tuple(_warnings(signals, study, i, checks)),
+                warnings=tuple(_warnings(signals, arm, i, checks)),
             )
         )
     return tuple(found)
 
 
 def _interaction(
-    signals: LinkSignals, model: RigidModel | None, study: Study
+    signals: LinkSignals, model: RigidModel | None, arm: Arm
 ) -> tuple[FloatArray, FloatArray | None]:
     """Base parameters and torques; no torques where nothing acts on the joint but its motor."""
-    if study.arm.n_joints == 1 and study.arm.gravity is None:
+    if is_uncoupled(arm):
         return np.zeros(0), None
     if model is None:
         raise NotIdentifiable(
             "what gravity or the other links do to a joint takes a rigid model: add a motion record"
         )
-    base = base_parameters(model, study)
+    base = base_parameters(model, arm)
     motion = (signals.link_angle, signals.link_velocity, signals.link_acceleration)
-    return base, interaction_torques(study, base, *motion)
+    return base, interaction_torques(arm, base, *motion)
 
 
-def _viscous(model: RigidModel, study: Study, joint: int) -> float | None:
-    alone = study.arm.kind == "single-joint" and study.arm.joints[0].spring == "rigid"
-    return model.value("motor_viscous_friction" if alone else "total_viscous_friction", joint)
+def _viscous(model: RigidModel, arm: Arm, joint: int) -> float | None:
+    return model.value(viscous_friction(arm, joint), joint)
 
 
 def without_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:
@@ -200,7 +198,7 @@ def _richness(
 
 def _checks(
     signals: LinkSignals,
-    study: Study,
+    arm: Arm,
     base: FloatArray,
     i: int,
     inputs: FloatArray,
@@ -218,8 +216,8 @@ def _checks(
     yield Check("sliding", moving >= _SLIDING, moving, _SLIDING, text)
     if inputs.shape[1] == 1:
         return
-    yield _constancy(signals, study, base, i)
-    n = study.arm.joints[i].gear_ratio
+    yield _constancy(signals, arm, base, i)
+    n = arm.joints[i].gear_ratio
     u, tau = inputs[:, 0] - inputs[:, 0].mean(), inputs[:, 1] - inputs[:, 1].mean()
     ratio = float(n * tau.std() / max(u.std(), 1e-300))
     text = f"n tau is {ratio:.3g} times u"
@@ -235,16 +233,15 @@ def _checks(
     yield Check("input-richness", rich >= _RICH, rich, _RICH, text)
 
 
-def _constancy(signals: LinkSignals, study: Study, base: FloatArray, i: int) -> Check:
+def _constancy(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Check:
     """How much a link's own inertia changes in the motion; tau holds it, the paper's (13) not."""
-    arm = build_arm(study)
     q = signals.link_angle
     unit = np.zeros_like(q)
     unit[:, i] = 1.0
     still = np.zeros_like(q)
-    held = arm.base_regressor(np.ascontiguousarray(q), still, still) @ base
-    inertia = (arm.base_regressor(np.ascontiguousarray(q), still, unit) @ base - held)[:, i]
-    change = float(np.ptp(inertia) / own_inertias(study, base)[i])
+    held = arm.base_regressor(q, still, still) @ base
+    inertia = (arm.base_regressor(q, still, unit) @ base - held)[:, i]
+    change = float(np.ptp(inertia) / arm.link_inertias(base)[i])
     text = f"the link's own inertia changes by {100.0 * change:.2g} %"
     text += "" if change <= _CONSTANT else ", all of it in tau; keep the swing of joint 2 small"
     return Check("constant-inertia", change <= _CONSTANT, change, _CONSTANT, text)
@@ -263,12 +260,12 @@ def _fullness(densities: tuple[FloatArray, ComplexArray], band: tuple[float, flo
 
 
 def _warnings(
-    signals: LinkSignals, study: Study, i: int, checks: tuple[Check, ...]
+    signals: LinkSignals, arm: Arm, i: int, checks: tuple[Check, ...]
 ) -> Iterator[Diagnostic]:
     """Failed checks, of joints that were to be identified in this record."""
     if signals.experiment.joint not in (None, i + 1):
         return
     for check in checks:
         if not check.passed:
-            where = f"{signals.experiment.name}, joint {i + 1}" if study.arm.n_joints > 1 else ""
+            where = f"{signals.experiment.name}, joint {i + 1}" if arm.n_joints > 1 else ""
             yield Diagnostic(check.name, where or signals.experiment.name, check.message)

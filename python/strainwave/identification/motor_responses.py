@@ -19,10 +19,9 @@ from strainwave.domain import (
     JointModel,
     Log,
     MotorResponse,
-    Study,
 )
-from strainwave.dynamics.rigid_regressor import gear_ratios
-from strainwave.dynamics.simulation import base_names, inertia_matrix, simulate_arms
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import simulate_arms
 from strainwave.identification.closed_loop import as_known, velocity_band
 from strainwave.numerics.filters import differentiate
 from strainwave.numerics.spectra import cross_spectral_densities
@@ -36,7 +35,7 @@ _SEEN = 1e-4  # of the largest torque density: lines that the excitation leaves 
 
 
 def motor_response(
-    log: Log, arm: ArmModel, joints: Sequence[JointModel], study: Study
+    log: Log, model: ArmModel, joints: Sequence[JointModel], arm: Arm
 ) -> MotorResponse:
     """Motor torque to motor velocity in one record, of the rig and of the fitted arm.
 
@@ -46,10 +45,10 @@ def motor_response(
     ----------
     log : Log
         Of an experiment that names its joint.
-    arm : ArmModel
+    model : ArmModel
     joints : sequence of JointModel
         For the equivalent stiffness of curves.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -62,10 +61,10 @@ def motor_response(
     NumericalFailure
         The motion left the finite numbers.
     """
-    driven, drive = driven_by_voltage(study, log)
+    driven, drive = driven_by_voltage(arm, log)
     runs = simulate_arms(
-        as_known(driven, arm.values),
-        [dict(arm.values)],
+        as_known(driven, model.values),
+        [dict(model.values)],
         drive,
         sample_time=log.sample_time,
         samples=len(log),
@@ -79,17 +78,17 @@ def motor_response(
     segment = min(len(log) // 2, round(_SEGMENT / T))
     frequency, density = cross_spectral_densities(columns, T, segment)
     power = density[:, 0, 0].real
-    inside = (frequency >= _LOWEST * frequency[1]) & (frequency <= velocity_band(log, study))
+    inside = (frequency >= _LOWEST * frequency[1]) & (frequency <= velocity_band(log, arm))
     inside &= power > _SEEN * power[inside].max(initial=0.0)
     measured, fitted = (density[inside, 0, k] / power[inside] for k in (1, 2))
     coherence = np.abs(density[inside, 0, 1]) ** 2
     coherence = coherence / np.maximum(power[inside] * density[inside, 1, 1].real, 1e-300)
-    condition = _condition(log, study)
-    posture = gear_ratios(study) * np.array(
-        [np.mean(log.channels[f"theta_m{i}"]) for i in range(1, study.arm.n_joints + 1)]
+    condition = _condition(log, arm)
+    posture = arm.gear_ratios * np.array(
+        [np.mean(log.channels[f"theta_m{i}"]) for i in range(1, arm.n_joints + 1)]
     )
-    values, servoed = _one_stiffness(arm.values, joints), condition == "others-servoed"
-    zeros, poles = modes_of_motor(values, study, posture, number, servoed=servoed)
+    values, servoed = _one_stiffness(model.values, joints), condition == "others-servoed"
+    zeros, poles = modes_of_motor(values, arm, posture, number, servoed=servoed)
     return MotorResponse(
         experiment=log.name,
         joint=number,
@@ -105,7 +104,7 @@ def motor_response(
 
 def modes_of_motor(
     values: Mapping[tuple[str, int | None], float],
-    study: Study,
+    arm: Arm,
     link_angle: FloatArray,
     joint: int,
     *,
@@ -121,7 +120,7 @@ def modes_of_motor(
     ----------
     values : dict
         (name, joint) -> value, with one `gear_stiffness` a joint.
-    study : Study
+    arm : Arm
     link_angle : (n_joints,) [rad]
     joint : int
         Whose motor is driven, from 1.
@@ -133,27 +132,27 @@ def modes_of_motor(
     anti_resonances, resonances : (n,) [Hz]
         Moduli of the lightly damped pairs over 2 pi, ascending.
     """
-    n, others = study.arm.n_joints, [i for i in range(study.arm.n_joints) if i != joint - 1]
-    base = np.array([values.get(key, 0.0) for key in base_names(study)])
+    n, others = arm.n_joints, [i for i in range(arm.n_joints) if i != joint - 1]
+    base = np.array([values.get(key, 0.0) for key in arm.base_names])
 
     def each(name: str) -> FloatArray:
         return np.array([values.get((name, i), 0.0) for i in range(1, n + 1)])
 
     inertia = np.zeros((2 * n, 2 * n))  # motors first, then links
     inertia[:n, :n] = np.diag(each("motor_inertia"))
-    inertia[n:, n:] = inertia_matrix(study, base, link_angle)
-    springs = _across(gear_ratios(study), each("gear_stiffness"))
-    dampers = _across(gear_ratios(study), each("gear_damping"))
+    inertia[n:, n:] = arm.inertia_matrix(base, link_angle)
+    springs = _across(arm.gear_ratios, each("gear_stiffness"))
+    dampers = _across(arm.gear_ratios, each("gear_damping"))
     viscous = [each("motor_viscous_friction"), each("link_viscous_friction")]
     dampers += np.diag(np.concatenate(viscous))
     moving = np.ones(2 * n, dtype=bool)
     for i in others if servoed else ():
-        per_volt = study.arm.joints[i].torque_per_volt
-        if study.arm.servo is None or per_volt is None:
+        per_volt = arm.joints[i].torque_per_volt
+        if arm.servo is None or per_volt is None:
             moving[i] = False
         else:
-            dampers[i, i] += per_volt * study.arm.servo.kp[i]
-            springs[i, i] += per_volt * study.arm.servo.ki[i]
+            dampers[i, i] += per_volt * arm.servo.kp[i]
+            springs[i, i] += per_volt * arm.servo.ki[i]
     without = moving.copy()
     without[joint - 1] = False
     return (
@@ -181,9 +180,9 @@ def _rings(
     return np.asarray(np.sort(np.abs(ringing)) / (2.0 * np.pi))
 
 
-def _condition(log: Log, study: Study) -> Condition:
+def _condition(log: Log, arm: Arm) -> Condition:
     others = [c for i, c in enumerate(log.experiment.control, 1) if i != log.experiment.joint]
-    if study.arm.n_joints == 1:
+    if arm.n_joints == 1:
         return "alone"
     return "others-servoed" if "servo" in others else "others-free"
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import ArmModel, Diagnostic, Log, Prediction, RigidModel, Signals, Study
+from strainwave.domain import ArmModel, Diagnostic, Log, Prediction, RigidModel, Signals
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_predictions
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.closed_loop import predict_closed_loop
@@ -19,7 +20,7 @@ _STIFFER = 1.2
 """Stiffness for the question whether a record shows any: an error that validation should see."""
 
 
-def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Prediction:
+def predict_rigid(model: RigidModel, signals: Signals, arm: Arm) -> Prediction:
     """Predict a record's drive signals from its motion with the rigid model.
 
     The motion is the record's own, measured; only the torques are predicted. `fit_percent` is that
@@ -33,7 +34,7 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
     model : RigidModel
     signals : Signals
         From `signals.motor_side`.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -53,13 +54,13 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
             f" behind the rigid model's low-pass of {model.bandwidth_hz:.2g} Hz"
         )
     band, full = band_predictions(
-        study, model.solution, signals, model.bandwidth_hz, model.load_friction
+        arm, model.solution, signals, model.bandwidth_hz, model.load_friction
     )
     names = signals.torque_channel
     per_channel = np.array(
         [
             (joint.torque_per_volt or 1.0) if name.startswith("u") else 1.0
-            for name, joint in zip(names, study.arm.joints, strict=True)
+            for name, joint in zip(names, arm.joints, strict=True)
         ]
     )
     return Prediction(
@@ -82,15 +83,15 @@ def predict_rigid(model: RigidModel, signals: Signals, study: Study) -> Predicti
     )
 
 
-def predict_elastic(arm: ArmModel, log: Log, study: Study) -> Prediction:
+def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     """Predict a record's motion with the whole arm, by simulating it under its servo.
 
     Parameters
     ----------
-    arm : ArmModel
+    model : ArmModel
     log : Log
         With its references, and voltages where a joint was in open loop.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -104,15 +105,15 @@ def predict_elastic(arm: ArmModel, log: Log, study: Study) -> Prediction:
     InvalidInput
         The log or the study lacks something that simulating it needs.
     """
-    values = dict(arm.values)
-    predicted = predict_closed_loop(values, log, study)
-    elastic = [n for n, joint in enumerate(study.arm.joints, start=1) if joint.spring != "rigid"]
-    effects = {n: _stiffness_effect(predicted, n, values, log, study) for n in elastic}
+    values = dict(model.values)
+    predicted = predict_closed_loop(values, log, arm)
+    elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.spring != "rigid"]
+    effects = {n: _stiffness_effect(predicted, n, values, log, arm) for n in elastic}
     return replace(predicted, stiffness_effect=effects)
 
 
 def _stiffness_effect(
-    predicted: Prediction, joint: int, values: Values, log: Log, study: Study
+    predicted: Prediction, joint: int, values: Values, log: Log, arm: Arm
 ) -> float:
     """Largest change of a predicted channel by a fifth more stiffness of one gear, in its spreads.
 
@@ -123,7 +124,7 @@ def _stiffness_effect(
         (name, number): value * (_STIFFER if number == joint and "stiffness" in name else 1.0)
         for (name, number), value in values.items()
     }
-    other = predict_closed_loop(stiffer, log, study).predicted
+    other = predict_closed_loop(stiffer, log, arm).predicted
     judged = np.isfinite([predicted.fit_percent[name] for name in predicted.channels])
     change = np.sqrt(np.mean((other - predicted.predicted) ** 2, axis=0))
     spread = np.std(predicted.measured, axis=0)

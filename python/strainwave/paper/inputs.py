@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Comparison, Control, Criterion, FloatArray, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain import BoolArray, Comparison, Control, Criterion, FloatArray
 from strainwave.dynamics.interaction_torque import interaction_torques
-from strainwave.dynamics.simulation import build_arm
 from strainwave.numerics.filters import lagged
 from strainwave.paper.claims import compared
 from strainwave.paper.rig import AMPLITUDE, CLOCK, ORDER, Rig, Run
@@ -149,7 +147,7 @@ def servoed(rig: Rig) -> Comparison:
 
 def _least_cosine(run: Run) -> float:
     """Of joint 2's angle, from its motor's encoder as the source computes it."""
-    ratio = run.study.arm.joints[1].gear_ratio
+    ratio = run.arm.joints[1].gear_ratio
     return float(np.cos(ratio * run.log.channels["theta_m2"]).min())
 
 
@@ -179,20 +177,13 @@ def _torques(run: Run) -> tuple[FloatArray, FloatArray, float]:
     joint = run.decoupled.joint
     tau = run.decoupled.inputs[:, 1]
     motion = (run.trajectory[q] for q in ("link_angle", "link_velocity", "link_acceleration"))
-    base = _base(run.study, run.values)
-    true = interaction_torques(run.study, base, *motion)[:, joint - 1]
+    base = np.array([run.values.get(key, 0.0) for key in run.arm.base_names])
+    true = interaction_torques(run.arm, base, *motion)[:, joint - 1]
     true = lagged(true, run.decoupled.shared, run.decoupled.sample_time)
     valid = run.decoupled.valid
     missed = np.linalg.norm((tau - true)[valid])
     fit = 100.0 * (1.0 - missed / np.linalg.norm(true[valid] - true[valid].mean()))
     return tau, true, float(fit)
-
-
-def _base(study: Study, values: Values) -> FloatArray:
-    arm = build_arm(study)
-    still = np.zeros((1, study.arm.n_joints))
-    count = arm.base_regressor(still, still, still).shape[2]
-    return np.array([values.get(name, 0.0) for name in arm.parameter_names[:count]])
 
 
 def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:

@@ -102,7 +102,7 @@ def responses(rig: Rig, joint: int, tuned: Tuned) -> Comparison:
     """
     run = rig.prbs(joint)
     made = stages(rig, joint)
-    optimised = equivalent(run.study, tuned.values, run.trajectory, joint)
+    optimised = equivalent(run.arm, tuned.values, run.trajectory, joint)
     truth = response_of(run.truth, _LINES_HZ)
     drawn = {
         name: response_of(model, _LINES_HZ)

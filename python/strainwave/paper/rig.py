@@ -20,11 +20,11 @@ from strainwave.domain import (
     Log,
     Prbs,
     RigidModel,
-    Study,
 )
 from strainwave.domain.options import Channels, EstimationMethod
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import (
     Drive,
     Quantity,
@@ -73,7 +73,7 @@ class Run:
     """One experiment: what was measured of the excited joint, and what is true of it."""
 
     name: str
-    study: Study
+    arm: Arm
     values: Values
     trajectory: Trajectory  # noise-free
     log: Log
@@ -109,7 +109,7 @@ class Rig:
         self.settings = settings
         self.progress = progress
         self.payload = PAYLOAD
-        self.study = scara.study(Path("rig"))
+        self.arm = Arm.of(scara.study(Path("rig")).arm)
         self.rigid = cache(self._rigid)
         self.prbs = cache(self._prbs)
         self.estimate = cache(self._estimate)
@@ -141,7 +141,7 @@ class Rig:
         Log
         """
         values = scara.parameters(PAYLOAD)
-        trajectory = run_steps(self.study, values, levels, joint)
+        trajectory = run_steps(self.arm, values, levels, joint)
         name = f"steps-j{joint}-{number}"
         experiment = Experiment(name, f"{name}.csv", "tuning", ("servo", "servo"), joint)
         log = _log(experiment, trajectory, SensorNoise(), self._rng(2, joint, number))
@@ -164,14 +164,14 @@ class Rig:
                     speed=_MOTION_SPEED / joint.gear_ratio,
                     rng=rng,
                 )
-                for joint in self.study.arm.joints
+                for joint in self.arm.joints
             ]
         )
         both: tuple[Control, Control] = ("servo", "servo")
         drive = _drive(np.zeros_like(reference), reference, both)
         values = scara.parameters(disks)
         trajectory = simulate(
-            self.study,
+            self.arm,
             values,
             drive,
             sample_time=CLOCK,
@@ -180,7 +180,7 @@ class Rig:
         )
         experiment = Experiment("motion", "motion.csv", "motion", both)
         log = _log(experiment, trajectory, SensorNoise(), rng)
-        return rigid.fit([signals.motor_side(log, self.study)], self.study)
+        return rigid.fit([signals.motor_side(log, self.arm)], self.arm)
 
     def _prbs(
         self,
@@ -204,7 +204,7 @@ class Rig:
         values = scara.parameters(disks)
         T = self.settings.sample_time
         trajectory = simulate(
-            self.study,
+            self.arm,
             values,
             _drive(voltage, np.zeros_like(voltage), control),
             sample_time=T,
@@ -219,16 +219,16 @@ class Rig:
             1, joint, disks, round(1e3 * amplitude), count, int(other == "servo"), start
         )
         log = _log(experiment, trajectory, SensorNoise(), rng)
-        links = link_side(log, self.study, self.settings.links)
+        links = link_side(log, self.arm, self.settings.links)
         return Run(
             name=name,
-            study=self.study,
+            arm=self.arm,
             values=values,
             trajectory=trajectory,
             log=log,
             signals=links,
-            decoupled=decouple(links, self.rigid(disks), self.study)[joint - 1],
-            truth=equivalent(self.study, values, trajectory, joint),
+            decoupled=decouple(links, self.rigid(disks), self.arm)[joint - 1],
+            truth=equivalent(self.arm, values, trajectory, joint),
         )
 
     def _estimate(
@@ -259,7 +259,7 @@ class Rig:
     def _physical(self, *runs: Run, disks: int = PAYLOAD) -> JointModel:
         """Physical parameters of one joint by its equations of motion."""
         return identify_joint(
-            [(run.signals, run.decoupled) for run in runs], self.rigid(disks), self.study
+            [(run.signals, run.decoupled) for run in runs], self.rigid(disks), self.arm
         )
 
     def _transfer(self, joint: int) -> JointModel:
@@ -268,29 +268,28 @@ class Rig:
         found = self.estimate(run)
         if found.model is None:
             raise NotIdentifiable(found.evidence.warnings[-1].message)
-        known = rigid_knowledge(self.rigid(PAYLOAD), self.study, joint)
-        return from_state_space(found.model, run.decoupled, self.study, known)
+        known = rigid_knowledge(self.rigid(PAYLOAD), self.arm, joint)
+        return from_state_space(found.model, run.decoupled, self.arm, known)
 
     def _tuned(self) -> Tuned:
         """All parameters at once, from a PRBS and a step of each joint, or as published."""
         self.progress("fine tuning")
         logs = [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
-        study, name = self.study, "whole arm"
+        arm, name = self.arm, "whole arm"
         if self.settings.tuning.as_published:
             joints = [self.transfer(joint) for joint in (1, 2)]
-            linear = tuple(replace(joint, spring="linear") for joint in study.arm.joints)
-            study = replace(study, arm=replace(study.arm, joints=linear))
+            arm = arm.with_joints(replace(joint, spring="linear") for joint in arm.joints)
             name = "fine tuning as published"
         else:
             runs = [self.prbs(joint) for joint in (1, 2)]
             joints = [self.physical(run) for run in runs]
             logs += [run.log for run in runs]
-        model = tune(logs, self.rigid(PAYLOAD), joints, study, self.settings.tuning)
+        model = tune(logs, self.rigid(PAYLOAD), joints, arm, self.settings.tuning)
         values, evidence = dict(model.values), evidence_of(model, name)
         if self.settings.tuning.as_published:  # its ranges are part of the method
             growth = max(
                 growth_of(joint_with(values, number, values["gear_stiffness", number], ratio))
-                for number, ratio in enumerate((j.gear_ratio for j in study.arm.joints), start=1)
+                for number, ratio in enumerate((j.gear_ratio for j in arm.joints), start=1)
             )
             evidence = replace(evidence, growth=growth)
         return Tuned(values, (evidence,))
@@ -299,14 +298,14 @@ class Rig:
         return np.random.default_rng([self.seed, *names])
 
 
-def run_steps(study: Study, values: Values, levels: tuple[float, ...], joint: int) -> Trajectory:
+def run_steps(arm: Arm, values: Values, levels: tuple[float, ...], joint: int) -> Trajectory:
     """An arm under its velocity servos, one of them with a reference of steps.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
-        (name, joint) -> value, of the study's kinds of springs.
+        (name, joint) -> value, of the arm's kinds of springs.
     levels : tuple of float [rad/s]
     joint : int
         From 1.
@@ -319,7 +318,7 @@ def run_steps(study: Study, values: Values, levels: tuple[float, ...], joint: in
     drive = _drive(np.zeros_like(both), both, ("servo", "servo"))
     samples = round(len(both) * CLOCK / STEP_SAMPLE)
     return simulate(
-        study, values, drive, sample_time=STEP_SAMPLE, samples=samples, record=_SENSORS + _TRUTH
+        arm, values, drive, sample_time=STEP_SAMPLE, samples=samples, record=_SENSORS + _TRUTH
     )
 
 

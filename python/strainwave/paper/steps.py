@@ -94,10 +94,10 @@ def _answers(
     """Link velocity of the arm and of the model, both from the same sensors by the same way."""
     joint = 1
     log = rig.steps(levels, joint, number)
-    own = run_steps(as_known(rig.study, values), values, levels, joint)
+    own = run_steps(as_known(rig.arm, values), values, levels, joint)
     velocities = []
     for record in (log, ideal_log(own, joint)):
-        velocity = link_side(record, rig.study).link_velocity[:, joint - 1]
+        velocity = link_side(record, rig.arm).link_velocity[:, joint - 1]
         velocities.append(low_pass(velocity, _SEEN_HZ, record.sample_time))
     return velocities[0], velocities[1], log.time
 

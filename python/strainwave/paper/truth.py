@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Study
+from strainwave.domain import ArmDescription, FloatArray
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import Trajectory
 from strainwave.dynamics.two_inertia import TwoInertia
@@ -83,14 +83,16 @@ def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> Tw
     )
 
 
-def equivalent(study: Study, values: Values, trajectory: Trajectory, joint: int) -> TwoInertia:
+def equivalent(
+    arm: ArmDescription, values: Values, trajectory: Trajectory, joint: int
+) -> TwoInertia:
     """The joint with the slope that fits its spring's torque over the whole run best.
 
     k = sum(T(delta) delta) / sum(delta^2), with the torsion delta of the run.
 
     Parameters
     ----------
-    study : Study
+    arm : ArmDescription
     values : dict
         With three slopes, or with one, which is then the answer.
     trajectory : Trajectory
@@ -101,7 +103,7 @@ def equivalent(study: Study, values: Values, trajectory: Trajectory, joint: int)
     -------
     TwoInertia
     """
-    ratio = study.arm.joints[joint - 1].gear_ratio
+    ratio = arm.joints[joint - 1].gear_ratio
     if ("gear_stiffness", joint) in values:
         return joint_with(values, joint, values["gear_stiffness", joint], ratio)
     column = joint - 1

@@ -6,14 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import Activity, FloatArray, Log, Study
+from strainwave.domain import Activity, FloatArray, Log
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.signals.channels import torque_channel
 
 _WINDOW = 0.01  # [s] over which velocities are averaged: well above an encoder's count
 
 
-def activity_of(logs: Sequence[Log], study: Study) -> tuple[Activity, ...]:
+def activity_of(logs: Sequence[Log], arm: Arm) -> tuple[Activity, ...]:
     """Root mean squares of each joint's torque, velocity and acceleration over all fitted records.
 
     Velocities are differences over some hundredths of a second, so that counts of an encoder
@@ -22,7 +23,7 @@ def activity_of(logs: Sequence[Log], study: Study) -> tuple[Activity, ...]:
     Parameters
     ----------
     logs : sequence of Log
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -30,12 +31,12 @@ def activity_of(logs: Sequence[Log], study: Study) -> tuple[Activity, ...]:
         One per joint that has signals in some record.
     """
     found = []
-    for number in range(1, study.arm.n_joints + 1):
+    for number in range(1, arm.n_joints + 1):
         parts = [
             part
             for log in logs
             if log.experiment.use != "check"
-            for part in [_squares(log, study, number)]
+            for part in [_squares(log, arm, number)]
             if part is not None
         ]
         if parts:
@@ -44,7 +45,7 @@ def activity_of(logs: Sequence[Log], study: Study) -> tuple[Activity, ...]:
     return tuple(found)
 
 
-def _squares(log: Log, study: Study, number: int) -> FloatArray | None:
+def _squares(log: Log, arm: Arm, number: int) -> FloatArray | None:
     """Mean squares of torque, velocity and acceleration of one joint in one record."""
     angle = log.channels.get(f"theta_m{number}")
     try:
@@ -54,7 +55,7 @@ def _squares(log: Log, study: Study, number: int) -> FloatArray | None:
     step = max(1, round(_WINDOW / log.sample_time))
     if angle is None or len(angle) < 4 * step:
         return None
-    joint = study.arm.joints[number - 1]
+    joint = arm.joints[number - 1]
     scale = (joint.torque_per_volt or 1.0) if name.startswith("u") else 1.0
     span = step * log.sample_time
     velocity = (angle[step:] - angle[:-step]) / span

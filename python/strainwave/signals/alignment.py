@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import Delay, FloatArray, LinkSignals, Study
-from strainwave.dynamics.rigid_regressor import gear_ratios
-from strainwave.dynamics.simulation import build_arm
+from strainwave.domain import Delay, FloatArray, LinkSignals
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 
 _LOWEST = 2.0  # [Hz] below, friction and drift rule
@@ -27,7 +26,7 @@ _SENSOR_PHASE, _DRIVE_PHASE = 0.015, 0.05
 _HANN_CORRELATION = 1.5  # a Hann window spreads one line over this many independent ones
 
 
-def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
+def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
     """How late a link's acceleration is against its motor's encoder.
 
     The spring gives n ddtheta_M - ddtheta_L = (1/k) T'' - (d_G/k^2) T''' + ..., with the link
@@ -41,7 +40,7 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     Parameters
     ----------
     signals : LinkSignals
-    study : Study
+    arm : Arm
     i : int
         Joint, from 0.
 
@@ -51,20 +50,20 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
         None where the link has no sensor of its own, the record has too few lines, or a three-slope
         spring was wound by another joint's excitation alone.
     """
-    spring, excited = study.arm.joints[i].spring, signals.experiment.joint
+    spring, excited = arm.joints[i].spring, signals.experiment.joint
     if signals.sources[i] in ("motor", "deflection") or spring == "rigid":
         return None
     if spring == "three-slope" and excited not in (None, i + 1):
         return None
     T = signals.sample_time
-    n = gear_ratios(study)[i]
+    n = arm.gear_ratios[i]
     motor = n * differentiate(signals.motor_velocity[:, i], T)
     cutoff = min(_SMOOTH_HZ, 0.1 / T)
     link = low_pass(signals.link_acceleration, cutoff, T)
-    torque = _torque_columns(signals, study, link)[:, i]
+    torque = _torque_columns(signals, arm, link)[:, i]
     target = low_pass(motor, cutoff, T) - link[:, i]
     band = (_LOWEST, _REACH * _top(link[:, i], T))
-    shares = _shares(signals, study, link, i)
+    shares = _shares(signals, arm, link, i)
     columns = [_slope(shares, T, 1), shares, _slope(torque, T, 2), _slope(torque, T, 3)]
     found = _regress(target, np.column_stack(columns), T, band, 1.0)
     if found is not None and spring == "three-slope":
@@ -76,7 +75,7 @@ def sensor_delay(signals: LinkSignals, study: Study, i: int) -> Delay | None:
     return None if found is None else _delay(found[0][0], found[1][0], _SENSOR_PHASE, band)
 
 
-def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> Delay | None:
+def drive_delay(signals: LinkSignals, arm: Arm, i: int, band_hz: float) -> Delay | None:
     """How late a motor answers the torque in the log.
 
     m_M ddtheta_M = (u - D u') - n T - d_M dtheta_M - f sgn(dtheta_M), a regression of the motor's
@@ -85,7 +84,7 @@ def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> D
     Parameters
     ----------
     signals : LinkSignals
-    study : Study
+    arm : Arm
     i : int
         Joint, from 0.
     band_hz : float [Hz]
@@ -103,7 +102,7 @@ def drive_delay(signals: LinkSignals, study: Study, i: int, band_hz: float) -> D
         return None
     T = signals.sample_time
     u = signals.motor_torque[:, i]
-    torque = _torque_columns(signals, study, signals.link_acceleration)[:, i]
+    torque = _torque_columns(signals, arm, signals.link_acceleration)[:, i]
     friction = np.column_stack([signals.motor_velocity[:, i], signals.direction[:, i]])
     columns = np.column_stack([differentiate(u, T), u, friction, torque])
     motor = differentiate(signals.motor_velocity[:, i], T)
@@ -120,7 +119,7 @@ def _delay(value: float, std: float, phase: float, band: tuple[float, float]) ->
     return Delay(float(value), float(np.hypot(std, phase / (2.0 * np.pi * band[1]))))
 
 
-def _shares(signals: LinkSignals, study: Study, link: FloatArray, i: int) -> FloatArray:
+def _shares(signals: LinkSignals, arm: Arm, link: FloatArray, i: int) -> FloatArray:
     """What each sensor gives to a relative acceleration: this link's own, then the base's.
 
     A gyro and an accelerometer of link 2 read the motion of link 1 as well, which (9) takes off.
@@ -129,9 +128,9 @@ def _shares(signals: LinkSignals, study: Study, link: FloatArray, i: int) -> Flo
     if i == 0 or signals.sources[i] not in ("accelerometer", "gyro"):
         return own[:, None]
     reach: FloatArray = np.ones(len(link))
-    joint = study.arm.joints[i]
+    joint = arm.joints[i]
     if signals.sources[i] == "accelerometer" and joint.accelerometer_distance:
-        lever = (study.arm.link_length or 0.0) / joint.accelerometer_distance
+        lever = (arm.link_length or 0.0) / joint.accelerometer_distance
         reach = 1.0 + lever * np.cos(signals.link_angle[:, 1])
     base = reach * link[:, 0]
     if signals.sources[0] == "motor":
@@ -139,13 +138,11 @@ def _shares(signals: LinkSignals, study: Study, link: FloatArray, i: int) -> Flo
     return np.column_stack([own + base, -base])
 
 
-def _torque_columns(signals: LinkSignals, study: Study, acceleration: FloatArray) -> FloatArray:
+def _torque_columns(signals: LinkSignals, arm: Arm, acceleration: FloatArray) -> FloatArray:
     """Link torques per base parameter, without gravity's: (n_samples, n_joints, n_base)."""
-    arm = build_arm(study)
-    motion = (signals.link_angle, signals.link_velocity, acceleration)
-    columns = arm.base_regressor(*(np.ascontiguousarray(x) for x in motion))
-    names = [name for name, _ in arm.parameter_names[: columns.shape[2]]]
-    return columns[:, :, [k for k, name in enumerate(names) if not name.startswith("gravity")]]
+    columns = arm.base_regressor(signals.link_angle, signals.link_velocity, acceleration)
+    inertial = [k for k, (name, _) in enumerate(arm.base_names) if not name.startswith("gravity")]
+    return columns[:, :, inertial]
 
 
 def _slope(signal: FloatArray, sample_time: float, order: int) -> FloatArray:

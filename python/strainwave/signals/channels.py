@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Log, Study
+from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Log
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.signals.standstill import sliding_direction
 
@@ -85,7 +86,7 @@ def resolution(joint: Joint, noise: float) -> float:
     return max(1.5 * count, 0.0 if count else 5.0 * noise)
 
 
-def directions(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> FloatArray:
+def directions(angle: FloatArray, noise: FloatArray, arm: Arm, T: float) -> FloatArray:
     """Sliding direction of each motor, from the angles as measured.
 
     Parameters
@@ -93,7 +94,7 @@ def directions(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> 
     angle : (n_samples, n_joints) [rad]
     noise : (n_joints,) [rad]
         Standard deviation, white.
-    study : Study
+    arm : Arm
     T : float [s]
         Sample time.
 
@@ -104,14 +105,14 @@ def directions(angle: FloatArray, noise: FloatArray, study: Study, T: float) -> 
     """
     columns = []
     standing = max(_STANDING_SAMPLES, round(_STANDING / T))
-    for i, joint in enumerate(study.arm.joints):
+    for i, joint in enumerate(arm.joints):
         least = resolution(joint, float(noise[i]))
         columns.append(sliding_direction(angle[:, i], least, standing))
     return np.column_stack(columns)
 
 
 def saturation(
-    log: Log, study: Study, channels: tuple[str, ...]
+    log: Log, arm: Arm, channels: tuple[str, ...]
 ) -> tuple[BoolArray, tuple[Diagnostic, ...]]:
     """Where the drive is at its limit: what is logged may then not be what the motor got.
 
@@ -120,7 +121,7 @@ def saturation(
     Parameters
     ----------
     log : Log
-    study : Study
+    arm : Arm
     channels : tuple of str
         Of each motor's torque, from `torque_channel`.
 
@@ -129,13 +130,13 @@ def saturation(
     (n_samples, n_joints) bool
     tuple of Diagnostic
     """
-    saturated = np.zeros((len(log), study.arm.n_joints), dtype=bool)
+    saturated = np.zeros((len(log), arm.n_joints), dtype=bool)
     warnings: list[Diagnostic] = []
     for i, channel in enumerate(channels):
         if log.experiment.control[i] != "servo":
             continue
         size = np.abs(log.channels[channel])
-        limit = study.arm.servo.limit if study.arm.servo and channel.startswith("u") else None
+        limit = arm.servo.limit if arm.servo and channel.startswith("u") else None
         saturated[:, i] = size >= 0.999 * limit if limit else _flat_tops(log.channels[channel])
         share = float(saturated[:, i].mean())
         if share > _MUCH_SATURATION:

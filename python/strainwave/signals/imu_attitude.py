@@ -12,7 +12,8 @@ from itertools import product
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Study
+from strainwave.domain import FloatArray
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
     BEARING,
     FROM_AXIS,
@@ -41,9 +42,7 @@ _NOTHING = 1e-9  # of the largest column, below which one is nothing
 _LONGEST = 0.7  # [rad, or m] of a step
 
 
-def imu_starts(
-    axes: Sequence[Axis], tables: Sequence[FloatArray], study: Study
-) -> dict[Key, float]:
+def imu_starts(axes: Sequence[Axis], tables: Sequence[FloatArray], arm: Arm) -> dict[Key, float]:
     """The unknowns of an IMU's mounting that fit best what its axes read.
 
     Parameters
@@ -52,7 +51,7 @@ def imu_starts(
         Of one link.
     tables : sequence of (n_rows, n_quantities + 1)
         Of each axis, what it reads a combination of and, last, what it reads.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -60,17 +59,17 @@ def imu_starts(
         (name, joint) -> value, of `strainwave.dynamics.mounting.unknowns_of` and of the attitude
         that the turn starts from.
     """
-    return imu_candidates(axes, tables, study)[0]
+    return imu_candidates(axes, tables, arm)[0]
 
 
 def imu_candidates(
-    axes: Sequence[Axis], tables: Sequence[FloatArray], study: Study, *, flat: bool = False
+    axes: Sequence[Axis], tables: Sequence[FloatArray], arm: Arm, *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Mountings that fit what an IMU's axes read, each at a minimum of its own.
 
     Parameters
     ----------
-    axes, tables, study
+    axes, tables, arm
         As of `imu_starts`.
     flat : bool
         Whether its x and y axes lie in the plane of motion.
@@ -82,7 +81,7 @@ def imu_candidates(
     """
     wanted = [_Wanted.of(axis, table) for axis, table in zip(axes, tables, strict=True)]
     found: list[tuple[float, dict[Key, float]]] = []
-    for cost, values in _searched(wanted, axes, study, flat=flat):
+    for cost, values in _searched(wanted, axes, arm, flat=flat):
         apart = (abs(cost - known) > _ALIKE * max(cost, known) for known, _ in found)
         if all(apart):
             found.append((cost, values))
@@ -145,10 +144,10 @@ class _Wanted:
 
 
 def _searched(
-    wanted: Sequence[_Wanted], axes: Sequence[Axis], study: Study, *, flat: bool
+    wanted: Sequence[_Wanted], axes: Sequence[Axis], arm: Arm, *, flat: bool
 ) -> list[tuple[float, dict[Key, float]]]:
     """Minima by what they leave, least first, and the mountings there."""
-    joint, keys = axes[0].joint, unknowns_of(axes, study)
+    joint, keys = axes[0].joint, unknowns_of(axes, arm)
     turns = any(key[0] in TURN for key in keys)
     if flat:
         keys = [key for key in keys if key[0] not in TURN[:2]]
@@ -162,10 +161,10 @@ def _searched(
                 values |= {(name, joint): at for name, at in zip(START, rpy, strict=True)}
             if bears:
                 values[BEARING, joint] = 2.0 * np.pi * k / _BEARINGS
-            placed = _placed(wanted, values, keys, study)
-            starts.append((_cost(wanted, placed, study), placed))
+            placed = _placed(wanted, values, keys, arm)
+            starts.append((_cost(wanted, placed, arm), placed))
     starts.sort(key=lambda one: one[0])
-    found = [_minimum(wanted, values, keys, study) for _, values in starts[:_TRIED]]
+    found = [_minimum(wanted, values, keys, arm) for _, values in starts[:_TRIED]]
     return sorted(found, key=lambda one: one[0])
 
 
@@ -185,31 +184,31 @@ def _turns(*, flat: bool) -> Iterator[FloatArray]:
                 yield from (matrix @ own for own in between)
 
 
-def _residual(wanted: Sequence[_Wanted], values: dict[Key, float], study: Study) -> FloatArray:
-    parts = [one.root @ factors(one.axis, study, values) - one.target for one in wanted]
+def _residual(wanted: Sequence[_Wanted], values: dict[Key, float], arm: Arm) -> FloatArray:
+    parts = [one.root @ factors(one.axis, arm, values) - one.target for one in wanted]
     return np.concatenate(parts)
 
 
-def _cost(wanted: Sequence[_Wanted], values: dict[Key, float], study: Study) -> float:
-    return float(np.sum(_residual(wanted, values, study) ** 2))
+def _cost(wanted: Sequence[_Wanted], values: dict[Key, float], arm: Arm) -> float:
+    return float(np.sum(_residual(wanted, values, arm) ** 2))
 
 
 def _jacobian(
-    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], study: Study
+    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> FloatArray:
-    return np.concatenate([one.root @ slopes(one.axis, study, values, keys) for one in wanted])
+    return np.concatenate([one.root @ slopes(one.axis, arm, values, keys) for one in wanted])
 
 
 def _placed(
-    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], study: Study
+    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> dict[Key, float]:
     """With the best place, and gyros' shares, for an attitude: the readings are linear in them."""
     linear = [key for key in keys if key[0] in (FROM_AXIS, *PLACE) or key[0].endswith("_z")]
     linear = [key for key in linear if key[0] not in TURN]
     if not linear:
         return values
-    table = _jacobian(wanted, values, linear, study)
-    best = np.linalg.lstsq(table, -_residual(wanted, values, study))[0]
+    table = _jacobian(wanted, values, linear, arm)
+    best = np.linalg.lstsq(table, -_residual(wanted, values, arm))[0]
     placed = {**values, **dict(zip(linear, best.tolist(), strict=True))}
     joint = linear[0][1]
     if placed.get((FROM_AXIS, joint), 1.0) < 0.0:  # the other way round
@@ -218,12 +217,12 @@ def _placed(
 
 
 def _minimum(
-    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], study: Study
+    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> tuple[float, dict[Key, float]]:
     """Levenberg and Marquardt's steps to the minimum near a mounting, and what is left there."""
-    cost, damping = _cost(wanted, values, study), _DAMPING
+    cost, damping = _cost(wanted, values, arm), _DAMPING
     for _ in range(_STEPS):
-        table, off = _jacobian(wanted, values, keys, study), _residual(wanted, values, study)
+        table, off = _jacobian(wanted, values, keys, arm), _residual(wanted, values, arm)
         size = np.linalg.norm(table, axis=0)
         size = np.maximum(size, _NOTHING * max(float(size.max()), 1e-300))
         rows = np.concatenate([table / size, np.sqrt(damping) * np.eye(len(keys))])
@@ -232,7 +231,7 @@ def _minimum(
         step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
         for key, by in zip(keys, step.tolist(), strict=True):
             moved[key] += by
-        now = _cost(wanted, moved, study)
+        now = _cost(wanted, moved, arm)
         if now < cost:
             gain, cost, values, damping = cost - now, now, moved, 0.2 * damping
             if gain < _ENOUGH * cost:

@@ -20,10 +20,9 @@ from strainwave.domain import (
     LinkSignals,
     LinkSource,
     Log,
-    Study,
 )
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import LONGEST_DELAY, moved
-from strainwave.dynamics.rigid_regressor import gear_ratios
 from strainwave.errors import InvalidInput
 from strainwave.numerics.filters import (
     Between,
@@ -49,7 +48,7 @@ _PASSES = 4  # over late sensors: a delay is linear in the relations only where 
 
 
 def both_sides(
-    logs: Sequence[Log], study: Study, options: LinkOptions | None = None
+    logs: Sequence[Log], arm: Arm, options: LinkOptions | None = None
 ) -> tuple[list[LinkSignals], tuple[Delay, ...]]:
     """Both sides of every gear in several records, late link sensors moved back.
 
@@ -60,7 +59,7 @@ def both_sides(
     Parameters
     ----------
     logs : sequence of Log
-    study : Study
+    arm : Arm
     options : LinkOptions, optional
 
     Returns
@@ -74,16 +73,16 @@ def both_sides(
     InvalidInput
         As `link_side`.
     """
-    total = (Delay(0.0, 0.0),) * study.arm.n_joints
+    total = (Delay(0.0, 0.0),) * arm.n_joints
     for _ in range(_PASSES):
         delays = tuple(late.value for late in total)
-        found = side_by_side([partial(link_side, log, study, options, delays) for log in logs])
-        left = late_sensors(found, study.arm.n_joints)
+        found = side_by_side([partial(link_side, log, arm, options, delays) for log in logs])
+        left = late_sensors(found, arm.n_joints)
         total = tuple(Delay(a.value + b.value, b.std) for a, b in zip(total, left, strict=True))
         if not any(late.value for late in left) or _beyond(total):
             break
     if _beyond(total):
-        return [link_side(log, study, options) for log in logs], (Delay(0.0, 0.0),) * len(total)
+        return [link_side(log, arm, options) for log in logs], (Delay(0.0, 0.0),) * len(total)
     return [replace(own, removed_delay=total) for own in found], total
 
 
@@ -94,7 +93,7 @@ def _beyond(delays: Sequence[Delay]) -> bool:
 
 def link_side(
     log: Log,
-    study: Study,
+    arm: Arm,
     options: LinkOptions | None = None,
     delays: Sequence[float] | None = None,
 ) -> LinkSignals:
@@ -114,7 +113,7 @@ def link_side(
     Parameters
     ----------
     log : Log
-    study : Study
+    arm : Arm
     options : LinkOptions, optional
     delays : sequence of float [s], optional
         One per joint, by which its link sensor is known to be late: its channel is moved back.
@@ -129,8 +128,8 @@ def link_side(
         A channel or the accelerometer's place is missing, or the record is too short.
     """
     chosen = options or LinkOptions()
-    view = _View(_moved_back(log, study, delays or ()), study, chosen)
-    torque = np.column_stack([view.torque(i) for i in range(study.arm.n_joints)])
+    view = _View(_moved_back(log, arm, delays or ()), arm, chosen)
+    torque = np.column_stack([view.torque(i) for i in range(arm.n_joints)])
     motor_velocity = differentiate(view.motor_angle, log.sample_time)
     links = _links(view, motor_velocity)
     sliding, direction = view.directions()
@@ -149,23 +148,23 @@ def link_side(
         link_acceleration=links.acceleration,
         valid=valid,
         sources=view.sources,
-        held=tuple(view.held(i) for i in range(study.arm.n_joints)),
+        held=tuple(view.held(i) for i in range(arm.n_joints)),
         shared=view.shared,
         bandwidth_hz=view.bandwidth_hz,
         fusion=tuple(links.fusion),
         fusion_error=np.array(links.fusion_error),
         bias=np.array(links.bias),
-        sensor_delay=(None,) * study.arm.n_joints,
-        drive_delay=(None,) * study.arm.n_joints,
+        sensor_delay=(None,) * arm.n_joints,
+        drive_delay=(None,) * arm.n_joints,
     )
-    return _aligned(found, study, view, warnings, alone=delays is None)
+    return _aligned(found, arm, view, warnings, alone=delays is None)
 
 
-def _moved_back(log: Log, study: Study, delays: Sequence[float]) -> Log:
+def _moved_back(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
     """The log with the channels that the links' motion comes from so much earlier."""
     channels = dict(log.channels)
     for i, delay in enumerate(delays, start=1):
-        name = _CHANNEL.get(_source(log, study, i))
+        name = _CHANNEL.get(_source(log, arm, i))
         if delay and name:
             channels[f"{name}{i}"] = moved(channels[f"{name}{i}"], delay / log.sample_time)
     return replace(log, channels=channels)
@@ -174,13 +173,13 @@ def _moved_back(log: Log, study: Study, delays: Sequence[float]) -> Log:
 class _View:
     """A log seen through the filters that all its channels are to share."""
 
-    def __init__(self, log: Log, study: Study, options: LinkOptions) -> None:
-        self.log, self.study, self.options = log, study, options
-        numbers = range(1, study.arm.n_joints + 1)
+    def __init__(self, log: Log, arm: Arm, options: LinkOptions) -> None:
+        self.log, self.arm, self.options = log, arm, options
+        numbers = range(1, arm.n_joints + 1)
         self.raw_angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
         self.channels = tuple(torque_channel(log, i) for i in numbers)
-        self.sources = tuple(_source(log, study, i) for i in numbers)
-        self.shared = _shared(study.arm.joints, self.sources)
+        self.sources = tuple(_source(log, arm, i) for i in numbers)
+        self.shared = _shared(arm.joints, self.sources)
         # a joint that hardly moves has no band of its own
         self.band = max(signal_band(angle, log.sample_time) for angle in self.raw_angle.T)
         differenced = any(s != "accelerometer" for s in self.sources)
@@ -216,13 +215,13 @@ class _View:
 
     def held(self, i: int) -> bool:
         """Whether a torque is constant between the samples."""
-        loop = self.study.arm.joints[i].current_loop_hz
+        loop = self.arm.joints[i].current_loop_hz
         voltage = self.channels[i].startswith("u")
         return voltage and loop is None and not self.shared and self.bandwidth_hz is None
 
     def torque(self, i: int) -> FloatArray:
         """A motor's torque: voltages are held by the drive and pass its current loop."""
-        joint, channel = self.study.arm.joints[i], self.channels[i]
+        joint, channel = self.arm.joints[i], self.channels[i]
         values = self.log.channels[channel]
         if channel.startswith("torque"):
             return self.through(values)
@@ -246,8 +245,7 @@ class _View:
         s 2 pi f sqrt(2 f T / 3). A count of an encoder is 1/sqrt(12) of noise at least.
         """
         counts = [
-            2.0 * np.pi / j.encoder_counts if j.encoder_counts else 0.0
-            for j in self.study.arm.joints
+            2.0 * np.pi / j.encoder_counts if j.encoder_counts else 0.0 for j in self.arm.joints
         ]
         least = np.array(counts) / np.sqrt(12.0)
         f, T = self.band, self.log.sample_time
@@ -260,7 +258,7 @@ class _View:
         """
         T = self.log.sample_time
         noise = np.array([noise_deviation(angle) for angle in self.raw_angle.T])
-        certain = directions(self.raw_angle, noise, self.study, T)
+        certain = directions(self.raw_angle, noise, self.arm, T)
         velocity = differentiate(low_pass(self.raw_angle, self.band, T), T)
         softened = np.clip(
             velocity / np.maximum(_UNSURE * self._velocity_noise(noise), 1e-12), -1.0, 1.0
@@ -270,10 +268,10 @@ class _View:
         )
 
 
-def _source(log: Log, study: Study, joint: int) -> LinkSource:
+def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
     """The best of what the log has of a link."""
     if f"a{joint}" in log.channels:
-        drive = study.arm.joints[joint - 1]
+        drive = arm.joints[joint - 1]
         if drive.motion == "revolute" and drive.accelerometer_distance is None:
             raise InvalidInput(
                 f"a{joint} is logged but accelerometer_distance is not given",
@@ -316,7 +314,7 @@ class _Links:
 
 
 def _links(view: _View, motor_velocity: FloatArray) -> _Links:
-    n = gear_ratios(view.study)
+    n = view.arm.gear_ratios
     T = view.log.sample_time
     motor_side = n * motor_velocity
     # the motors' side stands in for joints further out until their turn comes
@@ -327,7 +325,7 @@ def _links(view: _View, motor_velocity: FloatArray) -> _Links:
         if source != "accelerometer":
             if source == "gyro":
                 gyro = view.log.channels[f"gyro{i + 1}"]
-                rate = view.through(gyro, _own(view.study.arm.joints[i], source))
+                rate = view.through(gyro, _own(view.arm.joints[i], source))
                 slow = rate - links.velocity[:, :i].sum(axis=1)
             links.angle[:, i], links.velocity[:, i] = angle, slow
             links.acceleration[:, i] = differentiate(slow, T)
@@ -335,8 +333,8 @@ def _links(view: _View, motor_velocity: FloatArray) -> _Links:
             links.fusion.append(None)
             links.fusion_error.append(0.0)
             continue
-        read = view.through(view.log.channels[f"a{i + 1}"], _own(view.study.arm.joints[i], source))
-        acceleration = _acceleration(view.study, read, i, links)
+        read = view.through(view.log.channels[f"a{i + 1}"], _own(view.arm.joints[i], source))
+        acceleration = _acceleration(view.arm, read, i, links)
         bias = bias_of(acceleration, slow, T, view.edge)
         acceleration = acceleration - bias
         fusion = Fusion(view.options.time_constant, view.options.order)
@@ -363,24 +361,24 @@ def _slow(view: _View, i: int, motor_side: FloatArray) -> tuple[FloatArray, Floa
     return motor_side, differentiate(motor_side, view.log.sample_time)
 
 
-def _acceleration(study: Study, read: FloatArray, i: int, links: _Links) -> FloatArray:
+def _acceleration(arm: Arm, read: FloatArray, i: int, links: _Links) -> FloatArray:
     """(8), (9), for an accelerometer anywhere on its link, with gravity."""
-    joint = study.arm.joints[i]
+    joint = arm.joints[i]
     if joint.motion == "prismatic":
         return read
     q, dq, ddq = links.angle, links.velocity, links.acceleration
-    gravity = study.arm.gravity or 0.0
+    gravity = arm.gravity or 0.0
     distance = joint.accelerometer_distance or 1.0
     own = (read - gravity * np.cos(q[:, : i + 1].sum(axis=1))) / distance
     if i == 0:
         return np.asarray(own)
     elbow = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
-    return np.asarray(own - ddq[:, 0] - (study.arm.link_length or 0.0) / distance * elbow)
+    return np.asarray(own - ddq[:, 0] - (arm.link_length or 0.0) / distance * elbow)
 
 
 def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
     """Samples that edges and limits of the drive do not touch, and what to say of the sensors."""
-    saturated, cautions = saturation(view.log, view.study, view.channels)
+    saturated, cautions = saturation(view.log, view.arm, view.channels)
     valid = ~saturated
     valid[: view.edge] = valid[-view.edge :] = False
     warnings = list(cautions)
@@ -398,15 +396,15 @@ def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
 
 
 def _aligned(
-    found: LinkSignals, study: Study, view: _View, warnings: list[Diagnostic], *, alone: bool
+    found: LinkSignals, arm: Arm, view: _View, warnings: list[Diagnostic], *, alone: bool
 ) -> LinkSignals:
     """With the delays that are left between the channels; a link sensor's is judged by all records.
 
     A record alone has to do with its own.
     """
-    numbers, name = range(study.arm.n_joints), found.experiment.name
-    sensor = tuple(_worth(sensor_delay(found, study, i)) for i in numbers)
-    drive = tuple(_worth(drive_delay(found, study, i, view.band)) for i in numbers)
+    numbers, name = range(arm.n_joints), found.experiment.name
+    sensor = tuple(_worth(sensor_delay(found, arm, i)) for i in numbers)
+    drive = tuple(_worth(drive_delay(found, arm, i, view.band)) for i in numbers)
     for i in numbers:
         if alone:
             warnings.extend(misaligned(sensor[i], f"the link sensor of joint {i + 1}", name))

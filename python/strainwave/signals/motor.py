@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint, Lag, Log, Signals, Study
+from strainwave.domain import FloatArray, Joint, Lag, Log, Signals
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.numerics.filters import (
     differentiate,
@@ -25,7 +26,7 @@ class SignalOptions:
     bandwidth_hz: float | None = None  # of the filter; None: as far as the encoder's noise allows
 
 
-def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> Signals:
+def motor_side(log: Log, arm: Arm, options: SignalOptions | None = None) -> Signals:
     """Motor torque, angle, velocity and acceleration of one record.
 
     The bandwidth is that of the joint whose angle drowns first in its own noise; it is wider than
@@ -34,7 +35,7 @@ def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> 
     Parameters
     ----------
     log : Log
-    study : Study
+    arm : Arm
     options : SignalOptions, optional
 
     Returns
@@ -48,11 +49,11 @@ def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> 
     """
     chosen = options or SignalOptions()
     T = log.sample_time
-    numbers = range(1, study.arm.n_joints + 1)
+    numbers = range(1, arm.n_joints + 1)
     angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
     sources = tuple(torque_channel(log, i) for i in numbers)
     torque = np.column_stack(
-        [_torque(log, joint, c) for joint, c in zip(study.arm.joints, sources, strict=True)]
+        [_torque(log, joint, c) for joint, c in zip(arm.joints, sources, strict=True)]
     )
     bandwidth = chosen.bandwidth_hz or min(signal_band(angle[:, i - 1], T) for i in numbers)
     edge = int(np.ceil(1.0 / (bandwidth * T)))
@@ -65,7 +66,7 @@ def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> 
     smooth = low_pass(angle, bandwidth, T)
     velocity = differentiate(smooth, T)
     noise = np.array([noise_deviation(angle[:, i - 1]) for i in numbers])
-    saturated, warnings = saturation(log, study, sources)
+    saturated, warnings = saturation(log, arm, sources)
     valid = ~saturated
     valid[:edge] = valid[-edge:] = False
     return Signals(
@@ -76,7 +77,7 @@ def motor_side(log: Log, study: Study, options: SignalOptions | None = None) -> 
         motor_angle=smooth,
         motor_velocity=velocity,
         motor_acceleration=differentiate(velocity, T),
-        direction=directions(angle, noise, study, T),
+        direction=directions(angle, noise, arm, T),
         bandwidth_hz=bandwidth,
         angle_noise=noise,
         valid=valid,

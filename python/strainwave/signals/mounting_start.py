@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Imu, Log, Study
+from strainwave.domain import FloatArray, Imu, Log
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import DISTANCE, Axis, axes_of, unknowns_of
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.imu_attitude import imu_starts
@@ -28,7 +29,7 @@ _NEAR = 0.02  # [m] from its axis at which an accelerometer no longer shows a li
 
 
 def kinematics(
-    angle: FloatArray, velocity: FloatArray, acceleration: FloatArray, study: Study
+    angle: FloatArray, velocity: FloatArray, acceleration: FloatArray, arm: Arm
 ) -> FloatArray:
     """What every accelerometer on each link reads a combination of, by the links' motion.
 
@@ -36,7 +37,7 @@ def kinematics(
     ----------
     angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
         Of the links, each relative to the one before.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -44,10 +45,10 @@ def kinematics(
         f_x, f_y [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2], as
         `strainwave.dynamics.mounting.BASIS`.
     """
-    g, length = study.arm.gravity or 0.0, study.arm.link_length or 0.0
+    g, length = arm.gravity or 0.0, arm.link_length or 0.0
     in_space, rate, turning = (x.cumsum(axis=1) for x in (angle, velocity, acceleration))
     found = np.stack([g * np.sin(in_space), g * np.cos(in_space), turning, rate**2], axis=2)
-    if study.arm.n_joints > 1:
+    if arm.n_joints > 1:
         sin, cos = np.sin(angle[:, 1]), np.cos(angle[:, 1])
         across, inward = length * acceleration[:, 0], length * velocity[:, 0] ** 2
         found[:, 1, 0] += across * sin - inward * cos
@@ -56,7 +57,7 @@ def kinematics(
 
 
 def mounting_starts(
-    logs: Sequence[Log], study: Study, used: Sequence[Log] | None = None
+    logs: Sequence[Log], arm: Arm, used: Sequence[Log] | None = None
 ) -> dict[Key, float]:
     """The unknowns of all mountings, by least squares on the slow part of the records.
 
@@ -64,7 +65,7 @@ def mounting_starts(
     ----------
     logs : sequence of Log
         Of any use.
-    study : Study
+    arm : Arm
     used : sequence of Log, optional
         Those whose sensors are to be placed; all of them if it is not given.
 
@@ -75,24 +76,24 @@ def mounting_starts(
         where nothing is unknown.
     """
     found: dict[Key, float] = {}
-    for joint in range(1, study.arm.n_joints + 1):
-        axes = axes_on(logs if used is None else used, study, joint)
-        if unknowns_of(axes, study):
-            tables = _tables(logs, study, axes)
+    for joint in range(1, arm.n_joints + 1):
+        axes = axes_on(logs if used is None else used, arm, joint)
+        if unknowns_of(axes, arm):
+            tables = _tables(logs, arm, axes)
             if axes[0].kind == "tangential":
                 found[DISTANCE, joint] = distance_of(tables[0])
             else:
-                found |= imu_starts(axes, tables, study)
+                found |= imu_starts(axes, tables, arm)
     return found
 
 
-def axes_on(logs: Sequence[Log], study: Study, joint: int) -> tuple[Axis, ...]:
+def axes_on(logs: Sequence[Log], arm: Arm, joint: int) -> tuple[Axis, ...]:
     """The axes on a link that any of the records has.
 
     Parameters
     ----------
     logs : sequence of Log
-    study : Study
+    arm : Arm
     joint : int
         From 1.
 
@@ -100,17 +101,17 @@ def axes_on(logs: Sequence[Log], study: Study, joint: int) -> tuple[Axis, ...]:
     -------
     tuple of Axis
     """
-    each = (axes_of(log.channels, study, joint) for log in logs)
+    each = (axes_of(log.channels, arm, joint) for log in logs)
     return tuple(dict.fromkeys(axis for axes in each for axis in axes))
 
 
-def linear_factors(logs: Sequence[Log], study: Study, axes: Sequence[Axis]) -> list[FloatArray]:
+def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[FloatArray]:
     """What each of an axis's quantities counts in its reading, by linear least squares.
 
     Parameters
     ----------
     logs : sequence of Log
-    study : Study
+    arm : Arm
     axes : sequence of Axis
         Of one link.
 
@@ -119,17 +120,17 @@ def linear_factors(logs: Sequence[Log], study: Study, axes: Sequence[Axis]) -> l
     list of (n_quantities,)
         Of a tangential accelerometer f_y counts once, and f_x and w^2 not at all.
     """
-    tables = _tables(logs, study, axes)
+    tables = _tables(logs, arm, axes)
     return [_solved(axis, table) for axis, table in zip(axes, tables, strict=True)]
 
 
-def _tables(logs: Sequence[Log], study: Study, axes: Sequence[Axis]) -> list[FloatArray]:
+def _tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[FloatArray]:
     """Of each axis, columns of what it reads a combination of and, last, what it reads."""
     tables: list[list[FloatArray]] = [[np.zeros((1, len(axis.quantities) + 1))] for axis in axes]
     for log in logs:
-        if len(log) < _LEAST or f"theta_m{study.arm.n_joints}" not in log.channels:
+        if len(log) < _LEAST or f"theta_m{arm.n_joints}" not in log.channels:
             continue
-        basis, rate = _by_motors(log, study, axes[0].joint)
+        basis, rate = _by_motors(log, arm, axes[0].joint)
         for axis, table in zip(axes, tables, strict=True):
             if axis.channel not in log.channels:
                 continue
@@ -145,15 +146,15 @@ def _slow(log: Log) -> float:
     return max(_SLOW, _PERIODS / (len(log) * log.sample_time))
 
 
-def _by_motors(log: Log, study: Study, joint: int) -> tuple[FloatArray, FloatArray]:
+def _by_motors(log: Log, arm: Arm, joint: int) -> tuple[FloatArray, FloatArray]:
     """One link's basis and rate as its motors move it: (n_samples, 4), (n_samples,)."""
-    T, joints = log.sample_time, study.arm.joints
+    T, joints = log.sample_time, arm.joints
     angle = np.column_stack(
         [own.gear_ratio * log.channels[f"theta_m{i}"] for i, own in enumerate(joints, start=1)]
     )
     q = low_pass(angle, _slow(log), T)
     dq = differentiate(q, T)
-    basis = kinematics(q, dq, differentiate(dq, T), study)[:, joint - 1]
+    basis = kinematics(q, dq, differentiate(dq, T), arm)[:, joint - 1]
     return basis, dq[:, :joint].sum(axis=1)
 
 
@@ -190,9 +191,7 @@ def distance_of(rows: FloatArray) -> float:
     return float(own @ read) / max(float(own @ own), 1e-300)
 
 
-def with_stand_ins(
-    logs: Sequence[Log], study: Study, known: Sequence[Log]
-) -> tuple[list[Log], Study]:
+def with_stand_ins(logs: Sequence[Log], arm: Arm, known: Sequence[Log]) -> tuple[list[Log], Arm]:
     """Tangential accelerometers made of sensors of unknown place, for the steps before the fit.
 
     A weighted sum of an IMU's axes reads what one accelerometer across the link does, or a gyro
@@ -201,7 +200,7 @@ def with_stand_ins(
     Parameters
     ----------
     logs : sequence of Log
-    study : Study
+    arm : Arm
     known : sequence of Log
         All there are, by which the sensors are placed.
 
@@ -210,16 +209,16 @@ def with_stand_ins(
     list of Log, Study
         As they are where no place is unknown.
     """
-    study_then, logs_then = study, list(logs)
-    for joint in range(1, study.arm.n_joints + 1):
-        axes = axes_on(logs, study, joint)
+    study_then, logs_then = arm, list(logs)
+    for joint in range(1, arm.n_joints + 1):
+        axes = axes_on(logs, arm, joint)
         taken = {"a", "theta_l", "gyro", "deflection"}
         if axes and axes[0].kind == "tangential":
             taken = set()
         has = any(f"{name}{joint}" in log.channels for name in taken for log in logs)
         if not axes or has:
             continue
-        linear = linear_factors(known, study, axes)
+        linear = linear_factors(known, arm, axes)
         long = any(_slow(log) == _SLOW for log in known if axes[0].channel in log.channels)
         if not long:  # a guess of a place is worse than none
             logs_then = _left_out(logs_then, joint)
@@ -237,13 +236,13 @@ def _left_out(logs: Sequence[Log], joint: int) -> list[Log]:
 
 
 def _stood_in(
-    logs: list[Log], study: Study, axes: Sequence[Axis], linear: Sequence[FloatArray]
-) -> tuple[list[Log], Study]:
+    logs: list[Log], arm: Arm, axes: Sequence[Axis], linear: Sequence[FloatArray]
+) -> tuple[list[Log], Arm]:
     joint = axes[0].joint
-    drive = study.arm.joints[joint - 1]
+    drive = arm.joints[joint - 1]
     imu = drive.imu or Imu()
     own = [k for k, axis in enumerate(axes) if axis.kind != "gyro"]
-    weights, distance = _tangential([linear[k] for k in own], study, joint)
+    weights, distance = _tangential([linear[k] for k in own], arm, joint)
     if own and abs(distance) > _NEAR:
         hz = drive.accelerometer_hz if axes[0].kind == "tangential" else imu.accelerometer_hz
         changed = replace(drive, accelerometer_distance=distance, accelerometer_hz=hz)
@@ -252,7 +251,7 @@ def _stood_in(
         used = [axis for axis in axes if axis.kind == "gyro"]
         shares = np.array([f[0] for a, f in zip(axes, linear, strict=True) if a.kind == "gyro"])
         if not used or not float(shares @ shares) > 0.1:
-            return _left_out(logs, joint), study
+            return _left_out(logs, joint), arm
         # of the same delay as one of second order
         changed = replace(drive, gyro_hz=imu.gyro_hz / np.sqrt(2.0) if imu.gyro_hz else None)
         weights, name = shares / float(shares @ shares), f"gyro{joint}"
@@ -264,13 +263,13 @@ def _stood_in(
             channels[name] = np.asarray(sum(parts))
             counts = sum(w * f for w, f in zip(weights, [linear[k] for k in own], strict=True))
             if name.startswith("a") and axes[0].kind != "tangential":
-                channels[name] = channels[name] - _beside(log, study, joint, counts, distance)
+                channels[name] = channels[name] - _beside(log, arm, joint, counts, distance)
         found.append(replace(log, channels=channels))
-    joints = tuple(changed if i == joint - 1 else j for i, j in enumerate(study.arm.joints))
-    return found, replace(study, arm=replace(study.arm, joints=joints))
+    joints = tuple(changed if i == joint - 1 else j for i, j in enumerate(arm.joints))
+    return found, arm.with_joints(joints)
 
 
-def _tangential(linear: Sequence[FloatArray], study: Study, joint: int) -> tuple[FloatArray, float]:
+def _tangential(linear: Sequence[FloatArray], arm: Arm, joint: int) -> tuple[FloatArray, float]:
     """Weights of axes whose sum counts f_y once and f_x not at all, and how it counts alpha.
 
     On the first link, where f says little, the sum counts alpha once, and w^2 not at all.
@@ -288,7 +287,7 @@ def _tangential(linear: Sequence[FloatArray], study: Study, joint: int) -> tuple
     return weights, float(counts[2] @ weights)
 
 
-def _beside(log: Log, study: Study, joint: int, counts: FloatArray, distance: float) -> FloatArray:
+def _beside(log: Log, arm: Arm, joint: int, counts: FloatArray, distance: float) -> FloatArray:
     """What a sum counts beside f_y and alpha, by the motors: (n_samples,)."""
-    basis, _ = _by_motors(log, study, joint)
+    basis, _ = _by_motors(log, arm, joint)
     return np.asarray(basis @ (counts - np.array([0.0, 1.0, distance, 0.0])))

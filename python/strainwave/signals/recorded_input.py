@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Prbs, Study
+from strainwave.domain import FloatArray, Log, Prbs
 from strainwave.dynamics import excitation
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 
 
-def replay(study: Study, log: Log) -> Drive:
+def replay(arm: Arm, log: Log) -> Drive:
     """The log's own references and open-loop voltages; a servoed joint's PRBS from its numbers.
 
     The arm starts at standstill where the log does, under the voltages of its first sample. A
@@ -20,7 +21,7 @@ def replay(study: Study, log: Log) -> Drive:
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     log : Log
 
     Returns
@@ -29,17 +30,17 @@ def replay(study: Study, log: Log) -> Drive:
         One tick a sample.
     """
     experiment = log.experiment
-    voltage = np.zeros((len(log), study.arm.n_joints))
+    voltage = np.zeros((len(log), arm.n_joints))
     reference = np.zeros_like(voltage)
-    applied = driving_voltages(study, log)
-    for i in range(study.arm.n_joints):
+    applied = driving_voltages(arm, log)
+    for i in range(arm.n_joints):
         if experiment.control[i] == "open":
             voltage[:, i] = applied[:, i]
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1:
                 voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
-    numbers = range(1, study.arm.n_joints + 1)
+    numbers = range(1, arm.n_joints + 1)
     before = applied[0] - voltage[0]
     return Drive(
         tick=log.sample_time,
@@ -51,38 +52,38 @@ def replay(study: Study, log: Log) -> Drive:
     )
 
 
-def driven_by_voltage(study: Study, log: Log) -> tuple[Study, Drive]:
+def driven_by_voltage(arm: Arm, log: Log) -> tuple[Arm, Drive]:
     """An arm under the recorded voltages, held from sample to sample, in place of any servo.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     log : Log
 
     Returns
     -------
-    study : Study
+    arm : Arm
         Its encoders without counts.
     drive : Drive
     """
-    joints = tuple(replace(joint, encoder_counts=None) for joint in study.arm.joints)
-    voltage, recorded = driving_voltages(study, log), replay(study, log)
+    joints = tuple(replace(joint, encoder_counts=None) for joint in arm.joints)
+    voltage, recorded = driving_voltages(arm, log), replay(arm, log)
     before = list(recorded.initial_voltage)
-    for i, joint in enumerate(study.arm.joints):
+    for i, joint in enumerate(arm.joints):
         if input_channel(log, i + 1) == f"torque{i + 1}":  # which the current loop begins with
             torque = float(log.channels[f"torque{i + 1}"][0])
             before[i] = torque / (joint.torque_per_volt or 1.0)
-    free = (False,) * study.arm.n_joints
+    free = (False,) * arm.n_joints
     drive = replace(recorded, voltage=voltage, servo=free, initial_voltage=tuple(before))
-    return replace(study, arm=replace(study.arm, joints=joints)), drive
+    return arm.with_joints(joints), drive
 
 
-def missing_for_replay(study: Study, log: Log) -> str | None:
+def missing_for_replay(arm: Arm, log: Log) -> str | None:
     """What a log lacks to be gone through again, if anything.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     log : Log
 
     Returns
@@ -91,9 +92,9 @@ def missing_for_replay(study: Study, log: Log) -> str | None:
         A clause that says what is missing.
     """
     experiment = log.experiment
-    if study.arm.servo is None and "servo" in experiment.control:
+    if arm.servo is None and "servo" in experiment.control:
         return "the study describes no servo"
-    silent = missing_motor_signal(study, log)
+    silent = missing_motor_signal(arm, log)
     if silent:
         return silent
     for i, control in enumerate(experiment.control, start=1):
@@ -103,12 +104,12 @@ def missing_for_replay(study: Study, log: Log) -> str | None:
     return None
 
 
-def missing_motor_signal(study: Study, log: Log) -> str | None:
+def missing_motor_signal(arm: Arm, log: Log) -> str | None:
     """Which motor's angle or input a log lacks, if any.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     log : Log
 
     Returns
@@ -116,7 +117,7 @@ def missing_motor_signal(study: Study, log: Log) -> str | None:
     str or None
         A clause that says what is missing.
     """
-    for i in range(1, study.arm.n_joints + 1):
+    for i in range(1, arm.n_joints + 1):
         if input_channel(log, i) is None:
             return f"neither torque{i} nor u{i} is there"
         if f"theta_m{i}" not in log.channels:
@@ -124,12 +125,12 @@ def missing_motor_signal(study: Study, log: Log) -> str | None:
     return None
 
 
-def check_replay(study: Study, log: Log) -> None:
+def check_replay(arm: Arm, log: Log) -> None:
     """Refuse a log that cannot be gone through again.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     log : Log
 
     Raises
@@ -137,7 +138,7 @@ def check_replay(study: Study, log: Log) -> None:
     InvalidInput
         A channel or the servo is missing.
     """
-    missing = missing_for_replay(study, log)
+    missing = missing_for_replay(arm, log)
     if missing:
         raise InvalidInput(
             missing,
@@ -162,7 +163,7 @@ def input_channel(log: Log, joint: int) -> str | None:
     return next((name for name in (f"u{joint}", f"torque{joint}") if name in log.channels), None)
 
 
-def driving_voltages(study: Study, log: Log) -> FloatArray:
+def driving_voltages(arm: Arm, log: Log) -> FloatArray:
     """The voltages that drove the joints; of a logged torque the one that commands it.
 
     A logged torque is what the motor has at the stamps. Where the current loop is known, with a =
@@ -171,7 +172,7 @@ def driving_voltages(study: Study, log: Log) -> FloatArray:
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     log : Log
         With an input of every joint.
 
@@ -180,7 +181,7 @@ def driving_voltages(study: Study, log: Log) -> FloatArray:
     (n_samples, n_joints) [V], or [N m] where the study has no torque per volt
     """
     columns = []
-    for i, joint in enumerate(study.arm.joints, start=1):
+    for i, joint in enumerate(arm.joints, start=1):
         name = input_channel(log, i) or f"u{i}"
         torque_per_volt = joint.torque_per_volt or 1.0
         values = log.channels[name]

@@ -14,17 +14,26 @@ from pathlib import Path
 import numpy as np
 
 from strainwave import pipeline
-from strainwave.domain import Experiment, FloatArray, Identification, Joint, Prbs, Study
-from strainwave.domain.parameters import Values, link_inertia
+from strainwave.domain import (
+    ArmDescription,
+    Experiment,
+    FloatArray,
+    Identification,
+    Joint,
+    Prbs,
+    Study,
+)
+from strainwave.domain.combinations import reported, value_of
+from strainwave.domain.parameters import Values
 from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics import excitation
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import Axis, axes_of, factors
 from strainwave.dynamics.simulation import (
     Drive,
     Quantity,
     SensorNoise,
     Trajectory,
-    holding_voltage,
     measure,
     simulate,
 )
@@ -146,14 +155,15 @@ def simulate_study(
         A parameter is missing or impossible, an experiment cannot be simulated, or the folder
         cannot be written to.
     """
+    arm = Arm.of(study.arm)
     experiments = []
     written = []
     for number, experiment in enumerate(study.experiments):
         progress(f"simulating {experiment.name}, {number + 1} of {len(study.experiments)}")
         rng = np.random.default_rng([seed, number])
-        plan = _known(study, experiment, values) if replay else None
-        plan = plan or _invent(study, experiment, values, rng, sample_time)
-        written.append(_columns(study, plan, values, noise, rng, simulator))
+        plan = _known(study, arm, experiment, values) if replay else None
+        plan = plan or _invent(study.path, arm, experiment, values, rng, sample_time)
+        written.append(_columns(study, arm, plan, values, noise, rng, simulator))
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE):
             file = f"{Path(file).stem}.parquet"
@@ -196,43 +206,32 @@ def demonstrate(
 
     identification = pipeline.identify(folder / "study.toml", progress=follow)
     pipeline.write(identification, folder, figures=figures, progress=follow)
-    return identification, derived(values, study)
+    return identification, derived(values, study.arm)
 
 
-def derived(values: Values, study: Study) -> Values:
-    """Known values, with the sums of them that identification can give.
+def derived(values: Values, arm: ArmDescription) -> Values:
+    """Known values, with the combinations of them that identification reports.
 
     Parameters
     ----------
     values : dict
         (name, joint) -> value, as simulated.
-    study : Study
+    arm : ArmDescription
 
     Returns
     -------
     dict
         With `rigid_inertia`, `total_viscous_friction` and `link_inertia` (3), (18).
     """
-    known = dict(values)
-    for joint, drive in enumerate(study.arm.joints, start=1):
-        link_viscous = values["link_viscous_friction", joint]
-        known["total_viscous_friction", joint] = (
-            values["motor_viscous_friction", joint] + drive.gear_ratio**2 * link_viscous
-        )
-    if study.arm.kind == "planar-two-link":
-        for joint in (1, 2):
-            known["link_inertia", joint] = link_inertia(values, study, joint)
-        reflected = values["motor_inertia", 1] / study.arm.joints[0].gear_ratio ** 2
-        known["rigid_inertia", 1] = values["alpha", None] + reflected
-    return known
+    return values | {key: value_of(row, values) for key, row in reported(arm).items()}
 
 
-def _known(study: Study, experiment: Experiment, values: Values) -> _Plan | None:
+def _known(study: Study, arm: Arm, experiment: Experiment, values: Values) -> _Plan | None:
     """What was applied, by the log, or what is to be, by the plan; None: there is neither."""
     if study.log_path(experiment).exists():
         log = logs.read_log(study, experiment)
-        return _Plan(replay_log(study, log), log.sample_time, len(log))
-    drive = read_applied(study, experiment, values)
+        return _Plan(replay_log(arm, log), log.sample_time, len(log))
+    drive = read_applied(study.path.parent, arm, experiment, values)
     if drive is None:
         return None
     fast = experiment.use in ("frequency", "sweep") or experiment.joint is not None
@@ -241,53 +240,52 @@ def _known(study: Study, experiment: Experiment, values: Values) -> _Plan | None
 
 
 def _invent(
-    study: Study,
+    path: Path,
+    arm: Arm,
     experiment: Experiment,
     values: Values,
     rng: np.random.Generator,
     fast_sample: float,
 ) -> _Plan:
     """An excitation that fits the experiment's use."""
-    period = study.arm.servo.period if study.arm.servo else 1e-3
+    period = arm.servo.period if arm.servo else 1e-3
     if experiment.use in ("frequency", "sweep"):
-        prbs = experiment.prbs or Prbs(
-            10, 1e-3, 4, study.arm.servo.limit if study.arm.servo else 10.0
-        )
+        prbs = experiment.prbs or Prbs(10, 1e-3, 4, arm.servo.limit if arm.servo else 10.0)
         tick, excited = prbs.clock, excitation.prbs(prbs)
         sample_time = min(fast_sample, tick)
     elif experiment.joint is not None:
-        tick, excited = period, _steps(study, experiment)
+        tick, excited = period, _steps(path, arm, experiment)
         sample_time = min(fast_sample, tick)
     else:
         tick, excited = period, np.zeros(round(_MOTION_SECONDS / period))
         sample_time = tick
-    voltage = np.zeros((len(excited), study.arm.n_joints))
+    voltage = np.zeros((len(excited), arm.n_joints))
     reference = np.zeros_like(voltage)
-    for i in range(study.arm.n_joints):
+    for i in range(arm.n_joints):
         if experiment.joint == i + 1:
             (voltage if experiment.use in ("frequency", "sweep") else reference)[:, i] = excited
         elif experiment.joint is None and experiment.control[i] == "servo":
-            reference[:, i] = _motion(study, i, tick, rng)
+            reference[:, i] = _motion(arm, i, tick, rng)
         elif experiment.joint is None:
             raise InvalidInput(
                 f"experiment {experiment.name!r} moves joint {i + 1} in open loop, without a log",
-                where=str(study.path),
+                where=str(path),
                 remedy='set its control to "servo", or give a log whose input is applied again',
             )
-    still = (0.0,) * study.arm.n_joints
+    still = (0.0,) * arm.n_joints
     drive = Drive(
         tick=tick,
         voltage=voltage,
         reference=reference,
         servo=tuple(control == "servo" for control in experiment.control),
         motor_angle=still,
-        initial_voltage=holding_voltage(study, values, still),
+        initial_voltage=arm.holding_voltage(values, still),
     )
     return _Plan(drive, sample_time, round(len(excited) * tick / sample_time))
 
 
-def _motion(study: Study, i: int, tick: float, rng: np.random.Generator) -> FloatArray:
-    n = study.arm.joints[i].gear_ratio
+def _motion(arm: Arm, i: int, tick: float, rng: np.random.Generator) -> FloatArray:
+    n = arm.joints[i].gear_ratio
     return excitation.smooth_motion(
         duration=_MOTION_SECONDS,
         clock=tick,
@@ -298,22 +296,23 @@ def _motion(study: Study, i: int, tick: float, rng: np.random.Generator) -> Floa
     )
 
 
-def _steps(study: Study, experiment: Experiment) -> FloatArray:
+def _steps(path: Path, arm: Arm, experiment: Experiment) -> FloatArray:
     """There and back: a step of the reference that the servo can follow without its limit."""
-    if study.arm.servo is None:
+    if arm.servo is None:
         raise InvalidInput(
             f"experiment {experiment.name!r} needs a servo",
-            where=str(study.path),
+            where=str(path),
             remedy="add a [servo] table",
         )
-    kp = study.arm.servo.kp[(experiment.joint or 1) - 1]
-    level = _STEP_SHARE.get(experiment.use, 0.48) * study.arm.servo.limit / max(kp, 1e-9)
+    kp = arm.servo.kp[(experiment.joint or 1) - 1]
+    level = _STEP_SHARE.get(experiment.use, 0.48) * arm.servo.limit / max(kp, 1e-9)
     levels = np.array([0.0, level, 0.0])
-    return excitation.steps(levels, hold=_STEP_SECONDS, clock=study.arm.servo.period)
+    return excitation.steps(levels, hold=_STEP_SECONDS, clock=arm.servo.period)
 
 
 def _columns(
     study: Study,
+    arm: Arm,
     plan: _Plan,
     values: Values,
     noise: SensorNoise | None,
@@ -322,27 +321,27 @@ def _columns(
 ) -> dict[str, FloatArray]:
     """Run one experiment; its log by channel."""
     quantities: dict[str, Quantity] = {"theta_m": "encoder"}
-    if any(joint.accelerometer_distance for joint in study.arm.joints):
+    if any(joint.accelerometer_distance for joint in arm.joints):
         quantities["a"] = "accelerometer"
-    if any(joint.gyro_hz for joint in study.arm.joints):
+    if any(joint.gyro_hz for joint in arm.joints):
         quantities["gyro"] = "gyro"
     record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
-    glued = [axis for i in range(1, study.arm.n_joints + 1) for axis in _glued(study, i)]
+    glued = [axis for i in range(1, arm.n_joints + 1) for axis in _glued(study.path, arm, i)]
     record += dict.fromkeys(name for axis in glued for name in axis.quantities)
     trajectory = simulator(
-        study, values, plan.drive, sample_time=plan.sample_time, samples=plan.samples, record=record
+        arm, values, plan.drive, sample_time=plan.sample_time, samples=plan.samples, record=record
     )
     measured = measure(trajectory, noise, rng)
     columns = {"t": trajectory.time}
-    for i, joint in enumerate(study.arm.joints):
+    for i, joint in enumerate(arm.joints):
         name = f"u{i + 1}" if joint.torque_per_volt else f"torque{i + 1}"
         columns[name] = measured["voltage"][:, i]
     for channel, quantity in quantities.items():
-        for i, joint in enumerate(study.arm.joints):
+        for i, joint in enumerate(arm.joints):
             if _declares(joint, quantity):
                 columns[f"{channel}{i + 1}"] = measured[quantity][:, i]
-    columns |= _imus(study, glued, trajectory, noise, rng)
-    for i, joint in enumerate(study.arm.joints):
+    columns |= _imus(arm, glued, trajectory, noise, rng)
+    for i, joint in enumerate(arm.joints):
         link = measured["link_angle"][:, i]
         if f"theta_l{i + 1}" in study.channels:
             columns[f"theta_l{i + 1}"] = link
@@ -350,7 +349,7 @@ def _columns(
             columns[f"deflection{i + 1}"] = link - joint.gear_ratio * measured["encoder"][:, i]
     if any(plan.drive.servo):
         at = np.floor(trajectory.time / plan.drive.tick + 1e-9).astype(int)
-        for i in range(study.arm.n_joints):
+        for i in range(arm.n_joints):
             columns[f"ref{i + 1}"] = plan.drive.reference[at, i]
     return columns
 
@@ -362,23 +361,23 @@ def _declares(joint: Joint, quantity: Quantity) -> bool:
     return quantity != "gyro" or joint.gyro_hz is not None
 
 
-def _glued(study: Study, joint: int) -> list[Axis]:
+def _glued(path: Path, arm: Arm, joint: int) -> list[Axis]:
     """Every axis of a link's IMU."""
-    imu = study.arm.joints[joint - 1].imu
+    imu = arm.joints[joint - 1].imu
     if imu is None:
         return []
     if imu.xyz is None or imu.rpy is None:
         raise InvalidInput(
             f"the IMU on link {joint} has no place to be simulated at",
-            where=str(study.path),
+            where=str(path),
             remedy="give its xyz and rpy; they may be left out again for identification",
         )
     kinds = ("ax", "ay", "az", "gx", "gy", "gz")
-    return list(axes_of([f"{kind}{joint}" for kind in kinds], study, joint))
+    return list(axes_of([f"{kind}{joint}" for kind in kinds], arm, joint))
 
 
 def _imus(
-    study: Study,
+    arm: Arm,
     axes: Sequence[Axis],
     trajectory: Trajectory,
     noise: SensorNoise | None,
@@ -394,7 +393,7 @@ def _imus(
         ideal = [
             sum(
                 count * trajectory[name][:, axis.joint - 1]
-                for count, name in zip(factors(axis, study, {}), axis.quantities, strict=True)
+                for count, name in zip(factors(axis, arm, {}), axis.quantities, strict=True)
             )
             for axis in own
         ]

@@ -12,6 +12,7 @@ from elastic_runs import SAMPLE, log_of, prbs_run, rig, rig_values, true_model
 from joint_records import Case, case, truth_of
 from strainwave.domain import Decoupled, Delay, FloatArray, Joint, JointModel, LinkSignals
 from strainwave.domain.parameters import unit_of
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable
 from strainwave.identification import decoupling
@@ -31,7 +32,7 @@ WELL_TOLD = [NAMES.index(n) for n in ("motor_inertia", "link_inertia", "gear_sti
 
 
 def found_in(one: Case, options: PhysicalOptions | None = None) -> JointModel:
-    return identify_joint(one.records, one.model, one.study, options)
+    return identify_joint(one.records, one.model, Arm.of(one.study.arm), options)
 
 
 def vector_of(model: JointModel) -> FloatArray:
@@ -83,7 +84,7 @@ def test_frequencies_come_with_deviations(models: list[tuple[Case, JointModel]])
 
 def test_two_records_at_once_are_no_worse() -> None:
     one = case(1, 1)
-    twice = identify_joint(one.records * 2, one.model, one.study)
+    twice = identify_joint(one.records * 2, one.model, Arm.of(one.study.arm))
     once = vector_of(found_in(one))[WELL_TOLD]
     assert vector_of(twice)[WELL_TOLD] == pytest.approx(once, rel=1e-3)
     assert twice.experiments == ("prbs", "prbs")
@@ -94,7 +95,7 @@ def test_a_record_alone_starts_from_all_and_ends_where_it_would() -> None:
     ((signals, decoupled),) = one.records
     name = signals.experiment.name
     again = replace(signals, experiment=replace(signals.experiment, name="again"))
-    both = fit_joint([(signals, decoupled), (again, decoupled)], one.model, one.study)
+    both = fit_joint([(signals, decoupled), (again, decoupled)], one.model, Arm.of(one.study.arm))
     alone = found_in(one)
     for each in (name, "again"):
         found = both.of_record(each)
@@ -102,7 +103,7 @@ def test_a_record_alone_starts_from_all_and_ends_where_it_would() -> None:
         std = np.sqrt(np.diag(alone.covariance))
         assert np.abs((vector_of(found) - vector_of(alone)) / std[: len(NAMES)]).max() < 0.1
         np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.1)
-    single = fit_joint(one.records, one.model, one.study)
+    single = fit_joint(one.records, one.model, Arm.of(one.study.arm))
     assert single.of_record(name) is single.model
 
 
@@ -111,7 +112,7 @@ def test_the_rigid_models_errors_are_counted() -> None:
     one = case(3, 2)
     doubtful = replace(one.model, covariance=25.0 * one.model.covariance)
     sure, unsure = (
-        identify_joint(one.records, model, one.study) for model in (one.model, doubtful)
+        identify_joint(one.records, model, Arm.of(one.study.arm)) for model in (one.model, doubtful)
     )
     k = NAMES.index("link_inertia")
     assert unsure.covariance[k, k] > 4.0 * sure.covariance[k, k]
@@ -126,7 +127,7 @@ def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
     def having_removed(value: float) -> JointModel:
         delays = tuple(Delay(value if j == number else 0.0, 3e-5) for j in (1, 2))
         signals = replace(one.signals, removed_delay=delays)
-        return identify_joint([(signals, one.decoupled)], one.model, one.study)
+        return identify_joint([(signals, one.decoupled)], one.model, Arm.of(one.study.arm))
 
     plain, none, removed = found_in(one), having_removed(0.0), having_removed(1e-3)
     np.testing.assert_array_equal(none.covariance, plain.covariance)
@@ -146,11 +147,11 @@ def test_slow_sampling_biases_nothing() -> None:
     log = log_of(run)
     slow = {name: channel[::4] for name, channel in log.channels.items()}
     signals = links.link_side(
-        replace(log, time=log.time[::4], sample_time=4.0 * SAMPLE, channels=slow), study
+        replace(log, time=log.time[::4], sample_time=4.0 * SAMPLE, channels=slow), Arm.of(study.arm)
     )
     model = true_model(study, values)
-    decoupled = decoupling.decouple(signals, model, study)[0]
-    found = vector_of(identify_joint([(signals, decoupled)], model, study))
+    decoupled = decoupling.decouple(signals, model, Arm.of(study.arm))[0]
+    found = vector_of(identify_joint([(signals, decoupled)], model, Arm.of(study.arm)))
     off = found / truth_of(values, 1).vector - 1.0
     assert np.abs(off[WELL_TOLD]).max() < 0.002
     assert abs(off[NAMES.index("gear_damping")]) < 0.01
@@ -177,7 +178,9 @@ def test_a_band_may_be_set() -> None:
 
 def test_the_search_may_begin_elsewhere(models: list[tuple[Case, JointModel]]) -> None:
     one, model = models[0]
-    near = identify_joint(one.records, one.model, one.study, search_from_hz=model.band_hz)
+    near = identify_joint(
+        one.records, one.model, Arm.of(one.study.arm), search_from_hz=model.band_hz
+    )
     # bands settle to a twentieth, and the band is a small part of a deviation
     np.testing.assert_allclose(near.band_hz, model.band_hz, rtol=0.05)
     off = np.abs(vector_of(near) - vector_of(model))[WELL_TOLD]
@@ -197,7 +200,7 @@ def test_the_rigid_models_equations_may_be_left_out() -> None:
 
 def test_without_a_rigid_model_the_data_speak_alone() -> None:
     one = case(1, 1)
-    model = identify_joint(one.records, None, one.study)
+    model = identify_joint(one.records, None, Arm.of(one.study.arm))
     off = vector_of(model) / one.truth.vector - 1.0
     assert np.abs(off[WELL_TOLD]).max() < 0.01
 
@@ -206,7 +209,7 @@ def test_a_link_without_sensor_is_refused() -> None:
     one = case(1, 1)
     blind = replace(one.signals, sources=("motor", "motor"))
     with pytest.raises(NotIdentifiable, match="no sensor"):
-        identify_joint([(blind, one.decoupled)], one.model, one.study)
+        identify_joint([(blind, one.decoupled)], one.model, Arm.of(one.study.arm))
 
 
 def test_what_is_hardly_told_or_impossible_is_said() -> None:
@@ -243,8 +246,8 @@ def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
     """Against plain least squares over the parameters and every unknown of free friction."""
     one = case(1, 1)
     signals = [one.signals]
-    known = rigid_knowledge(one.model, one.study, one.decoupled.joint, signals)
-    weighted = grey_box.solve(one.records, one.study, known, (5.0, 45.0)).own
+    known = rigid_knowledge(one.model, Arm.of(one.study.arm), one.decoupled.joint, signals)
+    weighted = grey_box.solve(one.records, Arm.of(one.study.arm), known, (5.0, 45.0)).own
     equations, root = weighted.equations, weighted.root
     free = np.zeros((len(root), len(equations.local_deviation)))
     free[equations.local[0].rows] = equations.local[0].columns.dense()
@@ -285,7 +288,7 @@ def test_work_arrays_grow_with_the_record_and_no_faster() -> None:
     sizes = []
     for times in (2, 4):
         signals, decoupled = longer(one, times)
-        piece = grey_box._piece(signals, decoupled, one.study, (5.0, 45.0))
+        piece = grey_box._piece(signals, decoupled, Arm.of(one.study.arm), (5.0, 45.0))
         equations = grey_box._assemble([piece], grey_box.RigidKnowledge(None, None, None), TRIED)
         local = equations.local[0].columns
         sizes.append(equations.shared.size + local.entries.size + local.first.size)

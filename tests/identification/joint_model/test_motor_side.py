@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from strainwave.domain import ComplexArray, FloatArray, LinkSignals, Study
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.rigid_regressor import gear_ratios
-from strainwave.dynamics.simulation import base_names
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.motor_side import (
     models_from_catalogue,
@@ -92,13 +91,14 @@ def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexA
 
 def known_family(study: Study, values: Values) -> Family:
     """All arms that agree with a drawn one's rigid parameters, which are exact."""
-    known, n = derived(values, study), gear_ratios(study)
+    arm = Arm.of(study.arm)
+    known, n = derived(values, arm), arm.gear_ratios
     motor = np.array([known["motor_inertia", i] for i in (1, 2)])
     link = np.array([known["link_inertia", i] for i in (1, 2)])
-    names = base_names(study)
+    names = arm.base_names
     total = motor + n**2 * link
     return Family(
-        study=study,
+        arm=arm,
         ratio=n,
         total_inertia=total,
         total_viscous=np.array([known["total_viscous_friction", i] for i in (1, 2)]),
@@ -112,14 +112,14 @@ def known_family(study: Study, values: Values) -> Family:
 
 def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generator) -> Piece:
     """Spectra of a stretch in which one motor is driven and slides, without noise."""
-    known = derived(values, family.study)
+    known = derived(values, family.arm)
     angle = rng.uniform(-1.5, 1.5, 2)
 
     def of(name: str) -> FloatArray:
         return np.array([known[name, i] for i in (1, 2)])
 
-    base = np.array([known.get(key, 0.0) for key in base_names(family.study)])
-    posture = posture_of(family.study, angle)
+    base = np.array([known.get(key, 0.0) for key in family.arm.base_names])
+    posture = posture_of(family.arm, angle)
     arm = LinearArm(
         gear_ratio=family.ratio,
         motor_inertia=of("motor_inertia"),
@@ -143,7 +143,9 @@ def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generat
 @pytest.mark.parametrize("seed", [0, 2, 8])
 def test_the_search_finds_the_gears_of_drawn_arms(seed: int) -> None:
     study, values = drawn(seed)  # linear gears
-    for i, n in enumerate(gear_ratios(study), start=1):  # the split that a search takes for given
+    for i, n in enumerate(
+        Arm.of(study.arm).gear_ratios, start=1
+    ):  # the split that a search takes for given
         values["link_viscous_friction", i] = values["motor_viscous_friction", i] / n**2
     rng = np.random.default_rng(seed)
     family = known_family(study, values)
@@ -177,8 +179,8 @@ def test_a_motor_that_stands_is_refused_with_a_remedy() -> None:
     still: FloatArray = np.zeros((n, 2))
     signals = _signals(study, still, n)
     with pytest.raises(NotIdentifiable, match="joint 1 slide"):
-        models_from_motors([signals], None, study)
-    assert not next(pieces(signals, gear_ratios(study), most_lines=40)).rows
+        models_from_motors([signals], None, Arm.of(study.arm))
+    assert not next(pieces(signals, Arm.of(study.arm).gear_ratios, most_lines=40)).rows
 
 
 def _signals(study: Study, still: FloatArray, n: int) -> LinkSignals:
@@ -211,8 +213,8 @@ def _signals(study: Study, still: FloatArray, n: int) -> LinkSignals:
 def test_without_a_rigid_model_there_is_no_catalogue() -> None:
     study, _ = drawn(0)
     with pytest.raises(NotIdentifiable, match='use = "motion"'):
-        models_from_catalogue(None, replace(study, path=Path("study.toml")))
+        models_from_catalogue(None, Arm.of(replace(study, path=Path("study.toml")).arm))
     single = replace(
         study, arm=replace(study.arm, kind="single-joint", joints=study.arm.joints[:1])
     )
-    assert family_of(None, single).total_inertia is None
+    assert family_of(None, Arm.of(single.arm)).total_inertia is None

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import RecordModel
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 from strainwave.identification import decoupling, rigid
 from strainwave.identification.joint_model import identify_record
@@ -26,14 +27,16 @@ def records_of(folder: Path) -> dict[str, RecordModel]:
     """Every frequency record of a lab arm."""
     study = read_study(folder / "study.toml")
     named = {e.name: e for e in study.experiments}
-    model = rigid.fit([signals.motor_side(read_log(study, named["motion"]), study)], study)
+    model = rigid.fit(
+        [signals.motor_side(read_log(study, named["motion"]), Arm.of(study.arm))], Arm.of(study.arm)
+    )
     found = {}
     for experiment in study.experiments:
         if experiment.use == "frequency":
             assert experiment.joint is not None
-            seen = links.link_side(read_log(study, experiment), study)
-            joint = decoupling.decouple(seen, model, study)[experiment.joint - 1]
-            found[experiment.name] = identify_record(seen, joint, model, study)
+            seen = links.link_side(read_log(study, experiment), Arm.of(study.arm))
+            joint = decoupling.decouple(seen, model, Arm.of(study.arm))[experiment.joint - 1]
+            found[experiment.name] = identify_record(seen, joint, model, Arm.of(study.arm))
     return found
 
 
@@ -111,9 +114,9 @@ def test_a_three_slope_gear_lies_between_its_slopes(shared_data: Path) -> None:
 def test_a_real_flexible_arm(shared_data: Path) -> None:
     """Its own README: anti-resonance at 3.4 to 3.5 Hz, resonance at 4.0 to 4.5 Hz."""
     study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    seen = links.link_side(read_log(study, study.experiments[0]), study)
-    (joint,) = decoupling.decouple(seen, None, study)
-    found = identify_record(seen, joint, None, study).modes
+    seen = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
+    (joint,) = decoupling.decouple(seen, None, Arm.of(study.arm))
+    found = identify_record(seen, joint, None, Arm.of(study.arm)).modes
     assert found is not None
     assert found.anti_resonance is not None
     assert found.resonance is not None

@@ -10,6 +10,7 @@ from scipy.signal import cont2discrete, tf2ss
 
 from joint_records import case
 from strainwave.domain import StateSpace
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model import (
@@ -38,7 +39,7 @@ def known(scale: float = 1.0, std: float = 0.0) -> RigidKnowledge:
 
 def exact_of(model: StateSpace, rigid: RigidKnowledge) -> dict[str, float]:
     one = case(1, 1)
-    return dict(from_state_space(model, one.decoupled, one.study, rigid).values)
+    return dict(from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid).values)
 
 
 def test_an_exact_model_gives_its_joint_back() -> None:
@@ -63,9 +64,9 @@ def test_an_error_of_c1_goes_straight_into_the_parameters() -> None:
 def test_the_records_joint_comes_back() -> None:
     for which in ((1, 1), (3, 2)):
         one = case(*which)
-        rigid = rigid_knowledge(one.model, one.study, which[1])
+        rigid = rigid_knowledge(one.model, Arm.of(one.study.arm), which[1])
         model = state_space_of(one.decoupled)
-        found = from_state_space(model, one.decoupled, one.study, rigid)
+        found = from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid)
         for name in WELL_TOLD:
             assert found.values[name] == pytest.approx(getattr(one.truth, name), rel=0.03)
         assert found.fit_percent["motor_velocity"] > 85.0
@@ -76,12 +77,12 @@ def test_the_records_joint_comes_back() -> None:
         # the closed form's deviations are those of c_1 and of the pairs
         assert rigid.total_inertia is not None
         unsure = replace(rigid, total_inertia=(rigid.total_inertia[0], 1e-4))
-        wider = from_state_space(model, one.decoupled, one.study, unsure)
+        wider = from_state_space(model, one.decoupled, Arm.of(one.study.arm), unsure)
         k = NAMES.index("link_inertia")
         assert wider.covariance[k, k] > 2.0 * found.covariance[k, k]
         # and other models of the record widen them too
         other = state_space_of(one.decoupled, LinearOptions(band_hz=(4.0, 50.0)))
-        again = from_state_space(model, one.decoupled, one.study, rigid, [other])
+        again = from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid, [other])
         assert again.values == found.values
         assert np.all(np.diag(again.covariance) >= np.diag(found.covariance) * (1.0 - 1e-9))
 
@@ -96,7 +97,10 @@ def test_a_joint_that_cannot_be_is_told_and_not_clipped() -> None:
     assert T == SAMPLE_TIME
     model = state_space(A, B, C, D, hold=("zero",))
     found = from_state_space(
-        model, one.decoupled, one.study, RigidKnowledge((rigid, 1e-6), (slow, 1e-6), None)
+        model,
+        one.decoupled,
+        Arm.of(one.study.arm),
+        RigidKnowledge((rigid, 1e-6), (slow, 1e-6), None),
     )
     link = (rigid - rigid * dip**2 / peak**2) / one.decoupled.gear_ratio**2
     assert found.values["link_inertia"] == pytest.approx(link, rel=1e-6)
@@ -109,7 +113,10 @@ def test_a_model_without_covariance_has_values_and_no_deviations() -> None:
     one = case(1, 1)
     model = state_space_of(one.decoupled, LinearOptions(method="subspace"))
     found = from_state_space(
-        model, one.decoupled, one.study, rigid_knowledge(one.model, one.study, 1)
+        model,
+        one.decoupled,
+        Arm.of(one.study.arm),
+        rigid_knowledge(one.model, Arm.of(one.study.arm), 1),
     )
     stiffness = next(p for p in found.parameters if p.name == "gear_stiffness")
     assert stiffness.value == pytest.approx(one.truth.gear_stiffness, rel=0.1)
@@ -124,7 +131,7 @@ def test_a_gear_ratio_that_is_wrong_breaks_reciprocity() -> None:
     wrong = replace(sampled, B=sampled.B * [1.0, 3.0], D=sampled.D * [1.0, 3.0])
     codes = []
     for model in (sampled, wrong):
-        found = from_state_space(model, one.decoupled, one.study, known())
+        found = from_state_space(model, one.decoupled, Arm.of(one.study.arm), known())
         codes.append({w.code for w in found.warnings})
     assert "not-reciprocal" not in codes[0]
     assert "not-reciprocal" in codes[1]
@@ -132,7 +139,9 @@ def test_a_gear_ratio_that_is_wrong_breaks_reciprocity() -> None:
 
 def test_a_rigid_model_of_another_arm_is_told() -> None:
     one = case(1, 1)
-    found = from_state_space(EXACT.sampled(), one.decoupled, one.study, known(scale=1.5))
+    found = from_state_space(
+        EXACT.sampled(), one.decoupled, Arm.of(one.study.arm), known(scale=1.5)
+    )
     assert "inertia-mismatch" in {w.code for w in found.warnings}
 
 
@@ -141,13 +150,16 @@ def test_a_model_that_does_not_ring_is_refused() -> None:
     sampled = EXACT.sampled()
     with pytest.raises(NotIdentifiable, match="no oscillating pair"):
         from_state_space(
-            replace(sampled, A=np.diag([0.9, 0.8, 0.7])), one.decoupled, one.study, known()
+            replace(sampled, A=np.diag([0.9, 0.8, 0.7])),
+            one.decoupled,
+            Arm.of(one.study.arm),
+            known(),
         )
 
 
 def test_a_record_tells_both_ways() -> None:
     one = case(1, 1)
-    found = identify_record(one.signals, one.decoupled, one.model, one.study)
+    found = identify_record(one.signals, one.decoupled, one.model, Arm.of(one.study.arm))
     assert found.physical is not None
     assert found.transfer is not None
     assert found.modes is not None
@@ -162,7 +174,7 @@ def test_what_fails_is_a_warning() -> None:
     one = case(1, 1)
     blind = replace(one.signals, sources=("motor", "motor"))
     options = RecordOptions(linear=LinearOptions(band_hz=(0.5, 60.0)))
-    found = identify_record(blind, one.decoupled, one.model, one.study, options)
+    found = identify_record(blind, one.decoupled, one.model, Arm.of(one.study.arm), options)
     assert found.physical is None
     assert found.state_space is None
     assert found.transfer is None
@@ -174,7 +186,7 @@ def test_options_reach_both_ways() -> None:
     options = RecordOptions(
         physical=PhysicalOptions(band_hz=(5.0, 45.0)), linear=LinearOptions(method="subspace")
     )
-    found = identify_record(one.signals, one.decoupled, one.model, one.study, options)
+    found = identify_record(one.signals, one.decoupled, one.model, Arm.of(one.study.arm), options)
     assert found.physical is not None
     assert found.physical.band_hz == (5.0, 45.0)
     assert found.state_space is not None

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 from strainwave.domain import FloatArray, RigidModel, Signals, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics import simulation
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs
@@ -40,10 +41,9 @@ DRIVE_TRUTH = {
 
 def torque_of(study: Study, values: Values, motion: tuple[FloatArray, ...]) -> FloatArray:
     """The core's inverse dynamics of a motion behind rigid gears."""
-    arm = simulation.build_arm(study)
-    n = np.array([joint.gear_ratio for joint in study.arm.joints])
-    links = (np.ascontiguousarray(x * n) for x in motion[1:])
-    return arm.inverse_dynamics(simulation.parameter_vector(arm, values, study), *links)
+    arm = Arm.of(study.arm)
+    links = (x * arm.gear_ratios for x in motion[1:])
+    return arm.inverse_dynamics(arm.parameter_vector(values), *links)
 
 
 def two_link(seed: int, gravity: float | None) -> tuple[Study, Values, Signals]:
@@ -75,7 +75,7 @@ def warned(model: RigidModel, code: str) -> list[str]:
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_inverse_dynamics_come_back_exactly(seed: int, gravity: float | None) -> None:
     study, truth, exact = two_link(seed, gravity)
-    model = rigid.fit([exact], study)
+    model = rigid.fit([exact], Arm.of(study.arm))
     assert model.status == "determined"
     for p in model.parameters:
         scale = truth["motor_coulomb_friction", p.joint] if "offset" in p.name else None
@@ -88,7 +88,7 @@ def test_a_single_joint_under_gravity_comes_back_exactly() -> None:
     study = rigid_drive(gravity=9.81)
     motion = exact_motion(1, 0, amplitude=3.0)
     torque = drive_torque(motion) + 0.5 * 7.0 * np.cos(0.5 * motion[1])
-    model = rigid.fit([exact_signals(motion, torque)], study)
+    model = rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm))
     assert model.value("gravity_torque_1") == pytest.approx(7.0, rel=1e-9)
     assert model.value("inertia", 1) == pytest.approx(0.02, rel=1e-9)
 
@@ -100,8 +100,13 @@ def test_units_follow_the_motion() -> None:
     )
     motion = exact_motion(1, 0)
     exact = exact_signals(motion, drive_torque(motion))
-    assert [p.unit for p in rigid.fit([exact], prismatic).parameters] == ["kg", "N s/m", "N", "N"]
-    assert rigid.fit([exact], study).parameters[0].unit == "kg m^2"
+    assert [p.unit for p in rigid.fit([exact], Arm.of(prismatic.arm)).parameters] == [
+        "kg",
+        "N s/m",
+        "N",
+        "N",
+    ]
+    assert rigid.fit([exact], Arm.of(study.arm)).parameters[0].unit == "kg m^2"
 
 
 def test_records_combine() -> None:
@@ -112,8 +117,8 @@ def test_records_combine() -> None:
     one_way = (time, angle + 1.2 * np.abs(velocity).max() * time[:, None], fast, acceleration)
     back = (time, -one_way[1], -fast, -acceleration)
     records = [exact_signals(m, drive_torque(m)) for m in (one_way, back)]
-    assert rigid.fit(records[:1], study).status == "partly-determined"
-    model = rigid.fit(records, study)
+    assert rigid.fit(records[:1], Arm.of(study.arm)).status == "partly-determined"
+    model = rigid.fit(records, Arm.of(study.arm))
     assert model.status == "determined"
     assert model.value("friction_offset", 1) == pytest.approx(-0.04, rel=1e-8)
 
@@ -136,7 +141,7 @@ def test_deviations_are_calibrated_under_coloured_noise() -> None:
         white = rng.normal(0.0, 1.0, motion[0].shape)
         noise = 0.05 * lfilter([0.14], [1.0, -0.99], white)  # correlated over 0.1 s
         noisy = exact_signals(motion, drive_torque(motion) + noise[:, None])
-        model = rigid.fit([noisy], study, rigid.RigidOptions(bandwidth_hz=5.0))
+        model = rigid.fit([noisy], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=5.0))
         for p in model.parameters:
             assert p.value is not None
             assert p.std is not None
@@ -162,7 +167,7 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: flo
         values = values_of(study, seed)
         truth = rigid_truth(study, values)
         log = motion_log(study, values, seed, duration=20.0)
-        model = rigid.fit([signals.motor_side(log, study)], study)
+        model = rigid.fit([signals.motor_side(log, Arm.of(study.arm))], Arm.of(study.arm))
         assert model.status == "determined"
         for p in model.parameters:
             assert p.value is not None
@@ -179,15 +184,15 @@ def test_the_compliance_is_taken_out() -> None:
     """Declared rigid, the same arm's gamma is several per cent off; declared elastic, it is not."""
     study = scara.study(Path("nowhere"), "linear")
     values = scara.parameters(5, "linear")
-    seen = signals.motor_side(motion_log(study, values, 0), study)
+    seen = signals.motor_side(motion_log(study, values, 0), Arm.of(study.arm))
     stiff = replace(
         study,
         arm=replace(study.arm, joints=tuple(replace(j, spring="rigid") for j in study.arm.joints)),
     )
     options = rigid.RigidOptions(bandwidth_hz=3.0)
     gamma = values["gamma", None]
-    naive = rigid.fit([seen], stiff, options).value("gamma")
-    honest = rigid.fit([seen], study, options).value("gamma")
+    naive = rigid.fit([seen], Arm.of(stiff.arm), options).value("gamma")
+    honest = rigid.fit([seen], Arm.of(study.arm), options).value("gamma")
     assert naive is not None
     assert honest is not None
     assert abs(naive / gamma - 1.0) > 0.01
@@ -205,7 +210,7 @@ def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
     channels = {name: values[cut] for name, values in log.channels.items()}
     options = rigid.RigidOptions(bandwidth_hz=3.0)
     whole, shorter = (
-        rigid.fit([signals.motor_side(each, study)], study, options)
+        rigid.fit([signals.motor_side(each, Arm.of(study.arm))], Arm.of(study.arm), options)
         for each in (log, replace(log, time=log.time[cut], channels=channels))
     )
     deviation = np.sqrt(np.diag(whole.covariance))
@@ -220,8 +225,8 @@ def test_gross_errors_hardly_matter() -> None:
     broken = torque.copy()
     broken[4000:4080] += 5.0
     options = rigid.RigidOptions(bandwidth_hz=5.0)
-    clean = rigid.fit([exact_signals(motion, torque)], study, options)
-    spoilt = rigid.fit([exact_signals(motion, broken)], study, options)
+    clean = rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm), options)
+    spoilt = rigid.fit([exact_signals(motion, broken)], Arm.of(study.arm), options)
     for a, b in zip(clean.parameters, spoilt.parameters, strict=True):
         assert a.value is not None
         assert b.value is not None
@@ -235,7 +240,7 @@ def test_invalid_samples_are_left_out() -> None:
     torque[5000:6000] = 1.0  # a drive at its limit
     exact = exact_signals(motion, torque)
     exact.valid[5000:6000] = False
-    model = rigid.fit([exact], study, rigid.RigidOptions(bandwidth_hz=10.0))
+    model = rigid.fit([exact], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=10.0))
     assert model.value("inertia", 1) == pytest.approx(0.02, rel=1e-6)
 
 
@@ -244,7 +249,10 @@ def test_the_bandwidth_option_changes_the_outcome() -> None:
     motion = exact_motion(1, 0)
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion[1].shape)
     exact = exact_signals(motion, drive_torque(motion) + noise)
-    models = [rigid.fit([exact], study, rigid.RigidOptions(bandwidth_hz=f)) for f in (4.0, 16.0)]
+    models = [
+        rigid.fit([exact], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=f))
+        for f in (4.0, 16.0)
+    ]
     assert [m.bandwidth_hz for m in models] == [4.0, 16.0]
     assert models[0].n_rows < models[1].n_rows
     assert models[0].decimation > models[1].decimation
@@ -256,7 +264,7 @@ def test_the_bandwidth_option_changes_the_outcome() -> None:
 
 def test_no_record_is_refused() -> None:
     with pytest.raises(NotIdentifiable, match="motion"):
-        rigid.fit([], rigid_drive())
+        rigid.fit([], Arm.of(rigid_drive().arm))
 
 
 def test_one_direction_confounds_coulomb_friction_and_offset() -> None:
@@ -264,7 +272,7 @@ def test_one_direction_confounds_coulomb_friction_and_offset() -> None:
     time, angle, velocity, acceleration = exact_motion(1, 1)
     shift = 1.2 * np.abs(velocity).max()
     motion = (time, angle + shift * time[:, None], velocity + shift, acceleration)
-    model = rigid.fit([exact_signals(motion, drive_torque(motion))], study)
+    model = rigid.fit([exact_signals(motion, drive_torque(motion))], Arm.of(study.arm))
     assert model.status == "partly-determined"
     assert model.value("motor_coulomb_friction", 1) is None
     assert model.value("friction_offset", 1) is None
@@ -287,7 +295,7 @@ def test_a_joint_that_stands_is_reported() -> None:
         still[:, 1] = 0.0
     motion = (time, angle, velocity, acceleration)
     values = values_of(study, 0)
-    model = rigid.fit([exact_signals(motion, torque_of(study, values, motion))], study)
+    model = rigid.fit([exact_signals(motion, torque_of(study, values, motion))], Arm.of(study.arm))
     assert model.status == "partly-determined"
     for name in ("total_viscous_friction", "motor_coulomb_friction"):
         assert model.value(name, 2) is None
@@ -306,7 +314,7 @@ def test_one_posture_confounds_the_inertias() -> None:
     rng = np.random.default_rng(0)
     torque = torque_of(study, values, motion)
     torque = torque + rng.normal(0.0, 0.02 * torque.std(axis=0), torque.shape)
-    model = rigid.fit([exact_signals(motion, torque)], study)
+    model = rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm))
     assert model.value("gamma") is None
     texts = [t for t in warned(model, "not-identifiable") if t.startswith("gamma")]
     assert "rigid_inertia of joint 1" in texts[0]
@@ -319,7 +327,7 @@ def test_constant_velocity_tells_no_inertia() -> None:
     velocity = np.where(time < time[n // 2], 4.0, -4.0)[:, None]
     angle = np.cumsum(velocity, axis=0) * 1e-3
     motion = (time, angle, velocity, np.zeros((n, 1)))
-    model = rigid.fit([exact_signals(motion, drive_torque(motion))], study)
+    model = rigid.fit([exact_signals(motion, drive_torque(motion))], Arm.of(study.arm))
     assert model.value("inertia", 1) is None
     assert model.value("friction_offset", 1) == pytest.approx(-0.04, rel=1e-6)
 
@@ -330,14 +338,14 @@ def test_a_motor_that_often_stands_is_reported() -> None:
     direction = np.sign(motion[2])
     direction[:5000] = 0.0
     exact = exact_signals(motion, drive_torque(motion), direction)
-    assert warned(rigid.fit([exact], study), "standing")
+    assert warned(rigid.fit([exact], Arm.of(study.arm)), "standing")
 
 
 def test_negative_friction_is_called_implausible() -> None:
     study = rigid_drive()
     motion = exact_motion(1, 0)
     torque = drive_torque(motion) - 2.0 * DRIVE_TRUTH["motor_viscous_friction"] * motion[2]
-    texts = warned(rigid.fit([exact_signals(motion, torque)], study), "implausible")
+    texts = warned(rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm)), "implausible")
     assert texts
     assert texts[0].startswith("motor_viscous_friction")
 
@@ -373,7 +381,10 @@ def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
     noise = simulation.SensorNoise()
     simulate_study(study, values, tmp_path, seed=seed, noise=noise, replay=False)
     written = read_study(tmp_path / "study.toml")
-    model = rigid.fit([signals.motor_side(log, written) for log in read_logs(written)], written)
+    model = rigid.fit(
+        [signals.motor_side(log, Arm.of(written.arm)) for log in read_logs(written)],
+        Arm.of(written.arm),
+    )
     assert not warned(model, "not-settled")
 
 
@@ -385,7 +396,10 @@ def test_too_few_rows_do_not_end_the_search(tmp_path: Path) -> None:
         replace(study, experiments=motion), values, tmp_path, seed=12, noise=None, replay=False
     )
     written = read_study(tmp_path / "study.toml")
-    model = rigid.fit([signals.motor_side(log, written) for log in read_logs(written)], written)
+    model = rigid.fit(
+        [signals.motor_side(log, Arm.of(written.arm)) for log in read_logs(written)],
+        Arm.of(written.arm),
+    )
     assert model.bandwidth_hz > 2.0
     for joint in (1, 2):
         true = values["motor_coulomb_friction", joint]

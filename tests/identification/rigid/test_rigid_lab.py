@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import RigidModel, Signals, Study
+from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid, validation
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
@@ -20,7 +21,7 @@ def load(path: Path, *names: str) -> tuple[Study, list[Signals]]:
     study = read_study(path / "study.toml")
     chosen = [e for e in study.experiments if e.name in names]
     assert len(chosen) == len(names)
-    return study, [signals.motor_side(read_log(study, e), study) for e in chosen]
+    return study, [signals.motor_side(read_log(study, e), Arm.of(study.arm)) for e in chosen]
 
 
 def truth_of(path: Path) -> dict[tuple[str, int | None], float]:
@@ -54,7 +55,7 @@ def errors(model: RigidModel, truth: dict[tuple[str, int | None], float]) -> dic
 def test_lab_arms_come_back_inside_their_intervals(shared_data: Path, arm: str) -> None:
     study, motion = load(shared_data / "lab" / arm, "motion")
     truth = truth_of(shared_data / "lab" / arm)
-    model = rigid.fit(motion, study)
+    model = rigid.fit(motion, Arm.of(study.arm))
     assert model.status == "determined"
     # asked for: 3 % of inertias, 4 % of Coulomb friction; the sensors allow much less
     assert max(abs(e) for e in errors(model, truth).values()) < 1.0
@@ -62,37 +63,39 @@ def test_lab_arms_come_back_inside_their_intervals(shared_data: Path, arm: str) 
         assert p.ci95 is not None
         assert p.ci95[0] <= truth[p.name, p.joint] <= p.ci95[1], p
     _, (check,) = load(shared_data / "lab" / arm, "motion-check")
-    fits = validation.predict_rigid(model, check, study).fit_percent
+    fits = validation.predict_rigid(model, check, Arm.of(study.arm)).fit_percent
     assert min(fits.values()) > 90.0
 
 
 def test_emps_agrees_with_the_published_values(shared_data: Path) -> None:
     """A. Janot, M. Gautier, M. Brunot, nonlinearbenchmark.org, 2019: IDIM-LS of the EMPS."""
     study, motion = load(shared_data / "real" / "emps", "estimation")
-    model = rigid.fit(motion, study)
+    model = rigid.fit(motion, Arm.of(study.arm))
     assert model.value("inertia", 1) == pytest.approx(95.1089, rel=0.005)
     assert model.value("motor_viscous_friction", 1) == pytest.approx(203.5034, rel=0.01)
     assert model.value("motor_coulomb_friction", 1) == pytest.approx(20.3935, rel=0.01)
     assert model.value("friction_offset", 1) == pytest.approx(-3.1648, rel=0.03)
     _, (check,) = load(shared_data / "real" / "emps", "check")
-    assert validation.predict_rigid(model, check, study).fit_percent["torque1"] > 90.0
+    assert validation.predict_rigid(model, check, Arm.of(study.arm)).fit_percent["torque1"] > 90.0
 
 
 def test_dfki_beats_the_published_model(shared_data: Path) -> None:
     """DFKI's double pendulum A.0, model 2.0: both models under the same filter, band and signs."""
     folder = shared_data / "real" / "dfki-double-pendulum"
     study, (long,) = load(folder, "long")
-    model = rigid.fit([long], study)
-    ours = validation.predict_rigid(model, long, study).fit_percent
+    model = rigid.fit([long], Arm.of(study.arm))
+    ours = validation.predict_rigid(model, long, Arm.of(study.arm)).fit_percent
     assert ours["torque1"] >= 90.0
     assert ours["torque2"] >= 84.0
-    theirs = validation.predict_rigid(published_dfki(folder, model), long, study).fit_percent
+    theirs = validation.predict_rigid(
+        published_dfki(folder, model), long, Arm.of(study.arm)
+    ).fit_percent
     assert ours["torque1"] > theirs["torque1"]
     assert ours["torque2"] > theirs["torque2"]
     for name in ("a", "b"):  # swings that are faster than anything in the fitted record
         _, (check,) = load(folder, name)
         ours, theirs = (
-            validation.predict_rigid(each, check, study).fit_percent
+            validation.predict_rigid(each, check, Arm.of(study.arm)).fit_percent
             for each in (model, published_dfki(folder, model))
         )
         print(f"{name}: ours {ours}, published {theirs}")
@@ -102,7 +105,7 @@ def test_dfki_beats_the_published_model(shared_data: Path) -> None:
 
 def test_emps_has_no_friction_by_load(shared_data: Path) -> None:
     study, motion = load(shared_data / "real" / "emps", "estimation")
-    assert rigid.fit(motion, study).load_friction == ()
+    assert rigid.fit(motion, Arm.of(study.arm)).load_friction == ()
 
 
 def published_dfki(folder: Path, like: RigidModel) -> RigidModel:

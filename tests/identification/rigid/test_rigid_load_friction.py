@@ -9,7 +9,7 @@ import pytest
 
 import virtual_arms
 from strainwave.domain import FloatArray, RigidOptions, Signals, Study
-from strainwave.dynamics.rigid_regressor import body_regressor, columns_of, gear_ratios, n_body
+from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid, validation
 
 SHARES = np.array([0.08, 0.0])
@@ -21,11 +21,12 @@ def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, Floa
     truth = virtual_arms.rigid_truth(study, virtual_arms.values_of(study, arm))
     motion = virtual_arms.exact_motion(2, seed, duration=20.0)
     _, angle, velocity, acceleration = motion
-    n = gear_ratios(study)
-    values = np.array([truth[c.name, c.joint] for c in columns_of(study)])
-    phi = body_regressor(study, angle * n, velocity * n, acceleration * n)
-    body = phi @ values[: n_body(study)]
-    viscous, coulomb, offset = values[n_body(study) :].reshape(2, 3).T
+    own = Arm.of(study.arm)
+    n = own.gear_ratios
+    values = np.array([truth[c.name, c.joint] for c in own.rigid_columns])
+    phi = own.rigid_regressor(angle * n, velocity * n, acceleration * n)
+    body = phi @ values[: own.n_body]
+    viscous, coulomb, offset = values[own.n_body :].reshape(2, 3).T
     dry = coulomb + shares * np.abs(body)
     torque = body + viscous * velocity + dry * np.sign(velocity) + offset
     noise = np.random.default_rng(seed).normal(0.0, 2e-3, torque.shape)
@@ -34,7 +35,7 @@ def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, Floa
 
 def test_it_is_found_where_it_is() -> None:
     study, values, signals = loaded(SHARES)
-    model = rigid.fit([signals], study)
+    model = rigid.fit([signals], Arm.of(study.arm))
     (share,) = model.load_friction
     assert (share.name, share.joint, share.unit) == ("load_friction", 1, "1")
     assert share.value == pytest.approx(SHARES[0], rel=0.02)
@@ -47,19 +48,24 @@ def test_it_is_found_where_it_is() -> None:
 def test_it_predicts_what_a_model_without_it_does_not() -> None:
     study, _, signals = loaded(SHARES)
     _, _, other = loaded(SHARES, seed=2)
-    models = [rigid.fit([signals], study, RigidOptions(load_friction=o)) for o in (None, False)]
-    fits = [validation.predict_rigid(m, other, study).fit_percent["torque1"] for m in models]
+    models = [
+        rigid.fit([signals], Arm.of(study.arm), RigidOptions(load_friction=o))
+        for o in (None, False)
+    ]
+    fits = [
+        validation.predict_rigid(m, other, Arm.of(study.arm)).fit_percent["torque1"] for m in models
+    ]
     assert models[1].load_friction == ()
     assert fits[0] > 97.0 > fits[1]
-    own = validation.predict_rigid(models[0], signals, study).fit_percent
+    own = validation.predict_rigid(models[0], signals, Arm.of(study.arm)).fit_percent
     assert models[0].fit_percent["motion"] == own
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_arm_without_it_has_none(seed: int) -> None:
     study, _, signals = loaded(np.zeros(2), seed)
-    assert rigid.fit([signals], study).load_friction == ()
-    forced = rigid.fit([signals], study, RigidOptions(load_friction=True)).load_friction
+    assert rigid.fit([signals], Arm.of(study.arm)).load_friction == ()
+    forced = rigid.fit([signals], Arm.of(study.arm), RigidOptions(load_friction=True)).load_friction
     assert [p.joint for p in forced] == [1, 2]
     for p in forced:
         assert p.value is not None
@@ -72,4 +78,4 @@ def test_behind_elastic_gears_friction_is_the_whole_arm_fits() -> None:
     joints = tuple(replace(joint, spring="linear") for joint in study.arm.joints)
     elastic = replace(study, arm=replace(study.arm, joints=joints))
     options = RigidOptions(bandwidth_hz=4.0, load_friction=True)
-    assert rigid.fit([signals], elastic, options).load_friction == ()
+    assert rigid.fit([signals], Arm.of(elastic.arm), options).load_friction == ()

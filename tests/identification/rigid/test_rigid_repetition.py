@@ -8,6 +8,7 @@ import pytest
 import virtual_arms
 from strainwave.domain import FloatArray, Log, Signals, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.identification.rigid.repetition import period_of
 from strainwave.signals import motor as signals
@@ -79,7 +80,10 @@ def test_sixteen_periods_say_what_one_says(seed: int) -> None:
     study = virtual_arms.rigid_two_link()
     values = virtual_arms.values_of(study, seed)
     truth = virtual_arms.rigid_truth(study, values)
-    model = rigid.fit([signals.motor_side(repeated_log(study, values, seed, 16), study)], study)
+    model = rigid.fit(
+        [signals.motor_side(repeated_log(study, values, seed, 16), Arm.of(study.arm))],
+        Arm.of(study.arm),
+    )
     assert model.bandwidth_hz > 2.0 * 8.0 / PERIOD
     for name, joint in (
         ("rigid_inertia", 1),

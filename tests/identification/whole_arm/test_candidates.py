@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmModel, JointModel
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm import tune
 from tuning_runs import joint_models, rigid_model, shaken
@@ -28,7 +29,7 @@ def starts(factor: float) -> tuple[JointModel, ...]:
 def tuned(first: Sequence[JointModel], *others: Sequence[JointModel]) -> ArmModel:
     study, values, logs = shaken()
     model = rigid_model(study, values, 0.02)
-    return tune(logs, model, first, study, others=others)
+    return tune(logs, model, first, Arm.of(study.arm), others=others)
 
 
 def test_the_records_choose_in_any_order() -> None:

@@ -11,7 +11,8 @@ import pytest
 
 from strainwave.domain import FloatArray, Log, Study
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.simulation import LONGEST_STEP, simulate
+from strainwave.dynamics.arm import LONGEST_STEP, Arm
+from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.dataset import INITIAL
 from strainwave.identification.whole_arm.low_pass import low_pass_kernels
@@ -111,7 +112,7 @@ def test_the_true_arm_repeats_its_record(
     monkeypatch.setattr(MODULE, "_STEP", step)
     study, values, logs = ideal()
     for log in logs:
-        seen = dataset_of(log, study, CUTOFF)
+        seen = dataset_of(log, Arm.of(study.arm), CUTOFF)
         assert not seen.moving
         assert seen.local == ()
         assert len(seen.start()) == 0
@@ -124,12 +125,14 @@ def test_a_servoed_record_is_driven_by_its_voltages() -> None:
     study, logs = rig_logs()
     values = truth()[1]
     log = next(r for r in logs if r.name == "step-j1")
-    seen = dataset_of(log, study, CUTOFF)
+    seen = dataset_of(log, Arm.of(study.arm), CUTOFF)
     assert seen.drive.servo == (False, False)
     np.testing.assert_array_equal(seen.drive.voltage[:, 0], log.channels["u1"])
     without = {name: x for name, x in log.channels.items() if not name.startswith("ref")}
     blind = dataset_of(
-        replace(log, channels=without), replace(study, arm=replace(study.arm, servo=None)), CUTOFF
+        replace(log, channels=without),
+        Arm.of(replace(study, arm=replace(study.arm, servo=None)).arm),
+        CUTOFF,
     )
     rows = simulated(blind, values, blind.start())
     np.testing.assert_array_equal(rows, simulated(seen, values, seen.start()))
@@ -146,7 +149,7 @@ def test_noise_is_what_sensors_leave_behind_the_low_pass() -> None:
     for name, size in sizes.items():
         channels[name] = log.channels[name] + rng.normal(0.0, size, len(log))
     clean, noisy = (
-        dataset_of(one, study, CUTOFF) for one in (log, replace(log, channels=channels))
+        dataset_of(one, Arm.of(study.arm), CUTOFF) for one in (log, replace(log, channels=channels))
     )
     assert [channel.name for channel in noisy.channels] == list(sizes)
     off = np.std(noisy.measured - clean.measured, axis=0)
@@ -163,7 +166,7 @@ def test_noise_is_not_what_an_arm_makes_of_its_motion() -> None:
     for name, size in sizes.items():
         channels[name] = channels[name] + rng.normal(0.0, size, len(channels[name]))
     slow = replace(log, sample_time=4.0 * log.sample_time, time=log.time[::4], channels=channels)
-    seen = dataset_of(slow, study, CUTOFF)
+    seen = dataset_of(slow, Arm.of(study.arm), CUTOFF)
     kernels = [seen.kernels.taps(rate=channel.rate) for channel in seen.channels]
     true = np.array([s * np.linalg.norm(k) for s, k in zip(sizes.values(), kernels, strict=True)])
     assert np.all(seen.noise > 3.0 * true)
@@ -175,15 +178,15 @@ def test_noise_is_not_what_an_arm_makes_of_its_motion() -> None:
 def test_counts_are_noise() -> None:
     study, _, (log, *_) = shaken()
     still = {**log.channels, "theta_m2": np.zeros(len(log))}
-    seen = dataset_of(replace(log, channels=still), study, CUTOFF)
+    seen = dataset_of(replace(log, channels=still), Arm.of(study.arm), CUTOFF)
     step = 2.0 * np.pi / 8192
     norm = np.linalg.norm(seen.kernels.slope)
     assert seen.noise[1] == pytest.approx(step / np.sqrt(12.0) * norm)
-    assert all(joint.encoder_counts is None for joint in seen.study.arm.joints)
+    assert all(joint.encoder_counts is None for joint in seen.arm.joints)
 
 
 def named(log: Log, study: Study) -> list[tuple[str, str, bool, bool]]:
-    channels = dataset_of(log, study, CUTOFF).channels
+    channels = dataset_of(log, Arm.of(study.arm), CUTOFF).channels
     return [(c.name, c.quantity, c.rate, c.shifted) for c in channels]
 
 
@@ -222,13 +225,15 @@ def test_every_channel_is_simulated_as_it_is_measured(
     monkeypatch.setattr(MODULE, "_STEP", step)
     study, values, (log, *_) = ideal()
     angle = 0.01 * log.channels["theta_m2"]
-    drive = dataset_of(log, study, CUTOFF).drive
-    run = simulate(study, values, drive, sample_time=T, samples=len(log), record=["link_angle"])
+    drive = dataset_of(log, Arm.of(study.arm), CUTOFF).drive
+    run = simulate(
+        Arm.of(study.arm), values, drive, sample_time=T, samples=len(log), record=["link_angle"]
+    )
     channels = {**log.channels, "theta_l2": np.ascontiguousarray(run["link_angle"][:, 1])}
     assert np.max(np.abs(channels["theta_l2"] - angle)) > 1e-4  # the gear twists
     for name in ("a1", "a2"):
         del channels[name]
-    seen = dataset_of(replace(log, channels=channels), study, CUTOFF)
+    seen = dataset_of(replace(log, channels=channels), Arm.of(study.arm), CUTOFF)
     assert [channel.name for channel in seen.channels][2:] == ["gyro1", "theta_l2"]
     rows = simulated(seen, values, seen.start())
     assert np.all(np.abs(rows - seen.measured) < off * np.std(seen.measured, axis=0))
@@ -237,7 +242,7 @@ def test_every_channel_is_simulated_as_it_is_measured(
 def test_a_record_that_begins_in_motion() -> None:
     study, values, (log, *_) = ideal()
     cut = later(log, 400)
-    seen = dataset_of(cut, study, CUTOFF)
+    seen = dataset_of(cut, Arm.of(study.arm), CUTOFF)
     assert seen.moving
     assert seen.local == tuple((name, i) for name in INITIAL for i in (1, 2))
     begun = beginning(study, values, log, 400)
@@ -255,7 +260,7 @@ def test_a_record_that_begins_in_motion() -> None:
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_derivatives_are_those_of_the_rows(spring: str) -> None:
     study, values, (log, *_) = shaken(spring, noisy=False, counts=False)
-    seen = dataset_of(later(log, 400), study, CUTOFF)
+    seen = dataset_of(later(log, 400), Arm.of(study.arm), CUTOFF)
     local = seen.start()
     directions = [("beta", None), ("motor_inertia", 1), ("motor_coulomb_friction", 1)]
     directions += [("gear_damping", 2)]
@@ -287,15 +292,17 @@ def test_a_record_from_rest_is_seen_as_one(spring: str) -> None:
     for amplitude in (3.0, 10.0):
         study, _, logs = shaken(spring, amplitude)
         for log in logs:
-            assert not dataset_of(log, study, CUTOFF).moving
+            assert not dataset_of(log, Arm.of(study.arm), CUTOFF).moving
     study, logs = rig_logs()
-    assert not any(dataset_of(log, study, CUTOFF).moving for log in logs if log.sample_time == T)
+    assert not any(
+        dataset_of(log, Arm.of(study.arm), CUTOFF).moving for log in logs if log.sample_time == T
+    )
 
 
 @pytest.mark.parametrize(("joint", "first"), [(1, 300), (1, 900), (2, 300), (2, 900)])
 def test_a_record_cut_in_motion_is_seen_as_one(joint: int, first: int) -> None:
     study, _, logs = shaken()
-    assert dataset_of(later(logs[joint - 1], first), study, CUTOFF).moving
+    assert dataset_of(later(logs[joint - 1], first), Arm.of(study.arm), CUTOFF).moving
 
 
 def test_records_that_cannot_be_gone_through_again() -> None:
@@ -303,13 +310,13 @@ def test_records_that_cannot_be_gone_through_again() -> None:
     log = next(r for r in logs if r.name == "step-j1")
     deaf = {name: x for name, x in log.channels.items() if name != "theta_m2"}
     with pytest.raises(InvalidInput, match="theta_m2 is not there"):
-        dataset_of(replace(log, channels=deaf), study, CUTOFF)
+        dataset_of(replace(log, channels=deaf), Arm.of(study.arm), CUTOFF)
     mute = {name: x for name, x in log.channels.items() if name != "u2"}
     with pytest.raises(InvalidInput, match="neither torque2 nor u2 is there"):
-        dataset_of(replace(log, channels=mute), study, CUTOFF)
+        dataset_of(replace(log, channels=mute), Arm.of(study.arm), CUTOFF)
     short = {name: x[:200] for name, x in log.channels.items()}
     with pytest.raises(InvalidInput, match="record at least"):
-        dataset_of(replace(log, time=log.time[:200], channels=short), study, CUTOFF)
+        dataset_of(replace(log, time=log.time[:200], channels=short), Arm.of(study.arm), CUTOFF)
 
 
 def test_usable_records() -> None:
@@ -322,11 +329,11 @@ def test_usable_records() -> None:
         else log
         for log in logs
     ]
-    assert [log.name for log in usable(logs, study)] == ["step-j1", "step-j2"]
-    assert [log.name for log in usable(mute, study)] == ["step-j1"]
+    assert [log.name for log in usable(logs, Arm.of(study.arm))] == ["step-j1", "step-j2"]
+    assert [log.name for log in usable(mute, Arm.of(study.arm))] == ["step-j1"]
     _, _, shakes = shaken()
-    assert len(usable(shakes, study)) == 2
+    assert len(usable(shakes, Arm.of(study.arm))) == 2
     swept = [replace(log, experiment=replace(log.experiment, use="sweep")) for log in shakes]
-    assert len(usable(swept, study)) == 2
+    assert len(usable(swept, Arm.of(study.arm))) == 2
     moved = [replace(log, experiment=replace(log.experiment, use="motion")) for log in shakes]
-    assert usable(moved, study) == []
+    assert usable(moved, Arm.of(study.arm)) == []

@@ -12,6 +12,7 @@ import pytest
 from effect_runs import ALL, SIZES, records, rig, tuned
 from strainwave.domain import ArmModel
 from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import as_known, with_known_effects
 from strainwave.identification.whole_arm.effects import (
     idle,
@@ -81,7 +82,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     study = rig(ALL)
     base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
     values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05}
-    space, begin = with_effects(base, study, values, [30.0, 8.0])
+    space, begin = with_effects(base, Arm.of(study.arm), values, [30.0, 8.0])
     assert space.keys[2:] == list(SIZES)
     np.testing.assert_allclose(
         space.parameters(begin), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0]
@@ -89,7 +90,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     np.testing.assert_array_equal(space.prior.rows, [[1.0, 1.0, *np.zeros(6)]])
     units = ["N m", "rad/s", "N m", "rad", "rad", "rad"]
     assert [unknown.unit for unknown in space.unknowns[2:]] == units
-    assert named_effects(study) == [(1, effect) for effect in ALL]
+    assert named_effects(Arm.of(study.arm)) == [(1, effect) for effect in ALL]
     less = without(space, {(1, "stribeck"), (1, "kinematic-error")})
     assert less.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
     assert less.prior.rows.shape == (1, 4)
@@ -97,7 +98,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
 
 def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
-    space, z = with_effects(empty, rig(ALL), {(COULOMB, 1): 0.05}, [30.0, 8.0])
+    space, z = with_effects(empty, Arm.of(rig(ALL).arm), {(COULOMB, 1): 0.05}, [30.0, 8.0])
     z[-2:] = 2.0  # both parts of the kinematic error at 2e-4 rad
     values = space.parameters(z)
     sure = np.diag((values / 5.0) ** 2)
@@ -113,21 +114,21 @@ def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     assert list(idle(space, z, unsure)) == [(1, "hysteresis"), (1, "kinematic-error")]
 
 
-def test_a_study_is_known_as_far_as_its_values_go() -> None:
-    study = rig(ALL)
-    assert with_known_effects(study, SIZES) == study
-    assert with_known_effects(study, ()) == rig(())
+def test_an_arm_is_known_as_far_as_its_values_go() -> None:
+    arm, some_arm = Arm.of(rig(ALL).arm), Arm.of(rig(("hysteresis", "kinematic-error")).arm)
+    assert with_known_effects(arm, SIZES) == arm
+    assert with_known_effects(arm, ()) == Arm.of(rig(()).arm)
     some = [key for key in SIZES if key != ("stribeck_velocity", 1)]
-    assert with_known_effects(study, some) == rig(("hysteresis", "kinematic-error"))
+    assert with_known_effects(arm, some) == some_arm
     values = {key: SIZES[key] for key in some}
-    assert as_known(study, values) == rig(("hysteresis", "kinematic-error"))
+    assert as_known(arm, values) == some_arm
 
 
 def test_records_are_run_with_the_effects_that_are_known() -> None:
     study, _, logs = records(ALL)
-    plain = with_known_effects(study, ())
+    plain = with_known_effects(Arm.of(study.arm), ())
     record = dataset_of(logs[0], plain, 100.0)
-    assert records_with([record], study, ())[0] == record
-    (given,) = records_with([record], study, SIZES)
-    assert [joint.effects for joint in given.study.arm.joints] == [ALL, ()]
-    assert given.study.arm.joints[0].encoder_counts is None
+    assert records_with([record], Arm.of(study.arm), ())[0] == record
+    (given,) = records_with([record], Arm.of(study.arm), SIZES)
+    assert [joint.effects for joint in given.arm.joints] == [ALL, ()]
+    assert given.arm.joints[0].encoder_counts is None

@@ -36,7 +36,7 @@ def run(folder: Path, sensors: Sequence[str], seed: int = SEED) -> tuple[Identif
     )
     reduced(folder, own, sensors)
     study = read_study(folder / "study.toml")
-    return identify(folder / "study.toml"), derived(own.values, study)
+    return identify(folder / "study.toml"), derived(own.values, study.arm)
 
 
 def check(found: Identification, known: Values, close: float) -> None:
@@ -93,7 +93,7 @@ def test_lab_arms_without_link_sensors(tmp_path: Path, shared_data: Path, arm: s
     without_link_sensors(folder, tmp_path)
     found = identify(tmp_path / "study.toml")
     study = read_study(tmp_path / "study.toml")
-    known = derived(read_parameters(folder / "truth.json"), study)
+    known = derived(read_parameters(folder / "truth.json"), study.arm)
     assert found.verdict.status == "determined", found.verdict.reasons
     assert found.tuned is not None
     assert all(joint.method == "motor-response" for joint in found.joints)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Log
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm import tune
 from strainwave.identification.whole_arm.initial_motion import in_motion
 from strainwave.identification.whole_arm.objective import Objective
@@ -29,9 +30,13 @@ def arm(logs: Sequence[Log], wrong: float = 0.0) -> tuple[Objective, FloatArray]
     study, known, _ = shaken()
     joints = joint_models(study, known, 0.05, FACTORS)
     space = space_of(
-        rigid_model(study, known, 0.01), joints, study, largest_voltage=[10.0, 10.0], floor=0.002
+        rigid_model(study, known, 0.01),
+        joints,
+        Arm.of(study.arm),
+        largest_voltage=[10.0, 10.0],
+        floor=0.002,
     )
-    objective = Objective.of(space, [dataset_of(log, study, CUTOFF) for log in logs])
+    objective = Objective.of(space, [dataset_of(log, Arm.of(study.arm), CUTOFF) for log in logs])
     stiff = {key: v * (1.0 + wrong) for key, v in known.items() if key[0] == "gear_stiffness"}
     z = space.coordinates(known | stiff)
     return objective.reweighted(z), z
@@ -61,7 +66,7 @@ def test_records_from_rest_stay_at_rest(wrong: float) -> None:
 def test_records_from_turning_points_are_fitted() -> None:
     study, known, _ = shaken()
     joints = joint_models(study, known, 0.05, FACTORS)
-    start = (rigid_model(study, known, 0.01, 1.0), joints, study)
+    start = (rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
     model = tune(cut(), *start)
     assert model.status == "converged"
     # taken for records from rest they give 0.3 to 2 %, and fits of 68 to 93 %

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmModel
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
 from strainwave.virtual.experiments import derived
@@ -22,7 +23,7 @@ def said(
 ) -> dict[str, list[str]]:
     """What is said of each joint; joint 1 has a parameter so many times the rig's."""
     study, values = truth()
-    values = derived(values | {(name, 1): factor * values[name, 1]}, study)
+    values = derived(values | {(name, 1): factor * values[name, 1]}, study.arm)
     joints = tuple(replace(joint, encoder_counts=counts) for joint in study.arm.joints)
     wanted = shaken_study(replace(study, arm=replace(study.arm, joints=joints)), amplitude, order=8)
     study, logs = written_logs(wanted, values, noise=SensorNoise())
@@ -30,7 +31,10 @@ def said(
         motor = ("u1", "u2", "theta_m1", "theta_m2")
         logs = tuple(replace(log, channels={c: log.channels[c] for c in motor}) for log in logs)
     model = tune(
-        logs, rigid_model(study, values, 0.01), joint_models(study, values, 0.02, FACTORS), study
+        logs,
+        rigid_model(study, values, 0.01),
+        joint_models(study, values, 0.02, FACTORS),
+        Arm.of(study.arm),
     )
     return by_place(model)
 

@@ -11,6 +11,7 @@ import pytest
 
 from strainwave.domain import ArmModel, Imu, Joint, Log, Parameter, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import angles, attitude
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
@@ -44,7 +45,7 @@ def without(study: Study, *names: str) -> Study:
 def from_five_percent(study: Study, known: Values, logs: list[Log]) -> ArmModel:
     """The fit from joint models off by a twentieth either way."""
     joints = joint_models(study, known, 0.05, FACTORS)
-    return tune(logs, rigid_model(study, known, 0.01, 1.0), joints, study)
+    return tune(logs, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
 
 
 @cache

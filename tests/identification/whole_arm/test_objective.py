@@ -11,6 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.low_pass import Kernels
 from strainwave.identification.whole_arm.objective import BLOCKS, Objective, Weights
@@ -47,14 +48,17 @@ def rig(spring: str) -> tuple[ParameterSpace, tuple[Dataset, ...], FloatArray]:
     space = space_of(
         rigid_model(study, known, 0.01),
         joint_models(study, known, 0.05, FACTORS),
-        study,
+        Arm.of(study.arm),
         largest_voltage=[10.0, 10.0],
         floor=0.002,
     )
     if spring == "three-slope":
-        space = with_curves(space, study, (60.0, 15.0))
+        space = with_curves(space, Arm.of(study.arm), (60.0, 15.0))
     space = with_settling(space)
-    records = (dataset_of(first, study, CUTOFF), dataset_of(later(second, 900), study, CUTOFF))
+    records = (
+        dataset_of(first, Arm.of(study.arm), CUTOFF),
+        dataset_of(later(second, 900), Arm.of(study.arm), CUTOFF),
+    )
     assert [record.moving for record in records] == [False, True]
     return space, records, space.coordinates(known)
 
@@ -184,7 +188,7 @@ def test_a_beginning_in_motion_is_found(joint: int, first: int) -> None:
     """From gears untwisted to the true state, on the true arm."""
     space, _, true = rig("linear")
     study, known, logs = shaken("linear", settling=SETTLING)
-    record = dataset_of(later(logs[joint - 1], first), study, CUTOFF)
+    record = dataset_of(later(logs[joint - 1], first), Arm.of(study.arm), CUTOFF)
     objective = Objective.of(space, [record])
     objective.rows(true)
     begun, found = beginning(study, known, logs[joint - 1], first), objective.memory.own[0][:6]

@@ -10,6 +10,7 @@ import pytest
 
 from strainwave.domain import ArmDescription, FloatArray, Joint, JointModel, RigidModel, Study
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.parametrisation import (
     CURVE,
@@ -44,19 +45,19 @@ def mixed_values(study: Study) -> Values:
     for name in (*CURVE, *KNEES):
         del values[name, 2]
     values["gear_stiffness", 2] = 6100.0
-    return derived(values, study)
+    return derived(values, study.arm)
 
 
 def started(study: Study, known: Values, model: RigidModel | None) -> ParameterSpace:
     joints = joint_models(study, known, 0.05, NONE_OFF)
-    return space_of(model, joints, study, largest_voltage=[10.0, 10.0], floor=FLOOR)
+    return space_of(model, joints, Arm.of(study.arm), largest_voltage=[10.0, 10.0], floor=FLOOR)
 
 
 def mixed(share: float = 0.01) -> tuple[Study, Values, ParameterSpace]:
     study = mixed_study()
     known = mixed_values(study)
     space = started(study, known, rigid_model(study, known, share))
-    return study, known, with_settling(with_curves(space, study, LARGEST_TORQUE))
+    return study, known, with_settling(with_curves(space, Arm.of(study.arm), LARGEST_TORQUE))
 
 
 def somewhere(space: ParameterSpace, seed: int) -> FloatArray:
@@ -182,7 +183,7 @@ def test_the_rigid_friction_is_preferred() -> None:
         replace(joint, values={**joint.values, "motor_coulomb_friction": 0.5}) for joint in joints
     ]
     model = rigid_model(study, known, 0.01)
-    space = space_of(model, doubted, study, largest_voltage=[10.0, 10.0], floor=FLOOR)
+    space = space_of(model, doubted, Arm.of(study.arm), largest_voltage=[10.0, 10.0], floor=FLOOR)
     start = space.values(np.zeros(len(space.unknowns)))
     assert start["motor_coulomb_friction", 1] == pytest.approx(0.06)
 
@@ -249,10 +250,12 @@ def test_prior_rows_weigh_what_the_rigid_model_tells(seed: int) -> None:
     deviation = np.sqrt(np.diag(model.covariance))
     covariance = deviation[:, None] * (mixing @ mixing.T) * deviation
     model = replace(model, covariance=covariance)
-    space = with_settling(with_curves(started(study, known, model), study, LARGEST_TORQUE))
+    space = with_settling(
+        with_curves(started(study, known, model), Arm.of(study.arm), LARGEST_TORQUE)
+    )
 
     values = space.values(0.3 * somewhere(space, seed))
-    told = derived(values, study)  # by the sums that the simulation's own truth is made of
+    told = derived(values, study.arm)  # by the sums that the simulation's own truth is made of
     error = np.array([told[p.name, p.joint] for p in model.parameters]) - model.solution
     whole = covariance + np.diag((FLOOR * model.solution) ** 2)
     expected = error @ np.linalg.solve(whole, error)
@@ -270,7 +273,7 @@ def test_the_floor_widens_the_prior() -> None:
     joints = joint_models(study, known, 0.05, NONE_OFF)
     sure = rigid_model(study, known, 1e-9)
     for floor in (0.002, 0.05):
-        space = space_of(sure, joints, study, largest_voltage=[10.0, 10.0], floor=floor)
+        space = space_of(sure, joints, Arm.of(study.arm), largest_voltage=[10.0, 10.0], floor=floor)
         z = np.zeros(len(space.unknowns))
         p = space.parameters(z)
         p[space.keys.index(("gamma", None))] *= 1.0 + floor
@@ -312,7 +315,7 @@ def alone(gravity: float | None) -> tuple[Study, Values, JointModel]:
 def test_a_single_joint() -> None:
     study, known, start = alone(9.81)
     model = rigid_model(study, known, 0.01)
-    space = space_of(model, [start], study, largest_voltage=[10.0], floor=FLOOR)
+    space = space_of(model, [start], Arm.of(study.arm), largest_voltage=[10.0], floor=FLOOR)
     p = space.parameters(np.zeros(len(space.unknowns)))
     np.testing.assert_allclose(space.prior.rows @ p, space.prior.target, rtol=1e-10)
     assert len(space.prior.target) == 5
@@ -326,13 +329,13 @@ def test_a_single_joint() -> None:
 
 def test_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
     study, known, start = alone(None)
-    space = space_of(None, [start], study, largest_voltage=[10.0], floor=FLOOR)
+    space = space_of(None, [start], Arm.of(study.arm), largest_voltage=[10.0], floor=FLOOR)
     assert space.prior.rows.shape == (0, len(space.unknowns))
     values = space.values(np.zeros(len(space.unknowns)))
     assert values["motor_inertia", 1] == known["motor_inertia", 1]
     study, known, start = alone(9.81)
     with pytest.raises(NotIdentifiable, match="needs gravity_torque_1, which"):
-        space_of(None, [start], study, largest_voltage=[10.0], floor=FLOOR)
+        space_of(None, [start], Arm.of(study.arm), largest_voltage=[10.0], floor=FLOOR)
 
 
 def test_starts_that_are_missing_or_impossible() -> None:
@@ -341,7 +344,7 @@ def test_starts_that_are_missing_or_impossible() -> None:
     joints = joint_models(study, known, 0.05, NONE_OFF)
     voltage = [10.0, 10.0]
     with pytest.raises(NotIdentifiable, match="joint 2 has none"):
-        space_of(model, joints[:1], study, largest_voltage=voltage, floor=FLOOR)
+        space_of(model, joints[:1], Arm.of(study.arm), largest_voltage=voltage, floor=FLOOR)
     rigid = replace(
         study,
         arm=replace(
@@ -349,22 +352,26 @@ def test_starts_that_are_missing_or_impossible() -> None:
         ),
     )
     with pytest.raises(NotIdentifiable, match="joint 2 has none"):
-        space_of(model, joints, rigid, largest_voltage=voltage, floor=FLOOR)
+        space_of(model, joints, Arm.of(rigid.arm), largest_voltage=voltage, floor=FLOOR)
     for name, value in [("gear_damping", -1.0), ("gear_stiffness", np.nan), ("motor_inertia", 0.0)]:
         wrong = replace(joints[1], values={**joints[1].values, name: value})
-        begun = starts_of(model, [joints[0], wrong], study)
+        begun = starts_of(model, [joints[0], wrong], Arm.of(study.arm))
         assert list(begun.rejected) == [(name, 2)]
         # usual values are within the reach of a space: a factor of three
         assert 1.0 / 3.0 < begun.values[name, 2] / known[name, 2] < 3.0
-        (said,) = rejected_starts(begun, study)
+        (said,) = rejected_starts(begun, Arm.of(study.arm))
         assert said.where == f"{name} of joint 2"
     # beta + 2 gamma is more than all that joint 1 carries
     light = replace(joints[0], values={**joints[0].values, "link_inertia": 1.0})
-    begun = starts_of(model, [light, joints[1]], study)
+    begun = starts_of(model, [light, joints[1]], Arm.of(study.arm))
     assert list(begun.rejected) == [("alpha", None)]
     assert begun.values["alpha", None] == pytest.approx(known["alpha", None], rel=0.1)
     nothing = replace(joints[1], values={**joints[1].values, "link_inertia": -1.0})
     beta = tuple(replace(p, value=-1.0) if p.name == "beta" else p for p in model.parameters)
     solution = np.array([p.value for p in beta], dtype=float)
     with pytest.raises(NotIdentifiable, match="beta is -1"):
-        starts_of(replace(model, parameters=beta, solution=solution), [joints[0], nothing], study)
+        starts_of(
+            replace(model, parameters=beta, solution=solution),
+            [joints[0], nothing],
+            Arm.of(study.arm),
+        )

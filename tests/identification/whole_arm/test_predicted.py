@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Log, Parameter, Study
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm import predicted_parameters, tune
 from tuning_runs import joint_models, rigid_model, shaken
 
@@ -34,9 +35,11 @@ def relative(parameters: tuple[Parameter, ...]) -> dict[tuple[str, int | None], 
 def test_a_fit_s_intervals_are_those_predicted(spring: str, channels: tuple[str, ...]) -> None:
     study, known, logs = shaken(spring)
     records = seen_by(study, logs, channels)
-    predicted = relative(predicted_parameters(records, study, known))
+    predicted = relative(predicted_parameters(records, Arm.of(study.arm), known))
     joints = joint_models(study, known, 0.02, FACTORS)
-    found = relative(tune(records, rigid_model(study, known, 0.002), joints, study).parameters)
+    found = relative(
+        tune(records, rigid_model(study, known, 0.002), joints, Arm.of(study.arm)).parameters
+    )
     shared = predicted.keys() & found.keys()
     assert len(shared) >= 8
     for key in shared:
@@ -47,7 +50,7 @@ def test_a_fit_s_intervals_are_those_predicted(spring: str, channels: tuple[str,
 def test_without_link_sensors_gears_are_known_less_well() -> None:
     study, known, logs = shaken()
     alone, more = (
-        relative(predicted_parameters(seen_by(study, logs, channels), study, known))
+        relative(predicted_parameters(seen_by(study, logs, channels), Arm.of(study.arm), known))
         for channels in (MOTOR, (*MOTOR, "a1", "a2"))
     )
     for joint in (1, 2):
@@ -58,4 +61,4 @@ def test_without_link_sensors_gears_are_known_less_well() -> None:
 def test_records_that_excite_no_gear_predict_nothing() -> None:
     study, known, logs = shaken()
     motion = [replace(log, experiment=replace(log.experiment, use="motion")) for log in logs]
-    assert predicted_parameters(motion, study, known) == ()
+    assert predicted_parameters(motion, Arm.of(study.arm), known) == ()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmModel, Log, Parameter
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm import tune
 from tuning_runs import joint_models, rigid_model, shaken
 
@@ -30,7 +31,7 @@ def tuned(*missing: int, spring: str = "linear") -> ArmModel:
     study, known, logs = shaken(spring)
     records = without_links(logs, set(missing))
     joints = joint_models(study, known, 0.05, FACTORS)
-    return tune(records, rigid_model(study, known, 0.01, 1.0), joints, study)
+    return tune(records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
 
 
 def std_of(model: ArmModel, name: str, joint: int) -> float:

@@ -10,6 +10,7 @@ import pytest
 
 from strainwave.domain import ArmModel, Log, Study, TuningOptions
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import moved
 from strainwave.identification.whole_arm import tune
 from strainwave.identification.whole_arm.parametrisation import Key
@@ -41,7 +42,9 @@ def tuned(
     joints = joint_models(study, known, 0.05, FACTORS)
     begin: dict[Key, float] = {("accelerometer_delay", i): late[i - 1] for i in (1, 2)}
     start = begin if told else None
-    model = tune(records, rigid_model(study, known, 0.01, 1.0), joints, study, start=start)
+    model = tune(
+        records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm), start=start
+    )
     return study, known, model
 
 
@@ -95,7 +98,7 @@ def test_what_is_held_is_not_estimated() -> None:
     records = [read_so(log, (1e-3, 1e-3), (1.0, 1.0)) for log in logs]
     joints = joint_models(study, known, 0.05, FACTORS)
     options = TuningOptions(hold=("accelerometer_delay 1",))
-    model = tune(records, rigid_model(study, known, 0.01, 1.0), joints, study, options)
+    model = tune(records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm), options)
     found = constants(model)
     assert ("accelerometer_delay", 1) not in found
     assert ("accelerometer_delay", 2) in found
@@ -114,7 +117,7 @@ def test_derivatives_are_those_of_the_difference() -> None:
     study, known, logs = shaken(noisy=False, counts=False)
     values = dict(known)
     late, scale = 0.6e-3, 1.03
-    record = dataset_of(read_so(logs[0], (late, late), (scale, 1.0)), study, CUTOFF)
+    record = dataset_of(read_so(logs[0], (late, late), (scale, 1.0)), Arm.of(study.arm), CUTOFF)
     values |= {("accelerometer_delay", 1): late, ("accelerometer_delay", 2): late}
     values["accelerometer_scale", 1] = scale
     keys: list[Key] = [

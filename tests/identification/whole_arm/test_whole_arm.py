@@ -21,6 +21,7 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, rigid, validation
 from strainwave.identification import joint_model as physical
@@ -73,7 +74,7 @@ def from_wrong_starts(
     """Joint models off by that share either way, a rigid model whose inertias are 1 % off."""
     joints = joint_models(study, known, share, FACTORS)
     model = rigid_model(study, known, 0.01, 1.0)
-    return tune(records, model, joints, study, options, start=start)
+    return tune(records, model, joints, Arm.of(study.arm), options, start=start)
 
 
 def rig_records() -> tuple[Study, Values, list[Log]]:
@@ -133,7 +134,7 @@ def test_the_fit_rises_and_records_never_seen_are_predicted() -> None:
     assert [p.experiment for p in model.initial] == ["step-j2"]
     for log in records:
         if log.experiment.use == "check":
-            prediction = validation.predict_elastic(model, log, study)
+            prediction = validation.predict_elastic(model, log, Arm.of(study.arm))
             assert min(prediction.fit_percent.values()) > 97.0
 
 
@@ -187,7 +188,7 @@ def test_slopes_and_knees_of_gears_that_are_twisted_far() -> None:
     study, records = rig_logs("three-slope")
     for log in records:
         if log.name.startswith("step-check"):
-            fits = validation.predict_elastic(model, log, study).fit_percent
+            fits = validation.predict_elastic(model, log, Arm.of(study.arm)).fit_percent
             assert fits[f"omega_m{log.experiment.joint}"] > 99.0
 
 
@@ -300,7 +301,7 @@ def test_a_single_joint_under_gravity() -> None:
     wrong = true * (1.0 + 0.05 * np.append(FACTORS[0], 0.0))
     named = dict(zip(JOINT_NAMES, wrong.tolist(), strict=True))
     start = joint_model(study, 1, named, np.diag((0.05 * true) ** 2))
-    model = tune(records, rigid_model(study, values, 0.01, 1.0), [start], study)
+    model = tune(records, rigid_model(study, values, 0.01, 1.0), [start], Arm.of(study.arm))
     # one step tells the split of viscous friction so little that the search may creep along it
     for name, limit in [
         ("motor_inertia", 0.005),
@@ -314,7 +315,7 @@ def test_a_single_joint_under_gravity() -> None:
     names = [(p.name, p.joint) for p in model.parameters]
     assert names.count(("link_inertia", 1)) == 1
     with pytest.raises(NotIdentifiable, match="gravity_torque_1"):
-        tune(records, None, [start], study)
+        tune(records, None, [start], Arm.of(study.arm))
 
 
 def test_a_negative_viscous_friction_starts_positive() -> None:
@@ -322,7 +323,7 @@ def test_a_negative_viscous_friction_starts_positive() -> None:
     joints = list(joint_models(study, known, 0.05, FACTORS))
     values = {**joints[0].values, "link_viscous_friction": -0.1, "motor_viscous_friction": 2.6e-4}
     joints[0] = replace(joints[0], values=values)
-    model = tune(records[:2], rigid_model(study, known, 0.01), joints, study)
+    model = tune(records[:2], rigid_model(study, known, 0.01), joints, Arm.of(study.arm))
     assert model.values["link_viscous_friction", 1] > 0.0
     assert model.values["motor_viscous_friction", 1] > 0.0
     total = next(p for p in model.parameters if p.name == "total_viscous_friction")
@@ -356,7 +357,7 @@ def test_a_parameter_at_the_end_of_its_range_is_told() -> None:
         records[1:2],
         rigid_model(study, known, 0.01),
         joints,
-        study,
+        Arm.of(study.arm),
         TuningOptions(settling=False),
     )
     assert model.status == "at-bounds"
@@ -371,7 +372,7 @@ def test_inertias_that_rest_on_one_at_its_bound_are_at_it_as_well() -> None:
         records[1:2],
         rigid_model(study, known, 0.01),
         joint_models(study, known, 0.0, FACTORS),
-        study,
+        Arm.of(study.arm),
         TuningOptions(settling=False, ranges={"beta": (0.5, 0.9)}),
     )
     assert model.at_bounds == (("beta", None), ("link_inertia", 1), ("link_inertia", 2))
@@ -398,7 +399,7 @@ def test_the_other_options_change_the_outcome() -> None:
     study, known, _ = rig_records()
     friction = ("total_viscous_friction", 1)
     off = [
-        p.value - derived(known, study)[friction]
+        p.value - derived(known, study.arm)[friction]
         for arm in (usual, doubtful)
         for p in arm.parameters
         if (p.name, p.joint) == friction and p.value is not None
@@ -412,22 +413,22 @@ def test_refusals() -> None:
     model = rigid_model(study, known, 0.01)
     checks = [log for log in rig_logs()[1] if log.experiment.use == "check"]
     with pytest.raises(NotIdentifiable, match='use = "frequency", "sweep" or "tuning"'):
-        tune(checks, model, joints, study)
+        tune(checks, model, joints, Arm.of(study.arm))
     with pytest.raises(NotIdentifiable, match='joint 2 has none: record it with use = "frequency"'):
-        tune(records, model, joints[:1], study)
+        tune(records, model, joints[:1], Arm.of(study.arm))
     with pytest.raises(NotIdentifiable, match="needs gamma, which"):
-        tune(records, None, joints, study)
+        tune(records, None, joints, Arm.of(study.arm))
     brief = {name: channel[:60] for name, channel in records[0].channels.items()}
     short = replace(records[0], time=records[0].time[:60], channels=brief)
     with pytest.raises(InvalidInput, match="record at least"):
-        tune([short], model, joints, study)
+        tune([short], model, joints, Arm.of(study.arm))
     # a record that cannot be gone through again is none
     deaf = [
         replace(log, channels={k: x for k, x in log.channels.items() if k != "theta_m1"})
         for log in records
     ]
     with pytest.raises(NotIdentifiable, match="angle and the voltage of every motor"):
-        tune(deaf, model, joints, study)
+        tune(deaf, model, joints, Arm.of(study.arm))
 
 
 def test_a_motor_that_has_not_moved_yet_is_no_obstacle() -> None:
@@ -456,7 +457,7 @@ def test_an_impossible_start_is_replaced(joint: int, name: str, value: float, wh
     joints = list(joint_models(study, known, 0.05, FACTORS))
     wrong = joints[joint - 1]
     joints[joint - 1] = replace(wrong, values={**wrong.values, name: value})
-    model = tune(records, rigid_model(study, known, 0.01), joints, study)
+    model = tune(records, rigid_model(study, known, 0.01), joints, Arm.of(study.arm))
     assert model.status == "converged"
     assert cautions(model, "start-rejected") == [where]
     for key, (relative, deviations) in errors_of(model, known).items():
@@ -473,7 +474,7 @@ def test_a_start_that_nothing_tells_is_refused() -> None:
     wrong = tuple(replace(p, value=-0.6) if p.name == "beta" else p for p in model.parameters)
     upside_down = replace(model, parameters=wrong, solution=np.array([p.value for p in wrong]))
     with pytest.raises(NotIdentifiable, match="signs, units and assignment"):
-        tune(records, upside_down, [joints[0], heavy], study)
+        tune(records, upside_down, [joints[0], heavy], Arm.of(study.arm))
 
 
 @cache
@@ -481,15 +482,17 @@ def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
     """Every stage up to tuning, started from one frequency record a joint."""
     study = read_study(folder / "study.toml")
     records = [logs.read_log(study, e) for e in study.experiments if e.use != "sweep"]
-    motion = [signals.motor_side(r, study) for r in records if r.experiment.use == "motion"]
-    model = rigid.fit(motion, study)
+    motion = [
+        signals.motor_side(r, Arm.of(study.arm)) for r in records if r.experiment.use == "motion"
+    ]
+    model = rigid.fit(motion, Arm.of(study.arm))
     joints: list[JointModel] = []
     for joint in (1, 2):
         log = next(r for r in records if r.name == f"prbs-j{joint}")
-        seen = links.link_side(log, study)
-        alone = decoupling.decouple(seen, model, study)[joint - 1]
-        joints.append(physical.identify_joint([(seen, alone)], model, study))
-    return study, records, tune(records, model, joints, study)
+        seen = links.link_side(log, Arm.of(study.arm))
+        alone = decoupling.decouple(seen, model, Arm.of(study.arm))[joint - 1]
+        joints.append(physical.identify_joint([(seen, alone)], model, Arm.of(study.arm)))
+    return study, records, tune(records, model, joints, Arm.of(study.arm))
 
 
 @pytest.mark.parametrize(
@@ -500,7 +503,7 @@ def test_a_lab_arm(arm: str, inertia: float, damping: float, shared_data: Path) 
     folder = shared_data / "lab" / arm
     study, records, model = lab_model(folder)
     values = read_parameters(folder / "truth.json")
-    known = derived({**values, ("friction_offset", 1): 0.0, ("friction_offset", 2): 0.0}, study)
+    known = derived({**values, ("friction_offset", 1): 0.0, ("friction_offset", 2): 0.0}, study.arm)
     limits: dict[str, float] = {
         **dict.fromkeys(("alpha", "beta", "gamma"), inertia),
         **dict.fromkeys(("motor_inertia", "link_inertia", "gear_stiffness"), inertia),
@@ -516,7 +519,7 @@ def test_a_lab_arm(arm: str, inertia: float, damping: float, shared_data: Path) 
     assert {"alpha", "gear_stiffness", "gear_damping", "motor_coulomb_friction"} <= told
     for log in records:
         if log.experiment.use == "check":
-            fits = validation.predict_elastic(model, log, study).fit_percent
+            fits = validation.predict_elastic(model, log, Arm.of(study.arm)).fit_percent
             excited = [log.experiment.joint] if log.experiment.joint else [1, 2]
             assert min(fits[f"omega_m{joint}"] for joint in excited) > 97.0
 

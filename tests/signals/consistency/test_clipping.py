@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Log, Study
+from strainwave.dynamics.arm import Arm
 from strainwave.signals.consistency import clipping
 
 TIME = np.arange(8000) / 4000.0
@@ -17,7 +18,7 @@ def found(angle: FloatArray) -> list[str]:
     study = Study(arm=ArmDescription("single-joint", (joint,)), experiments=())
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
     log = Log(step, TIME, TIME[1], {"theta_l1": angle})
-    return [each.where for each in clipping.clipped([log], study)]
+    return [each.where for each in clipping.clipped([log], Arm.of(study.arm))]
 
 
 def rounded(angle: FloatArray, counts: int) -> FloatArray:

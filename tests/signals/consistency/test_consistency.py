@@ -12,6 +12,7 @@ import pytest
 from consistency_inputs import Input, changed, delayed
 from strainwave import pipeline
 from strainwave.domain import Suspicion
+from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
@@ -143,7 +144,7 @@ def test_the_rigid_fit_holds_torque_constants_against_each_other(
 def test_right_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
     logs, study = small_arm
     motion = [log for log in logs if log.experiment.use == "motion"]
-    found = rigid.fit([motor_side(log, study) for log in motion], study)
+    found = rigid.fit([motor_side(log, Arm.of(study.arm)) for log in motion], Arm.of(study.arm))
     assert found.torque_ratio is not None
     value, std = found.torque_ratio
     assert abs(value - 1.0) < 4.0 * std + 1e-3

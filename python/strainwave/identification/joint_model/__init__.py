@@ -26,8 +26,8 @@ from strainwave.domain import (
     RecordModel,
     RigidModel,
     StateSpace,
-    Study,
 )
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compared
@@ -118,7 +118,7 @@ class JointFit:
 def identify_joint(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     model: RigidModel | None,
-    study: Study,
+    arm: Arm,
     options: PhysicalOptions | None = None,
     *,
     search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
@@ -130,7 +130,7 @@ def identify_joint(
     records : sequence of (LinkSignals, Decoupled)
         Of one joint, all fitted at once.
     model : RigidModel or None
-    study : Study
+    arm : Arm
     options : PhysicalOptions, optional
     search_from_hz : (float, float)
         The band where the data are first asked for the equations' filter.
@@ -141,13 +141,13 @@ def identify_joint(
         A parameter that the records hardly identify has the value None, and a warning says so; an
         impossible one is reported as it came, with a warning.
     """
-    return fit_joint(records, model, study, options, search_from_hz=search_from_hz).model
+    return fit_joint(records, model, arm, options, search_from_hz=search_from_hz).model
 
 
 def fit_joint(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     model: RigidModel | None,
-    study: Study,
+    arm: Arm,
     options: PhysicalOptions | None = None,
     *,
     search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
@@ -160,11 +160,11 @@ def fit_joint(
     """
     chosen = options or PhysicalOptions()
     number = records[0][1].joint
-    known = rigid_knowledge(model, study, number, [signals for signals, _ in records])
+    known = rigid_knowledge(model, arm, number, [signals for signals, _ in records])
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems, as in the rigid step
-        solved = solve(records, study, known, chosen.band_hz, search_from_hz)
+        solved = solve(records, arm, known, chosen.band_hz, search_from_hz)
         return JointFit(_joint_model(solved), solved)
 
 
@@ -173,7 +173,7 @@ def _joint_model(solved: Solved) -> JointModel:
     names = tuple(signals.experiment.name for signals, _ in solved.records)
     values = _values(fit)
     covariance = _with_delay(fit.covariance, values, solved.records, number)
-    said = values, covariance, fit.determined, solved.study.arm.joints[number - 1], number
+    said = values, covariance, fit.determined, solved.arm.joints[number - 1], number
     warnings = tuple(cautions_of(*said, ", ".join(names)))
     return JointModel(
         joint=number,
@@ -195,7 +195,7 @@ def identify_record(
     signals: LinkSignals,
     decoupled: Decoupled,
     model: RigidModel | None,
-    study: Study,
+    arm: Arm,
     options: RecordOptions | None = None,
     together: JointFit | None = None,
     near: StateSpace | None = None,
@@ -208,7 +208,7 @@ def identify_record(
     decoupled : Decoupled
         Of that joint.
     model : RigidModel or None
-    study : Study
+    arm : Arm
     options : RecordOptions, optional
     together : JointFit, optional
         From `fit_joint` of several records, from which this one can start; at once, if it is one
@@ -238,7 +238,7 @@ def identify_record(
         # it looks first where all together ring
         first = FIRST_BAND_HZ if together is None else together.model.band_hz
         pair = [(signals, decoupled)]
-        return identify_joint(pair, model, study, chosen.physical, search_from_hz=first)
+        return identify_joint(pair, model, arm, chosen.physical, search_from_hz=first)
 
     by_equations = chosen.physical.route == "equations"
     physical = tried("grey-box-failed", grey_box) if by_equations else None
@@ -256,7 +256,7 @@ def identify_record(
         check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
         transfer = tried(
             "transfer-function-failed",
-            lambda: _by_transfer([decoupled], found, model, study, chosen),
+            lambda: _by_transfer([decoupled], found, model, arm, chosen),
         )
     return RecordModel(
         decoupled, physical, linear, modes, transfer, check, warnings=tuple(warnings)
@@ -276,7 +276,7 @@ def _in_known_band(
 def joint_by_transfer(
     records: Sequence[Decoupled],
     model: RigidModel | None,
-    study: Study,
+    arm: Arm,
     options: RecordOptions | None = None,
 ) -> JointModel:
     """Physical parameters of one joint by the paper's route, (15) to (18).
@@ -286,7 +286,7 @@ def joint_by_transfer(
     records : sequence of Decoupled
         Of one joint; one state-space model is fitted to all of them.
     model : RigidModel or None
-    study : Study
+    arm : Arm
     options : RecordOptions, optional
 
     Returns
@@ -303,14 +303,14 @@ def joint_by_transfer(
     chosen = options or RecordOptions()
     with one_blas_thread():
         found = state_space_of(records, physical_order(chosen.linear))
-        return _by_transfer(records, found, model, study, chosen)
+        return _by_transfer(records, found, model, arm, chosen)
 
 
 def _by_transfer(
     records: Sequence[Decoupled],
     found: StateSpace,
     model: RigidModel | None,
-    study: Study,
+    arm: Arm,
     options: RecordOptions,
 ) -> JointModel:
     """What a state-space model says of the joint, with what the rigid model knows if wanted.
@@ -320,9 +320,9 @@ def _by_transfer(
     """
     found = _of_physical_order(records, found, options.linear)
     modes = modes_of(found)
-    known = rigid_knowledge(model if options.physical.use_rigid else None, study, records[0].joint)
+    known = rigid_knowledge(model if options.physical.use_rigid else None, arm, records[0].joint)
     others = _in_other_bands(records, found, modes, options.linear)
-    return from_state_space(found, records, study, known, others)
+    return from_state_space(found, records, arm, known, others)
 
 
 def _of_physical_order(

@@ -24,7 +24,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from strainwave.domain import Decoupled, FloatArray, IntArray, LinkSignals, Study
+from strainwave.domain import Decoupled, FloatArray, IntArray, LinkSignals
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import (
     NAMES,
     TwoInertia,
@@ -128,7 +129,7 @@ class Solved:
     """One joint's equations in a band, solved, and in those beside it."""
 
     records: tuple[tuple[LinkSignals, Decoupled], ...]
-    study: Study
+    arm: Arm
     known: RigidKnowledge
     band: tuple[float, float]
     own: _Weighted
@@ -166,15 +167,15 @@ class Solved:
         own = _settled(self.own.of_record(k, known), known, _SETTLED)
         better = _band_around(_joint_of(own), record, self.band)
         if not same_band(self.band, better, _SAME_BAND):
-            return solve(record, self.study, known, search_from_hz=self.band)
+            return solve(record, self.arm, known, search_from_hz=self.band)
         shown = _settled(self.as_it_shows.of_record(k, known), known, _NEARLY)
         beside = [_settled(each.of_record(k, known), known, _NEARLY) for each in self.beside]
-        return Solved(record, self.study, known, self.band, own, shown, tuple(beside))
+        return Solved(record, self.arm, known, self.band, own, shown, tuple(beside))
 
 
 def solve(
     records: Sequence[tuple[LinkSignals, Decoupled]],
-    study: Study,
+    arm: Arm,
     known: RigidKnowledge,
     band_hz: tuple[float, float] | None = None,
     search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
@@ -185,7 +186,7 @@ def solve(
     ----------
     records : sequence of (LinkSignals, Decoupled)
         Of one joint.
-    study : Study
+    arm : Arm
     known : RigidKnowledge
     band_hz : (float, float), optional
         Of the equations' filter; None: from the resonances found.
@@ -208,41 +209,41 @@ def solve(
                 "torsion is not measured"
             )
     if band_hz:
-        band, equations = band_hz, _equations(records, study, known, band_hz)
+        band, equations = band_hz, _equations(records, arm, known, band_hz)
     else:
-        part = _found_in_part(records, study, known, search_from_hz)
-        band, equations = part or _found(records, study, known, search_from_hz)
+        part = _found_in_part(records, arm, known, search_from_hz)
+        band, equations = part or _found(records, arm, known, search_from_hz)
     own = _settled(equations, known, _SETTLED)
     shown = _settled(_as_it_shows(own, known), known, _NEARLY)
     beside = []
     for low, high in () if band_hz else _other_bands(band):
-        other = _equations(records, study, known, _possible(low, high, records), own)
+        other = _equations(records, arm, known, _possible(low, high, records), own)
         beside.append(_settled(other, known, _NEARLY))
-    return Solved(tuple(records), study, known, band, own, shown, tuple(beside))
+    return Solved(tuple(records), arm, known, band, own, shown, tuple(beside))
 
 
 def _found(
     records: Sequence[tuple[LinkSignals, Decoupled]],
-    study: Study,
+    arm: Arm,
     known: RigidKnowledge,
     search_from_hz: tuple[float, float],
 ) -> tuple[tuple[float, float], _Weighted]:
     """The band around the resonances, round by round, and the equations in it."""
     band = _possible(*search_from_hz, records)
-    equations = _equations(records, study, known, band)
+    equations = _equations(records, arm, known, band)
     for _ in range(_BANDS - 1):
         equations = _settled(equations, known, _ROUGHLY)
         better = _band_around(_joint_of(equations), records, band)
         if same_band(band, better, _SAME_BAND):
             break
         band = better
-        equations = _equations(records, study, known, band, equations)
+        equations = _equations(records, arm, known, band, equations)
     return band, equations
 
 
 def _found_in_part(
     records: Sequence[tuple[LinkSignals, Decoupled]],
-    study: Study,
+    arm: Arm,
     known: RigidKnowledge,
     search_from_hz: tuple[float, float],
 ) -> tuple[tuple[float, float], _Weighted] | None:
@@ -254,8 +255,8 @@ def _found_in_part(
     if all(len(signals.time) <= _SEARCHED for signals, _ in records):
         return None
     middle = [(_middle(signals), _middle(joint)) for signals, joint in records]
-    band, near = _found(middle, study, known, search_from_hz)
-    equations = _settled(_equations(records, study, known, band, near), known, _ROUGHLY)
+    band, near = _found(middle, arm, known, search_from_hz)
+    equations = _settled(_equations(records, arm, known, band, near), known, _ROUGHLY)
     better = _band_around(_joint_of(equations), records, band)
     return (band, equations) if same_band(band, better, _SAME_BAND) else None
 
@@ -351,10 +352,10 @@ def _band_around(
 
 
 def _piece(
-    signals: LinkSignals, decoupled: Decoupled, study: Study, band: tuple[float, float]
+    signals: LinkSignals, decoupled: Decoupled, arm: Arm, band: tuple[float, float]
 ) -> _Piece:
     i, T = decoupled.joint - 1, signals.sample_time
-    n = study.arm.joints[i].gear_ratio
+    n = arm.joints[i].gear_ratio
     low, high = band
     reach = int(1.5 / (low * T))
     reach = min(reach, len(signals.time) // 4)
@@ -397,13 +398,13 @@ def _piece(
 
 def _equations(
     records: Sequence[tuple[LinkSignals, Decoupled]],
-    study: Study,
+    arm: Arm,
     known: RigidKnowledge,
     band: tuple[float, float],
     near: _Weighted | None = None,
 ) -> _Weighted:
     """In one band: around the solution in another, where there is one, and weighted as there."""
-    pieces = tuple(_piece(signals, joint, study, band) for signals, joint in records)
+    pieces = tuple(_piece(signals, joint, arm, band) for signals, joint in records)
     if near is None:
         x = _start(pieces)
         equations = _assemble(pieces, known, x)

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import FloatArray, LinkSignals, RigidModel, Study
+from strainwave.domain import FloatArray, LinkSignals, RigidModel
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_variations, interaction_torques
 from strainwave.identification.joint_model.grey_box import RigidError, RigidKnowledge
 
@@ -14,14 +15,14 @@ _Sum = dict[tuple[str, int | None], float]
 
 
 def rigid_knowledge(
-    model: RigidModel | None, study: Study, joint: int, records: Sequence[LinkSignals] = ()
+    model: RigidModel | None, arm: Arm, joint: int, records: Sequence[LinkSignals] = ()
 ) -> RigidKnowledge:
     """c_1, c_0 and f of one joint, each with its deviation, as the rigid model gives them.
 
     Parameters
     ----------
     model : RigidModel or None
-    study : Study
+    arm : Arm
     joint : int
         From 1.
     records : sequence of LinkSignals
@@ -34,17 +35,17 @@ def rigid_knowledge(
     """
     if model is None:
         return RigidKnowledge(None, None, None)
-    weights = [_weight(model, part) for part in _parts(study, joint)]
+    weights = [_weight(model, part) for part in _parts(arm, joint)]
     known = [_sum(model, weight) for weight in weights]
-    errors = tuple(_errors(model, study, joint, records, weights)) if records else ()
+    errors = tuple(_errors(model, arm, joint, records, weights)) if records else ()
     return RigidKnowledge(known[0], known[1], known[2], errors)
 
 
-def _parts(study: Study, joint: int) -> tuple[_Sum, _Sum, _Sum]:
+def _parts(arm: Arm, joint: int) -> tuple[_Sum, _Sum, _Sum]:
     """c_1, c_0 and f as weighted sums of the rigid model's parameters."""
-    n2 = study.arm.joints[joint - 1].gear_ratio ** 2
+    n2 = arm.joints[joint - 1].gear_ratio ** 2
     inertia: _Sum
-    if study.arm.n_joints == 1:
+    if arm.n_joints == 1:
         inertia = {("inertia", 1): 1.0}
     elif joint == 1:
         inertia = {("rigid_inertia", 1): n2, ("beta", None): n2, ("gamma", None): 2.0 * n2}
@@ -77,15 +78,15 @@ def _sum(model: RigidModel, weight: FloatArray | None) -> tuple[float, float] | 
 
 def _errors(
     model: RigidModel,
-    study: Study,
+    arm: Arm,
     joint: int,
     records: Sequence[LinkSignals],
     weights: Sequence[FloatArray | None],
 ) -> Iterator[RigidError]:
     """Directions in which tau is uncertain, with what else moves along with them on average."""
-    if study.arm.n_joints == 1 and study.arm.gravity is None:
+    if arm.n_joints == 1 and arm.gravity is None:
         return
-    variations = base_variations(model, study)
+    variations = base_variations(model, arm)
     used = np.flatnonzero(variations.any(axis=0))
     used = used[np.diag(model.covariance)[used] > 0.0]  # not NaN either
     size = np.sqrt(np.diag(model.covariance)[used])
@@ -102,7 +103,7 @@ def _errors(
         base = variations @ change
         moves = [0.0 if weight is None else float(weight @ change) for weight in weights]
         tau = tuple(
-            interaction_torques(study, base, s.link_angle, s.link_velocity, s.link_acceleration)[
+            interaction_torques(arm, base, s.link_angle, s.link_velocity, s.link_acceleration)[
                 :, joint - 1
             ]
             for s in records

@@ -21,8 +21,8 @@ from strainwave.domain import (
     JointModel,
     Mode,
     StateSpace,
-    Study,
 )
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import (
     NAMES,
     TwoInertia,
@@ -68,7 +68,7 @@ class _Pairs:
 def from_state_space(
     model: StateSpace,
     records: Decoupled | Sequence[Decoupled],
-    study: Study,
+    arm: Arm,
     known: RigidKnowledge,
     others: Sequence[StateSpace] = (),
 ) -> JointModel:
@@ -80,7 +80,7 @@ def from_state_space(
         From `state_space_of`; of more than three states, the least damped pairs are taken.
     records : Decoupled or sequence of Decoupled
         What it was estimated from.
-    study : Study
+    arm : Arm
     known : RigidKnowledge
         c_0 and c_1 for (18). Where they are not known, the model's own are taken, (17).
     others : sequence of StateSpace
@@ -102,7 +102,7 @@ def from_state_space(
     joint_records = (records,) if isinstance(records, Decoupled) else tuple(records)
     number, ratio = joint_records[0].joint, joint_records[0].gear_ratio
     names = tuple(record.experiment.name for record in joint_records)
-    joint, where = study.arm.joints[number - 1], ", ".join(names)
+    joint, where = arm.joints[number - 1], ", ".join(names)
     nominal = _pairs(model, None)
     vector, scatter = _propagated(model, nominal)
     if scatter is None:

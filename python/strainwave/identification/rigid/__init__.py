@@ -23,10 +23,9 @@ from strainwave.domain import (
     RigidModel,
     RigidOptions,
     Signals,
-    Study,
 )
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
-from strainwave.dynamics.rigid_regressor import columns_of
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
     MOTOR_SHARE,
@@ -102,16 +101,14 @@ class _Trial:
         return float(np.max(deviation * self.factor.scale)) / torque
 
 
-def fit(
-    signals: Sequence[Signals], study: Study, options: RigidOptions | None = None
-) -> RigidModel:
+def fit(signals: Sequence[Signals], arm: Arm, options: RigidOptions | None = None) -> RigidModel:
     """Identify the rigid-joint arm from motion records.
 
     Parameters
     ----------
     signals : sequence of Signals
         One per record, from `signals.motor_side`.
-    study : Study
+    arm : Arm
     options : RigidOptions, optional
 
     Returns
@@ -129,45 +126,45 @@ def fit(
             'the rigid step needs a record with use = "motion": slow, smooth motion of all joints'
         )
     with one_blas_thread():  # hundreds of small factorisations
-        return _fit(signals, study, options or RigidOptions())
+        return _fit(signals, arm, options or RigidOptions())
 
 
-def _fit(signals: Sequence[Signals], study: Study, chosen: RigidOptions) -> RigidModel:
+def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidModel:
     motions = [(s, period_of(s)) for s in signals]
     if chosen.bandwidth_hz is not None:
-        trials = [_trial(study, _prepared(study, motions, chosen.bandwidth_hz), None)]
+        trials = [_trial(arm, _prepared(arm, motions, chosen.bandwidth_hz), None)]
     else:
-        trials = _search(motions, study)
-    best = _choose(trials, study)
-    loaded = _loaded(study, best, chosen.load_friction)
+        trials = _search(motions, arm)
+    best = _choose(trials, arm)
+    loaded = _loaded(arm, best, chosen.load_friction)
     if loaded:
         near = [best, *_neighbours(trials, best)]
-        best, *near = trials = [_with_loads(study, trial, loaded) for trial in near]
-    remainder = _scatter(trials, best) + _elastic_remainder(study, best)
+        best, *near = trials = [_with_loads(arm, trial, loaded) for trial in near]
+    remainder = _scatter(trials, best) + _elastic_remainder(arm, best)
     covariance = best.covariance + np.diag(remainder)
-    model = _model(study, best, covariance, _load_friction(trials, best, loaded))
-    return replace(model, torque_ratio=_torque_ratio(study, trials, best))
+    model = _model(arm, best, covariance, _load_friction(trials, best, loaded))
+    return replace(model, torque_ratio=_torque_ratio(arm, trials, best))
 
 
-def _loaded(study: Study, best: _Trial, wanted: bool | None) -> list[int]:
+def _loaded(arm: Arm, best: _Trial, wanted: bool | None) -> list[int]:
     """The joints whose friction grows with the load, from 0.
 
     All that are wanted; otherwise those whose share stands far out of its deviation and leaves the
     joint possible: a share beside negative friction explains something else. Behind an elastic gear
     the load is not known well enough, and friction is the whole-arm fit's.
     """
-    every = list(range(study.arm.n_joints))
-    if n_compliances(study) or wanted is False or not best.determined.all():
+    every = list(range(arm.n_joints))
+    if n_compliances(arm) or wanted is False or not best.determined.all():
         return []
     if wanted:
         return every
     loads = Loads.of(every, best.stretches)
-    once = ls.factorise(assemble(study, best.stretches, best.estimate, loads), best.factor.root)
+    once = ls.factorise(assemble(arm, best.stretches, best.estimate, loads), best.factor.root)
     if np.all(once.common <= _LEAST_SHARE):  # as of most arms; the rest takes many times as long
         return []
-    trial = _with_loads(study, best, every)
+    trial = _with_loads(arm, best, every)
     share, deviation = trial.factor.common, trial.compliance_deviation
-    impossible = {columns_of(study)[k].joint for k in _impossible(study, trial)}
+    impossible = {arm.rigid_columns[k].joint for k in _impossible(arm, trial)}
     return [
         k
         for k in every
@@ -175,21 +172,21 @@ def _loaded(study: Study, best: _Trial, wanted: bool | None) -> list[int]:
     ]
 
 
-def _impossible(study: Study, trial: _Trial) -> list[int]:
+def _impossible(arm: Arm, trial: _Trial) -> list[int]:
     """Parameters that are negative beyond their uncertainty, though nothing makes them so."""
     return [
         k
-        for k, column in enumerate(columns_of(study))
+        for k, column in enumerate(arm.rigid_columns)
         if trial.determined[k]
         and not column.name.startswith(("gravity", "friction_offset"))
         and trial.estimate.solution[k] + 2.0 * np.sqrt(trial.covariance[k, k]) < 0.0
     ]
 
 
-def _with_loads(study: Study, trial: _Trial, joints: Sequence[int]) -> _Trial:
+def _with_loads(arm: Arm, trial: _Trial, joints: Sequence[int]) -> _Trial:
     """A fit at the same bandwidth in which friction may grow with the load."""
     loads = Loads.of(joints, trial.stretches)
-    return _trial(study, trial.stretches, trial.estimate, loads=loads)
+    return _trial(arm, trial.stretches, trial.estimate, loads=loads)
 
 
 def _load_friction(
@@ -215,17 +212,15 @@ def _load_warning(share: Parameter) -> Diagnostic:
     return Diagnostic("load-friction", f"joint {share.joint}", text)
 
 
-def _torque_ratio(
-    study: Study, trials: Sequence[_Trial], best: _Trial
-) -> tuple[float, float] | None:
+def _torque_ratio(arm: Arm, trials: Sequence[_Trial], best: _Trial) -> tuple[float, float] | None:
     """Joint 1's torque constant over joint 2's, as the data have it and as the study has it.
 
     The deviation counts what the neighbouring bandwidths differ by, like the parameters' own.
     """
-    found = _torque_ratio_at(study, best)
+    found = _torque_ratio_at(arm, best)
     if found is None:  # where the motion cannot say, neither can it in another band
         return None
-    others = [_torque_ratio_at(study, t) for t in _neighbours(trials, best)]
+    others = [_torque_ratio_at(arm, t) for t in _neighbours(trials, best)]
     excess = [
         max(0.0, (other.value - found.value) ** 2 - other.variance)
         for other in others
@@ -235,25 +230,25 @@ def _torque_ratio(
     return 1.0 / found.value, float(np.sqrt(variance)) / found.value**2
 
 
-def _torque_ratio_at(study: Study, trial: _Trial) -> TorqueRatio | None:
+def _torque_ratio_at(arm: Arm, trial: _Trial) -> TorqueRatio | None:
     # behind the compliances, shares of the load: no equation is built around these
-    n, n_common = n_compliances(study), trial.equations.common.shape[1]
+    n, n_common = n_compliances(arm), trial.equations.common.shape[1]
     around = np.pad(trial.estimate.compliance[:n], (0, n_common - n))
-    return torque_ratio(study, trial.equations, trial.factor.root, around)
+    return torque_ratio(arm, trial.equations, trial.factor.root, around)
 
 
-def _search(motions: Sequence[_Motion], study: Study) -> list[_Trial]:
+def _search(motions: Sequence[_Motion], arm: Arm) -> list[_Trial]:
     """Trials at rising bandwidths, while they gain and the arm still looks nearly rigid."""
     trials: list[_Trial] = []
-    least, since = np.full(len(columns_of(study)), np.inf), 0
-    stiff = n_compliances(study) == 0
+    least, since = np.full(len(arm.rigid_columns), np.inf), 0
+    stiff = n_compliances(arm) == 0
     for bandwidth in _bandwidths(motions, _STEP ** (2 if stiff else 1)):
-        limits = [_surely_elastic(study, trial) for trial in trials[-2:]]
+        limits = [_surely_elastic(arm, trial) for trial in trials[-2:]]
         if len(limits) > 1 and bandwidth > max(limits):  # one trial alone may mistake its band
             break
-        stretches = _prepared(study, motions, bandwidth)
+        stretches = _prepared(arm, motions, bandwidth)
         around = carried(trials[-1].estimate, trials[-1].stretches, stretches) if trials else None
-        trial = _trial(study, stretches, around)
+        trial = _trial(arm, stretches, around)
         trials.append(trial)
         gained = bool(np.any(trial.spread < least - _GAIN))
         since = 0 if gained else since + 1
@@ -263,19 +258,19 @@ def _search(motions: Sequence[_Motion], study: Study) -> list[_Trial]:
     return trials
 
 
-def _surely_elastic(study: Study, trial: _Trial) -> float:
+def _surely_elastic(arm: Arm, trial: _Trial) -> float:
     """Bandwidth above which the arm's elasticity is certainly more than first order.
 
     A trial that leaves a parameter vague, as low bandwidths do, may take anything for compliance;
     and one whose blocks are shorter than its errors are alike does not know how vague it is.
     """
-    blocks = len(np.unique(trial.equations.block)) * study.arm.n_joints
+    blocks = len(np.unique(trial.equations.block)) * arm.n_joints
     unsure = trial.vagueness > _VAGUE or len(trial.equations.target) < _ROWS_A_BLOCK * blocks
-    if not n_compliances(study) or unsure:
+    if not n_compliances(arm) or unsure:
         return np.inf
     certain = np.clip(trial.estimate.compliance - 2.0 * trial.compliance_deviation, 0.0, None)
     sure = replace(trial.estimate, compliance=certain)
-    return float(np.min(anti_resonances(study, sure))) / _BELOW_RESONANCE
+    return float(np.min(anti_resonances(arm, sure))) / _BELOW_RESONANCE
 
 
 def _bandwidths(motions: Sequence[_Motion], step: float) -> Iterator[float]:
@@ -304,23 +299,23 @@ def _motion_band(signals: Signals) -> float:
     return highest
 
 
-def _prepared(study: Study, motions: Sequence[_Motion], bandwidth_hz: float) -> tuple[Stretch, ...]:
-    return tuple(prepare(study, s, bandwidth_hz, period) for s, period in motions)
+def _prepared(arm: Arm, motions: Sequence[_Motion], bandwidth_hz: float) -> tuple[Stretch, ...]:
+    return tuple(prepare(arm, s, bandwidth_hz, period) for s, period in motions)
 
 
 def _trial(
-    study: Study,
+    arm: Arm,
     stretches: tuple[Stretch, ...],
     around: Estimate | None,
     motor_share: float = MOTOR_SHARE,
     loads: Loads | None = None,
 ) -> _Trial:
     """Fit at one bandwidth: parameters, compliances and weights in turn until nothing moves."""
-    equations = assemble(study, stretches, around, loads)
+    equations = assemble(arm, stretches, around, loads)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.first_weights(equations.target, equations.group)
-    last = np.zeros(len(columns_of(study)))
+    last = np.zeros(len(arm.rigid_columns))
     for rounds in range(_ROUNDS):
         factor = ls.factorise(equations, root)
         before = factor.value if around is None else around.solution
@@ -329,16 +324,16 @@ def _trial(
         known = factor.deviation > 0.0  # others stay where they are
         step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
         settled = rounds > 1 and np.all(moved <= _CONVERGED * factor.deviation)
-        found = estimate_of(study, stretches, equations, factor, motor_share)
+        found = estimate_of(arm, stretches, equations, factor, motor_share)
         if around is not None and step @ last < 0.0 and not settled:  # to and fro
             found = halfway(around, found)
         around, last = found, step
         if settled:
             break
         root = ls.root_weights(equations, factor)
-        equations = assemble(study, stretches, around, loads)
+        equations = assemble(arm, stretches, around, loads)
     covariance, compliance_variance = ls.jackknife(equations, factor)
-    told = ls.determined(equations, factor, covariance) & _tells_friction(study, stretches)
+    told = ls.determined(equations, factor, covariance) & _tells_friction(arm, stretches)
     deviation = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None
     return _Trial(
@@ -353,13 +348,13 @@ def _trial(
     )
 
 
-def _tells_friction(study: Study, stretches: Sequence[Stretch]) -> BoolArray:
+def _tells_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
     """False for Coulomb friction and offset of a joint that never slides both ways.
 
     What little its edges seem to tell of them is the prior on friction at rest, not data.
     """
-    told = np.ones(len(columns_of(study)), dtype=bool)
-    for k, column in enumerate(columns_of(study)):
+    told = np.ones(len(arm.rigid_columns), dtype=bool)
+    for k, column in enumerate(arm.rigid_columns):
         if column.joint is not None and column.name in (
             "motor_coulomb_friction",
             "friction_offset",
@@ -373,7 +368,7 @@ def _tells_friction(study: Study, stretches: Sequence[Stretch]) -> BoolArray:
     return told
 
 
-def _elastic_remainder(study: Study, best: _Trial) -> FloatArray:
+def _elastic_remainder(arm: Arm, best: _Trial) -> FloatArray:
     """Variance from what the first order of elasticity leaves out.
 
     Two things: the motor's share of the first inertia, taken as one half, is changed to what is
@@ -384,28 +379,22 @@ def _elastic_remainder(study: Study, best: _Trial) -> FloatArray:
     -------
     (n_parameters,)
     """
-    ratio = best.bandwidth_hz / float(np.min(anti_resonances(study, best.estimate)))
+    ratio = best.bandwidth_hz / float(np.min(anti_resonances(arm, best.estimate)))
     if ratio == 0.0:
         return np.zeros(len(best.covariance))
     here = best.estimate.solution
-    stiff = replace(
-        study,
-        arm=replace(
-            study.arm,
-            joints=tuple(replace(j, spring="rigid", effects=()) for j in study.arm.joints),
-        ),
-    )
+    stiff = arm.with_joints(replace(j, spring="rigid", effects=()) for j in arm.joints)
     rigid, other = side_by_side(
         [
             partial(_trial, stiff, best.stretches, best.estimate),
-            partial(_trial, study, best.stretches, best.estimate, OTHER_SHARE),
+            partial(_trial, arm, best.stretches, best.estimate, OTHER_SHARE),
         ]
     )
     next_order = (here - rigid.estimate.solution) * ratio**2
     return np.asarray(next_order**2 + (here - other.estimate.solution) ** 2)
 
 
-def _choose(trials: Sequence[_Trial], study: Study) -> _Trial:
+def _choose(trials: Sequence[_Trial], arm: Arm) -> _Trial:
     """The bandwidth at which no parameter is much less certain than it might be.
 
     The regret of a bandwidth is the largest ratio of a deviation there to that parameter's least.
@@ -416,7 +405,7 @@ def _choose(trials: Sequence[_Trial], study: Study) -> _Trial:
     least = spread.min(axis=0)
     told = np.isfinite(least)
     regret = np.max(spread[:, told] - least[told], axis=1, initial=0.0)
-    if all(joint.spring == "rigid" for joint in study.arm.joints):
+    if all(joint.spring == "rigid" for joint in arm.joints):
         return trials[int(np.argmin(regret))]
     return trials[int(np.argmax(regret <= regret.min() + _GAIN))]
 
@@ -448,10 +437,10 @@ def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
 
 
 def _model(
-    study: Study, best: _Trial, covariance: FloatArray, shares: tuple[Parameter, ...]
+    arm: Arm, best: _Trial, covariance: FloatArray, shares: tuple[Parameter, ...]
 ) -> RigidModel:
     """The record of a fit: what was not told becomes None."""
-    columns = columns_of(study)
+    columns = arm.rigid_columns
     told = best.determined
     deviation = np.sqrt(np.diag(covariance))
     n_blocks = len(np.unique(best.equations.block))
@@ -480,7 +469,7 @@ def _model(
         covariance=covariance * np.outer(unknown, unknown),
         condition_number=best.factor.condition_number,
         fit_percent={
-            s.signals.experiment.name: _fits(study, best, s, shares) for s in best.stretches
+            s.signals.experiment.name: _fits(arm, best, s, shares) for s in best.stretches
         },
         bandwidth_hz=best.bandwidth_hz,
         decimation=max(
@@ -488,7 +477,7 @@ def _model(
         ),
         n_rows=len(best.equations.target),
         status=status,
-        warnings=(*_warnings(study, best), *(_load_warning(share) for share in shares)),
+        warnings=(*_warnings(arm, best), *(_load_warning(share) for share in shares)),
         load_friction=shares,
     )
 
@@ -499,21 +488,21 @@ def _student(degrees: int) -> float:
 
 
 def _fits(
-    study: Study, best: _Trial, stretch: Stretch, shares: tuple[Parameter, ...]
+    arm: Arm, best: _Trial, stretch: Stretch, shares: tuple[Parameter, ...]
 ) -> dict[str, float]:
     """Fit of each torque of a fitted record, within the model's band."""
     solution, band = best.estimate.solution, best.bandwidth_hz
-    fits = band_fit(study, solution, stretch.signals, band, shares)
+    fits = band_fit(arm, solution, stretch.signals, band, shares)
     return dict(zip(stretch.signals.torque_channel, fits.tolist(), strict=True))
 
 
-def _warnings(study: Study, best: _Trial) -> Iterator[Diagnostic]:
+def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
     """What the reader must know: unknowns not told, motors that stand, motion too fast."""
-    columns = columns_of(study)
+    columns = arm.rigid_columns
     names = ", ".join(s.signals.experiment.name for s in best.stretches)
     for k, column in enumerate(columns):
         if not best.determined[k]:
-            yield Diagnostic("not-identifiable", str(column), _why(study, best, k))
+            yield Diagnostic("not-identifiable", str(column), _why(arm, best, k))
     for stretch in best.stretches:
         stands = (stretch.signals.direction == 0.0).mean(axis=0)
         for i, share in enumerate(stands):
@@ -528,7 +517,7 @@ def _warnings(study: Study, best: _Trial) -> Iterator[Diagnostic]:
         involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weak > 0.3))
         text = f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
         yield Diagnostic("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
-    for k in _impossible(study, best):
+    for k in _impossible(arm, best):
         text = (
             f"{best.estimate.solution[k]:.3g} {columns[k].unit} is negative beyond its uncertainty:"
         )
@@ -540,16 +529,16 @@ def _warnings(study: Study, best: _Trial) -> Iterator[Diagnostic]:
         text = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
         text += " deviations; record a longer or livelier motion"
         yield Diagnostic("not-settled", names, text)
-    limit = _surely_elastic(study, best)
+    limit = _surely_elastic(arm, best)
     if best.bandwidth_hz > limit:
         text = f"the gears' compliance shows at {_BELOW_RESONANCE * limit:.1f} Hz, too near to the"
         text += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
         yield Diagnostic("not-rigid", names, text)
 
 
-def _why(study: Study, best: _Trial, unknown: int) -> str:
+def _why(arm: Arm, best: _Trial, unknown: int) -> str:
     """Why one parameter could not be told, and what to record."""
-    columns = columns_of(study)
+    columns = arm.rigid_columns
     column = columns[unknown]
     joint = column.joint
     moving = [s.signals.direction for s in best.stretches]
@@ -561,9 +550,7 @@ def _why(study: Study, best: _Trial, unknown: int) -> str:
         if one_way and column.name in ("motor_coulomb_friction", "friction_offset"):
             text = f"joint {joint} moves in one direction only, so that Coulomb friction and offset"
             return f"{text} are not separately identifiable; record motion in both directions"
-    still = [
-        str(i + 1) for i in range(study.arm.n_joints) if not any(np.any(d[:, i]) for d in moving)
-    ]
+    still = [str(i + 1) for i in range(arm.n_joints) if not any(np.any(d[:, i]) for d in moving)]
     if still:
         return f"joint {', '.join(still)} does not move; {_REMEDY}"
     others = [str(columns[k]) for k in _companions(best, unknown)]

@@ -13,14 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, IntArray, Signals, Study
-from strainwave.dynamics.rigid_regressor import (
-    FRICTION_COLUMNS,
-    body_regressor,
-    columns_of,
-    gear_ratios,
-    n_body,
-)
+from strainwave.domain import BoolArray, FloatArray, IntArray, Signals
+from strainwave.domain.combinations import FRICTION_COLUMNS
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
@@ -121,12 +116,12 @@ def _reach(sample_time: float, bandwidth_hz: float) -> int:
     return int(_REACH / (bandwidth_hz * sample_time))
 
 
-def prepare(study: Study, signals: Signals, bandwidth_hz: float, period: float) -> Stretch:
+def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> Stretch:
     """Filter and decimate one record's torque, friction columns and free friction.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     signals : Signals
     bandwidth_hz : float [Hz]
     period : float [samples]
@@ -145,7 +140,7 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float, period: float) 
     moments = np.arange(reach % step, n_samples, step)  # of the motion
     kernel = _impulse_response(bandwidth_hz, T)
     wider = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
-    elastic = n_compliances(study) > 0
+    elastic = n_compliances(arm) > 0
     keep, standing, free = [], [], []
     for i in range(n_joints):
         keep.append(_clear_of(~signals.valid[:, i], int(of_cutoff / 2))[rows])
@@ -181,7 +176,7 @@ def prepare(study: Study, signals: Signals, bandwidth_hz: float, period: float) 
         friction=passed[:, :, 1:],
         standing=tuple(standing),
         free=tuple(free),
-        noise=_column_noise(study, signals, bandwidth_hz),
+        noise=_column_noise(arm, signals, bandwidth_hz),
         period=period,
     )
 
@@ -245,14 +240,14 @@ class Loads:
             directions.append(low_pass(one.signals.direction, cutoff, T, kept=kept))
         return Loads(tuple(joints), tuple(directions))
 
-    def columns(self, study: Study, stretch: Stretch, record: int, around: Estimate) -> FloatArray:
+    def columns(self, arm: Arm, stretch: Stretch, record: int, around: Estimate) -> FloatArray:
         """What friction in proportion to the load is per share: (n_rows, n_joints, n_loads).
 
         Its size is that of the body's torque as the estimate has it, which the friction itself
         does not enter.
         """
-        q, dq, ddq = (x * gear_ratios(study) for x in stretch.motion)
-        body = body_regressor(study, q, dq, ddq) @ around.solution[: n_body(study)]
+        q, dq, ddq = (x * arm.gear_ratios for x in stretch.motion)
+        body = arm.rigid_regressor(q, dq, ddq) @ around.solution[: arm.n_body]
         dry = stretch.filtered(np.abs(body) * self.direction[record])
         own = np.zeros((*dry.shape, len(self.joints)))
         for k, joint in enumerate(self.joints):
@@ -261,7 +256,7 @@ class Loads:
 
 
 def assemble(
-    study: Study,
+    arm: Arm,
     stretches: Sequence[Stretch],
     around: Estimate | None,
     loads: Loads | None = None,
@@ -274,7 +269,7 @@ def assemble(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     stretches : sequence of Stretch
     around : Estimate or None
         None: rigid, free friction as large as the torque, and independent of the load.
@@ -285,20 +280,20 @@ def assemble(
     -------
     Equations
     """
-    elastic = np.array([joint.spring != "rigid" for joint in study.arm.joints])
-    n_elastic = n_compliances(study) if around is not None else 0
+    elastic = np.array([joint.spring != "rigid" for joint in arm.joints])
+    n_elastic = n_compliances(arm) if around is not None else 0
     total = sum(s.duration for s in stretches)
-    n_shared, n_of_body = len(columns_of(study)), n_body(study)
+    n_shared, n_of_body = len(arm.rigid_columns), arm.n_body
     shared, common, local, target, group, block = [], [], [], [], [], []
     deviation: list[float] = []
     first_block = at = 0
     for record, stretch in enumerate(stretches):
-        body, lags, torque = _body_equations(study, stretch, around, record, elastic)
+        body, lags, torque = _body_equations(arm, stretch, around, record, elastic)
         n_blocks = max(2, round(_BLOCKS * stretch.duration / total))
         label = first_block + stretch.blocks(n_blocks)
-        dry = np.zeros((len(lags), study.arm.n_joints, 0))
+        dry = np.zeros((len(lags), arm.n_joints, 0))
         if loads is not None and around is not None:
-            dry = loads.columns(study, stretch, record, around)
+            dry = loads.columns(arm, stretch, record, around)
         first_block += n_blocks
         for i, free in enumerate(stretch.free):
             friction = n_of_body + FRICTION_COLUMNS * i
@@ -323,7 +318,7 @@ def assemble(
         common=np.concatenate(common),
         common_deviation=np.concatenate(
             [
-                _compliance_deviation(study, stretches, around) if n_elastic else np.zeros(0),
+                _compliance_deviation(arm, stretches, around) if n_elastic else np.zeros(0),
                 np.full(dry.shape[2], _LOAD_SHARE),
             ]
         ),
@@ -335,13 +330,13 @@ def assemble(
     )
 
 
-def n_compliances(study: Study) -> int:
+def n_compliances(arm: Arm) -> int:
     """How many compliances all rows may have: one per joint if any gear is elastic."""
-    return study.arm.n_joints if any(joint.spring != "rigid" for joint in study.arm.joints) else 0
+    return arm.n_joints if any(joint.spring != "rigid" for joint in arm.joints) else 0
 
 
 def estimate_of(
-    study: Study,
+    arm: Arm,
     stretches: Sequence[Stretch],
     equations: Equations,
     factor: Factor,
@@ -354,7 +349,7 @@ def estimate_of(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     stretches : sequence of Stretch
     equations : Equations
     factor : Factor
@@ -364,10 +359,10 @@ def estimate_of(
     -------
     Estimate
     """
-    compliance = np.zeros(study.arm.n_joints)
-    n = n_compliances(study)
+    compliance = np.zeros(arm.n_joints)
+    n = n_compliances(arm)
     if n and len(factor.common):
-        elastic = np.array([joint.spring != "rigid" for joint in study.arm.joints])
+        elastic = np.array([joint.spring != "rigid" for joint in arm.joints])
         most = 3.0 * equations.common_deviation[:n]
         compliance = np.clip(factor.common[:n], 0.0, most) * elastic
     standing, at = [], 0
@@ -400,12 +395,12 @@ def halfway(one: Estimate, other: Estimate) -> Estimate:
     )
 
 
-def anti_resonances(study: Study, estimate: Estimate) -> FloatArray:
+def anti_resonances(arm: Arm, estimate: Estimate) -> FloatArray:
     """Lowest resonance of each link on its gear, sqrt(1 / (c M_ii)) / 2 pi.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     estimate : Estimate
 
     Returns
@@ -413,50 +408,48 @@ def anti_resonances(study: Study, estimate: Estimate) -> FloatArray:
     (n_joints,) [Hz]
         Infinite where the gear is rigid.
     """
-    inertia = np.maximum(_link_inertias(study, estimate), 1e-300)
+    inertia = np.maximum(_link_inertias(arm, estimate), 1e-300)
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / (2.0 * np.pi * np.sqrt(estimate.compliance * inertia)))
 
 
 def _body_equations(
-    study: Study, stretch: Stretch, around: Estimate | None, record: int, elastic: BoolArray
+    arm: Arm, stretch: Stretch, around: Estimate | None, record: int, elastic: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Regressor of the body, regressor of the compliances, and the torque they are to explain."""
-    n = gear_ratios(study)
+    n = arm.gear_ratios
     q, dq, ddq = (x * n for x in stretch.motion)
     if around is None or not elastic.any():
-        phi = stretch.filtered(body_regressor(study, q, dq, ddq))
-        return phi, np.zeros((len(phi), study.arm.n_joints, 0)), stretch.torque
-    gear = _gear_torque(study, stretch, around, around.standing[record])
+        phi = stretch.filtered(arm.rigid_regressor(q, dq, ddq))
+        return phi, np.zeros((len(phi), arm.n_joints, 0)), stretch.torque
+    gear = _gear_torque(arm, stretch, around, around.standing[record])
     interval = stretch.motion_step * stretch.signals.sample_time
     dgear = differentiate(gear, interval)
     ddgear = differentiate(dgear, interval)
     c = around.compliance
-    phi = body_regressor(study, q - c * gear, dq - c * dgear, ddq - c * ddgear)
+    phi = arm.rigid_regressor(q - c * gear, dq - c * dgear, ddq - c * ddgear)
     # motors turn with the motors' acceleration, not the links'
-    per_acceleration = n[0] if study.arm.n_joints == 2 else 1.0 / n[0]
+    per_acceleration = n[0] if arm.n_joints == 2 else 1.0 / n[0]
     phi[:, 0, 0] += around.motor_share * per_acceleration * c[0] * ddgear[:, 0]
-    if study.arm.n_joints == 2:
+    if arm.n_joints == 2:
         phi[:, 1, 1] = stretch.motion[2][:, 1]
-    lags = _mass_times(study, around, q, ddgear) * elastic
+    lags = _mass_times(arm, around, q, ddgear) * elastic
     both = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = both[:, :, : phi.shape[2]], both[:, :, phi.shape[2] :]
     return phi, lags, stretch.torque + lags @ c
 
 
-def _gear_torque(
-    study: Study, stretch: Stretch, around: Estimate, standing: FloatArray
-) -> FloatArray:
+def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatArray) -> FloatArray:
     """Torque through each gear, link side: the motor's less friction and its own inertia's.
 
     Low-passed at twice the equations' bandwidth, for it is to be differentiated twice.
     """
-    n = gear_ratios(study)
+    n = arm.gear_ratios
     (_, velocity, acceleration), (torque, direction) = stretch.motion, stretch.drive
     solution = around.solution
-    viscous, coulomb, offset = solution[n_body(study) :].reshape(-1, FRICTION_COLUMNS).T
+    viscous, coulomb, offset = solution[arm.n_body :].reshape(-1, FRICTION_COLUMNS).T
     friction = viscous * velocity + coulomb * direction + offset + standing
-    if study.arm.n_joints == 2:
+    if arm.n_joints == 2:
         inertia = np.array([around.motor_share * solution[0] * n[0] ** 2, solution[1]])
     else:
         inertia = np.array([around.motor_share * solution[0]])
@@ -465,13 +458,11 @@ def _gear_torque(
     return low_pass(net, 2.0 * stretch.bandwidth_hz, T, decimated=step)
 
 
-def _mass_times(
-    study: Study, around: Estimate, angle: FloatArray, ddgear: FloatArray
-) -> FloatArray:
+def _mass_times(arm: Arm, around: Estimate, angle: FloatArray, ddgear: FloatArray) -> FloatArray:
     """Motor torque per compliance, -n_i M_ij(q) ddT_j: (n_samples, n_joints, n_joints)."""
-    n = gear_ratios(study)
-    if study.arm.n_joints == 1:
-        link = _link_inertias(study, around)[0]
+    n = arm.gear_ratios
+    if arm.n_joints == 1:
+        link = _link_inertias(arm, around)[0]
         return np.asarray(-n[0] * link * ddgear[:, :, None])
     solution = around.solution
     alpha, beta, gamma = (1.0 - around.motor_share) * solution[0], solution[2], solution[3]
@@ -483,48 +474,48 @@ def _mass_times(
     return np.asarray(-n[:, None] * M * ddgear[:, None, :])
 
 
-def _link_inertias(study: Study, around: Estimate) -> FloatArray:
+def _link_inertias(arm: Arm, around: Estimate) -> FloatArray:
     """Each link's own inertia with the arm stretched, link side: (n_joints,)."""
     solution = around.solution
     first = (1.0 - around.motor_share) * solution[0]
-    if study.arm.n_joints == 1:
-        return np.array([first / study.arm.joints[0].gear_ratio ** 2])
+    if arm.n_joints == 1:
+        return np.array([first / arm.joints[0].gear_ratio ** 2])
     first += solution[2] + 2.0 * solution[3]
     return np.array([first, solution[2]])
 
 
 def _compliance_deviation(
-    study: Study, stretches: Sequence[Stretch], around: Estimate | None
+    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None
 ) -> FloatArray:
     """Prior deviation of the compliances: the anti-resonance lies well above the bandwidth."""
     assert around is not None
     w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
-    inertia = np.abs(_link_inertias(study, around))
+    inertia = np.abs(_link_inertias(arm, around))
     return np.asarray(_STIFF / (np.maximum(inertia, 1e-300) * w**2))
 
 
-def _column_noise(study: Study, signals: Signals, bandwidth_hz: float) -> FloatArray:
+def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray:
     """Deviation of the noise that the angles' own noise leaves in each column.
 
     White noise s of an angle, sampled at T and low-passed at f, leaves
     s (2 pi f)^k sqrt(2 f T / (2 k + 1)) in the k-th derivative.
     """
     f, T = bandwidth_hz, signals.sample_time
-    n = gear_ratios(study)
+    n = arm.gear_ratios
     first, second = (
         signals.angle_noise * (2.0 * np.pi * f) ** k * np.sqrt(2.0 * f * T / (2 * k + 1))
         for k in (1, 2)
     )
     angle = signals.motor_angle[:: max(1, len(signals.time) // 200)] * n
     still = np.zeros_like(angle)
-    at_rest = body_regressor(study, angle, still, still)
-    power = np.zeros(len(columns_of(study)))
-    for j in range(study.arm.n_joints):
+    at_rest = arm.rigid_regressor(angle, still, still)
+    power = np.zeros(len(arm.rigid_columns))
+    for j in range(arm.n_joints):
         noisy = still.copy()
         noisy[:, j] = n[j] * second[j]
-        phi = body_regressor(study, angle, still, noisy) - at_rest
-        power[: n_body(study)] += np.mean(phi**2, axis=(0, 1))
-        power[n_body(study) + FRICTION_COLUMNS * j] = first[j] ** 2 / study.arm.n_joints
+        phi = arm.rigid_regressor(angle, still, noisy) - at_rest
+        power[: arm.n_body] += np.mean(phi**2, axis=(0, 1))
+        power[arm.n_body + FRICTION_COLUMNS * j] = first[j] ** 2 / arm.n_joints
     return np.asarray(np.sqrt(power))
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Study
-from strainwave.dynamics.rigid_regressor import n_body
+from strainwave.domain import FloatArray
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics import least_squares as ls
 
 _ROUNDS = 15
@@ -32,7 +32,7 @@ class TorqueRatio:
 
 
 def torque_ratio(
-    study: Study, equations: ls.Equations, root: FloatArray, compliance: FloatArray
+    arm: Arm, equations: ls.Equations, root: FloatArray, compliance: FloatArray
 ) -> TorqueRatio | None:
     """By what joint 2's torques differ from those that joint 1's torques imply.
 
@@ -42,7 +42,7 @@ def torque_ratio(
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     equations : Equations
         Of a rigid fit that has settled.
     root : (n_rows,)
@@ -55,12 +55,12 @@ def torque_ratio(
     TorqueRatio or None
         None of a single joint, and where the rounds do not settle: the motion does not show it.
     """
-    if study.arm.n_joints != 2:
+    if arm.n_joints != 2:
         return None
     ratio = 1.0
     factor = ls.factorise(equations, root)
     for _ in range(_ROUNDS):
-        scaled = _scaled(study, equations, compliance, factor.value, ratio)
+        scaled = _scaled(arm, equations, compliance, factor.value, ratio)
         factor = ls.factorise(scaled, root)
         step = float(factor.common[-1]) / ratio
         if not np.isfinite(step):
@@ -75,7 +75,7 @@ def torque_ratio(
 
 
 def _scaled(
-    study: Study,
+    arm: Arm,
     equations: ls.Equations,
     compliance: FloatArray,
     solution: FloatArray,
@@ -83,7 +83,7 @@ def _scaled(
 ) -> ls.Equations:
     """Joint 2's body torques times a ratio, and a column for that ratio's change."""
     second = equations.group == _SECOND
-    n = n_body(study)
+    n = arm.n_body
     shared, common = equations.shared.copy(), equations.common.copy()
     torque = shared[:, :n] @ solution[:n] * second
     lag = common @ compliance if common.shape[1] else np.zeros(len(torque))

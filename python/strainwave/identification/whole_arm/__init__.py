@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from strainwave.domain import ArmModel, JointModel, Log, RigidModel, Study, TuningOptions
+from strainwave.domain import ArmModel, JointModel, Log, RigidModel, TuningOptions
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.conclusion import arm_model
 from strainwave.identification.whole_arm.effects import records_with
 from strainwave.identification.whole_arm.estimates import Fit
@@ -34,7 +35,7 @@ def tune(
     logs: Sequence[Log],
     model: RigidModel | None,
     joints: Sequence[JointModel],
-    study: Study,
+    arm: Arm,
     options: TuningOptions | None = None,
     *,
     start: Mapping[Key, float] | None = None,
@@ -59,7 +60,7 @@ def tune(
         None will do for a single joint without gravity.
     joints : sequence of JointModel
         One per joint, to start from.
-    study : Study
+    arm : Arm
     options : TuningOptions, optional
     start : dict, optional
         (name, joint) -> value, in place of those of the stages before; delays and scales of link
@@ -84,15 +85,15 @@ def tune(
     """
     chosen = as_published(options or TuningOptions())
     with one_blas_thread(), reported(progress):  # thousands of small factorisations
-        begin = start_of(logs, model, (joints, *others), study, chosen, start)
-        return arm_model(_fit(begin, Selection(study, chosen)), begin, study)
+        begin = start_of(logs, model, (joints, *others), arm, chosen, start)
+        return arm_model(_fit(begin, Selection(arm, chosen)), begin, arm)
 
 
 def fitted(
     logs: Sequence[Log],
     model: RigidModel | None,
     joints: Sequence[JointModel],
-    study: Study,
+    arm: Arm,
     options: TuningOptions | None = None,
     *,
     start: Mapping[Key, float] | None = None,
@@ -105,8 +106,8 @@ def fitted(
     """
     chosen = as_published(options or TuningOptions())
     with one_blas_thread():
-        begin = start_of(logs, model, (joints,), study, chosen, start)
-        return _fit(begin, Selection(study, chosen))
+        begin = start_of(logs, model, (joints,), arm, chosen, start)
+        return _fit(begin, Selection(arm, chosen))
 
 
 def _fit(start: Start, selection: Selection) -> Fit:
@@ -115,7 +116,7 @@ def _fit(start: Start, selection: Selection) -> Fit:
     coarse = selected(coarse, COARSE, selection)
     pairs = zip(start.records, coarse.objective.records, strict=True)
     records = [replace(record, moving=found.moving) for record, found in pairs]
-    with_effects = records_with(records, selection.study, coarse.objective.space.keys)
+    with_effects = records_with(records, selection.arm, coarse.objective.space.keys)
     objective = coarse.objective.seen_by(with_effects).reweighted(coarse.z)
     fine = fine_search(objective, coarse.z, coarse.iterations, selection.options)
     return selected(fine, FINE, selection)

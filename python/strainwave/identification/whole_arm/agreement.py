@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import AgreementTest, Diagnostic, FloatArray, StageDifference, Study
+from strainwave.domain import AgreementTest, Diagnostic, FloatArray, StageDifference
 from strainwave.domain.parameters import unit_of
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.parametrisation import COULOMB, OFFSET, Key, unit_of_arm
 from strainwave.numerics.distributions import chi_square_tail
@@ -27,7 +28,7 @@ _SINGULAR = 1e-9  # of the rigid correlations: along such a direction the values
 _LEAST_TAIL = 1e-300  # of a probability, 37 deviations
 
 
-def stage_differences(fit: Fit, study: Study) -> tuple[StageDifference, ...]:
+def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
     """Values of the rigid model beside the whole-arm fit's, with the deviation of the difference.
 
     The fit follows the rigid model, its prior; `confidence.residual_covariance` counts that.
@@ -36,7 +37,7 @@ def stage_differences(fit: Fit, study: Study) -> tuple[StageDifference, ...]:
     ----------
     fit : Fit
         At its minimum.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -52,7 +53,7 @@ def stage_differences(fit: Fit, study: Study) -> tuple[StageDifference, ...]:
     for k, (name, joint) in enumerate(prior.names):
         if std[k] <= _NOTHING_NEW * rigid_std[k]:
             continue
-        unit = unit_of_arm(name) if joint is None else unit_of(name, study.arm.joints[joint - 1])
+        unit = unit_of_arm(name) if joint is None else unit_of(name, arm.joints[joint - 1])
         rigid = float(prior.mean[k])
         whole = rigid + float(difference[k])
         found.append(StageDifference(name, joint, rigid, whole, float(std[k]), unit))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from strainwave.domain import (
-    Study,
-)
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.parametrisation import (
     SETTLING,
@@ -18,7 +16,7 @@ from strainwave.identification.whole_arm.parametrisation import (
 _EDGE = 0.01  # of half its range, so near to which a parameter counts as at its bound
 
 
-def parameters_at_bounds(fit: Fit, study: Study) -> Iterator[Key]:
+def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
     """Parameters that ended at the end of their range, and inertias that such ones are part of.
 
     A joint's total viscous friction is known where its split is not, and is spared.
@@ -26,7 +24,7 @@ def parameters_at_bounds(fit: Fit, study: Study) -> Iterator[Key]:
     Parameters
     ----------
     fit : Fit
-    study : Study
+    arm : Arm
 
     Yields
     ------
@@ -36,10 +34,10 @@ def parameters_at_bounds(fit: Fit, study: Study) -> Iterator[Key]:
     ended = [key for key, at in zip(keys, at_bounds(fit), strict=True) if at and key[0] != SETTLING]
     yield from ended
     derived: dict[Key, Mapping[Key, float]] = {
-        (name, 1): parts for name, parts in rigid_inertia(study).items()
+        (name, 1): parts for name, parts in rigid_inertia(arm).items()
     }
-    for number in range(1, study.arm.n_joints + 1):
-        derived["link_inertia", number] = link_inertia(study, number)
+    for number in range(1, arm.n_joints + 1):
+        derived["link_inertia", number] = link_inertia(arm, number)
     for key, parts in derived.items():
         if key not in ended and any(part in ended for part in parts):
             yield key

@@ -7,11 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import (
-    ArmModel,
-    Criticism,
-    Study,
-)
+from strainwave.domain import ArmModel, Criticism
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import is_hidden
 from strainwave.identification.closed_loop import (
     predict_closed_loop,
@@ -44,7 +41,7 @@ from strainwave.numerics.parallel import side_by_side
 from strainwave.signals.recorded_input import missing_for_replay
 
 
-def arm_model(fit: Fit, start: Start, study: Study) -> ArmModel:
+def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
     """What a fit means: parameters with intervals, warnings, what it explains and what it does not.
 
     Parameters
@@ -52,7 +49,7 @@ def arm_model(fit: Fit, start: Start, study: Study) -> ArmModel:
     fit : Fit
     start : Start
         That the fit went on from.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -60,27 +57,27 @@ def arm_model(fit: Fit, start: Start, study: Study) -> ArmModel:
     """
     before = start.coarse.fits(start.initial)
     first = start.coarse.space.values(start.initial)
-    at_once = {(SETTLING, number): 0.0 for number in range(1, study.arm.n_joints + 1)}
+    at_once = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
     values = at_once | fit.objective.space.values(fit.z)
     carried = gear_torque_samples(fit.objective.records, values)
     largest = largest_of(carried).tolist()
-    parameters, covariance = parameters_of(fit, study, largest)
+    parameters, covariance = parameters_of(fit, arm, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
         status = "at-bounds"
     if not fit.converged:
         status = "iteration-limit"
-    ended = tuple(parameters_at_bounds(fit, study))
-    differences, agreement = stage_differences(fit, study), agreement_tests(fit)
-    criticism = Criticism(residual_tests(fit.objective, fit.z), tuple(score_tests_of(fit, study)))
+    ended = tuple(parameters_at_bounds(fit, arm))
+    differences, agreement = stage_differences(fit, arm), agreement_tests(fit)
+    criticism = Criticism(residual_tests(fit.objective, fit.z), tuple(score_tests_of(fit, arm)))
     repeated = [
         log
         for log in start.logs
-        if log.experiment.use == "tuning" and missing_for_replay(study, log) is None
+        if log.experiment.use == "tuning" and missing_for_replay(arm, log) is None
     ]
-    arms = (values, first)
+    ends = (values, first)
     repeats = side_by_side(
-        [partial(predict_closed_loop, arm, log, study) for arm in arms for log in repeated]
+        [partial(predict_closed_loop, end, log, arm) for end in ends for log in repeated]
     )
     public = [k for k, p in enumerate(parameters) if not is_hidden((p.name, p.joint))]
     return ArmModel(
@@ -96,17 +93,17 @@ def arm_model(fit: Fit, start: Start, study: Study) -> ArmModel:
         warnings=(
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
-            *motor_side_limits(fit, study, parameters, ended),
+            *motor_side_limits(fit, arm, parameters, ended),
             *disagreement(differences, agreement),
-            *left_out(fit.objective.space, study),
+            *left_out(fit.objective.space, arm),
             *sensor_warnings(parameters),
             *residual_warnings(criticism.residuals),
-            *effect_warnings(criticism.score_tests, study),
+            *effect_warnings(criticism.score_tests, arm),
         ),
         criticism=criticism,
         carried=histograms_of(carried),
         at_bounds=ended,
         differences=differences,
         agreement=agreement,
-        sensor_gains=tuple(sensor_gains(fit, study, parameters)) if fit.converged else (),
+        sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.converged else (),
     )

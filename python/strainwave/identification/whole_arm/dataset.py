@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Study
+from strainwave.domain import FloatArray, Log
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import (
     bandwidth_of,
     constants_of,
@@ -78,7 +79,7 @@ class Dataset:
     """One record, ready to be compared."""
 
     log: Log
-    study: Study  # as it was driven; without counts, to be smooth in the parameters
+    arm: Arm  # as it was driven; without counts, to be smooth in the parameters
     cutoff_hz: float
     drive: Drive
     channels: tuple[Channel, ...]
@@ -96,15 +97,15 @@ class Dataset:
         """Unknown initial states, (name, joint)."""
         if not self.moving:
             return ()
-        return tuple((name, i) for name in INITIAL for i in range(1, self.study.arm.n_joints + 1))
+        return tuple((name, i) for name in INITIAL for i in range(1, self.arm.n_joints + 1))
 
     def start(self) -> FloatArray:
         """A first guess of the unknown initial states, (n_local,): gears untwisted."""
         if not self.moving:
             return np.zeros(0)
-        n, T = self.study.arm.n_joints, self.log.sample_time
+        n, T = self.arm.n_joints, self.log.sample_time
         first = max(2, round(BEGINNING / T))
-        ratios = np.array([joint.gear_ratio for joint in self.study.arm.joints])
+        ratios = np.array([joint.gear_ratio for joint in self.arm.joints])
         angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:first] for i in range(n)])
         slope, origin = np.polyfit(T * np.arange(first), angle, 1)
         return np.concatenate([slope, ratios * origin, ratios * slope])
@@ -170,10 +171,10 @@ class Dataset:
             tangent = whole
         return seen * scales, tangent
 
-    def _study_at(self, values: Mapping[tuple[str, int | None], float]) -> Study:
-        """The study with those bandwidths of sensors that are among the values."""
+    def _study_at(self, values: Mapping[tuple[str, int | None], float]) -> Arm:
+        """The arm with those bandwidths of sensors that are among the values."""
         found = {k: hz for k, hz in values.items() if is_bandwidth(k) and np.isfinite(hz)}
-        return with_bandwidths(self.study, found) if found else self.study
+        return with_bandwidths(self.arm, found) if found else self.arm
 
     def observed(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
         """The measured channels, those of late sensors moved back by their delays.
@@ -246,7 +247,7 @@ class Dataset:
                     found[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
             if channel.axis is not None and mounting:
                 each = np.stack([rows[name][:, channel.joint - 1] for name in channel.reads], 1)
-                by = slopes(channel.axis, self.study, values, [keys[at] for at in mounting])
+                by = slopes(channel.axis, self.arm, values, [keys[at] for at in mounting])
                 found[:, k, mounting] += scales[k] * each @ by
         bandwidths = [k for k, key in enumerate(keys) if is_bandwidth(key)]
         if bandwidths:
@@ -267,7 +268,7 @@ class Dataset:
         for axis in axes:
             own = [one for one in axes if one.joint == axis.joint]
             scale = scale_of(axis.scaled, axis.joint)
-            apart = scale_is_apart(axis, own, self.study)
+            apart = scale_is_apart(axis, own, self.arm)
             if scale is not None and apart and scale not in found:
                 found.append(scale)
             if scale in found and not apart:
@@ -387,7 +388,7 @@ class Dataset:
         at = channel.joint - 1
         if channel.axis is None:
             return of[channel.quantity][:, at]
-        counts = factors(channel.axis, self.study, values)
+        counts = factors(channel.axis, self.arm, values)
         parts = zip(counts, channel.reads, strict=True)
         return np.asarray(sum(count * of[name][:, at] for count, name in parts))
 
@@ -418,21 +419,21 @@ def noise_behind(
     return np.asarray(np.maximum(own, np.array(counts) / np.sqrt(12.0)) * norm)
 
 
-def with_bandwidths(study: Study, values: Mapping[tuple[str, int | None], float]) -> Study:
-    """A study, as it is simulated, with some sensors' bandwidths.
+def with_bandwidths(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
+    """An arm, as it is simulated, with some sensors' bandwidths.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     values : dict
         Bandwidths [Hz] among others.
 
     Returns
     -------
-    Study
+    Arm
     """
     joints = []
-    for i, joint in enumerate(study.arm.joints, start=1):
+    for i, joint in enumerate(arm.joints, start=1):
         own = {f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS}
         given = {key: hz for key, hz in own.items() if hz is not None}
         tangential = joint.accelerometer_distance is None
@@ -444,4 +445,4 @@ def with_bandwidths(study: Study, values: Mapping[tuple[str, int | None], float]
             imu = replace(imu, **inner)  # type: ignore[arg-type]
         outer = {k: hz for k, hz in given.items() if not k.startswith("imu_")}
         joints.append(replace(joint, imu=imu, **outer))  # type: ignore[arg-type]
-    return replace(study, arm=replace(study.arm, joints=tuple(joints)))
+    return arm.with_joints(joints)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from strainwave.domain import Study
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
     idle,
@@ -36,15 +36,15 @@ def with_named_effects(fit: Fit, selection: Selection) -> Fit:
     -------
     Fit
     """
-    study = selection.study
-    if not named_effects(study):
+    arm = selection.arm
+    if not named_effects(arm):
         return fit
     selection.grant(selection.options.max_iterations)  # as many as the fit without them
     values = fit.objective.space.values(fit.z)
     largest = gear_torques(fit.objective.records, values).tolist()
-    space, begin = with_effects(fit.objective.space, study, values, largest)
+    space, begin = with_effects(fit.objective.space, arm, values, largest)
     extended = search_from(
-        _on(fit.objective, space, study),
+        _on(fit.objective, space, arm),
         begin,
         fit.iterations,
         selection.options,
@@ -67,13 +67,13 @@ def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
     -------
     Fit
     """
-    study = selection.study
-    if not named_effects(study):
+    arm = selection.arm
+    if not named_effects(arm):
         return fit
     while gone := _idle(fit):
         values = fit.objective.space.values(fit.z)
         space = without(fit.objective.space, gone)
-        objective = _on(fit.objective, space, study)
+        objective = _on(fit.objective, space, arm)
         fit = fine_search(objective, space.coordinates(values), fit.iterations, selection.options)
     return fit
 
@@ -84,7 +84,7 @@ def _idle(fit: Fit) -> set[NamedEffect]:
     return set(idle(fit.objective.space, fit.z, covariance))
 
 
-def _on(objective: Objective, space: ParameterSpace, study: Study) -> Objective:
+def _on(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:
     """The same records and weights for other unknowns, the effects among them in the arm."""
-    records = records_with(objective.records, study, space.keys)
+    records = records_with(objective.records, arm, space.keys)
     return replace(objective.for_unknowns(space), records=records)

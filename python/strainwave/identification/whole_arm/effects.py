@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Effect, FloatArray, Study
+from strainwave.domain import Diagnostic, Effect, FloatArray
 from strainwave.domain.parameters import EFFECT_PARAMETERS, Values, unit_of
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import with_known_effects
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.parametrisation import (
@@ -32,18 +33,18 @@ HYSTERESIS_TWIST = 1.5e-4
 _KINEMATIC_ERROR = 1e-4  # [rad] that count as much as a factor e elsewhere
 
 
-def named_effects(study: Study) -> list[NamedEffect]:
+def named_effects(arm: Arm) -> list[NamedEffect]:
     """The effects that a study names.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
 
     Returns
     -------
     list of (joint, effect)
     """
-    return [(j, effect) for j, joint in enumerate(study.arm.joints, 1) for effect in joint.effects]
+    return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.effects]
 
 
 def sizes_of(one: NamedEffect) -> list[Key]:
@@ -63,14 +64,14 @@ def sizes_of(one: NamedEffect) -> list[Key]:
 
 
 def with_effects(
-    space: ParameterSpace, study: Study, values: Values, largest_torque: Sequence[float]
+    space: ParameterSpace, arm: Arm, values: Values, largest_torque: Sequence[float]
 ) -> tuple[ParameterSpace, FloatArray]:
     """The unknowns of every effect that a study names beside those there are.
 
     Parameters
     ----------
     search : ParameterSpace
-    study : Study
+    arm : Arm
     values : dict
         Where the fit without effects ended.
     largest_torque : sequence of float [N m]
@@ -83,7 +84,7 @@ def with_effects(
         Where to start.
     """
     starts: Values = {}
-    for number, effect in named_effects(study):
+    for number, effect in named_effects(arm):
         sizes = {
             "stribeck": (_STRIBECK_SHARE * values[COULOMB, number], STRIBECK_VELOCITY),
             "hysteresis": (_HYSTERESIS_SHARE * largest_torque[number - 1], HYSTERESIS_TWIST),
@@ -96,7 +97,7 @@ def with_effects(
     more = []
     for (name, own), start in starts.items():
         signed = name in EFFECT_PARAMETERS["kinematic-error"]
-        unit = unit_of(name, study.arm.joints[(own or 1) - 1])
+        unit = unit_of(name, arm.joints[(own or 1) - 1])
         scale = _KINEMATIC_ERROR if signed else start
         more.append(Unknown(name, own, unit, start, scale, signed, _FAR))
     rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
@@ -148,21 +149,21 @@ def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterat
                     yield joint, effect
 
 
-def left_out(space: ParameterSpace, study: Study) -> Iterator[Diagnostic]:
+def left_out(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic]:
     """What a reader must know of the effects that a study names and a fit does without.
 
     Parameters
     ----------
     search : ParameterSpace
         Of the fit.
-    study : Study
+    arm : Arm
 
     Yields
     ------
     Diagnostic
     """
-    known = set(named_effects(with_known_effects(study, space.keys)))
-    for joint, effect in named_effects(study):
+    known = set(named_effects(with_known_effects(arm, space.keys)))
+    for joint, effect in named_effects(arm):
         if (joint, effect) not in known:
             text = f"{effect} was tried and left out: the records do not show it; take it out of"
             text += " this joint's effects, or record slow motions and reversals"
@@ -170,27 +171,25 @@ def left_out(space: ParameterSpace, study: Study) -> Iterator[Diagnostic]:
 
 
 def records_with(
-    records: Sequence[Dataset], study: Study, known: Collection[Key]
+    records: Sequence[Dataset], arm: Arm, known: Collection[Key]
 ) -> tuple[Dataset, ...]:
-    """The records on an arm with those of a study's effects whose parameters are known.
+    """The records on an arm with those of an arm's effects whose parameters are known.
 
     Parameters
     ----------
     records : sequence of Dataset
-    study : Study
+    arm : Arm
     known : collection of (name, joint)
 
     Returns
     -------
     tuple of `Dataset`
     """
-    effects = [joint.effects for joint in with_known_effects(study, known).arm.joints]
+    effects = [joint.effects for joint in with_known_effects(arm, known).joints]
 
     def given(record: Dataset) -> Dataset:
-        pairs = zip(record.study.arm.joints, effects, strict=True)
-        joints = tuple(replace(joint, effects=own) for joint, own in pairs)
-        return replace(
-            record, study=replace(record.study, arm=replace(record.study.arm, joints=joints))
-        )
+        pairs = zip(record.arm.joints, effects, strict=True)
+        joints = (replace(joint, effects=own) for joint, own in pairs)
+        return replace(record, arm=record.arm.with_joints(joints))
 
     return tuple(given(record) for record in records)

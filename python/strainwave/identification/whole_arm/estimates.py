@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Parameter, Study
+from strainwave.domain import Diagnostic, FloatArray, Parameter
 from strainwave.domain.parameters import unit_of
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import is_hidden, is_mounting, reported
 from strainwave.identification.whole_arm.covariance import Confidence, confidence_of, only_together
 from strainwave.identification.whole_arm.objective import Objective
@@ -49,14 +50,14 @@ class Fit:
 
 
 def parameters_of(
-    fit: Fit, study: Study, largest_torque: Sequence[float]
+    fit: Fit, arm: Arm, largest_torque: Sequence[float]
 ) -> tuple[tuple[Parameter, ...], FloatArray]:
     """The unknowns and what is derived from them, with their covariance.
 
     Parameters
     ----------
     fit : Fit
-    study : Study
+    arm : Arm
     largest_torque : sequence of float [N m]
         That each gear carries in the records.
 
@@ -71,12 +72,12 @@ def parameters_of(
     told = _curves_told(fit, fit.confidence.combined, largest_torque)
     weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
     held = [0.0] * len(keys)
-    for number, joint in enumerate(study.arm.joints, start=1):
-        derived = {"total_viscous_friction": total_viscous(study, number)}
-        if study.arm.n_joints > 1:
-            derived["link_inertia"] = link_inertia(study, number)
+    for number, joint in enumerate(arm.joints, start=1):
+        derived = {"total_viscous_friction": total_viscous(arm, number)}
+        if arm.n_joints > 1:
+            derived["link_inertia"] = link_inertia(arm, number)
         if number == 1:
-            derived |= rigid_inertia(study)
+            derived |= rigid_inertia(arm)
         for name, parts in derived.items():
             if not any(key in keys for key in parts):
                 continue  # all of it is held
@@ -126,7 +127,7 @@ def mountings_of(fit: Fit) -> Mountings:
     """
     space = fit.objective.space
     keys, at = space.keys, space.values(fit.z)
-    study = fit.objective.records[0].study
+    arm = fit.objective.records[0].arm
     axes = dict.fromkeys(
         c.axis for r in fit.objective.records for c in r.channels if c.axis is not None
     )
@@ -134,12 +135,10 @@ def mountings_of(fit: Fit) -> Mountings:
     found = Mountings([], [], np.zeros(0), np.zeros((0, len(keys))))
     for joint in dict.fromkeys(axis.joint for axis in axes):
         own = [axis for axis in axes if axis.joint == joint]
-        here = reported(own, study, at)
+        here = reported(own, arm, at)
         slopes = np.zeros((len(here), len(keys)))
         for k in hidden:
-            ends = [
-                reported(own, study, {**at, keys[k]: at[keys[k]] + off}) for off in (_OFF, -_OFF)
-            ]
+            ends = [reported(own, arm, {**at, keys[k]: at[keys[k]] + off}) for off in (_OFF, -_OFF)]
             for row, (name, (_, unit)) in enumerate(here.items()):
                 gap = ends[0][name][0] - ends[1][name][0]
                 if unit == "rad":

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Parameter, Study
-from strainwave.domain.parameters import link_inertia
+from strainwave.domain import Diagnostic, Parameter
+from strainwave.domain.combinations import value_of
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.parametrisation import CURVE, LINEAR, VISCOUS, Key
 from strainwave.numerics.filters import signal_band
@@ -21,7 +22,7 @@ _GEAR = (*LINEAR, *CURVE, "gear_damping", "motor_inertia", "link_inertia")
 
 
 def motor_side_limits(
-    fit: Fit, study: Study, parameters: Sequence[Parameter], at_bounds: Sequence[Key]
+    fit: Fit, arm: Arm, parameters: Sequence[Parameter], at_bounds: Sequence[Key]
 ) -> Iterator[Diagnostic]:
     """Why gears without link sensors are known badly.
 
@@ -33,7 +34,7 @@ def motor_side_limits(
     ----------
     fit : Fit
         At its minimum.
-    study : Study
+    arm : Arm
     parameters : sequence of Parameter
         As published by the fit.
     at_bounds : sequence of (name, joint)
@@ -47,20 +48,20 @@ def motor_side_limits(
     have = {
         c.joint for r in fit.objective.records for c in r.channels if c.quantity != "motor_angle"
     }
-    for number, joint in enumerate(study.arm.joints, start=1):
+    for number, joint in enumerate(arm.joints, start=1):
         if number in have or joint.spring == "rigid":
             continue
         own = [p for p in parameters if p.joint == number]
         poor = [p for p in own if p.name in _GEAR and _is_poor(p, at_bounds)]
         if poor:
-            reasons = list(_reasons(fit, study, number))
+            reasons = list(_reasons(fit, arm, number))
             if reasons:
                 text = f"{_named(poor, at_bounds)}: {', and '.join(reasons)}"
                 text += "; an accelerometer or an encoder on the link would show it"
                 yield Diagnostic("motor-side-limit", f"joint {number}", text)
         split = [p for p in own if p.name in VISCOUS and _is_poor(p, at_bounds)]
         if split:
-            low = _anti_resonance(fit, study, number)
+            low = _anti_resonance(fit, arm, number)
             text = f"{_named(split, at_bounds)}: far below the anti-resonance, {low:.3g} Hz, motor"
             text += " and link move as one and only the sum d_M + n^2 d_L acts at the motor; use"
             text += " total_viscous_friction"
@@ -88,24 +89,24 @@ def _named(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
     return ", ".join(found)
 
 
-def _mobility(fit: Fit, study: Study, joint: int) -> tuple[float, float, float]:
+def _mobility(fit: Fit, arm: Arm, joint: int) -> tuple[float, float, float]:
     """Stiffness, damping and s = 1/m_L + n^2/m_M of a fitted joint, link side."""
     values = fit.objective.space.values(fit.z)
     stiffness = values.get((LINEAR[0], joint)) or values[CURVE[0], joint]
-    ratio = study.arm.joints[joint - 1].gear_ratio
-    s = 1.0 / link_inertia(values, study, joint) + ratio**2 / values["motor_inertia", joint]
+    ratio = arm.joints[joint - 1].gear_ratio
+    s = 1.0 / value_of(arm.link_inertia(joint), values) + ratio**2 / values["motor_inertia", joint]
     return stiffness, values["gear_damping", joint], s
 
 
-def _anti_resonance(fit: Fit, study: Study, joint: int) -> float:
+def _anti_resonance(fit: Fit, arm: Arm, joint: int) -> float:
     """[Hz] sqrt(k / m_L) / 2 pi."""
-    stiffness, _, _ = _mobility(fit, study, joint)
-    m_l = link_inertia(fit.objective.space.values(fit.z), study, joint)
+    stiffness, _, _ = _mobility(fit, arm, joint)
+    m_l = value_of(arm.link_inertia(joint), fit.objective.space.values(fit.z))
     return float(np.sqrt(stiffness / m_l) / (2.0 * np.pi))
 
 
-def _reasons(fit: Fit, study: Study, joint: int) -> Iterator[str]:
-    stiffness, damping, s = _mobility(fit, study, joint)
+def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[str]:
+    stiffness, damping, s = _mobility(fit, arm, joint)
     resonance = float(np.sqrt(stiffness * s) / (2.0 * np.pi))
     records = fit.objective.records
     logs = [record.log for record in records]
@@ -123,7 +124,7 @@ def _reasons(fit: Fit, study: Study, joint: int) -> Iterator[str]:
             f"the gear is very damped: with a damping ratio of {ratio:.2g} its resonance,"
             f" {resonance:.3g} Hz, makes no peak in the motor's response"
         )
-    counts = study.arm.joints[joint - 1].encoder_counts
+    counts = arm.joints[joint - 1].encoder_counts
     share, error, noise = _rounding(fit, joint)
     if counts and share > _ROUNDING:
         yield (

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Study, TuningOptions
+from strainwave.domain import FloatArray, TuningOptions
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import DISTANCE, START, TURN, Axis, unknowns_of
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.estimates import Fit
@@ -38,7 +39,7 @@ _FLAT = 0.1  # share of the cost that a tilt out of the plane must explain
 
 
 def best_placed(
-    objective: Objective, z: FloatArray, study: Study, options: TuningOptions
+    objective: Objective, z: FloatArray, arm: Arm, options: TuningOptions
 ) -> tuple[Objective, FloatArray]:
     """A start with each sensor where a short search from there ends lowest.
 
@@ -50,7 +51,7 @@ def best_placed(
     ----------
     objective : Objective
     z : (n_unknowns,)
-    study : Study
+    arm : Arm
     options : TuningOptions
 
     Returns
@@ -59,22 +60,22 @@ def best_placed(
         Attitudes that turns start from are among what its search holds.
     (n_unknowns,)
     """
-    for joint in range(1, study.arm.n_joints + 1):
+    for joint in range(1, arm.n_joints + 1):
         axes = _axes_on(objective, joint)
-        if unknowns_of(axes, study):
-            objective, z = _placed(objective, z, axes, study, options)
+        if unknowns_of(axes, arm):
+            objective, z = _placed(objective, z, axes, arm, options)
     return objective, z
 
 
 def _placed(
-    objective: Objective, z: FloatArray, axes: Sequence[Axis], study: Study, options: TuningOptions
+    objective: Objective, z: FloatArray, axes: Sequence[Axis], arm: Arm, options: TuningOptions
 ) -> tuple[Objective, FloatArray]:
     """The same of one link's sensors."""
     joint, values = axes[0].joint, objective.space.values(z)
-    own: list[Key] = [*unknowns_of(axes, study), *((name, joint) for name in START)]
+    own: list[Key] = [*unknowns_of(axes, arm), *((name, joint) for name in START)]
     tried: list[Mapping[Key, float]] = [{key: values[key] for key in own if key in values}]
     try:
-        tried += _by_simulation(objective, values, axes, study)
+        tried += _by_simulation(objective, values, axes, arm)
     except (InvalidInput, NumericalFailure):
         return objective, z
     turns = (TURN[0], joint) in objective.space.keys
@@ -83,7 +84,7 @@ def _placed(
     starts = [_with(objective, values, one) for one in tried]
     if turns and {a.kind for a in axes} == {"accelerometer"} and {0, 1} == {a.number for a in axes}:
         held: dict[Key, float] = {(name, joint): 0.0 for name in TURN[:2]}
-        lying = _by_simulation(objective, values, axes, study, flat=True)
+        lying = _by_simulation(objective, values, axes, arm, flat=True)
         lying += [in_mirror(one, joint) for one in lying]
         starts += [_holding(*_with(objective, values, {**one, **held}), held) for one in lying]
     costs = sorted((cost_of(*one), k) for k, one in enumerate(starts))
@@ -135,15 +136,15 @@ def with_better_mountings(fit: Fit, selection: Selection) -> Fit:
     Fit
         As it is where a short search from no other mounting ends lower.
     """
-    study, options = selection.study, selection.options
-    for joint in range(1, study.arm.n_joints + 1):
+    arm, options = selection.arm, selection.options
+    for joint in range(1, arm.n_joints + 1):
         space, values = fit.objective.space, fit.objective.space.values(fit.z)
         axes = _axes_on(fit.objective, joint)
-        turns = (TURN[2], joint) in space.keys and (TURN[2], joint) in unknowns_of(axes, study)
+        turns = (TURN[2], joint) in space.keys and (TURN[2], joint) in unknowns_of(axes, arm)
         if not turns or fit.iterations >= options.max_iterations:
             continue
         flat = _is_flat(space, joint)
-        tried = _by_simulation(fit.objective, values, axes, study, flat=flat)
+        tried = _by_simulation(fit.objective, values, axes, arm, flat=flat)
         tried += [in_mirror(one, joint) for one in tried]
         starts = [_with(fit.objective, values, one) for one in tried]
         for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_FEW]:
@@ -175,10 +176,10 @@ def with_evident_tilts(fit: Fit, selection: Selection) -> Fit:
     -------
     Fit
     """
-    study, options = selection.study, selection.options
-    for joint in range(1, study.arm.n_joints + 1):
+    arm, options = selection.arm, selection.options
+    for joint in range(1, arm.n_joints + 1):
         # on an axis that stands still a tilt is hardly apart from the distance
-        if not _is_flat(fit.objective.space, joint) or (joint == 1 and not study.arm.gravity):
+        if not _is_flat(fit.objective.space, joint) or (joint == 1 and not arm.gravity):
             continue
         flat: list[Key] = [(name, joint) for name in TURN[:2]]
         values = fit.objective.space.values(fit.z)
@@ -215,11 +216,11 @@ def _holding(
 
 
 def _by_simulation(
-    objective: Objective, values: Values, axes: Sequence[Axis], study: Study, *, flat: bool = False
+    objective: Objective, values: Values, axes: Sequence[Axis], arm: Arm, *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Least squares on what an arm's links do in all records."""
     each = [record.tables(values, axes) for record in objective.records]
     tables = [np.concatenate(parts) for parts in zip(*each, strict=True)]
     if axes[0].kind == "tangential":
         return [{(DISTANCE, axes[0].joint): distance_of(tables[0])}]
-    return imu_candidates(axes, tables, study, flat=flat)[:_FEW]
+    return imu_candidates(axes, tables, arm, flat=flat)[:_FEW]

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, JointModel, RigidModel, Study
+from strainwave.domain import BoolArray, FloatArray, JointModel, RigidModel
 from strainwave.domain.parameters import Values, unit_of
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.starts import COULOMB, OFFSET, VISCOUS, Key, starts_of
 
 __all__ = [
@@ -221,12 +222,12 @@ def combination(names: Sequence[Key], parts: Mapping[Key, float]) -> FloatArray:
     return np.array([parts.get(name, 0.0) for name in names])
 
 
-def link_inertia(study: Study, joint: int) -> dict[Key, float]:
+def link_inertia(arm: Arm, joint: int) -> dict[Key, float]:
     """m_L of a joint as a combination of parameters: alpha + beta + 2 gamma, or beta.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     joint : int
         From 1.
 
@@ -234,36 +235,36 @@ def link_inertia(study: Study, joint: int) -> dict[Key, float]:
     -------
     dict
     """
-    if study.arm.n_joints == 1:
+    if arm.n_joints == 1:
         return {("link_inertia", 1): 1.0}
     if joint == 1:
         return {("alpha", None): 1.0, ("beta", None): 1.0, ("gamma", None): 2.0}
     return {("beta", None): 1.0}
 
 
-def rigid_inertia(study: Study) -> dict[str, dict[Key, float]]:
+def rigid_inertia(arm: Arm) -> dict[str, dict[Key, float]]:
     """What the rigid step has in place of joint 1's motor and link, as a combination by its name.
 
     Of two links alpha + m_M1 / n_1^2; of one joint m_M + n^2 m_L.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
 
     Returns
     -------
     dict
     """
-    name = "inertia" if study.arm.n_joints == 1 else "rigid_inertia"
-    return {name: _parts((name, 1), study)}
+    name = "inertia" if arm.n_joints == 1 else "rigid_inertia"
+    return {name: _parts((name, 1), arm)}
 
 
-def total_viscous(study: Study, joint: int) -> dict[Key, float]:
+def total_viscous(arm: Arm, joint: int) -> dict[Key, float]:
     """d_M + n^2 d_L of a joint as a combination of parameters.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     joint : int
         From 1.
 
@@ -271,14 +272,14 @@ def total_viscous(study: Study, joint: int) -> dict[Key, float]:
     -------
     dict
     """
-    ratio = study.arm.joints[joint - 1].gear_ratio
+    ratio = arm.joints[joint - 1].gear_ratio
     return {(VISCOUS[0], joint): 1.0, (VISCOUS[1], joint): ratio**2}
 
 
 def space_of(
     model: RigidModel | None,
     joints: Sequence[JointModel],
-    study: Study,
+    arm: Arm,
     *,
     largest_voltage: Sequence[float],
     floor: float,
@@ -293,7 +294,7 @@ def space_of(
         Dispensable for a single joint without gravity.
     joints : sequence of JointModel
         One per joint.
-    study : Study
+    arm : Arm
     largest_voltage : sequence of float [V]
         Applied to each joint, for the scale of its friction.
     floor : float
@@ -308,9 +309,9 @@ def space_of(
     NotIdentifiable
         A start is missing or impossible.
     """
-    start = starts_of(model, joints, study).values
+    start = starts_of(model, joints, arm).values
     unknowns = []
-    pairs = zip(study.arm.joints, largest_voltage, strict=True)
+    pairs = zip(arm.joints, largest_voltage, strict=True)
     for i, (joint, voltage) in enumerate(pairs, start=1):
         torque = _LEAST_COULOMB * voltage * (joint.torque_per_volt or 1.0)
         start[COULOMB, i] = max(start[COULOMB, i], torque)
@@ -322,21 +323,19 @@ def space_of(
         if signed and scale == 0.0:
             scale = 1.0
         far = _FAR if "inertia" in name or name in (*_BASE, *LINEAR) else _VERY_FAR
-        unit = unit_of_arm(name) if number is None else unit_of(name, study.arm.joints[number - 1])
+        unit = unit_of_arm(name) if number is None else unit_of(name, arm.joints[number - 1])
         unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
     keys = [unknown.key for unknown in unknowns]
-    return ParameterSpace(tuple(unknowns), {}, _prior(model, keys, study, floor))
+    return ParameterSpace(tuple(unknowns), {}, _prior(model, keys, arm, floor))
 
 
-def with_curves(
-    space: ParameterSpace, study: Study, largest_torque: Sequence[float]
-) -> ParameterSpace:
+def with_curves(space: ParameterSpace, arm: Arm, largest_torque: Sequence[float]) -> ParameterSpace:
     """Three slopes and two knees in place of the one stiffness of each three-slope gear.
 
     Parameters
     ----------
     search : ParameterSpace
-    study : Study
+    arm : Arm
     largest_torque : sequence of float [N m]
         That each gear carries in the records.
 
@@ -347,7 +346,7 @@ def with_curves(
     unknowns: list[Unknown] = []
     columns: list[FloatArray] = []
     for k, unknown in enumerate(space.unknowns):
-        joint = study.arm.joints[(unknown.joint or 1) - 1]
+        joint = arm.joints[(unknown.joint or 1) - 1]
         column = space.prior.rows[:, k]
         if unknown.name not in LINEAR or joint.spring != "three-slope":
             unknowns.append(unknown)
@@ -390,7 +389,7 @@ def unit_of_arm(name: str) -> str:
     return "N m" if name.startswith("gravity") else "kg m^2"
 
 
-def _prior(model: RigidModel | None, keys: Sequence[Key], study: Study, floor: float) -> Prior:
+def _prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float) -> Prior:
     """The rigid model's parameters as combinations of the unknowns, divided by their errors."""
     told = [
         k
@@ -400,7 +399,7 @@ def _prior(model: RigidModel | None, keys: Sequence[Key], study: Study, floor: f
     if model is None or not told:
         return Prior(np.zeros((0, len(keys))), np.zeros(0), np.zeros((0, 0)))
     names = [(model.parameters[k].name, model.parameters[k].joint) for k in told]
-    rows = np.array([combination(keys, _parts(name, study)) for name in names])
+    rows = np.array([combination(keys, _parts(name, arm)) for name in names])
     mean = model.solution[told]
     covariance = model.covariance[np.ix_(told, told)]
     factor = np.asarray(np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2)))
@@ -410,16 +409,16 @@ def _prior(model: RigidModel | None, keys: Sequence[Key], study: Study, floor: f
     return Prior(white, target, errors, tuple(names), factor, mean)
 
 
-def _parts(name: Key, study: Study) -> dict[Key, float]:
+def _parts(name: Key, arm: Arm) -> dict[Key, float]:
     """What a parameter of the rigid model is made of."""
     kind, joint = name
     if joint is None:
         return {name: 1.0}
-    ratio = study.arm.joints[joint - 1].gear_ratio
+    ratio = arm.joints[joint - 1].gear_ratio
     if kind == "rigid_inertia":
         return {("alpha", None): 1.0, ("motor_inertia", joint): ratio**-2}
     if kind == "inertia":
         return {("motor_inertia", joint): 1.0, ("link_inertia", joint): ratio**2}
     if kind == "total_viscous_friction":
-        return total_viscous(study, joint)
+        return total_viscous(arm, joint)
     return {name: 1.0}

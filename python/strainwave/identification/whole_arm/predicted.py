@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Parameter, Study
+from strainwave.domain import FloatArray, Log, Parameter
 from strainwave.domain.parameters import Values, completed, unit_of
-from strainwave.dynamics.simulation import build_arm, fastest_resonance
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.covariance import (
     LEAST_SHARE,
@@ -44,9 +44,7 @@ _BEND = 0.565  # mean of (1 + r^2)^(-3/2) over normal errors: how the soft L1 lo
 _SLOPE = 0.344  # mean square of its slope r (1 + r^2)^(-1/2)
 
 
-def predicted_parameters(
-    logs: Sequence[Log], study: Study, values: Values
-) -> tuple[Parameter, ...]:
+def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple[Parameter, ...]:
     """What the whole-arm fit would say of a guessed arm after such records.
 
     Their rows are those of a fit: velocities of the motors and readings of those link sensors
@@ -58,7 +56,7 @@ def predicted_parameters(
     logs : sequence of Log
         As they would be recorded, with the noise of the sensors; those of other uses than
         "frequency", "sweep" and "tuning" are left out.
-    study : Study
+    arm : Arm
     values : dict
         (name, joint) -> value of the guessed arm.
 
@@ -67,30 +65,30 @@ def predicted_parameters(
     tuple of Parameter
         With the guess's values; empty where no record excites a gear.
     """
-    used = usable(logs, study)
+    used = usable(logs, arm)
     if not used:
         return ()
     with one_blas_thread():
-        return _predicted(used, study, completed(values, study))
+        return _predicted(used, arm, completed(values, arm))
 
 
-def _predicted(used: Sequence[Log], study: Study, known: Values) -> tuple[Parameter, ...]:
-    shown = min(velocity_band(log, study) for log in used)
+def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter, ...]:
+    shown = min(velocity_band(log, arm) for log in used)
     limit = LEAST_BAND / max(log.sample_time for log in used)
-    fastest = fastest_resonance(study, known)
+    fastest = arm.fastest_resonance(known)
     cutoff = min([shown, limit] + ([BAND * fastest] if fastest else []))
-    keys: list[Key] = [k for k in build_arm(study).parameter_names if _is_unknown(k, known)]
+    keys: list[Key] = [k for k in arm.core.parameter_names if _is_unknown(k, known)]
     values = dict.fromkeys(keys, 0.0) | known
     scale = np.array([_scale(key, values) for key in keys])
-    records = [dataset_of(log, study, cutoff) for log in used]
+    records = [dataset_of(log, arm, cutoff) for log in used]
     parts = side_by_side([partial(_evidence, record, values, keys, scale) for record in records])
-    prior = np.array(list(_rigid_rows(study, keys, values))) * scale
+    prior = np.array(list(_rigid_rows(arm, keys, values))) * scale
     told = prior.T @ prior
     information = sum((own for own, _ in parts), told)
     inverse = inverse_information(information)
     errors = sum((own for _, own in parts), told)
     covariance = inverse @ errors @ inverse + LEAST_SHARE * inverse
-    return tuple(_parameters(study, keys, values, covariance * np.outer(scale, scale)))
+    return tuple(_parameters(arm, keys, values, covariance * np.outer(scale, scale)))
 
 
 def _is_unknown(key: Key, known: Values) -> bool:
@@ -136,14 +134,12 @@ def _evidence(
     return _BEND * R.T @ R, covariance
 
 
-def _rigid_rows(
-    study: Study, keys: Sequence[Key], values: Mapping[Key, float]
-) -> Iterator[FloatArray]:
+def _rigid_rows(arm: Arm, keys: Sequence[Key], values: Mapping[Key, float]) -> Iterator[FloatArray]:
     """What the rigid step knows, in its deviations: (n_unknowns,) each."""
-    told: list[Mapping[Key, float]] = list(rigid_inertia(study).values())
+    told: list[Mapping[Key, float]] = list(rigid_inertia(arm).values())
     told += [{key: 1.0} for key in keys if key[1] is None and key[0] != "alpha"]
-    for number in range(1, study.arm.n_joints + 1):
-        told += [total_viscous(study, number), {(COULOMB, number): 1.0}]
+    for number in range(1, arm.n_joints + 1):
+        told += [total_viscous(arm, number), {(COULOMB, number): 1.0}]
         if number > 1:
             told.append({("motor_inertia", number): 1.0})
     for parts in told:
@@ -153,16 +149,16 @@ def _rigid_rows(
 
 
 def _parameters(
-    study: Study, keys: Sequence[Key], values: Mapping[Key, float], covariance: FloatArray
+    arm: Arm, keys: Sequence[Key], values: Mapping[Key, float], covariance: FloatArray
 ) -> Iterator[Parameter]:
     rows: dict[Key, Mapping[Key, float]] = {key: {key: 1.0} for key in keys}
-    for number in range(1, study.arm.n_joints + 1):
-        rows["total_viscous_friction", number] = total_viscous(study, number)
-        rows["link_inertia", number] = link_inertia(study, number)
+    for number in range(1, arm.n_joints + 1):
+        rows["total_viscous_friction", number] = total_viscous(arm, number)
+        rows["link_inertia", number] = link_inertia(arm, number)
     for (name, joint), parts in rows.items():
         weights = combination(keys, parts)
         value = float(weights @ np.array([values[key] for key in keys]))
         std = float(np.sqrt(np.maximum(0.0, weights @ covariance @ weights)))
-        unit = unit_of_arm(name) if joint is None else unit_of(name, study.arm.joints[joint - 1])
+        unit = unit_of_arm(name) if joint is None else unit_of(name, arm.joints[joint - 1])
         interval = (value - _REACH * std, value + _REACH * std)
         yield Parameter(name, joint, value, std, unit, "tuned", interval)

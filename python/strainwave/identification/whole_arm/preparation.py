@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Imu, Joint, Log, Study
+from strainwave.domain import Imu, Joint, Log
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import Axis, axes_of
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
@@ -27,13 +28,13 @@ _REST = 3.0  # encoder counts, or deviations of its noise, within which a joint 
 _TURN = 0.002  # [s] over which accelerations are seen
 
 
-def usable(logs: Sequence[Log], study: Study) -> list[Log]:
+def usable(logs: Sequence[Log], arm: Arm) -> list[Log]:
     """The records of the whole-arm fit: all that excite gears and can be gone through again.
 
     Parameters
     ----------
     logs : sequence of Log
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -41,17 +42,17 @@ def usable(logs: Sequence[Log], study: Study) -> list[Log]:
     """
     uses = ("frequency", "sweep", "tuning")
     return [
-        log for log in logs if log.experiment.use in uses and not missing_motor_signal(study, log)
+        log for log in logs if log.experiment.use in uses and not missing_motor_signal(arm, log)
     ]
 
 
-def dataset_of(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:
+def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:
     """A record ready to be compared with simulated arms.
 
     Parameters
     ----------
     log : Log
-    study : Study
+    arm : Arm
     cutoff_hz : float [Hz]
         Of the low-pass.
     closed_loop : bool
@@ -67,10 +68,10 @@ def dataset_of(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = 
     InvalidInput
         The log lacks something that going through it again needs, or is too short.
     """
-    missing = missing_motor_signal(study, log)
+    missing = missing_motor_signal(arm, log)
     if missing:
         raise InvalidInput(missing, where=log.name, remedy="log every motor's angle and voltage")
-    log = _with_link_angles(log, study)
+    log = _with_link_angles(log, arm)
     T = log.sample_time
     kernels = low_pass_kernels(cutoff_hz, T)
     reach = len(kernels.smooth)
@@ -80,26 +81,25 @@ def dataset_of(log: Log, study: Study, cutoff_hz: float, *, closed_loop: bool = 
             where=log.name,
             remedy=f"record at least {4 * reach * T:.2g} s",
         )
-    channels = tuple(_channels(log, study))
+    channels = tuple(_channels(log, arm))
     raw = [log.channels[channel.name] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
     counts = tuple(
-        _count(study.arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0
-        for c in channels
+        _count(arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0 for c in channels
     )
     middle = 0.5 * (reach - 1) * T
     return Dataset(
         log=log,
-        study=_as_driven(log, study),
+        arm=_as_driven(log, arm),
         cutoff_hz=cutoff_hz,
-        drive=_drive(log, study, closed_loop=closed_loop),
+        drive=_drive(log, arm, closed_loop=closed_loop),
         channels=channels,
         kernels=kernels,
         time=log.time[0] + middle + kernels.step * T * np.arange(len(rows[0])),
         measured=np.column_stack(rows),
         noise=noise_behind(channels, raw, kernels, counts),
         counts=counts,
-        moving=_begins_in_motion(log, study),
+        moving=_begins_in_motion(log, arm),
         longest_step=_STEP,
         lacking=np.zeros((len(rows[0]), len(channels))),
     )
@@ -134,45 +134,43 @@ def coarsened(record: Dataset, longest_step: float) -> Dataset:
         time=log.time[: n * every : every],
         channels=channels,
     )
-    coarse = dataset_of(
-        thinned, record.study, record.cutoff_hz, closed_loop=any(record.drive.servo)
-    )
+    coarse = dataset_of(thinned, record.arm, record.cutoff_hz, closed_loop=any(record.drive.servo))
     step = max(longest_step, _STEP)
     return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
 
 
-def _with_link_angles(log: Log, study: Study) -> Log:
+def _with_link_angles(log: Log, arm: Arm) -> Log:
     """With theta_l = n theta_m + deflection of joints whose torsion is what was measured."""
     channels = dict(log.channels)
-    for i, joint in enumerate(study.arm.joints, start=1):
+    for i, joint in enumerate(arm.joints, start=1):
         if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
             motor = channels[f"theta_m{i}"]
             channels[f"theta_l{i}"] = joint.gear_ratio * motor + channels[f"deflection{i}"]
     return replace(log, channels=channels)
 
 
-def _channels(log: Log, study: Study) -> Iterator[Channel]:
-    for i in range(1, study.arm.n_joints + 1):
+def _channels(log: Log, arm: Arm) -> Iterator[Channel]:
+    for i in range(1, arm.n_joints + 1):
         yield Channel(f"theta_m{i}", i, "motor_angle", rate=True, shifted=False)
-    for i in range(1, study.arm.n_joints + 1):
-        if has_accelerometer(log, study, i):
+    for i in range(1, arm.n_joints + 1):
+        if has_accelerometer(log, arm, i):
             yield Channel(f"a{i}", i, "accelerometer", rate=False, shifted=True)
         elif f"theta_l{i}" in log.channels:
             yield Channel(f"theta_l{i}", i, "link_angle", rate=True, shifted=False)
         elif f"gyro{i}" in log.channels:
             yield Channel(f"gyro{i}", i, "gyro", rate=False, shifted=True)
-        for axis in axes_of(log.channels, study, i):
+        for axis in axes_of(log.channels, arm, i):
             yield Channel(axis.channel, i, axis.quantities[0], False, True, axis)
 
 
-def _drive(log: Log, study: Study, *, closed_loop: bool) -> Drive:
+def _drive(log: Log, arm: Arm, *, closed_loop: bool) -> Drive:
     """The recorded voltages, held from sample to sample, in place of servos and references."""
-    if closed_loop and missing_for_replay(study, log) is None:
-        return replay(study, log)
-    return driven_by_voltage(study, log)[1]
+    if closed_loop and missing_for_replay(arm, log) is None:
+        return replay(arm, log)
+    return driven_by_voltage(arm, log)[1]
 
 
-def _begins_in_motion(log: Log, study: Study) -> bool:
+def _begins_in_motion(log: Log, arm: Arm) -> bool:
     """Whether any motor is further on, at some early instant, than it could get from rest.
 
     From rest it gets no further than a t^2 / 2, a its largest acceleration in the whole record.
@@ -181,7 +179,7 @@ def _begins_in_motion(log: Log, study: Study) -> bool:
     span = max(1, round(_TURN / T))
     first = min(max(2, round(BEGINNING / T)), len(log) // 4)
     t = T * np.arange(first)
-    for i, joint in enumerate(study.arm.joints, start=1):
+    for i, joint in enumerate(arm.joints, start=1):
         angle = log.channels[f"theta_m{i}"]
         error = _REST * max(_count(joint), noise_deviation(angle))
         bend = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
@@ -196,13 +194,13 @@ def _count(joint: Joint) -> float:
     return 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
 
 
-def _as_driven(log: Log, study: Study) -> Study:
+def _as_driven(log: Log, arm: Arm) -> Arm:
     """Encoders without counts; an accelerometer of unknown place is simulated as an IMU."""
     joints = tuple(
-        replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, study, i), joint))
-        for i, joint in enumerate(study.arm.joints, start=1)
+        replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, arm, i), joint))
+        for i, joint in enumerate(arm.joints, start=1)
     )
-    return replace(study, arm=replace(study.arm, joints=joints))
+    return arm.with_joints(joints)
 
 
 def _imu(axes: Sequence[Axis], joint: Joint) -> Imu | None:

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Study, TuningOptions
+from strainwave.domain import FloatArray, Log, TuningOptions
 from strainwave.domain.options import PUBLISHED_RANGE
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification.whole_arm.parametrisation import (
@@ -45,14 +46,14 @@ def as_published(options: TuningOptions) -> TuningOptions:
     )
 
 
-def published_records(logs: Sequence[Log], study: Study) -> list[Log]:
+def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
     """The records that tuning as published rests on: steps under servo.
 
     Parameters
     ----------
     logs : sequence of Log
         That can be gone through again with recorded voltages.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -71,7 +72,7 @@ def published_records(logs: Sequence[Log], study: Study) -> list[Log]:
             'tuning as published needs records with use = "tuning": steps under servo'
         )
     for log in chosen:
-        missing = missing_for_replay(study, log)
+        missing = missing_for_replay(arm, log)
         if missing is not None:
             raise InvalidInput(
                 f"tuning as published simulates in closed loop, but {missing}",

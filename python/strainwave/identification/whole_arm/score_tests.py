@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Effect, FloatArray, ScoreTest, Study
+from strainwave.domain import Diagnostic, Effect, FloatArray, ScoreTest
 from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.effects import (
     HYSTERESIS_TWIST,
@@ -44,13 +45,13 @@ _EXPERIMENTS: Mapping[Effect, str] = {
 }
 
 
-def score_tests_of(fit: Fit, study: Study) -> list[ScoreTest]:
+def score_tests_of(fit: Fit, arm: Arm) -> list[ScoreTest]:
     """The effects that no joint's model has yet, the most significant first.
 
     Parameters
     ----------
     fit : Fit
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -58,36 +59,34 @@ def score_tests_of(fit: Fit, study: Study) -> list[ScoreTest]:
         Each one's gain is beyond that of those before; empty where the arm with effects
         cannot be simulated.
     """
-    candidates = _missing(fit, study)
+    candidates = _missing(fit, arm)
     if not candidates:
         return []
     try:
-        factor = _bordered(fit, study, [key for one in candidates for key in sizes_of(one)])
+        factor = _bordered(fit, arm, [key for one in candidates for key in sizes_of(one)])
     except (InvalidInput, NumericalFailure):
         return []
     return list(_chosen(candidates, factor, fit.cost))
 
 
-def _missing(fit: Fit, study: Study) -> list[NamedEffect]:
+def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
     known = fit.objective.space.keys
     return [
         (number, effect)
-        for number, joint in enumerate(study.arm.joints, start=1)
+        for number, joint in enumerate(arm.joints, start=1)
         for effect, names in EFFECT_PARAMETERS.items()
         if joint.spring != "rigid" and (names[0], number) not in known
     ]
 
 
-def _bordered(fit: Fit, study: Study, keys: Sequence[Key]) -> FloatArray:
+def _bordered(fit: Fit, arm: Arm, keys: Sequence[Key]) -> FloatArray:
     """R of [effects residual] in what the fit's unknowns cannot imitate: (n_keys + 1,) squared."""
     objective = fit.objective
-    numbers = range(1, study.arm.n_joints + 1)
+    numbers = range(1, arm.n_joints + 1)
     nothing = {(name, j): value for name, value in _AT_NOTHING.items() for j in numbers}
     values: Values = nothing | objective.space.values(fit.z)
-    joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in study.arm.joints)
-    rich = records_with(
-        objective.records, replace(study, arm=replace(study.arm, joints=joints)), values
-    )
+    joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in arm.joints)
+    rich = records_with(objective.records, arm.with_joints(joints), values)
 
     def tangent(k: int, _: Evaluated) -> FloatArray:
         begun = objective.memory.own[k][: len(rich[k].local)]
@@ -156,7 +155,7 @@ def _step(
     return _Step(candidate, gain, size, std)
 
 
-def effect_warnings(score_tests: Sequence[ScoreTest], study: Study) -> Iterator[Diagnostic]:
+def effect_warnings(score_tests: Sequence[ScoreTest], arm: Arm) -> Iterator[Diagnostic]:
     """The effect that the residuals speak for most, and the experiment that would settle it.
 
     One at a time: what the others would explain is known only with this one in the model. Effects
@@ -166,13 +165,13 @@ def effect_warnings(score_tests: Sequence[ScoreTest], study: Study) -> Iterator[
     ----------
     score_tests : sequence of ScoreTest
         The most significant first.
-    study : Study
+    arm : Arm
 
     Yields
     ------
     Diagnostic
     """
-    named = named_effects(study)
+    named = named_effects(arm)
     for one in score_tests:
         if not one.evident or (one.joint, one.effect) in named:
             continue

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from strainwave.domain import FloatArray, Study, TuningOptions
+from strainwave.domain import FloatArray, TuningOptions
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.solver import COARSE_GAIN, COARSE_SHARE, search_from
@@ -20,7 +21,7 @@ TRIAL = 10
 class Selection:
     """The setting in which a model is selected."""
 
-    study: Study
+    arm: Arm
     options: TuningOptions  # their evaluations grow where a candidate has some of its own
 
     @property

@@ -12,7 +12,8 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint, LinkSensor, Parameter, SensorGain, Study
+from strainwave.domain import FloatArray, Joint, LinkSensor, Parameter, SensorGain
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.dynamics.simulation import Quantity, SensorNoise
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -42,7 +43,7 @@ class _Candidate:
     assumed: str  # its data sheet
 
 
-def sensor_gains(fit: Fit, study: Study, parameters: Sequence[Parameter]) -> list[SensorGain]:
+def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[SensorGain]:
     """What one more link sensor in the same records would make of each interval.
 
     Two rules give a variance, and the larger one counts. In a sandwich B (H C H + S) B the rows
@@ -58,7 +59,7 @@ def sensor_gains(fit: Fit, study: Study, parameters: Sequence[Parameter]) -> lis
     ----------
     fit : Fit
         At its minimum.
-    study : Study
+    arm : Arm
     parameters : sequence of Parameter
         As published, with their standard deviations.
 
@@ -68,19 +69,19 @@ def sensor_gains(fit: Fit, study: Study, parameters: Sequence[Parameter]) -> lis
         Of gears and inertias, for each sensor that an elastic joint's link lacks in all records;
         empty where none lacks any, or the arm cannot be simulated with them.
     """
-    candidates = list(_candidates(fit.objective.records, study))
+    candidates = list(_candidates(fit.objective.records, arm))
     asked = [p for p in parameters if p.name.startswith(_NAMES) and p.value and p.std]
     if not candidates or not asked:
         return []
     try:
-        parts = _information(fit, study, candidates)
+        parts = _information(fit, arm, candidates)
     except (InvalidInput, NumericalFailure):
         return []
     space = fit.objective.space
     slope = space.slope(fit.z)
     prior = space.prior.rows @ slope
     known = prior.T @ prior
-    W = np.array([_weights(p, space.keys, study) for p in asked]) @ slope
+    W = np.array([_weights(p, space.keys, arm) for p in asked]) @ slope
     here, *each = [sum(own, known) for own in zip(*parts, strict=True)]
     own = np.linalg.inv(space.slope(fit.z))
     meat = here @ own @ fit.confidence.combined @ own.T @ here
@@ -116,24 +117,24 @@ def _gain(candidate: _Candidate, parameter: Parameter, share: float) -> SensorGa
     )
 
 
-def _weights(parameter: Parameter, keys: Sequence[Key], study: Study) -> FloatArray:
+def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
     """A parameter as a combination of the unknowns' values: (n_unknowns,)."""
     key = (parameter.name, parameter.joint)
     if key in keys or parameter.joint is None:
         return combination(keys, {key: 1.0})
-    return combination(keys, link_inertia(study, parameter.joint))
+    return combination(keys, link_inertia(arm, parameter.joint))
 
 
-def _candidates(records: Sequence[Dataset], study: Study) -> Iterator[_Candidate]:
+def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
     """Sensors of the links of elastic joints that have none in any record."""
     have = {c.joint for r in records for c in r.channels if c.quantity != "motor_angle"}
-    for number, joint in enumerate(study.arm.joints, start=1):
+    for number, joint in enumerate(arm.joints, start=1):
         if number in have or joint.spring == "rigid":
             continue
         density = SensorNoise().accelerometer_density
         place = ""
         if joint.motion == "revolute":
-            place = f", {_distance(joint, study):.2g} m from the joint's axis"
+            place = f", {_distance(joint, arm):.2g} m from the joint's axis"
         hz = joint.accelerometer_hz or _ACCELEROMETER_HZ
         yield _Candidate(
             "accelerometer",
@@ -154,24 +155,22 @@ def _candidates(records: Sequence[Dataset], study: Study) -> Iterator[_Candidate
         )
 
 
-def _distance(joint: Joint, study: Study) -> float:
+def _distance(joint: Joint, arm: Arm) -> float:
     """[m] from the axis at which an accelerometer would sit: the study's, or the first link's."""
-    return joint.accelerometer_distance or study.arm.link_length or _DISTANCE
+    return joint.accelerometer_distance or arm.link_length or _DISTANCE
 
 
-def _information(
-    fit: Fit, study: Study, candidates: Sequence[_Candidate]
-) -> list[list[FloatArray]]:
+def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[list[FloatArray]]:
     """Each record's information, (n_unknowns, n_unknowns): as it is, then with each candidate."""
     objective, values = fit.objective, fit.objective.space.values(fit.z)
     keys, slope = objective.space.keys, objective.space.slope(fit.z)
-    arm = [k for k, key in enumerate(keys) if not is_sensor_constant(key)]
+    public = [k for k, key in enumerate(keys) if not is_sensor_constant(key)]
 
     def one(record: Dataset, rows: Rows) -> list[FloatArray]:
-        rich = _with_candidates(record, study, candidates)
+        rich = _with_candidates(record, arm, candidates)
         n_begin, n_own = len(record.local), len(rows.step)
         begun = (rows.evaluated.own + rows.step)[:n_begin]
-        seen, tangent = rich.linearised(values, begun, [keys[k] for k in arm])
+        seen, tangent = rich.linearised(values, begun, [keys[k] for k in public])
         scale = np.sqrt(_ROBUST_WEIGHT / repetitions_of(rich))
         scale = scale / np.maximum(rich.noise, LEAST_ERROR * np.std(seen, axis=0))
         own = rows.evaluated.columns * (rows.root / rows.deviation)[..., None]
@@ -181,8 +180,8 @@ def _information(
             # its constant, then the record's own unknowns, then the shared ones
             more = np.zeros((len(seen), 1 + own.shape[2]))
             more[:, 0] = candidate.channel.shifted
-            more[:, 1 : 1 + n_begin] = tangent[:, k, len(arm) :]
-            more[:, 1 + n_own :] = tangent[:, k, : len(arm)] @ slope[arm]
+            more[:, 1 : 1 + n_begin] = tangent[:, k, len(public) :]
+            more[:, 1 + n_own :] = tangent[:, k, : len(public)] @ slope[public]
             stacked = np.concatenate([np.pad(R, ((0, 0), (1, 0))), scale[k] * more])
             if not candidate.channel.shifted:
                 stacked = stacked[:, 1:]
@@ -199,19 +198,19 @@ def _shared(factor: FloatArray, n_own: int) -> FloatArray:
     return np.asarray(R.T @ R)
 
 
-def _with_candidates(record: Dataset, study: Study, candidates: Sequence[_Candidate]) -> Dataset:
+def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_Candidate]) -> Dataset:
     """The record with the candidates for its channels, and their noise behind its low-pass."""
     lacking = {candidate.channel.joint for candidate in candidates}
     joints = tuple(
         replace(
             joint,
-            accelerometer_distance=_distance(joint, study),
+            accelerometer_distance=_distance(joint, arm),
             accelerometer_hz=joint.accelerometer_hz or _ACCELEROMETER_HZ,
             gyro_hz=joint.gyro_hz or _GYRO_HZ,
         )
         if number in lacking
         else joint
-        for number, joint in enumerate(record.study.arm.joints, start=1)
+        for number, joint in enumerate(record.arm.joints, start=1)
     )
     channels = tuple(candidate.channel for candidate in candidates)
     white = np.sqrt(0.5 / record.log.sample_time)  # deviation of a sample for a density of one
@@ -225,7 +224,7 @@ def _with_candidates(record: Dataset, study: Study, candidates: Sequence[_Candid
     ]
     return replace(
         record,
-        study=replace(record.study, arm=replace(record.study.arm, joints=joints)),
+        arm=record.arm.with_joints(joints),
         channels=channels,
         noise=np.array(noise),
         lacking=np.zeros((len(record.time), len(channels))),

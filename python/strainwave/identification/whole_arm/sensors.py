@@ -14,8 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Parameter, Study, TuningOptions
+from strainwave.domain import Diagnostic, FloatArray, Parameter, TuningOptions
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import (
     LARGEST_SCALE_ERROR,
     LONGEST_DELAY,
@@ -113,10 +114,10 @@ def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     -------
     Fit
     """
-    study, options = selection.study, selection.options
+    arm, options = selection.arm, selection.options
     space = fit.objective.space
     values, starts = space.values(fit.z), {}
-    for delay, bandwidth in _late(fit, study):
+    for delay, bandwidth in _late(fit, arm):
         late = values[delay]
         if late > _SHORTEST and bandwidth not in values and not is_held(bandwidth, options):
             starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _SHARE * late)
@@ -130,7 +131,7 @@ def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     return _refined_from(fit, objective, begin, options)
 
 
-def _late(fit: Fit, study: Study) -> Iterator[tuple[Key, Key]]:
+def _late(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
     """Sensors whose delay is an unknown and whose bandwidth the study does not have."""
     keys, seen = fit.objective.space.keys, set()
     for channel in (c for record in fit.objective.records for c in record.channels):
@@ -138,7 +139,7 @@ def _late(fit: Fit, study: Study) -> Iterator[tuple[Key, Key]]:
         if delay is None or bandwidth is None or delay not in keys or delay in seen:
             continue
         seen.add(delay)
-        drive = study.arm.joints[channel.joint - 1]
+        drive = arm.joints[channel.joint - 1]
         sensor = channel.sensor
         given = getattr(drive, f"{sensor}_hz", None)
         if sensor.startswith("imu_"):

@@ -7,15 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import (
-    Diagnostic,
-    FloatArray,
-    JointModel,
-    Log,
-    RigidModel,
-    Study,
-    TuningOptions,
-)
+from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, TuningOptions
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_optional, nominal
 from strainwave.dynamics.mounting import START
 from strainwave.errors import NotIdentifiable, NumericalFailure
@@ -76,7 +69,7 @@ def start_of(
     logs: Sequence[Log],
     model: RigidModel | None,
     candidates: Sequence[Sequence[JointModel]],
-    study: Study,
+    arm: Arm,
     chosen: TuningOptions,
     given: Mapping[Key, float] | None,
 ) -> Start:
@@ -89,7 +82,7 @@ def start_of(
     model : RigidModel or None
     candidates : sequence of sequence of JointModel
         Sets of joints to start from: the records decide.
-    study : Study
+    arm : Arm
     chosen : TuningOptions
     given : dict, optional
         (name, joint) -> value, in place of those of the stages before.
@@ -105,22 +98,22 @@ def start_of(
     InvalidInput
         A record lacks something that going through it again needs.
     """
-    used = usable(logs, study)
+    used = usable(logs, arm)
     if chosen.as_published:
-        used = published_records(used, study)
+        used = published_records(used, arm)
     if not used:
         raise NotIdentifiable(
             'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
             " angle and the voltage of every motor"
         )
     every = [joint for joints in candidates for joint in joints]
-    records, long_steps = _records(used, every, study, chosen)
+    records, long_steps = _records(used, every, arm, chosen)
 
-    placed = mounting_starts(logs, study, used)
+    placed = mounting_starts(logs, arm, used)
     given = placed | ({} if given is None else dict(given))
 
     def search_by(joints: Sequence[JointModel]) -> ParameterSpace:
-        found = _space(records, model, joints, study, chosen)
+        found = _space(records, model, joints, arm, chosen)
         return with_sensors(found, [key for key in placed if key[0] not in START], given)
 
     def objective_of(joints: Sequence[JointModel]) -> Objective:
@@ -129,7 +122,7 @@ def start_of(
     best = best_candidate(candidates, objective_of, chosen)
     joints = best.joints
     if len(candidates) > 1:  # the band is now known better
-        records, long_steps = _records(used, joints, study, chosen)
+        records, long_steps = _records(used, joints, arm, chosen)
     space = search_by(joints)
     own = {key for record in records for key in record.sensor_constants()}
     space = with_sensors(space, [key for key in given if key in own])
@@ -146,22 +139,22 @@ def start_of(
     if coarse.linearise(start) is None:
         raise NotIdentifiable(_UNLIKELY)
     if placed:
-        coarse, start = best_placed(coarse, start, study, chosen)
-    starts = starts_of(model, joints, study)
+        coarse, start = best_placed(coarse, start, arm, chosen)
+    starts = starts_of(model, joints, arm)
     for name, joint in starts.rejected:
         if name in LINEAR:
             start = _best_along(coarse, start, joint)
     if best.reached is None or placed:
         initial = start
-    return Start(used, records, coarse, initial, start, tuple(rejected_starts(starts, study)))
+    return Start(used, records, coarse, initial, start, tuple(rejected_starts(starts, arm)))
 
 
 def _records(
-    used: Sequence[Log], joints: Sequence[JointModel], study: Study, chosen: TuningOptions
+    used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, chosen: TuningOptions
 ) -> tuple[tuple[Dataset, ...], list[Dataset]]:
     """Records in a band that such joints need, and the same in long steps."""
-    cutoff = chosen.cutoff_hz or _cutoff(used, joints, study)
-    plain = with_known_effects(study, ())
+    cutoff = chosen.cutoff_hz or _cutoff(used, joints, arm)
+    plain = with_known_effects(arm, ())
     records = tuple(dataset_of(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
     return records, [coarsened(r, 1.0 / (_STEPS * cutoff)) for r in records]
 
@@ -184,9 +177,9 @@ def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> Floa
     return best
 
 
-def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], study: Study) -> float:
+def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], arm: Arm) -> float:
     """Some way above the highest resonance, but no higher than the motors show motion."""
-    shown = min(velocity_band(log, study) for log in used)
+    shown = min(velocity_band(log, arm) for log in used)
     resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
     limit = LEAST_BAND / max(log.sample_time for log in used)
     return min([shown, limit] + ([BAND * max(resonances)] if resonances else []))
@@ -196,17 +189,17 @@ def _space(
     records: Sequence[Dataset],
     model: RigidModel | None,
     joints: Sequence[JointModel],
-    study: Study,
+    arm: Arm,
     options: TuningOptions,
 ) -> ParameterSpace:
     voltage = np.max([np.max(np.abs(r.drive.voltage), axis=0) for r in records], axis=0)
     space = space_of(
-        model, joints, study, largest_voltage=voltage.tolist(), floor=options.least_deviation
+        model, joints, arm, largest_voltage=voltage.tolist(), floor=options.least_deviation
     )
-    if any(joint.spring == "three-slope" for joint in study.arm.joints):
+    if any(joint.spring == "three-slope" for joint in arm.joints):
         values = space.values(np.zeros(len(space.unknowns)))
         try:
-            space = with_curves(space, study, gear_torques(records, values).tolist())
+            space = with_curves(space, arm, gear_torques(records, values).tolist())
         except NumericalFailure as failure:
             raise NotIdentifiable(_UNLIKELY) from failure
     return space

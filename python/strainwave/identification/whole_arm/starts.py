@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, JointModel, RigidModel, Study
+from strainwave.domain import Diagnostic, JointModel, RigidModel
 from strainwave.domain.parameters import Values, unit_of
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 
 Key = tuple[str, int | None]
@@ -39,7 +40,7 @@ class Starts:
     rejected: Mapping[Key, float]
 
 
-def starts_of(model: RigidModel | None, joints: Sequence[JointModel], study: Study) -> Starts:
+def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) -> Starts:
     """A start for every parameter but the curves'.
 
     Parameters
@@ -48,7 +49,7 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], study: Stu
         Dispensable for a single joint without gravity.
     joints : sequence of JointModel
         One per joint.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -59,15 +60,15 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], study: Stu
     NotIdentifiable
         A joint has no model, or the rigid model lacks something that nothing can stand for.
     """
-    models = _by_joint(joints, study)
-    start, rejected = _inertias(model, models, study)
-    if study.arm.gravity is not None:
-        for i in range(1, study.arm.n_joints + 1):
+    models = _by_joint(joints, arm)
+    start, rejected = _inertias(model, models, arm)
+    if arm.gravity is not None:
+        for i in range(1, arm.n_joints + 1):
             start[f"gravity_torque_{i}", None] = _rigid(model, f"gravity_torque_{i}")
     for number in sorted(models):
         values = models[number].values
         stiffness, damping = values["gear_stiffness"], values["gear_damping"]
-        load = _link_inertia(start, study, number)
+        load = _link_inertia(start, arm, number)
         if not _positive(stiffness):
             rejected["gear_stiffness", number] = stiffness
             stiffness = (2.0 * np.pi * _ANTI_RESONANCE_HZ) ** 2 * load
@@ -76,20 +77,20 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], study: Stu
             rejected["gear_damping", number] = damping
             damping = _DAMPING * critical
         damping = min(max(damping, _RATIOS[0] * critical), _RATIOS[1] * critical)
-        friction = _friction(model, models[number], study, number)
+        friction = _friction(model, models[number], arm, number)
         for name, value in friction.items():
             start[name, number] = value
         start["gear_stiffness", number], start["gear_damping", number] = stiffness, damping
     return Starts(start, rejected)
 
 
-def rejected_starts(starts: Starts, study: Study) -> Iterator[Diagnostic]:
+def rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
     """What a reader must know of starts that were impossible.
 
     Parameters
     ----------
     starts : Starts
-    study : Study
+    arm : Arm
 
     Yields
     ------
@@ -97,21 +98,21 @@ def rejected_starts(starts: Starts, study: Study) -> Iterator[Diagnostic]:
     """
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
-        unit = "kg m^2" if joint is None else unit_of(name, study.arm.joints[joint - 1])
+        unit = "kg m^2" if joint is None else unit_of(name, arm.joints[joint - 1])
         text = f"the steps before found {value:.3g} {unit}, which is impossible; the whole-arm fit"
         text += f" started from {starts.values[name, joint]:.3g}, which is usual for such arms"
         yield Diagnostic("start-rejected", place, text)
 
 
 def _inertias(
-    model: RigidModel | None, joints: Mapping[int, JointModel], study: Study
+    model: RigidModel | None, joints: Mapping[int, JointModel], arm: Arm
 ) -> tuple[Values, dict[Key, float]]:
     """Inertias of links and motors; each that is impossible made of what the rigid model knows."""
     rejected: dict[Key, float] = {}
     motor = {number: joint.values["motor_inertia"] for number, joint in joints.items()}
     link = {number: joint.values["link_inertia"] for number, joint in joints.items()}
-    n2 = {i: joint.gear_ratio**2 for i, joint in enumerate(study.arm.joints, start=1)}
-    if study.arm.n_joints == 1:
+    n2 = {i: joint.gear_ratio**2 for i, joint in enumerate(arm.joints, start=1)}
+    if arm.n_joints == 1:
         total = _known(model, "inertia", 1)
         if not _positive(link[1]):
             rejected["link_inertia", 1] = link[1]
@@ -143,10 +144,10 @@ def _inertias(
 
 
 def _friction(
-    model: RigidModel | None, joint: JointModel, study: Study, number: int
+    model: RigidModel | None, joint: JointModel, arm: Arm, number: int
 ) -> dict[str, float]:
     """Of the joint's model, Coulomb friction and its offset of the rigid one where it has them."""
-    values = _mended(joint.values, study.arm.joints[number - 1].gear_ratio)
+    values = _mended(joint.values, arm.joints[number - 1].gear_ratio)
     found = {name: values[name] for name in VISCOUS}
     found[OFFSET] = _known(model, OFFSET, number) or 0.0
     coulomb = _known(model, COULOMB, number)  # not every route to a joint's model tells it
@@ -167,8 +168,8 @@ def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
     return mended
 
 
-def _link_inertia(start: Values, study: Study, joint: int) -> float:
-    if study.arm.n_joints == 1:
+def _link_inertia(start: Values, arm: Arm, joint: int) -> float:
+    if arm.n_joints == 1:
         return start["link_inertia", 1]
     beta = start["beta", None]
     return beta if joint == 2 else start["alpha", None] + beta + 2.0 * start["gamma", None]
@@ -189,9 +190,9 @@ def _sure(name: str, value: float) -> float:
     return value
 
 
-def _by_joint(joints: Sequence[JointModel], study: Study) -> dict[int, JointModel]:
+def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
     found = {joint.joint: joint for joint in joints}
-    for number, joint in enumerate(study.arm.joints, start=1):
+    for number, joint in enumerate(arm.joints, start=1):
         if joint.spring == "rigid" or number not in found:
             raise NotIdentifiable(
                 f"the whole-arm fit starts from a model of each elastic joint, and joint {number}"

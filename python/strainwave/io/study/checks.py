@@ -117,7 +117,7 @@ def check_options(study: Study, reader: Reader) -> None:
                 where=reader.place(f"options.{stage}", None, "band_hz"),
                 remedy="give the lower frequency first",
             )
-    fitted = whole_arm_parameters(study)
+    fitted = whole_arm_parameters(study.arm)
     numbers = range(1, study.arm.n_joints + 1)
     constants = [f"{name} {i}" for name in SENSOR_PARAMETERS for i in numbers]
     held = (*fitted, *SENSOR_PARAMETERS, *constants)  # a delay may be zero: no factors bound it

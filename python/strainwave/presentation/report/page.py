@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator
 
 from strainwave.domain import CONDITIONS, ArmModel, Identification, JointModel, Prediction
+from strainwave.domain.combinations import value_of
 from strainwave.domain.formatting import percent
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import chosen_options
-from strainwave.domain.parameters import link_inertia
 from strainwave.presentation.figures import MOST_POINTS, Figure
 from strainwave.presentation.report import (
     amplitudes,
@@ -42,8 +43,6 @@ from strainwave.presentation.report.verdict import verdict
 
 _ALL_POINTS = 150_000  # in all lines over time: more would make a page of many megabytes
 _FEWEST_POINTS = 300  # of one of them
-
-_INERTIAS = ("alpha", "beta", "gamma")
 
 
 def render(identification: Identification) -> str:
@@ -162,8 +161,9 @@ def _by_whole_arm(found: Identification, joint: JointModel) -> dict[str, float] 
     values = dict(found.tuned.values)
     own = {name: value for (name, of), value in values.items() if of == joint.joint}
     own.setdefault("gear_stiffness", joint.values["gear_stiffness"])  # of a curve: its equivalent
-    if found.study.arm.n_joints == 1 or all((name, None) in values for name in _INERTIAS):
-        own["link_inertia"] = link_inertia(values, found.study, joint.joint)
+    kind = kind_of(found.study.arm)
+    if all(key in values for key in kind.inertias):
+        own["link_inertia"] = value_of(kind.link_inertia(joint.joint), values)
     return own if set(list(joint.values)[:6]) <= set(own) else None
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from strainwave.domain import Consistency, Log, Study, Suspicion
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.consistency.causes import Cause, causes
 from strainwave.signals.consistency.clipping import clipped
@@ -39,7 +40,7 @@ def check(logs: Sequence[Log], study: Study) -> Consistency:
         With a suspicion for each cause that would explain contradictions.
     """
     with one_blas_thread():
-        found = list(clipped(logs, study))
+        found = list(clipped(logs, Arm.of(study.arm)))
         seen = evidence(logs, study).without([each.where for each in found])
         found.extend(_explained(seen))
     return Consistency(tuple(found))

@@ -170,7 +170,7 @@ def _timed(seen: Evidence, group: Sequence[str], kind: str, value: float) -> Cau
 
 
 def _swaps(seen: Evidence) -> Iterator[Cause]:
-    if seen.study.arm.n_joints != 2:
+    if seen.arm.n_joints != 2:
         return
     there = {name for record in seen.records for name in record.channels}
     for kind in ("a", "u", "theta_m", "torque", "gyro", "theta_l", "ref", "omega_m"):
@@ -265,7 +265,7 @@ def _angle(
     """The motor angle in another unit, or with the wrong sign."""
     name = f"theta_m{joint}"
     names = dict(_UNITS["theta_m"])
-    per_turn = seen.study.arm.joints[joint - 1].encoder_counts
+    per_turn = seen.arm.joints[joint - 1].encoder_counts
     if per_turn:
         names["encoder counts"] = 2.0 * np.pi / per_turn
         names["quadrature counts"] = np.pi / 2.0 / per_turn
@@ -305,7 +305,7 @@ def _link_scales(found: Sequence[Observation], joint: int) -> list[float]:
 
 def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]:
     """A gear ratio that is not the gear's."""
-    n = seen.study.arm.joints[joint - 1].gear_ratio
+    n = seen.arm.joints[joint - 1].gear_ratio
     tried = [scale * n for scale in turns if scale > 0.0] + [0.5 * n, 2.0 * n, 1.0 / n]
     for found_ratio in tried:
         reduction = round(1.0 / found_ratio)
@@ -333,8 +333,8 @@ def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]
 def _geometry(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator[Cause]:
     """An accelerometer elsewhere than the study says, or axes further apart."""
     name = f"a{joint}"
-    distance = seen.study.arm.joints[joint - 1].accelerometer_distance
-    length = seen.study.arm.link_length
+    distance = seen.arm.joints[joint - 1].accelerometer_distance
+    length = seen.arm.link_length
     tried = _values(found, "own", name) + _values(found, "scale", name)
     for ratio in tried if distance else ():
         if ratio <= 0.0:

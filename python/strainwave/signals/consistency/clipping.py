@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Study, Suspicion
+from strainwave.domain import FloatArray, Log, Suspicion
+from strainwave.dynamics.arm import Arm
 
 _KINDS = ("a", "gyro", "theta_l", "deflection", "torque", "omega_m")
 _NOISY = ("a", "gyro")  # never three times the same, but at the end of the range
@@ -16,20 +17,20 @@ _LONGER = 6.0  # times as often as one count inside; a turning angle is there 2.
 _FEWEST_VALUES = 50  # different ones, below which a coarse channel has flat tops of its own
 
 
-def clipped(logs: Sequence[Log], study: Study) -> Iterator[Suspicion]:
+def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
     """Channels that stay at their extremes again and again.
 
     Parameters
     ----------
     logs : sequence of Log
-    study : Study
+    arm : Arm
 
     Returns
     -------
     iterator of Suspicion
     """
     for kind in _KINDS:
-        for i in range(1, study.arm.n_joints + 1):
+        for i in range(1, arm.n_joints + 1):
             name = f"{kind}{i}"
             shares = {
                 log.name: (_share(log.channels[name], rests=kind not in _NOISY), log.channels[name])

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Prbs, Study
+from strainwave.domain import FloatArray, Log, Prbs
+from strainwave.dynamics.arm import Arm
 
 _FEWEST_SWITCHES = 24
 _WHOLE = 0.2  # of a clock, within which a switch is at a whole number of them
@@ -33,13 +34,13 @@ class Clocks:
         return replace(self, prbs=by(self.prbs), servo=by(self.servo))
 
 
-def clocks_of(log: Log, study: Study) -> Clocks:
+def clocks_of(log: Log, arm: Arm) -> Clocks:
     """The clocks that a log's commands follow.
 
     Parameters
     ----------
     log : Log
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -57,7 +58,7 @@ def clocks_of(log: Log, study: Study) -> Clocks:
             level[name] = 0.5 * float(np.ptp(values))
             found = _clock(values, log, two_levels=True) or _period(values, log, experiment.prbs)
             prbs = prbs or found
-        elif control == "servo" and study.arm.servo is not None:
+        elif control == "servo" and arm.servo is not None:
             servo = servo or _clock(values, log, two_levels=False)
     return Clocks(prbs, servo, level)
 

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import BoolArray, Experiment, FloatArray, Log, Study
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import side_by_side
 from strainwave.signals.consistency.clocks import Clocks, clocks_of
@@ -44,7 +45,8 @@ class SlowRecord:
 class Evidence:
     """A study and what its logs show, as a hypothesis about the input may change them."""
 
-    study: Study
+    study: Study  # as it is written
+    arm: Arm  # as the hypothesis has it
     records: tuple[SlowRecord, ...]
     counts: Mapping[int, float]  # joint -> step of its motor angle, where it has one
 
@@ -129,16 +131,13 @@ class Evidence:
 
     def with_joint(self, joint: int, **keys: float) -> Evidence:
         """With keys of one [[joint]] changed; joints from 1."""
-        joints = list(self.study.arm.joints)
+        joints = list(self.arm.joints)
         joints[joint - 1] = replace(joints[joint - 1], **keys)  # type: ignore[arg-type]
-        return replace(
-            self, study=replace(self.study, arm=replace(self.study.arm, joints=tuple(joints)))
-        )
+        return replace(self, arm=self.arm.with_joints(joints))
 
     def with_length(self, link_length: float) -> Evidence:
         """With another distance between the axes."""
-        arm = replace(self.study.arm, link_length=link_length)
-        return replace(self, study=replace(self.study, arm=arm))
+        return replace(self, arm=replace(self.arm, link_length=link_length))
 
 
 def evidence(logs: Sequence[Log], study: Study) -> Evidence:
@@ -153,18 +152,19 @@ def evidence(logs: Sequence[Log], study: Study) -> Evidence:
     -------
     Evidence
     """
-    found = side_by_side([partial(_slow, log, study) for log in logs]) if logs else []
+    arm = Arm.of(study.arm)
+    found = side_by_side([partial(_slow, log, arm) for log in logs]) if logs else []
     counts = {}
-    for joint in range(1, study.arm.n_joints + 1):
+    for joint in range(1, arm.n_joints + 1):
         count = count_of([log.channels[f"theta_m{joint}"] for log in logs])
         if count is not None:
             counts[joint] = count
-    return Evidence(study, tuple(r for r in found if r is not None), counts)
+    return Evidence(study, arm, tuple(r for r in found if r is not None), counts)
 
 
-def _slow(log: Log, study: Study) -> SlowRecord | None:
+def _slow(log: Log, arm: Arm) -> SlowRecord | None:
     """A record at low frequencies; None where it is too short for any."""
-    joints = range(1, study.arm.n_joints + 1)
+    joints = range(1, arm.n_joints + 1)
     n = min(len(log), _MOST_SAMPLES)
     T = log.sample_time
     angle = np.column_stack([log.channels[f"theta_m{i}"][:n] for i in joints])
@@ -193,7 +193,7 @@ def _slow(log: Log, study: Study) -> SlowRecord | None:
         direction=slow[:, len(names) :],
         inside=inside,
         start=0.5 * (block - 1) * T,
-        clocks=clocks_of(log, study),
+        clocks=clocks_of(log, arm),
     )
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Study
-from strainwave.dynamics.rigid_regressor import gear_ratios
+from strainwave.domain import FloatArray
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import Fit, regress
@@ -85,7 +85,7 @@ def servo_outputs(seen: Evidence) -> list[Ratio]:
         Where a servo acts alone, without a PRBS on top.
     """
     found: list[Ratio] = []
-    servo = seen.study.arm.servo
+    servo = seen.arm.servo
     for record, i in _servoed(seen):
         name = f"u{i}"
         own = record.experiment.prbs is not None and record.experiment.joint in (None, i)
@@ -112,7 +112,7 @@ def velocities(seen: Evidence) -> list[Ratio]:
     """
     found: list[Ratio] = []
     for record in seen.records:
-        for i in range(1, seen.study.arm.n_joints + 1):
+        for i in range(1, seen.arm.n_joints + 1):
             name = f"omega_m{i}"
             if name in record.channels:
                 slope = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
@@ -138,10 +138,10 @@ def torques(seen: Evidence) -> list[Torque]:
     """
     slow = [r for r in seen.records if is_slow(r.experiment)]
     found = []
-    for i in range(seen.study.arm.n_joints):
+    for i in range(seen.arm.n_joints):
         own = slow or [r for r in seen.records if r.experiment.joint in (None, i + 1)]
         own = [r for r in own if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
-        fit, names = _torque(own, seen.study, i)
+        fit, names = _torque(own, seen.arm, i)
         if fit is None:
             continue
         deviation = np.sqrt(np.diag(fit.covariance))
@@ -154,9 +154,9 @@ def torques(seen: Evidence) -> list[Torque]:
 
 
 def _servoed(seen: Evidence) -> Iterator[tuple[SlowRecord, int]]:
-    if seen.study.arm.servo is None:
+    if seen.arm.servo is None:
         return
-    limit = 0.999 * seen.study.arm.servo.limit
+    limit = 0.999 * seen.arm.servo.limit
     for record in seen.records:
         for i, control in enumerate(record.experiment.control, start=1):
             if control != "servo" or f"ref{i}" not in record.channels:
@@ -177,17 +177,17 @@ def _ratio(
         yield Ratio(channel, record.experiment.name, float(fit.value[0]), std, fit.explained)
 
 
-def _torque(records: list[SlowRecord], study: Study, i: int) -> tuple[Fit | None, list[str]]:
+def _torque(records: list[SlowRecord], arm: Arm, i: int) -> tuple[Fit | None, list[str]]:
     """All records' rows of one joint's equation, each record with a constant of its own."""
     targets, blocks = [], []
     names: list[str] = []
     for record in records:
-        columns = _columns(record, study, i)
+        columns = _columns(record, arm, i)
         names = list(columns)
         # about a reversal friction is anywhere between its two values
         rows = record.inside & (np.abs(record.direction[:, i]) > _SLIDING)
         rows = rows if rows.sum() > _FEWEST_ROWS else record.inside
-        torque = motor_torque(record, study, i)[rows]
+        torque = motor_torque(record, arm, i)[rows]
         block = np.column_stack(list(columns.values()))[rows]
         targets.append(torque - torque.mean())
         blocks.append(block - block.mean(axis=0))
@@ -196,13 +196,13 @@ def _torque(records: list[SlowRecord], study: Study, i: int) -> tuple[Fit | None
     return regress(np.concatenate(targets), np.concatenate(blocks)), names
 
 
-def motor_torque(record: SlowRecord, study: Study, i: int) -> FloatArray:
+def motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     """A motor's torque as logged, or as its voltage makes it [N m].
 
     Parameters
     ----------
     record : SlowRecord
-    study : Study
+    arm : Arm
     i : int
         Joint, from 0.
 
@@ -213,20 +213,20 @@ def motor_torque(record: SlowRecord, study: Study, i: int) -> FloatArray:
     name = f"torque{i + 1}"
     if name in record.channels:
         return record.channels[name]
-    return (study.arm.joints[i].torque_per_volt or 1.0) * record.channels[f"u{i + 1}"]
+    return (arm.joints[i].torque_per_volt or 1.0) * record.channels[f"u{i + 1}"]
 
 
-def _columns(record: SlowRecord, study: Study, i: int) -> dict[str, FloatArray]:
+def _columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
     """Motor torque per parameter of one joint's equation, taken apart from the other's."""
-    n = gear_ratios(study)
-    joints = range(1, study.arm.n_joints + 1)
+    n = arm.gear_ratios
+    joints = range(1, arm.n_joints + 1)
     motor = np.column_stack([record.channels[f"theta_m{j}"] for j in joints])
     q = motor * n
     dq = differentiate(q, record.sample_time)
     ddq = differentiate(dq, record.sample_time)
     friction = {"viscous": dq[:, i] / n[i], "coulomb": record.direction[:, i]}
-    gravity = study.arm.gravity is not None
-    if study.arm.n_joints == 1:
+    gravity = arm.gravity is not None
+    if arm.n_joints == 1:
         pull = {"gravity_torque_1": n[0] * np.cos(q[:, 0])} if gravity else {}
         return {"inertia": ddq[:, 0] / n[0]} | friction | pull
     c, s = np.cos(q[:, 1]), np.sin(q[:, 1])

@@ -139,14 +139,14 @@ def observe(seen: Evidence) -> tuple[Observation, ...]:
 
 def _counts(seen: Evidence) -> Iterator[Observation]:
     for joint, count in seen.counts.items():
-        per_turn = seen.study.arm.joints[joint - 1].encoder_counts
+        per_turn = seen.arm.joints[joint - 1].encoder_counts
         if per_turn:
             ratio = count * per_turn / (2.0 * np.pi)
             yield Observation("count", f"theta_m{joint}", ratio, 1e-3 * ratio, joint)
 
 
 def _clocks(seen: Evidence) -> Iterator[Observation]:
-    servo = seen.study.arm.servo
+    servo = seen.arm.servo
     for record in seen.records:
         experiment, clocks = record.experiment, record.clocks
         if clocks.prbs is not None and experiment.prbs is not None:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, Lag, Study
-from strainwave.dynamics.rigid_regressor import gear_ratios
+from strainwave.domain import BoolArray, FloatArray, Lag
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, lagged
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import Fit, regress
@@ -62,14 +62,14 @@ def readings(seen: Evidence) -> list[Reading]:
     slow = {name for r in seen.records if is_slow(r.experiment) for name in r.channels}
     found: list[Reading] = []
     for record in seen.records:
-        motion = _Motion.of(record, seen.study)
+        motion = _Motion.of(record, seen.arm)
         for kind in LINK_CHANNELS:
-            for i in range(seen.study.arm.n_joints):
+            for i in range(seen.arm.n_joints):
                 name = f"{kind}{i + 1}"
                 excited = record.experiment.joint in (None, i + 1)
                 wanted = is_slow(record.experiment) or (name not in slow and excited)
                 if wanted and name in record.channels:
-                    found.extend(_read(record, seen.study, motion, kind, i))
+                    found.extend(_read(record, seen.arm, motion, kind, i))
     return found
 
 
@@ -92,13 +92,13 @@ def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
     """
     if joint == 1:
         return ()
-    ratio = seen.study.arm.joints[joint - 1].gear_ratio
+    ratio = seen.arm.joints[joint - 1].gear_ratio
     slow = [r for r in seen.records if is_slow(r.experiment)] or list(seen.records)
     names = [f"{k}{joint}" for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
 
     def unexplained(factor: float) -> float:
-        study = seen.with_joint(joint, gear_ratio=factor * ratio).study
-        found = _read(slow[0], study, _Motion.of(slow[0], study), names[0][:-1], joint - 1)
+        arm = seen.with_joint(joint, gear_ratio=factor * ratio).arm
+        found = _read(slow[0], arm, _Motion.of(slow[0], arm), names[0][:-1], joint - 1)
         return min((1.0 - reading.explained for reading in found), default=1.0)
 
     if not names:
@@ -125,22 +125,22 @@ class _Motion:
     acceleration: FloatArray
 
     @classmethod
-    def of(cls, record: SlowRecord, study: Study) -> _Motion:
-        joints = range(1, study.arm.n_joints + 1)
+    def of(cls, record: SlowRecord, arm: Arm) -> _Motion:
+        joints = range(1, arm.n_joints + 1)
         motor = np.column_stack([record.channels[f"theta_m{i}"] for i in joints])
-        angle = motor * gear_ratios(study)
+        angle = motor * arm.gear_ratios
         velocity = differentiate(angle, record.sample_time)
         return cls(angle, velocity, differentiate(velocity, record.sample_time))
 
 
-def _parts(study: Study, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray] | None:
+def _parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray] | None:
     """What a channel's reading is the sum of; None: the study does not say."""
     q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
     if kind == "theta_l":
         return {"own": q[:, i]}
     if kind == "gyro":
         return {"own": dq[:, : i + 1].sum(axis=1)}
-    joint = study.arm.joints[i]
+    joint = arm.joints[i]
     if joint.motion == "prismatic":
         return {"own": ddq[:, i]}
     if joint.accelerometer_distance is None:
@@ -148,21 +148,19 @@ def _parts(study: Study, motion: _Motion, kind: str, i: int) -> dict[str, FloatA
     parts = {"own": joint.accelerometer_distance * ddq[:, : i + 1].sum(axis=1)}
     if i == 1:
         elbow = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
-        parts["elbow"] = (study.arm.link_length or 0.0) * elbow
-    if study.arm.gravity:
-        parts["gravity"] = study.arm.gravity * np.cos(q[:, : i + 1].sum(axis=1))
+        parts["elbow"] = (arm.link_length or 0.0) * elbow
+    if arm.gravity:
+        parts["gravity"] = arm.gravity * np.cos(q[:, : i + 1].sum(axis=1))
     return parts
 
 
-def _read(
-    record: SlowRecord, study: Study, motion: _Motion, kind: str, i: int
-) -> Iterator[Reading]:
+def _read(record: SlowRecord, arm: Arm, motion: _Motion, kind: str, i: int) -> Iterator[Reading]:
     name = f"{kind}{i + 1}"
-    parts = _parts(study, motion, kind, i)
+    parts = _parts(arm, motion, kind, i)
     if parts is None:
         return
     T = record.sample_time
-    sensor = [lag for lag in _lags(study, kind, i) if _shows(lag, T, len(record.inside))]
+    sensor = [lag for lag in _lags(arm, kind, i) if _shows(lag, T, len(record.inside))]
     parts = {key: lagged(part, sensor, T) for key, part in parts.items()}
     inside = record.inside
     target = record.channels[name][inside]
@@ -189,7 +187,7 @@ def _read(
             apart = {key: (float(each.value[k]), float(spread[k])) for k, key in enumerate(parts)}
     size = float(np.std(target))
     turn = None
-    shares = _shares(study, motion, kind) if i == 1 else None
+    shares = _shares(arm, motion, kind) if i == 1 else None
     if shares is not None:
         filtered = [lagged(share, sensor, T) for share in shares]
         split = _fit(target, [*filtered, *columns], np.r_[[free] * len(shares), prior], inside)
@@ -211,13 +209,13 @@ def _read(
     )
 
 
-def _shares(study: Study, motion: _Motion, kind: str) -> list[FloatArray] | None:
+def _shares(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | None:
     """What link 2's sensor reads of joint 2's turning, of joint 1's, and the rest."""
-    parts = _parts(study, motion, kind, 1)
-    if parts is None or kind == "theta_l" or study.arm.joints[1].motion == "prismatic":
+    parts = _parts(arm, motion, kind, 1)
+    if parts is None or kind == "theta_l" or arm.joints[1].motion == "prismatic":
         return None
     turned = motion.velocity if kind == "gyro" else motion.acceleration
-    distance = 1.0 if kind == "gyro" else study.arm.joints[1].accelerometer_distance or 0.0
+    distance = 1.0 if kind == "gyro" else arm.joints[1].accelerometer_distance or 0.0
     rest = [part for key, part in parts.items() if key != "own"]
     return [distance * turned[:, 1], distance * turned[:, 0], *rest]
 
@@ -246,8 +244,8 @@ def _shows(lag: Lag, sample_time: float, rows: int) -> bool:
     return _NO_TIME < rows_taken < 0.1 * rows
 
 
-def _lags(study: Study, kind: str, i: int) -> list[Lag]:
-    joint = study.arm.joints[i]
+def _lags(arm: Arm, kind: str, i: int) -> list[Lag]:
+    joint = arm.joints[i]
     if kind == "a" and joint.accelerometer_hz:
         return [Lag(2, joint.accelerometer_hz)]
     if kind == "gyro" and joint.gyro_hz:

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import FloatArray, JointModel, LinkSignals, RigidModel, Study
-from strainwave.dynamics.rigid_regressor import gear_ratios
+from strainwave.domain import FloatArray, JointModel, LinkSignals, RigidModel
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.estimates import cautions_of, parameters_of, status_of
@@ -32,7 +32,7 @@ _DIFFERENCE = 1e-4  # of a coordinate
 
 
 def models_from_motors(
-    records: Sequence[LinkSignals], model: RigidModel | None, study: Study
+    records: Sequence[LinkSignals], model: RigidModel | None, arm: Arm
 ) -> list[tuple[JointModel, ...]]:
     """Models of all joints from motor torques and velocities alone.
 
@@ -44,7 +44,7 @@ def models_from_motors(
         Their link signals are not used.
     model : RigidModel or None
         None will do for a single joint without gravity.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -57,28 +57,28 @@ def models_from_motors(
     NotIdentifiable
         A joint is not driven, or nothing explains the motors' motion.
     """
-    ratio = gear_ratios(study)
+    ratio = arm.gear_ratios
     seen = [piece for r in records for piece in pieces(r, ratio, most_lines=_LINES) if piece.rows]
-    for i in range(study.arm.n_joints):
+    for i in range(arm.n_joints):
         if not any(i in piece.rows for piece in seen):
             raise NotIdentifiable(
                 f"no record has the motor of joint {i + 1} slide most of the time when driven,"
                 " so that its gear does not show: record it with a PRBS of larger amplitude"
             )
-    family = family_of(model, study)
+    family = family_of(model, arm)
     with one_blas_thread():
         found = minima(family, seen, [thinned(piece, _COARSE) for piece in seen])
         names = [
             tuple(dict.fromkeys(p.experiment for p in seen if i in p.rows))
-            for i in range(study.arm.n_joints)
+            for i in range(arm.n_joints)
         ]
-        return [_models(each, family, study, seen, names) for each in found]
+        return [_models(each, family, arm, seen, names) for each in found]
 
 
 def _models(
     found: Found,
     family: Family,
-    study: Study,
+    arm: Arm,
     seen: Sequence[Piece],
     experiments: Sequence[tuple[str, ...]],
 ) -> tuple[JointModel, ...]:
@@ -94,7 +94,7 @@ def _models(
         values = dict(zip(NAMES, joint.vector.tolist(), strict=True))
         deviation = np.sqrt(np.diag(covariance))
         told = [bool(d <= _TOLD * v) for d, v in zip(deviation, values.values(), strict=True)]
-        said = values, covariance, told, study.arm.joints[i], i + 1
+        said = values, covariance, told, arm.joints[i], i + 1
         warnings = tuple(cautions_of(*said, ", ".join(experiments[i])))
         fit = found.fit_percent[i]
         models.append(

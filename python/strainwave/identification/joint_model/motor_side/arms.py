@@ -13,10 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import FloatArray, RigidModel, Study
+from strainwave.domain import FloatArray, RigidModel
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_parameters, total_inertias
-from strainwave.dynamics.rigid_regressor import gear_ratios
-from strainwave.dynamics.simulation import base_names, build_arm, inertia_matrix
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.identification.joint_model.motor_side.impedance import LinearArm
 
@@ -38,12 +37,12 @@ class Posture:
     gravity: FloatArray  # (n_base, n_joints, n_joints) of the slope of gravity's torques
 
 
-def posture_of(study: Study, angle: FloatArray) -> Posture:
+def posture_of(arm: Arm, angle: FloatArray) -> Posture:
     """The arm's inertia and gravity in a posture, by base parameter.
 
     Parameters
     ----------
-    study : Study
+    arm : Arm
     angle : (n_joints,) [rad]
         Of the links.
 
@@ -51,16 +50,16 @@ def posture_of(study: Study, angle: FloatArray) -> Posture:
     -------
     Posture
     """
-    unit = np.eye(len(base_names(study)))
-    inertia = np.stack([inertia_matrix(study, one, angle) for one in unit])
-    return Posture(inertia, _gravity_slopes(study, angle))
+    unit = np.eye(len(arm.base_names))
+    inertia = np.stack([arm.inertia_matrix(one, angle) for one in unit])
+    return Posture(inertia, _gravity_slopes(arm, angle))
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
     """All arms that agree with a rigid model."""
 
-    study: Study
+    arm: Arm
     ratio: FloatArray  # (n_joints,)
     total_inertia: FloatArray | None  # (n_joints,) c_1 [kg m^2] at the motors; None: searched for
     total_viscous: FloatArray | None  # (n_joints,) c_0 [N m s/rad]; None with the above
@@ -148,7 +147,7 @@ class Family:
         base = self._base(self.parts(points)["link_inertia"])
         fine = np.ones(points.shape[:-1], dtype=bool)
         for angle in (0.0, 0.5 * np.pi):
-            posture = posture_of(self.study, np.full(self.n_joints, angle))
+            posture = posture_of(self.arm, np.full(self.n_joints, angle))
             inertia = np.tensordot(base, posture.inertia, axes=1)
             fine &= np.linalg.eigvalsh(inertia)[..., 0] > 0.0
         return np.asarray(fine)
@@ -183,14 +182,14 @@ class Family:
         return base
 
 
-def family_of(model: RigidModel | None, study: Study) -> Family:
+def family_of(model: RigidModel | None, arm: Arm) -> Family:
     """All arms that agree with a rigid model; without one, all single joints.
 
     Parameters
     ----------
     model : RigidModel or None
         None will do for a single joint without gravity.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -201,13 +200,13 @@ def family_of(model: RigidModel | None, study: Study) -> Family:
     NotIdentifiable
         The rigid model lacks an inertia.
     """
-    n, names = study.arm.n_joints, base_names(study)
+    n, names = arm.n_joints, arm.base_names
     places = tuple(names.index((name, None)) for name in _BASE) if n > 1 else ()
-    ratio, nothing = gear_ratios(study), np.full(n, np.nan)
+    ratio, nothing = arm.gear_ratios, np.full(n, np.nan)
     if model is None:
         base = np.zeros(len(names))
-        return Family(study, ratio, None, None, None, base, places, nothing, nothing)
-    total = total_inertias(model, study)
+        return Family(arm, ratio, None, None, None, base, places, nothing, nothing)
+    total = total_inertias(model, arm)
     share, deviation = nothing.copy(), nothing.copy()
     for parameter in model.parameters:
         named = parameter.name == "motor_inertia" and parameter.joint is not None
@@ -217,12 +216,12 @@ def family_of(model: RigidModel | None, study: Study) -> Family:
             own = (parameter.std or 0.0) / parameter.value
             deviation[i] = max(own, _LEAST_DEVIATION)
     return Family(
-        study,
+        arm,
         ratio,
         total,
         np.array([_least(model, "total_viscous_friction", i, total[i - 1]) for i in _numbers(n)]),
         np.array([max(0.0, _value(model, "motor_coulomb_friction", i)) for i in _numbers(n)]),
-        base_parameters(model, study),
+        base_parameters(model, arm),
         places,
         share,
         deviation,
@@ -242,11 +241,11 @@ def _least(model: RigidModel, name: str, joint: int, inertia: float) -> float:
     return max(_value(model, name, joint), 0.01 * float(inertia))
 
 
-def _gravity_slopes(study: Study, angle: FloatArray) -> FloatArray:
+def _gravity_slopes(arm: Arm, angle: FloatArray) -> FloatArray:
     """Derivative of gravity's torques by the links' angles, by base parameter: (n_base, n, n)."""
-    arm, n = build_arm(study), study.arm.n_joints
+    n = arm.n_joints
     moved = np.concatenate([angle + _STEP * np.eye(n), angle - _STEP * np.eye(n)])
     still = np.zeros_like(moved)
-    regressor = arm.base_regressor(np.ascontiguousarray(moved), still, still)  # (2n, n, n_base)
+    regressor = arm.base_regressor(moved, still, still)  # (2n, n, n_base)
     slope = (regressor[:n] - regressor[n:]) / (2.0 * _STEP)  # by angle, torque, parameter
     return np.asarray(np.transpose(slope, (2, 1, 0)))

@@ -10,7 +10,8 @@ from itertools import product
 
 import numpy as np
 
-from strainwave.domain import FloatArray, JointModel, RigidModel, Study
+from strainwave.domain import FloatArray, JointModel, RigidModel
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.motor_side.arms import Family, family_of
@@ -20,14 +21,14 @@ _SHARES = (0.25, 0.55)
 _DAMPING = 0.05  # ratio of the anti-resonance
 
 
-def models_from_catalogue(model: RigidModel | None, study: Study) -> list[tuple[JointModel, ...]]:
+def models_from_catalogue(model: RigidModel | None, arm: Arm) -> list[tuple[JointModel, ...]]:
     """Models of all joints with ordinary gears, for records to choose from.
 
     Parameters
     ----------
     model : RigidModel or None
         From which the inertias are.
-    study : Study
+    arm : Arm
 
     Returns
     -------
@@ -44,7 +45,7 @@ def models_from_catalogue(model: RigidModel | None, study: Study) -> list[tuple[
             "without a rigid model and records that excite the gears, the whole-arm fit has no"
             ' start: add an experiment with use = "motion", or one with use = "frequency"'
         )
-    family, found = family_of(model, study), []
+    family, found = family_of(model, arm), []
     shares = [_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()]
     for own in product(*([_RINGS_HZ] * family.n_joints), *shares):
         n = family.n_joints

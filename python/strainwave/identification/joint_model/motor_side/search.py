@@ -68,7 +68,7 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
     NotIdentifiable
         No arm of the family explains anything.
     """
-    postures = [posture_of(family.study, piece.link_angle) for piece in pieces]
+    postures = [posture_of(family.arm, piece.link_angle) for piece in pieces]
     records = list(zip(pieces, postures, strict=True))
     coarse = list(zip(few_lines, postures, strict=True))
     grid = _grid(family, few_lines)

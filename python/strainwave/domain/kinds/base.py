@@ -1,0 +1,115 @@
+"""What a kind of arm has to say of itself; its equations of motion are the core's."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from strainwave.domain.arm import ArmDescription
+
+Key = tuple[str, int | None]
+"""A parameter: its name and its joint, from 1, or None for the arm's own."""
+
+Values = dict[Key, float]
+"""Parameter values."""
+
+Row = Mapping[Key, float]
+"""A linear combination of parameters: their weights."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigidColumn:
+    """One unknown of the rigid model: a combination of parameters that motor torques identify.
+
+    Its regressor is that of its first part, whose weight is one. Where that combines a motor's
+    inertia with the links', rigid motion does not separate them.
+    """
+
+    name: str
+    joint: int | None
+    unit: str
+    parts: Row
+
+    @property
+    def key(self) -> Key:
+        """What it is known by."""
+        return self.name, self.joint
+
+    @property
+    def motor(self) -> tuple[int, float] | None:
+        """The joint whose motor's inertia is part of it, from 1, and that part's weight."""
+        for (name, joint), weight in self.parts.items():
+            if name == "motor_inertia" and joint is not None:
+                return joint, weight
+        return None
+
+    def __str__(self) -> str:
+        return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
+
+
+class Kind(ABC):
+    """A kind of arm: the inertial parameters of its links, and what follows from them.
+
+    Parameters of gravity, motors, friction and gears are every kind's alike; see
+    `strainwave.domain.combinations`.
+    """
+
+    n_joints: int
+    """How many joints it has."""
+
+    inertias: tuple[Key, ...]
+    """Inertial parameters of the links."""
+
+    primary: tuple[str, ...]
+    """Labels of inertias that the rigid model is expected to give, as a verdict lists them."""
+
+    primary_of_all: tuple[str, ...]
+    """And those that take the whole-arm fit."""
+
+    @abstractmethod
+    def link_inertia(self, joint: int) -> Row:
+        """m_L of a joint, its link's inertia with the arm stretched: (3).
+
+        Parameters
+        ----------
+        joint : int
+            From 1.
+
+        Returns
+        -------
+        Row
+            Over `inertias`.
+        """
+
+    @property
+    @abstractmethod
+    def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
+        """Inertias that follow from every joint's `link_inertia`: the other way round.
+
+        Each may take those before it.
+        """
+
+    @abstractmethod
+    def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
+        """Inertias that rigid motion identifies, links' and motors': (6).
+
+        Parameters
+        ----------
+        arm : ArmDescription
+
+        Returns
+        -------
+        tuple of RigidColumn
+        """
+
+    @abstractmethod
+    def complete(self, known: Values, arm: ArmDescription) -> None:
+        """Add the links' inertias, and motors', that follow from what is known or hardly matter.
+
+        Parameters
+        ----------
+        known : dict
+            (name, joint) -> value; nothing that is there is changed.
+        arm : ArmDescription
+        """

@@ -1,0 +1,64 @@
+"""Two links that move in one plane, the second on the first: alpha, beta and gamma of (3).
+
+M(q) = [alpha + beta + 2 gamma cos q2, beta + gamma cos q2; beta + gamma cos q2, beta].
+"""
+
+from __future__ import annotations
+
+from strainwave.domain.arm import ArmDescription
+from strainwave.domain.kinds.base import Key, Kind, RigidColumn, Row, Values
+
+_ALPHA: Key = ("alpha", None)
+_BETA: Key = ("beta", None)
+_GAMMA: Key = ("gamma", None)
+_CHOSEN = 1.5  # times gamma^2 / beta, which alpha must exceed for a positive definite inertia
+
+
+class PlanarTwoLink(Kind):
+    """Joint 2 on the end of link 1, their axes parallel."""
+
+    n_joints = 2
+    inertias = (_ALPHA, _BETA, _GAMMA)
+    primary = ("beta", "gamma", "rigid_inertia 1", "motor_inertia 2")
+    primary_of_all = ("alpha",)
+
+    def link_inertia(self, joint: int) -> Row:
+        """Alpha + beta + 2 gamma of joint 1, beta of joint 2."""
+        if joint == 1:
+            return {_ALPHA: 1.0, _BETA: 1.0, _GAMMA: 2.0}
+        return {_BETA: 1.0}
+
+    @property
+    def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
+        """Beta = m_L2, alpha = m_L1 - beta - 2 gamma."""
+        alpha: Row = {("link_inertia", 1): 1.0, _BETA: -1.0, _GAMMA: -2.0}
+        return (_BETA, {("link_inertia", 2): 1.0}), (_ALPHA, alpha)
+
+    def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
+        """Alpha + m_M1/n_1^2, m_M2, beta and gamma: (6)."""
+        reflected = arm.joints[0].gear_ratio ** -2
+        return (
+            RigidColumn(
+                "rigid_inertia", 1, "kg m^2", {_ALPHA: 1.0, ("motor_inertia", 1): reflected}
+            ),
+            RigidColumn("motor_inertia", 2, "kg m^2", {("motor_inertia", 2): 1.0}),
+            RigidColumn("beta", None, "kg m^2", {_BETA: 1.0}),
+            RigidColumn("gamma", None, "kg m^2", {_GAMMA: 1.0}),
+        )
+
+    def complete(self, known: Values, arm: ArmDescription) -> None:
+        """Alpha from `link_inertia` of joint 1, or from `rigid_inertia` and the motor's inertia."""
+        beta, gamma = known.get(_BETA), known.get(_GAMMA)
+        if _ALPHA in known or beta is None or gamma is None:
+            return
+        n2 = arm.joints[0].gear_ratio ** 2
+        rigid, motor = known.get(("rigid_inertia", 1)), known.get(("motor_inertia", 1))
+        if ("link_inertia", 1) in known:
+            known[_ALPHA] = known["link_inertia", 1] - beta - 2.0 * gamma
+        elif rigid is not None and motor is not None:
+            known[_ALPHA] = rigid - motor / n2
+        elif rigid is not None and arm.joints[0].spring == "rigid":
+            # all of it counted as the motor's but what alpha needs for a proper link
+            known[_ALPHA] = min(_CHOSEN * gamma**2 / beta, rigid)
+        if motor is None and rigid is not None and _ALPHA in known:
+            known["motor_inertia", 1] = (rigid - known[_ALPHA]) * n2

@@ -1,0 +1,40 @@
+"""One joint, revolute or prismatic: c_1 = m_M + n^2 m_L at the motor, (18)."""
+
+from __future__ import annotations
+
+from strainwave.domain.arm import ArmDescription
+from strainwave.domain.kinds.base import Key, Kind, RigidColumn, Row, Values
+
+_LINK: Key = ("link_inertia", 1)
+_MOTOR: Key = ("motor_inertia", 1)
+
+
+class SingleJoint(Kind):
+    """A link on a motor and a gear."""
+
+    n_joints = 1
+    inertias = (_LINK,)
+    primary = ("inertia 1",)
+    primary_of_all = ()
+
+    def link_inertia(self, joint: int) -> Row:
+        """m_L itself."""
+        return {("link_inertia", joint): 1.0}
+
+    @property
+    def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
+        """None: it is the parameter."""
+        return ()
+
+    def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
+        """c_1, motor and link together."""
+        joint = arm.joints[0]
+        unit = "kg m^2" if joint.motion == "revolute" else "kg"
+        parts = {_MOTOR: 1.0, _LINK: joint.gear_ratio**2}
+        return (RigidColumn("inertia", 1, unit, parts),)
+
+    def complete(self, known: Values, arm: ArmDescription) -> None:
+        """Behind a rigid gear motor and link are one: all of c_1 stands for the motor's."""
+        if arm.joints[0].spring == "rigid" and ("inertia", 1) in known:
+            known.setdefault(_MOTOR, known["inertia", 1])
+            known.setdefault(_LINK, 0.0)
