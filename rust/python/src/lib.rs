@@ -1,6 +1,7 @@
 //! Python's door to the core: convert, compute without the GIL, map the error. No arithmetic.
 
 mod arm;
+mod least_squares;
 mod statespace;
 
 use pyo3::prelude::*;
@@ -10,6 +11,7 @@ use pyo3::prelude::*;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<arm::Arm>()?;
     statespace::register(module)?;
+    least_squares::register(module)?;
     module.add("GEAR_CORNER", strainwave_core::joint::gear::CORNER)?;
     Ok(())
 }

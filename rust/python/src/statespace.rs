@@ -6,16 +6,13 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use strainwave_statespace::elimination::Windows;
 use strainwave_statespace::fit::{BadStart, Fit, Options, Status, fit};
 use strainwave_statespace::model::{Model, Record, Shape, split};
-use strainwave_statespace::{elimination, hankel, predictor, sensitivity};
+use strainwave_statespace::{hankel, predictor, sensitivity};
 
 /// Adds this file's functions and classes to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(hankel_gram, module)?)?;
-    module.add_function(wrap_pyfunction!(eliminate, module)?)?;
-    module.add_function(wrap_pyfunction!(leave_out, module)?)?;
     module.add_class::<Innovations>()?;
     module.add_class::<InnovationsFit>()
 }
@@ -34,103 +31,6 @@ fn hankel_gram<'py>(
     let (gram, rows) = py.detach(|| hankel::gram(data, width, &lengths, depth));
     let size = depth * width;
     Ok((gram.into_pyarray(py).reshape([size, size])?, rows))
-}
-
-/// Right-hand sides without the unknowns of unit size that windows of rows bring in.
-#[pyfunction]
-#[allow(clippy::type_complexity)]
-fn eliminate<'py>(
-    py: Python<'py>,
-    first: PyReadonlyArray1<'py, i64>,
-    entries: PyReadonlyArray2<'py, f64>,
-    unknowns: usize,
-    right: PyReadonlyArray2<'py, f64>,
-    leverage: bool,
-) -> PyResult<(
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray1<f64>>,
-)> {
-    let first = starts(&first)?;
-    let z = windows(&first, &entries, unknowns)?;
-    let (rows, sides) = checked_right(&first, &right)?;
-    let right = right.as_slice().map_err(|_| not_contiguous("right"))?;
-    let ended = py.detach(|| elimination::eliminate(z, right, sides, leverage));
-    let found = ended.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
-    Ok((
-        found.found.into_pyarray(py).reshape([unknowns, sides])?,
-        found.left.into_pyarray(py).reshape([rows, sides])?,
-        found.leverage.into_pyarray(py),
-    ))
-}
-
-/// What the right-hand sides' products keep, the unknowns eliminated, without each block of rows.
-#[pyfunction]
-fn leave_out<'py>(
-    py: Python<'py>,
-    first: PyReadonlyArray1<'py, i64>,
-    entries: PyReadonlyArray2<'py, f64>,
-    unknowns: usize,
-    right: PyReadonlyArray2<'py, f64>,
-    stops: Vec<usize>,
-) -> PyResult<Vec<Bound<'py, PyArray2<f64>>>> {
-    let first = starts(&first)?;
-    let z = windows(&first, &entries, unknowns)?;
-    let (rows, sides) = checked_right(&first, &right)?;
-    if !stops.is_sorted() || stops.last().is_some_and(|last| *last > rows) {
-        return Err(PyValueError::new_err(format!(
-            "expected rising stops within {rows} rows, got {stops:?}"
-        )));
-    }
-    let right = right.as_slice().map_err(|_| not_contiguous("right"))?;
-    let ended = py.detach(|| elimination::leave_out(z, right, sides, &stops));
-    let found = ended.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
-    let square = |block: Vec<f64>| block.into_pyarray(py).reshape([sides; 2]);
-    found.into_iter().map(square).collect()
-}
-
-fn starts(first: &PyReadonlyArray1<'_, i64>) -> PyResult<Vec<usize>> {
-    let negative = |_| PyValueError::new_err("expected windows that begin at an unknown");
-    let first = first.as_slice().map_err(|_| not_contiguous("first"))?;
-    first
-        .iter()
-        .map(|&at| usize::try_from(at).map_err(negative))
-        .collect()
-}
-
-fn windows<'a>(
-    first: &'a [usize],
-    entries: &'a PyReadonlyArray2<'_, f64>,
-    unknowns: usize,
-) -> PyResult<Windows<'a>> {
-    let width = entries.shape()[1];
-    let entries = entries.as_slice().map_err(|_| not_contiguous("entries"))?;
-    let windows = Windows {
-        first,
-        entries,
-        width,
-        unknowns,
-    };
-    if unknowns == 0 || !windows.fit() {
-        return Err(PyValueError::new_err(format!(
-            "expected {} windows within {unknowns} unknowns",
-            first.len()
-        )));
-    }
-    Ok(windows)
-}
-
-/// Rows and sides.
-fn checked_right(first: &[usize], right: &PyReadonlyArray2<'_, f64>) -> PyResult<(usize, usize)> {
-    let (rows, sides) = (right.shape()[0], right.shape()[1]);
-    if rows != first.len() || sides == 0 {
-        return Err(PyValueError::new_err(format!(
-            "expected {} rows of right-hand sides, got {:?}",
-            first.len(),
-            right.shape()
-        )));
-    }
-    Ok((rows, sides))
 }
 
 /// Stacked records and the sizes of a model for them; `values` are A, B, C, D, K row-major and one
@@ -408,6 +308,7 @@ fn check_rows(name: &str, rows: usize, lengths: &[usize]) -> PyResult<()> {
     )))
 }
 
-fn not_contiguous(name: &str) -> PyErr {
+/// The error of an array in another layout.
+pub fn not_contiguous(name: &str) -> PyErr {
     PyValueError::new_err(format!("expected {name} row-major and contiguous"))
 }

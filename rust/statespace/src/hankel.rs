@@ -1,6 +1,6 @@
 //! Correlations of data with its own past: Z'Z of a block-Hankel matrix, without the matrix.
 
-use crate::products::{Part, Rows, add_products};
+use strainwave_numerics::products::{Part, Rows, add_products};
 
 /// Z'Z, where row k of Z is [z[k], z[k+1], ..., z[k+depth-1]], for rows z of `width` numbers.
 ///

@@ -10,18 +10,15 @@
 //! [`model`] holds the nouns, [`predictor`] turns data into innovations e, [`sensitivity`] gives
 //! their exact derivatives with respect to every entry of every matrix, [`tangent`] the directions
 //! in which those entries change anything but the state's coordinates, and [`fit`] puts them
-//! together. [`hankel`] correlates data with its own past, for subspace methods. [`elimination`] takes
-//! unknowns of short stretches out of a least-squares problem.
+//! together. [`hankel`] correlates data with its own past, for subspace methods.
 //!
 //! Matrices are row-major slices; samples are rows.
 
-pub mod elimination;
 pub mod fit;
 pub mod hankel;
 mod linalg;
 pub mod model;
 pub mod predictor;
-mod products;
 pub mod sensitivity;
 pub mod stability;
 mod tangent;

@@ -13,7 +13,7 @@
 
 use crate::linalg::solve_lower;
 use crate::model::{Model, Record, Shape};
-use crate::products::{Part, Rows, add_products, multiply_add};
+use strainwave_numerics::products::{Part, Rows, add_products, multiply_add};
 
 /// Samples whose derivatives are held before they are summed: they fit the first cache.
 const BLOCK: usize = 32;

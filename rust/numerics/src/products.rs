@@ -12,8 +12,11 @@ const BLOCK: usize = 256;
 /// A stride below the width makes a block-Hankel matrix out of plain data.
 #[derive(Clone, Copy)]
 pub struct Rows<'a> {
+    /// Row by row.
     pub data: &'a [f64],
+    /// From one row's first entry to the next's.
     pub stride: usize,
+    /// Entries of a row.
     pub width: usize,
 }
 
