@@ -234,7 +234,7 @@ def _scipy() -> float:
         a1, a2 = (m22 * link[0] - m12 * link[1]) * scale, (m11 * link[1] - m12 * link[0]) * scale
         return [x[2], x[3], *motor, x[6], x[7], a1, a2, *torque]
 
-    # A tenth of the record is enough to tell: the work grows in proportion.
+    # A tenth of the record is enough: the work grows in proportion.
     part = 0.1
     time = best_of(lambda: solve_ivp(field, (0.0, part), np.zeros(10), rtol=1e-6), repeats=2)
     return time / (part / STEP)

@@ -154,7 +154,7 @@ def _fit(folder: Path) -> None:
     ended = time.perf_counter()
     found = [model.value(name) for name in ("beta", "gamma")]
     errors = [abs((x or np.nan) / t - 1.0) for x, t in zip(found, TRUTH[2:4], strict=True)]
-    told = {
+    reported = {
         "seconds": ended - begun,
         "cpu_seconds": time.process_time() - cpu,
         "read_seconds": read - begun,
@@ -162,7 +162,7 @@ def _fit(folder: Path) -> None:
         "error_percent": 100.0 * max(errors),
         "bandwidth_hz": model.bandwidth_hz,
     }
-    print(json.dumps(told))
+    print(json.dumps(reported))
 
 
 if __name__ == "__main__":

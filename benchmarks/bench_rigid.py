@@ -44,7 +44,7 @@ def _recorded() -> tuple[Study, Log, Values]:
         study = scara.study(Path(folder))
         motion = tuple(e for e in study.experiments if e.name == "motion")
         only = replace(study, experiments=motion)
-        simulate_study(only, values, Path(folder), noise=SensorNoise(), replay=False)
+        simulate_study(only, values, Path(folder), noise=SensorNoise(), as_recorded=False)
         written = read_study(Path(folder) / "study.toml")
         return written, read_log(written, written.experiments[0]), derived(values, written.arm)
 

@@ -137,7 +137,7 @@ def _recorded(spring: Spring, periods: int) -> tuple[Study, list[Log], Values]:
     values = scara.parameters(5, spring)
     with TemporaryDirectory() as folder:
         study = replace(scara.study(Path(folder), spring), experiments=experiments)
-        simulate_study(study, values, Path(folder), noise=SensorNoise(), replay=False)
+        simulate_study(study, values, Path(folder), noise=SensorNoise(), as_recorded=False)
         written = read_study(Path(folder) / "study.toml")
         return written, list(read_logs(written)), values
 
@@ -196,13 +196,13 @@ def _nothing(values: Values) -> RigidModel:
     """A rigid model that starts where the truth is and weighs next to nothing."""
     names = [("gamma", None)] + [("motor_coulomb_friction", j) for j in (1, 2)]
     names += [("friction_offset", j) for j in (1, 2)]
-    told = np.array([values[name] for name in names])
+    reported = np.array([values[name] for name in names])
     parameters = tuple(
         Parameter(name, joint, float(value), 1e3, "1", "rigid")
-        for (name, joint), value in zip(names, told, strict=True)
+        for (name, joint), value in zip(names, reported, strict=True)
     )
     vague = np.eye(len(names)) * 1e6
-    return RigidModel(parameters, told, vague, 1.0, {}, 10.0, 1, 1, "determined")
+    return RigidModel(parameters, reported, vague, 1.0, {}, 10.0, 1, 1, "determined")
 
 
 def _scipy(study: Study, logs: list[Log], values: Values) -> Values:

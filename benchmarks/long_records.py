@@ -56,7 +56,7 @@ def measured(periods: int, stages: str) -> dict[str, object]:
     study = held(periods)
     with TemporaryDirectory() as folder:
         values = scara.parameters(spring="linear")
-        simulate_study(study, values, Path(folder), noise=SensorNoise(), replay=False)
+        simulate_study(study, values, Path(folder), noise=SensorNoise(), as_recorded=False)
         command = [sys.executable, "-c", _ONE, str(Path(folder) / "study.toml"), stages]
         done = subprocess.run(command, check=True, capture_output=True, text=True)
     found: dict[str, object] = json.loads(done.stdout.splitlines()[-1])

@@ -149,12 +149,12 @@ def record_model(name: str, size: float) -> RecordModel:
 
 
 def curve_parameters(**changed: float | None) -> tuple[tuple[Parameter, ...], FloatArray]:
-    """The gear's curve and its covariance; a changed value of None was not told."""
-    told = []
+    """The gear's curve and its covariance; a changed value of None was not reported."""
+    reported = []
     for name, (value, std) in CURVE.items():
         shown = changed.get(name, value)
-        told.append(Parameter(name, 1, shown, None if shown is None else std, "-", "tuned"))
-    return tuple(told), np.diag([std**2 for _, std in CURVE.values()])
+        reported.append(Parameter(name, 1, shown, None if shown is None else std, "-", "tuned"))
+    return tuple(reported), np.diag([std**2 for _, std in CURVE.values()])
 
 
 def elastic_identification() -> Identification:
@@ -164,7 +164,7 @@ def elastic_identification() -> Identification:
     tuned = replace(
         arm_model(parameters, covariance),
         simulated=(prediction("step-j1", 99.0, 98.0),),
-        carried=(TorqueHistogram(1, edges, share / share.sum()),),
+        gear_loads=(TorqueHistogram(1, edges, share / share.sum()),),
     )
     return replace(
         identification(),

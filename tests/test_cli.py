@@ -173,7 +173,7 @@ def test_channels_that_contradict_the_study_exit_with_three(
     assert "The input contradicts itself." in page
 
 
-def test_one_way_motion_exits_with_three_and_what_it_tells(tmp_path: Path) -> None:
+def test_one_way_motion_exits_with_three_and_what_it_shows(tmp_path: Path) -> None:
     """A drive that never turns back: Coulomb friction and offset are one number."""
     t = 1e-3 * np.arange(12000)
     rate = 40.0 + 20.0 * np.sin(2.0 * t) + 9.0 * np.sin(5.3 * t)
@@ -200,7 +200,7 @@ def test_one_way_motion_exits_with_three_and_what_it_tells(tmp_path: Path) -> No
     }
 
 
-def test_simulate_replays_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: Path) -> None:
+def test_simulate_repeats_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: Path) -> None:
     values = scara.parameters(disks=3)
     document = {"parameters": [{"name": n, "joint": j, "value": v} for (n, j), v in values.items()]}
     (tmp_path / "p.json").write_text(json.dumps(document))

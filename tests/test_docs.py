@@ -205,7 +205,7 @@ def constants(function: str) -> set[str]:
 
 
 def codes_of_warnings() -> set[str]:
-    """Every code a caution can have: written out, or made from a check, a step or an effect."""
+    """Every code a warning can have: written out, or made from a check, a step or an effect."""
     made = [node for node in first_arguments("Diagnostic") if not isinstance(node, ast.Constant)]
     assert {ast.unparse(node) for node in made} == {"check.name", "code", "f'{one.effect}-likely'"}
     likely = {f"{effect}-likely" for effect in get_args(records.Effect)}
@@ -214,8 +214,8 @@ def codes_of_warnings() -> set[str]:
 
 def test_every_warning_has_its_place_in_troubleshooting() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
-    told = re.findall(r"^### `(.*)`$", page, re.MULTILINE)
-    assert sorted(told) == sorted(codes_of_warnings())
+    reported = re.findall(r"^### `(.*)`$", page, re.MULTILINE)
+    assert sorted(reported) == sorted(codes_of_warnings())
     for section in page.split("### `")[1:]:
         text = " ".join(section.split())
         for part in ("*Cause.*", "*For the numbers.*", "*Remedy.*"):
@@ -225,5 +225,5 @@ def test_every_warning_has_its_place_in_troubleshooting() -> None:
 def test_every_exit_code_is_explained() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
     table = page.split("## Exit codes")[1].split("## ")[0]
-    told = {int(code) for code in re.findall(r"^\| (\d) \|", table, re.MULTILINE)}
-    assert told == {cli.DONE, cli.AT_FAULT, cli.NOT_ANSWERED, 1}
+    reported = {int(code) for code in re.findall(r"^\| (\d) \|", table, re.MULTILINE)}
+    assert reported == {cli.DONE, cli.AT_FAULT, cli.NOT_ANSWERED, 1}

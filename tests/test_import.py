@@ -1,4 +1,4 @@
-"""Importing stays cheap, and the version is told once."""
+"""Importing stays cheap, and the version is reported once."""
 
 from __future__ import annotations
 

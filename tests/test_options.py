@@ -78,7 +78,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
             Experiment("step", "step.parquet", "tuning", ("servo",), joint=1),
         ),
     )
-    simulate_study(study, TRUE, folder, noise=SensorNoise(), replay=False)
+    simulate_study(study, TRUE, folder, noise=SensorNoise(), as_recorded=False)
     return folder / "study.toml"
 
 

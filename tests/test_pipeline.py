@@ -39,7 +39,7 @@ def test_progress_says_which_part_of_how_many_runs(tmp_path: Path) -> None:
     short = [replace(e, prbs=Prbs(8, 1e-3, 2, 10.0)) if e.prbs else e for e in study.experiments]
     chosen = [e for e in short if e.use in ("motion", "frequency")]
     study = replace(study, experiments=tuple(chosen))
-    virtual.simulate_study(study, scara.parameters(5, "linear"), tmp_path, replay=False)
+    virtual.simulate_study(study, scara.parameters(5, "linear"), tmp_path, as_recorded=False)
     events: list[ProgressEvent] = []
     found = pipeline.identify(tmp_path / "study.toml", progress=events.append)
     pipeline.write(found, tmp_path / "out", progress=events.append)
@@ -116,7 +116,7 @@ def test_a_flexible_joint_without_motion_records(shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize("arm", ["scara-linear-5kg", "vertical-linear-0kg"])
-def test_a_tuned_linear_arm_foretells_steps(
+def test_a_tuned_linear_arm_predicts_steps(
     arm: str, lab: Callable[[str], tuple[Identification, dict[str, Any]]]
 ) -> None:
     """Velocity of the joint that steps, closed loop: at least 97 %."""

@@ -29,7 +29,7 @@ from strainwave.identification.whole_arm.low_pass import Kernels
 from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior, Unknown
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
-from strainwave.signals.recorded_input import replay
+from strainwave.signals.recorded_input import recorded_drive
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived, simulate_study
 
@@ -78,7 +78,7 @@ def written_logs(
 ) -> tuple[Study, tuple[Log, ...]]:
     """All experiments of a study on a virtual arm, written and read again."""
     with TemporaryDirectory() as folder:
-        simulate_study(study, values, Path(folder), seed=seed, noise=noise, replay=False)
+        simulate_study(study, values, Path(folder), seed=seed, noise=noise, as_recorded=False)
         written = read_study(Path(folder) / "study.toml")
         return written, tuple(read_log(written, e) for e in written.experiments)
 
@@ -116,7 +116,7 @@ def beginning(study: Study, values: Values, log: Log, first: int) -> FloatArray:
     run = simulate(
         Arm.of(study.arm),
         values,
-        replay(Arm.of(study.arm), log),
+        recorded_drive(Arm.of(study.arm), log),
         sample_time=log.sample_time,
         samples=len(log),
         record=record,

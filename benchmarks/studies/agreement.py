@@ -93,7 +93,7 @@ def simulated(folder: Path, seed: int, *, stribeck: bool) -> Study:
         for i in (1, 2):
             values["stribeck_friction", i] = _STRIBECK * values["motor_coulomb_friction", i]
             values["stribeck_velocity", i] = _STRIBECK_VELOCITY
-    simulate_study(true, values, folder, seed=seed, noise=SensorNoise(), replay=False)
+    simulate_study(true, values, folder, seed=seed, noise=SensorNoise(), as_recorded=False)
     written = read_study(folder / "study.toml")
     return replace(written, arm=replace(written.arm, joints=study.arm.joints))
 

@@ -100,7 +100,7 @@ def with_logs(
             Path(folder),
             seed=seed,
             noise=own.noise,
-            replay=False,
+            as_recorded=False,
             sample_time=own.sample_time,
             simulator=simulator,
         )

@@ -28,7 +28,7 @@ from strainwave.pipeline import identify
 from strainwave.virtual.experiments import Simulator, derived
 
 EXACT_STEP = 4e-6
-"""[s] Of a truth: at 300 Hz the sensors' filters are wrong by 5e-6, below any deviation told."""
+"""[s] Of a truth: at 300 Hz the sensors' filters are wrong by 5e-6, below any deviation."""
 _NOMINAL = {"scale": 1.0}  # of link sensors; a delay is zero, and so is what was not drawn
 _KINDS = {
     "inertia": "inertias",
@@ -150,11 +150,13 @@ def main() -> None:
             by_name[name if joint is None else f"{name} {joint}"].append(row)
     table = Table("parameter", "identified", "inside %", "rms error/std", "median std %", box=None)
     for name, rows in by_name.items():
-        told = [row for row in rows if row[2] is not None]
-        if told:
-            z, std, inside = (np.array(column, dtype=float) for column in zip(*told, strict=True))
+        reported = [row for row in rows if row[2] is not None]
+        if reported:
+            z, std, inside = (
+                np.array(column, dtype=float) for column in zip(*reported, strict=True)
+            )
             share, spread = f"{100.0 * np.mean(inside):.1f}", f"{np.sqrt(np.mean(z**2)):.2f}"
-            table.add_row(name, str(len(told)), share, spread, f"{100.0 * np.median(std):.3g}")
+            table.add_row(name, str(len(reported)), share, spread, f"{100.0 * np.median(std):.3g}")
     console = Console()
     console.print(table)
     for key in ("parameters", "decoupled"):

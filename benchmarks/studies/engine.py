@@ -104,15 +104,15 @@ def settling(values: Values, joint: int) -> float:
 
 
 def _hang(study: Study, values: Values, drive: Drive, data: Any) -> None:
-    """Links at rest on their gears, of linear stiffness where gravity pulls."""
+    """Links at standstill on their gears, of linear stiffness where gravity pulls."""
     motor = np.array(drive.motor_angle)
-    untwisted = motor * [joint.gear_ratio for joint in study.arm.joints]
-    link = untwisted
+    unloaded = motor * [joint.gear_ratio for joint in study.arm.joints]
+    link = unloaded
     for _ in range(100 if study.arm.gravity else 0):
         outer = values["gravity_torque_2", None] * np.cos(link[0] + link[1])
         inner = values["gravity_torque_1", None] * np.cos(link[0])
         stiffness = [values["gear_stiffness", i] for i in (1, 2)]
-        link = untwisted - np.array([inner + outer, outer]) / stiffness
+        link = unloaded - np.array([inner + outer, outer]) / stiffness
     for i in range(study.arm.n_joints):
         data.joint(f"joint{i + 1}").qpos[0] = link[i]
         data.joint(f"motor_joint{i + 1}").qpos[0] = motor[i]
@@ -232,7 +232,7 @@ def lab_rig(seed: int) -> Rig:
 
 
 def tried(path: Path, values: Values) -> dict[str, Any]:
-    """Errors [%] and deviations [%] of what the whole-arm fit told."""
+    """Errors [%] and deviations [%] of what the whole-arm fit reported."""
     identification = identify(path)
     tuned = identification.tuned
     if tuned is None:
@@ -249,7 +249,7 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
         size = 0.01 * (abs(true) or 1.0)
         inside = p.ci95[0] <= true <= p.ci95[1]
         rows.append([p.name, p.joint, (p.value - true) / size, p.std / size, inside])
-    warnings = [caution.code for caution in identification.warnings]
+    warnings = [warning.code for warning in identification.warnings]
     return {"status": tuned.status, "parameters": rows, "warnings": warnings}
 
 

@@ -1,4 +1,4 @@
-"""Rows as they are, or foretold from their own past: `python -m benchmarks.studies.predictor`.
+"""Rows as they are, or predicted from their own past: `python -m benchmarks.studies.predictor`.
 
 The whole-arm fit weighs a channel's errors as if they were white, with a count of how often they
 repeat each other. A predictor has a model of the noise: here an autoregression of each channel's
@@ -53,20 +53,20 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
 
 
 def _step(fit: Fit) -> FloatArray:
-    """From the plain minimum to that of the errors that the past does not foretell."""
+    """From the plain minimum to that of the errors that the past does not predict."""
     prior = fit.objective.space.prior
     slope = prior.rows @ fit.objective.space.slope(fit.z)
     off = prior.rows @ fit.objective.space.parameters(fit.z) - prior.target
     tables = [np.column_stack([slope, off])]
     for rows in fit.objective.rows(fit.z):
         n_own = rows.local.shape[2]
-        factor = np.linalg.qr(_foretold(rows), mode="r")
+        factor = np.linalg.qr(_predicted(rows), mode="r")
         tables.append(np.asarray(factor)[n_own:, n_own:])
     table = np.concatenate(tables)
     return np.asarray(np.linalg.lstsq(table[:, :-1], -table[:, -1])[0])
 
 
-def _foretold(rows: Rows) -> FloatArray:
+def _predicted(rows: Rows) -> FloatArray:
     """[local shared residual] of one record, each channel through the filter that whitens it."""
     table = np.concatenate([rows.local, rows.shared, rows.residual[..., None]], axis=2)
     white = []

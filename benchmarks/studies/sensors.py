@@ -143,16 +143,16 @@ def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]
     found = identify(path)
     seconds = time.process_time() - begin
     verdict = found.verdict
-    told: dict[str, Any] = {"verdict": verdict.status, "seconds": seconds}
-    told["reasons"] = list(verdict.reasons)
+    reported: dict[str, Any] = {"verdict": verdict.status, "seconds": seconds}
+    reported["reasons"] = list(verdict.reasons)
     if found.tuned is None:
-        return told
+        return reported
     study = read_study(path)
     known = derived(values, study.arm)
     own = [p for p in found.tuned.parameters if not (engine and p.name == OF_THE_ENGINE)]
     rows = rows_of([p for p in own if p.value is not None], known)
-    told |= {"status": found.tuned.status, "parameters": rows}
-    told["wrong"] = [
+    reported |= {"status": found.tuned.status, "parameters": rows}
+    reported["wrong"] = [
         f"{name} {joint or ''}".strip()
         for name, joint, error, deviation, _ in rows
         if f"{name} {joint or ''}".strip() in verdict.identified
@@ -160,8 +160,8 @@ def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]
         and abs(error) * deviation > WRONG_SHARE
         and kind_of(name) not in _SECONDARY
     ]
-    told |= _apart(found, study, values)
-    return told
+    reported |= _apart(found, study, values)
+    return reported
 
 
 _SECONDARY = ("split of viscous friction", "friction offset", "settling time", "link sensors")

@@ -151,7 +151,7 @@ def write(folder: Path) -> None:
             Path(scratch),
             seed=SEED,
             noise=noise,
-            replay=False,
+            as_recorded=False,
             simulator=in_mujoco,
         )
         written = read_study(Path(scratch) / "study.toml")

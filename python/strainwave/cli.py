@@ -62,8 +62,8 @@ def init(
     """Look at logs and write a study file to complete: guesses with reasons, and what is TODO."""
     from strainwave.study_draft import start_study
 
-    with _progress(quiet) as tell:
-        tell("looking at the logs")
+    with _progress(quiet) as follow:
+        follow("looking at the logs")
         started = start_study(logs, out)
     if not quiet:
         if started.limit:
@@ -106,11 +106,11 @@ def identify(
     if figures:
         require_matplotlib()  # before the work, not after it
     chosen = pipeline.STAGES if stages is None else tuple(s.strip() for s in stages.split(","))
-    with _progress(quiet) as tell:
+    with _progress(quiet) as follow:
         identification = pipeline.identify(
-            study, stages=chosen, options=options or None, progress=tell
+            study, stages=chosen, options=options or None, progress=follow
         )
-        pipeline.write(identification, out, figures=figures, progress=tell)
+        pipeline.write(identification, out, figures=figures, progress=follow)
     if not quiet:
         from strainwave.presentation.terminal import print_summary
 
@@ -138,8 +138,10 @@ def simulate(
     """Run the study's experiments on a virtual arm: logs and a study.toml that identify reads."""
     from strainwave.virtual.experiments import simulate_study_file
 
-    with _progress(quiet) as tell:
-        written = simulate_study_file(study, parameters, out, seed=seed, ideal=ideal, progress=tell)
+    with _progress(quiet) as follow:
+        written = simulate_study_file(
+            study, parameters, out, seed=seed, ideal=ideal, progress=follow
+        )
     if not quiet:
         typer.echo(f"{written} logs and study.toml are in {out}")
 
@@ -172,11 +174,11 @@ def export(
     """Write the identified arm for MuJoCo, ROS, MATLAB, C or as plain numbers."""
     from strainwave.export import export_file
 
-    cautions = export_file(result, out, form=form, study=study)
+    warnings = export_file(result, out, form=form, study=study)
     if not quiet:
         typer.echo(f"the arm is in {out}")
-        for caution in cautions:
-            typer.echo(f"warning: {caution.where}: {caution.message}")
+        for warning in warnings:
+            typer.echo(f"warning: {warning.where}: {warning.message}")
 
 
 @app.command(
@@ -216,7 +218,7 @@ def excite(
     """Design the experiments to record: what to apply, for how long, and what the arm will do."""
     from strainwave import experiment_design as design
 
-    with _progress(quiet) as tell:
+    with _progress(quiet) as follow:
         planned = design.excite_study_file(
             study,
             parameters,
@@ -227,7 +229,7 @@ def excite(
             limit_torque=limit_torque,
             kind=kind,
             seed=seed,
-            progress=tell,
+            progress=follow,
         )
     if not quiet:
         from strainwave.experiment_design.summary import print_design
@@ -266,19 +268,19 @@ def demo(
 
     if figures:
         require_matplotlib()
-    with _progress(quiet) as tell:
-        identification, truth = demonstrate(out, seed=seed, progress=tell, figures=figures)
+    with _progress(quiet) as follow:
+        identification, truth = demonstrate(out, seed=seed, progress=follow, figures=figures)
     if not quiet:
         print_summary(identification, out, truth=truth, figures=figures)
     if not quick:
-        with _progress(quiet) as tell:
+        with _progress(quiet) as follow:
             found = write_comparisons(
                 identification,
                 out,
                 seed=seed,
                 seeds=seeds,
                 as_published=as_published,
-                progress=tell,
+                progress=follow,
             )
         if not quiet:
             print_comparisons(found, out)

@@ -62,7 +62,7 @@ from strainwave.signals import link_motion as links
 from strainwave.signals import motor as signals
 from strainwave.signals.activity import activity_of
 from strainwave.signals.mounting_start import with_stand_ins
-from strainwave.signals.recorded_input import missing_for_replay, missing_motor_signal
+from strainwave.signals.recorded_input import missing_motor_signal, missing_recorded_input
 
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
@@ -334,7 +334,7 @@ def _physical(
 ) -> tuple[list[RecordModel], list[JointModel], dict[int, FrequencyResponse]]:
     """Models of each record and, for each joint excited at full amplitude, of all at once.
 
-    Beside these the joint's nonparametric response, where its inputs can be told apart.
+    Beside these the joint's nonparametric response, where its inputs can be separated.
     """
     options = the_study.options
     how = physical.RecordOptions(options.physical, options.statespace)
@@ -412,7 +412,7 @@ def _tuned(
     model: RigidModel | None,
     joints: Sequence[JointModel],
 ) -> ArmModel | None:
-    """All parameters at once on all records; None, with a caution, without any."""
+    """All parameters at once on all records; None, with a warning, without any."""
     what = "fitting the whole arm to all records at once"
 
     def count(evaluation: int, most: int) -> None:
@@ -452,14 +452,16 @@ def _with_elastic(
     """The check records' torques from the rigid model, and their motion from the tuned arm."""
     made = list(checks)
     with run.timed("checks", "simulating the check records"):
-        told = [
-            log for log in _used_for(all_logs, "check") if missing_for_replay(run.arm, log) is None
+        identified = [
+            log
+            for log in _used_for(all_logs, "check")
+            if missing_recorded_input(run.arm, log) is None
         ]
         placed = with_places(run.arm, tuned.values)
         found = side_by_side(
-            [partial(validation.predict_elastic, tuned, log, placed) for log in told]
+            [partial(validation.predict_elastic, tuned, log, placed) for log in identified]
         )
-    run.warnings.extend(caution for each in found for caution in each.warnings)
+    run.warnings.extend(warning for each in found for warning in each.warnings)
     made.extend(found)
     return tuple(made)
 
@@ -486,7 +488,7 @@ def _used_for(all_logs: Sequence[Log], use: str) -> list[Log]:
 
 
 def _response(records: Sequence[Decoupled], options: FrequencyOptions) -> FrequencyResponse | None:
-    """The nonparametric response beside the models; None where the inputs cannot be told apart."""
+    """The nonparametric response beside the models; None where the inputs cannot be separated."""
     try:
         return frequency.respond(records, options)
     except (NotIdentifiable, InvalidInput):  # records of several sample times do not combine
@@ -590,5 +592,5 @@ def _signals(run: _Run, all_logs: Sequence[Log], use: str) -> list[Signals]:
     """Motor-side signals of the records of one use, which have them."""
     chosen = _used_for(all_logs, use)
     found = side_by_side([partial(signals.motor_side, log, run.arm) for log in chosen])
-    run.warnings.extend(caution for each in found for caution in each.warnings)
+    run.warnings.extend(warning for each in found for warning in each.warnings)
     return found

@@ -51,7 +51,7 @@ def drive(volts: FloatArray) -> Drive:
 
 
 def by_scipy(volts: float, seconds: FloatArray, values: Values) -> FloatArray:
-    """Motor and link velocity of one joint that slides forward from rest, by SciPy."""
+    """Motor and link velocity of one joint that slides forward from standstill, by SciPy."""
     p = {name: value for (name, _), value in values.items()}
 
     def slope(_: float, x: FloatArray) -> list[float]:
@@ -59,8 +59,8 @@ def by_scipy(volts: float, seconds: FloatArray, values: Values) -> FloatArray:
         cos, sin = p["kinematic_error_cos"], p["kinematic_error_sin"]
         error = cos * np.cos(2.0 * motor) + sin * np.sin(2.0 * motor)
         lever = RATIO + 2.0 * (sin * np.cos(2.0 * motor) - cos * np.sin(2.0 * motor))
-        twist, rate = RATIO * motor + error - link, lever * speed - link_speed
-        gear = p["gear_stiffness"] * twist + p["gear_damping"] * rate
+        torsion, rate = RATIO * motor + error - link, lever * speed - link_speed
+        gear = p["gear_stiffness"] * torsion + p["gear_damping"] * rate
         gear += p["hysteresis_torque"] * z
         dry = p["motor_coulomb_friction"]
         dry += p["stribeck_friction"] * np.exp(-((speed / p["stribeck_velocity"]) ** 2))
@@ -92,11 +92,11 @@ def test_an_arm_with_effects_moves_as_scipy_integrates_it() -> None:
     )
     expected = by_scipy(4.0, run.time, VALUES | EFFECTS)
     assert expected[1:, 0].min() > 0.0  # it slides, as the other equations take for granted
-    swings = np.sign(RATIO * expected[:, 0] - expected[:, 1])  # nearly the twist's rate
+    swings = np.sign(RATIO * expected[:, 0] - expected[:, 1])  # nearly the torsion's rate
     assert np.sum(np.diff(swings) != 0.0) > 8
     for i, name in enumerate(("motor_velocity", "link_velocity")):
         found = run.quantities[name][:, 0]  # type: ignore[index]
-        # Tens of reversals of the twist, each seen by stages at order three.
+        # Tens of reversals of the torsion, each seen by stages at order three.
         np.testing.assert_allclose(found, expected[:, i], atol=2e-6 * np.abs(expected[:, i]).max())
 
 

@@ -400,7 +400,7 @@ def test_narrow_limits_are_warned_of() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_motion_that_tells_little_is_warned_of() -> None:
+def test_a_motion_that_shows_little_is_warned_of() -> None:
     study, values = drive(gravity_torque_1=1.0)
     study = replace(study, arm=replace(study.arm, gravity=9.81))
     # over a fiftieth of a radian gravity looks like an offset of the friction
@@ -416,7 +416,7 @@ def test_a_slow_servo_is_warned_of() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_record_that_breaks_a_limit_is_left_out_and_told() -> None:
+def test_a_record_that_breaks_a_limit_is_left_out_and_reported() -> None:
     """The motor's friction alone puts 1 N m into the gear; fast voltages mostly miss it."""
     study, values = drive()
     found = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (0.5,)))
@@ -432,11 +432,11 @@ def test_a_record_that_breaks_a_limit_is_left_out_and_told() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_an_excitation_that_only_friction_holds_is_left_out_and_told() -> None:
+def test_an_excitation_that_only_friction_holds_is_left_out_and_reported() -> None:
     study, values = drive()
     found = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), (0.01,)))
-    told = {w.where: w.message for w in found.warnings if w.code == "limit-broken"}
-    assert re.search(r"with \S+ V the gear torque of joint 1 would be", told["prbs-j1"])
+    reported = {w.where: w.message for w in found.warnings if w.code == "limit-broken"}
+    assert re.search(r"with \S+ V the gear torque of joint 1 would be", reported["prbs-j1"])
 
 
 @pytest.mark.usefixtures("quick")
@@ -538,7 +538,7 @@ def test_what_was_written_reads_back(designed: design.Design, tmp_path: Path) ->
             np.testing.assert_array_equal(listed, values)
 
 
-def test_the_records_tell_another_arm_than_the_guess(
+def test_the_records_show_another_arm_than_the_guess(
     designed: design.Design, tmp_path: Path
 ) -> None:
     """Simulated, noisy sensors: rigid parameters within 1 % of an arm 5 to 15 % off the guess."""

@@ -50,8 +50,8 @@ def test_a_compiler_reads_the_header(arm: IdentifiedArm, tmp_path: Path) -> None
     if compiler is None:
         pytest.skip("no C compiler here")
     (tmp_path / "arm.h").write_bytes(to_c_header(arm).data)
-    told = [entry for entry in entries(arm) if entry.value is not None]
-    prints = "".join(f'printf("%.17g\\n", {entry.name});' for entry in told)
+    reported = [entry for entry in entries(arm) if entry.value is not None]
+    prints = "".join(f'printf("%.17g\\n", {entry.name});' for entry in reported)
     twice = '#include <stdio.h>\n#include "arm.h"\n#include "arm.h"\n'
     (tmp_path / "main.c").write_text(f"{twice}int main(void) {{ {prints} return 0; }}\n")
     program = str(tmp_path / "program")
@@ -62,7 +62,7 @@ def test_a_compiler_reads_the_header(arm: IdentifiedArm, tmp_path: Path) -> None
     )
     assert done.returncode == 0, done.stderr
     printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    assert [float(line) for line in printed.split()] == [entry.value for entry in told]
+    assert [float(line) for line in printed.split()] == [entry.value for entry in reported]
 
 
 def test_a_header_says_what_is_missing(arm: IdentifiedArm) -> None:

@@ -30,7 +30,7 @@ def mujoco() -> ModuleType:
 
 
 def drive(study: Study, amplitude: float, seconds: float = 0.4) -> Drive:
-    """Pseudo-random voltages on all joints, from rest."""
+    """Pseudo-random voltages on all joints, from standstill."""
     samples = round(seconds / TICK)
     sequence = excitation.prbs(Prbs(10, TICK, 1, amplitude))
     shifted = [np.roll(sequence, 341 * i)[:samples] for i in range(study.arm.n_joints)]
@@ -64,7 +64,7 @@ def in_mujoco(
     return {name: np.array(rows) for name, rows in found.items()}
 
 
-def misfit(mujoco: ModuleType, study: Study, values: Values, amplitude: float) -> float:
+def largest_difference(mujoco: ModuleType, study: Study, values: Values, amplitude: float) -> float:
     """Largest relative difference (root mean square) over all quantities and joints."""
     applied = drive(study, amplitude)
     ours = simulate(
@@ -150,7 +150,7 @@ def test_without_dry_friction_the_motion_is_ours(
     values = frictionless(exports.values_of(study))
     for joint in (1, 2):
         values["friction_offset", joint] = 0.01
-    assert misfit(mujoco, study, values, 10.0) < 1e-7
+    assert largest_difference(mujoco, study, values, 10.0) < 1e-7
 
 
 @pytest.mark.parametrize("motion", ["revolute", "prismatic"])
@@ -160,7 +160,7 @@ def test_so_is_that_of_one_joint(
 ) -> None:
     gravity = 9.81 if motion == "revolute" else None
     study, values = exports.single(tmp_path, motion, spring, gravity)
-    assert misfit(mujoco, study, values, 3.0) < 1e-9
+    assert largest_difference(mujoco, study, values, 3.0) < 1e-9
 
 
 def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> N
     )
     for joint in (1, 2):
         assert np.abs(ours["gear_torque"][:, joint - 1]).max() > values["gear_knee_t2", joint]
-    assert misfit(mujoco, study, values, 10.0) < 2e-5
+    assert largest_difference(mujoco, study, values, 10.0) < 2e-5
     middle = replace(
         study,
         arm=replace(study.arm, joints=tuple(replace(j, spring="linear") for j in study.arm.joints)),
@@ -195,7 +195,7 @@ def test_dry_friction_is_nearly_ours(
 ) -> None:
     """MuJoCo's friction settles within two steps at best; ours stops a motor at once."""
     study = exports.two_links(tmp_path, spring)
-    assert misfit(mujoco, study, exports.values_of(study), amplitude) < tolerance
+    assert largest_difference(mujoco, study, exports.values_of(study), amplitude) < tolerance
 
 
 def test_friction_that_settles_in_a_known_time_is_ours(mujoco: ModuleType, tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_friction_that_settles_in_a_known_time_is_ours(mujoco: ModuleType, tmp_p
     values = exports.values_of(study)
     for joint in (1, 2):
         values["friction_settling_time", joint] = 1e-3
-    assert misfit(mujoco, study, values, 2.0) < 2e-3
+    assert largest_difference(mujoco, study, values, 2.0) < 2e-3
 
 
 @pytest.mark.parametrize(("bandwidth", "tolerance"), [(50.0, 1e-4), (1000.0, 1e-3), (5000.0, 4e-3)])
@@ -216,31 +216,33 @@ def test_the_current_loop_lags(
     lagging = tuple(replace(joint, current_loop_hz=bandwidth) for joint in study.arm.joints)
     values = frictionless(exports.values_of(study))
     assert (
-        misfit(mujoco, replace(study, arm=replace(study.arm, joints=lagging)), values, 10.0)
+        largest_difference(
+            mujoco, replace(study, arm=replace(study.arm, joints=lagging)), values, 10.0
+        )
         < tolerance
     )
 
 
-def test_a_current_loop_too_fast_for_the_step_is_told(tmp_path: Path) -> None:
+def test_a_current_loop_too_fast_for_the_step_is_reported(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     fast = replace(study.arm.joints[0], current_loop_hz=5000.0)
     study = replace(study, arm=replace(study.arm, joints=(fast, study.arm.joints[1])))
-    cautions = to_mjcf(exports.arm_of(study, exports.values_of(study))).cautions
-    assert [(c.code, c.where) for c in cautions] == [("left-out", "joint 1")]
-    assert "5000 Hz" in cautions[0].message
+    warnings = to_mjcf(exports.arm_of(study, exports.values_of(study))).warnings
+    assert [(c.code, c.where) for c in warnings] == [("left-out", "joint 1")]
+    assert "5000 Hz" in warnings[0].message
 
 
-def test_what_mujoco_lacks_is_told_once_a_joint(tmp_path: Path) -> None:
+def test_what_mujoco_lacks_is_reported_once_a_joint(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     first = replace(study.arm.joints[0], effects=("hysteresis", "kinematic-error"))
     study = replace(study, arm=replace(study.arm, joints=(first, study.arm.joints[1])))
-    cautions = to_mjcf(exports.arm_of(study, exports.values_of(study))).cautions
-    assert [(c.code, c.where) for c in cautions] == [("left-out", "joint 1")]
-    assert "hysteresis, kinematic-error" in cautions[0].message
+    warnings = to_mjcf(exports.arm_of(study, exports.values_of(study))).warnings
+    assert [(c.code, c.where) for c in warnings] == [("left-out", "joint 1")]
+    assert "hysteresis, kinematic-error" in warnings[0].message
 
 
-def test_a_gravity_torque_that_no_body_has_is_told(tmp_path: Path) -> None:
+def test_a_gravity_torque_that_no_body_has_is_reported(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path, gravity=9.81)
-    cautions = to_mjcf(exports.arm_of(study, exports.values_of(study))).cautions
-    assert [c.code for c in cautions] == ["gravity-torque"]
-    assert "+2.0 %" in cautions[0].message
+    warnings = to_mjcf(exports.arm_of(study, exports.values_of(study))).warnings
+    assert [c.code for c in warnings] == ["gravity-torque"]
+    assert "+2.0 %" in warnings[0].message

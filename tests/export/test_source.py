@@ -26,7 +26,7 @@ def test_study_and_parameters_come_back(tmp_path: Path) -> None:
     arm = exports.arm_of(study, values)
     assert arm.values == values
     assert arm.study.arm.joints == study.arm.joints
-    assert arm.cautions == ()
+    assert arm.warnings == ()
     assert arm.parameters[0].std == pytest.approx(0.01 * values["alpha", None])
 
 
@@ -86,7 +86,7 @@ def test_a_study_that_moved_with_its_result_is_found(tmp_path: Path) -> None:
     (moved / "study.toml").rename(moved / "other.toml")
     with pytest.raises(InvalidInput, match="not there any more"):
         read_result(moved / path.name)
-    assert read_result(moved / path.name, moved / "other.toml").cautions == ()
+    assert read_result(moved / path.name, moved / "other.toml").warnings == ()
 
 
 def test_the_study_is_looked_for_from_the_result_not_from_here(
@@ -106,17 +106,17 @@ def test_the_study_is_looked_for_from_the_result_not_from_here(
     monkeypatch.chdir(elsewhere)
     arm = read_result(result)
     assert arm.study.path == study.path
-    assert arm.cautions == ()
+    assert arm.warnings == ()
 
 
-def test_a_changed_study_is_told(tmp_path: Path) -> None:
+def test_a_changed_study_is_reported(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     path = exports.write(study, exports.values_of(study))
     text = study.path.read_text()
     study.path.write_text(text.replace("0.35", "0.36"))
     arm = read_result(path)
     assert arm.study.arm.link_length == 0.36
-    assert [caution.code for caution in arm.cautions] == ["study-changed"]
+    assert [warning.code for warning in arm.warnings] == ["study-changed"]
 
 
 def arm_without(folder: Path, *names: str) -> IdentifiedArm:
@@ -203,11 +203,11 @@ def test_a_motor_without_inertia_is_one_behind_a_rigid_gear(tmp_path: Path) -> N
         arm.need("motor_inertia", 1)
 
 
-def test_a_split_that_is_made_up_is_told(tmp_path: Path) -> None:
+def test_a_split_that_is_made_up_is_reported(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path, "rigid")
     values = exports.values_of(study)
     total = values["alpha", None] + values["motor_inertia", 1] / 0.01**2
     del values["alpha", None], values["motor_inertia", 1]
     arm = exports.arm_of(study, values | {("rigid_inertia", 1): total})
     assert arm.need("alpha") + arm.need("motor_inertia", 1) / 0.01**2 == pytest.approx(total)
-    assert ["made up" in caution.message for caution in arm.assumed()] == [True]
+    assert ["made up" in warning.message for warning in arm.assumed()] == [True]

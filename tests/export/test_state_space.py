@@ -93,7 +93,7 @@ def test_the_interaction_torque_moves_the_link_at_once(tmp_path: Path) -> None:
     values = exports.values_of(study)
     A, B, C, D = state_space(exports.arm_of(study, values), 2)
     assert D.tolist() == [[0.0, 0.0], [0.0, 1.0 / values["beta", None]]]
-    # beyond all resonances the link is free, at rest the velocity does not change
+    # beyond all resonances the link is free, at standstill the velocity does not change
     s = 1e9
     G = C @ np.linalg.solve(s * np.eye(3) - A, B) + D
     assert G[1, 1] == pytest.approx(1.0 / values["beta", None], rel=1e-6)
@@ -105,7 +105,7 @@ def test_the_file_holds_the_matrices(tmp_path: Path) -> None:
     arm = exports.arm_of(study, exports.values_of(study))
     export = to_state_space(arm)
     document = json.loads(export.data)
-    assert export.cautions == ()
+    assert export.warnings == ()
     assert document["states"] == ["torsion", "motor_velocity", "link_velocity"]
     for joint in (1, 2):
         found = [document["joints"][joint - 1][name] for name in "ABCD"]
@@ -118,14 +118,14 @@ def test_three_slopes_become_the_middle_one(tmp_path: Path) -> None:
     arm = exports.arm_of(study, values)
     A = state_space(arm, 1)[0]
     assert A[1, 0] == -0.01 * values["gear_stiffness_k2", 1] / values["motor_inertia", 1]
-    cautions = to_state_space(arm).cautions
-    assert [(c.code, c.where) for c in cautions] == [
+    warnings = to_state_space(arm).warnings
+    assert [(c.code, c.where) for c in warnings] == [
         ("linearised", "joint 1"),
         ("linearised", "joint 2"),
     ]
 
 
-def test_a_link_inertia_that_was_told_is_taken(tmp_path: Path) -> None:
+def test_a_link_inertia_that_was_reported_is_taken(tmp_path: Path) -> None:
     study, values = exports.single(tmp_path, spring="linear")
     B = state_space(exports.arm_of(study, values), 1)[1]
     assert B[2, 1] == 1.0 / values["link_inertia", 1]

@@ -153,7 +153,7 @@ def test_checks_have_verdicts() -> None:
         assert check.message
 
 
-def test_two_sequences_tell_more_than_one() -> None:
+def test_two_sequences_show_more_than_one() -> None:
     alone, together = (np.median(decoupled(None, both)[0].richness) for both in (False, True))
     assert together > 10.0 * alone
 
@@ -169,7 +169,7 @@ def test_a_band_may_be_set() -> None:
     assert found[0].richness_hz[-1] <= 25.0
 
 
-def test_much_swing_is_told() -> None:
+def test_much_swing_is_reported() -> None:
     study, run = run_of(None)
     seen = links.link_side(log_of(run), Arm.of(study.arm))
     swing = seen.link_angle.copy()

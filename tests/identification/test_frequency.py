@@ -42,7 +42,7 @@ def noisy_periods(
 
 def test_whole_periods_give_the_exact_response() -> None:
     found = frequency.by_periods([noisy_periods(0, 0.0)], 1.0, PERIOD, 1)
-    # what is left of the start after one period is 0.7^500
+    # the rest of the start after one period is 0.7^500
     assert found.response[:, 0, 0] == pytest.approx(true_response(found.frequencies_hz), abs=1e-9)
     assert found.coherence == pytest.approx(1.0)
     assert found.n_averages == 5

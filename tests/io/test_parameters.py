@@ -114,13 +114,13 @@ def test_an_identification_of_an_elastic_arm_can_be_simulated() -> None:
     study = scara.study(Path("x"), "linear")
     whole = scara.parameters(5, "linear")
     derived = virtual.derived(whole, study.arm)
-    told = {
+    reported = {
         key: value
         for key, value in derived.items()
         if key[0] not in ("alpha", "rigid_inertia")
         and key not in {("motor_viscous_friction", 1), ("link_viscous_friction", 2)}
     }
-    made = completed(told, study.arm)
+    made = completed(reported, study.arm)
     assert made["alpha", None] == pytest.approx(whole["alpha", None])
     d_motor = whole["motor_viscous_friction", 1]
     assert made["motor_viscous_friction", 1] == pytest.approx(d_motor)

@@ -117,7 +117,7 @@ def test_stages_are_a_beginning_of_all() -> None:
             pipeline.check_stages(wrong)
 
 
-def told(name: str, value: float | None, std: float | None, joint: int = 1) -> Parameter:
+def reported(name: str, value: float | None, std: float | None, joint: int = 1) -> Parameter:
     return Parameter(name, joint, value, std, "-", "tuned")
 
 
@@ -125,19 +125,20 @@ def test_the_whole_arm_fit_comes_first() -> None:
     """Its value even where another stage claims to be surer, and its refusal too."""
     one = identification()
     tuned = arm_model(
-        (told("inertia", 0.03, 0.01), told("gear_damping", None, None)), np.diag([1e-4, np.inf])
+        (reported("inertia", 0.03, 0.01), reported("gear_damping", None, None)),
+        np.diag([1e-4, np.inf]),
     )
     found = {p.name: p for p in replace(one, tuned=tuned).parameters}
     assert (found["inertia"].value, found["inertia"].stage) == (0.03, "tuned")
     assert found["gear_damping"].value is None
-    silent = arm_model((told("inertia", None, None),), np.eye(1))
+    silent = arm_model((reported("inertia", None, None),), np.eye(1))
     found = {p.name: p for p in replace(one, tuned=silent).parameters}
     assert (found["inertia"].value, found["inertia"].stage) == (None, "tuned")
 
 
 def test_one_stiffness_does_not_stand_beside_three() -> None:
     one = identification(name="gear_stiffness")
-    slopes = tuple(told(f"gear_stiffness_k{k}", 1e4 * k, 10.0) for k in (1, 2, 3))
+    slopes = tuple(reported(f"gear_stiffness_k{k}", 1e4 * k, 10.0) for k in (1, 2, 3))
     names = [p.name for p in replace(one, tuned=arm_model(slopes, np.eye(3))).parameters]
     assert "gear_stiffness" not in names
     assert [name for name in names if "stiffness" in name] == [p.name for p in slopes]
@@ -148,7 +149,7 @@ def test_one_stiffness_does_not_stand_beside_three() -> None:
 
 
 def test_correlations_of_the_whole_arm_fit() -> None:
-    parameters = (told("a", 1.0, 2.0), told("b", 1.0, 3.0), told("c", 0.0, 0.0))
+    parameters = (reported("a", 1.0, 2.0), reported("b", 1.0, 3.0), reported("c", 0.0, 0.0))
     covariance = np.array([[4.0, -3.0, 0.0], [-3.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
     one = replace(identification(), tuned=arm_model(parameters, covariance))
     tuned = json.loads(result.to_json(result.to_document(one)))["stages"]["tuned"]
@@ -158,8 +159,8 @@ def test_correlations_of_the_whole_arm_fit() -> None:
     assert tuned["fit_percent"]["prbs-j1"]["omega_m1"] == 99.0
 
 
-def test_what_nothing_tells_of_has_no_correlation() -> None:
-    parameters = (told("a", 1.0, 2.0), told("b", None, None))
+def test_what_nothing_shows_of_has_no_correlation() -> None:
+    parameters = (reported("a", 1.0, 2.0), reported("b", None, None))
     vague = arm_model(parameters, np.array([[4.0, 0.0], [0.0, np.inf]]))
     document = json.loads(
         result.to_json(result.to_document(replace(identification(), tuned=vague)))
@@ -167,8 +168,8 @@ def test_what_nothing_tells_of_has_no_correlation() -> None:
     assert document["stages"]["tuned"]["correlations"][0][0] == 1.0
 
 
-def test_a_criticism_is_told_without_its_spectra() -> None:
-    tuned = arm_model((told("a", 1.0, 2.0),), np.array([[4.0]]))
+def test_a_criticism_is_reported_without_its_spectra() -> None:
+    tuned = arm_model((reported("a", 1.0, 2.0),), np.array([[4.0]]))
     document = json.loads(
         result.to_json(result.to_document(replace(identification(), tuned=tuned)))
     )

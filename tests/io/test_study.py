@@ -165,7 +165,7 @@ FAULTS = {
 }
 
 
-def test_six_joints_are_told_what_can_be_identified(tmp_path: Path) -> None:
+def test_six_joints_are_reported_what_can_be_identified(tmp_path: Path) -> None:
     joints = 6 * '[[joint]]\nspring = "rigid"\ngear_ratio = 0.01\ntorque_per_volt = 0.08\n'
     control = ", ".join(6 * ['"servo"'])
     experiment = f'name = "m"\nfile = "m.csv"\nuse = "motion"\ncontrol = [{control}]\n'
@@ -179,7 +179,7 @@ def test_six_joints_are_told_what_can_be_identified(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_tells_every_fault(fault: str, tmp_path: Path) -> None:
+def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
     old, new, times, said = FAULTS[fault]
     assert old in studies.STUDY
     path = studies.write(tmp_path, studies.STUDY.replace(old, new, times))

@@ -29,7 +29,7 @@ def test_jobs_run_at_the_same_time() -> None:
     assert side_by_side([meet, meet]) == [True, True]
 
 
-def test_a_job_that_fails_tells_who_asks() -> None:
+def test_a_job_that_fails_shows_who_asks() -> None:
     def job() -> int:
         raise ValueError("no")
 

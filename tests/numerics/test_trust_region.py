@@ -163,7 +163,7 @@ def test_a_start_at_a_bound_comes_away_from_it() -> None:
 
 
 def test_short_steps_stay_in_a_narrow_valley() -> None:
-    """The sum is told a thousand times better than its parts, which are 8 away."""
+    """The sum is reported a thousand times better than its parts, which are 8 away."""
     A = np.array([[1.0, 1.0], [0.0, 1e-3]])
     there = np.array([-8.0, 8.0])
     problem = Problem(lambda x: np.asarray(A @ (x - there)))
@@ -181,7 +181,7 @@ def test_short_steps_stay_in_a_narrow_valley() -> None:
     assert max(abs(np.sum(x)) for x in problem.looked_at) < 1e-3
 
 
-def test_what_nothing_tells_of_stays_where_it_is() -> None:
+def test_what_nothing_shows_of_stays_where_it_is() -> None:
     A, b = linear(0)
     A[:, 2] = 0.0
     found = found_for(lambda x: A @ x - b, [0.0, 0.0, 0.7, 0.0], tolerance=1e-9)
@@ -192,7 +192,7 @@ def test_what_nothing_tells_of_stays_where_it_is() -> None:
 
 def test_twins_do_not_run_away() -> None:
     A, b = linear(1)
-    A[:, 3] = 2.0 * A[:, 1]  # exactly: differences would tell the two apart by their rounding
+    A[:, 3] = 2.0 * A[:, 1]  # exactly: differences would separate the two by their rounding
 
     def cost(x: FloatArray) -> float:
         return float(np.sum((A @ x - b) ** 2))
@@ -292,7 +292,7 @@ def test_the_tolerance_is_in_units_of_the_cost() -> None:
 
 
 def test_a_cliff_ends_the_search_at_its_edge() -> None:
-    """Beyond one half the cost is a hundred higher: the foretold gain is never to be had."""
+    """Beyond one half the cost is a hundred higher: the predicted gain is never to be had."""
 
     def linearise(x: FloatArray) -> Linearised:
         off = float(100.0 * (x[0] - 1.0))

@@ -252,10 +252,10 @@ def test_seeds_differ_in_noise_and_in_the_sequence() -> None:
 @pytest.mark.parametrize("joint", [1, 2])
 def test_the_spring_has_its_slopes_and_is_odd(joint: int) -> None:
     values = scara.parameters()
-    twist = np.linspace(-6e-3, 6e-3, 100_001)
-    torque = spring_torque(values, joint, twist)
+    torsion = np.linspace(-6e-3, 6e-3, 100_001)
+    torque = spring_torque(values, joint, torsion)
     assert torque == pytest.approx(-torque[::-1], abs=1e-9)
-    slope = np.gradient(torque, twist)
+    slope = np.gradient(torque, torsion)
     for torque_between, k in zip((0.5, 1.5, 3.0), slopes(values, joint), strict=True):
         knees = [0.0, values["gear_knee_t1", joint], values["gear_knee_t2", joint]]
         at = np.interp(torque_between, [0.0, 1.0, 2.0, 3.0], [*knees, 1.5 * knees[-1]])

@@ -139,8 +139,8 @@ def test_a_model_s_response_has_the_band_of_its_covariance() -> None:
 
 
 def test_a_record_without_a_model_says_why_and_draws_nothing() -> None:
-    cautions = (Diagnostic("grey-box-failed", "prbs", "the motor stands"),)
-    empty = RecordModel(case(1).decoupled, None, None, None, None, warnings=cautions)
+    warnings = (Diagnostic("grey-box-failed", "prbs", "the motor stands"),)
+    empty = RecordModel(case(1).decoupled, None, None, None, None, warnings=warnings)
     assert "the motor stands" in empty._repr_html_()
     with pytest.raises(InvalidInput, match="no physical model to draw"):
         empty.plot()

@@ -187,7 +187,7 @@ def test_ideal_sensors_give_the_links_motion(gravity: float | None) -> None:
         assert np.all(error < limit), (name, error)
 
 
-def test_biases_are_taken_off_and_told() -> None:
+def test_biases_are_taken_off_and_reported() -> None:
     study, run = run_of()
     log = log_of(run)
     a1 = log.channels["a1"] + 0.12
@@ -200,7 +200,7 @@ def test_biases_are_taken_off_and_told() -> None:
     assert seen.link_velocity == pytest.approx(plain.link_velocity, abs=5e-3)
 
 
-def test_the_fusion_tells_how_wrong_it_is() -> None:
+def test_the_fusion_shows_how_wrong_it_is() -> None:
     study, run = run_of(None, None)
     truth = lagged(run["link_velocity"], SHARED, SAMPLE)
     errors = []
@@ -295,9 +295,9 @@ def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
     assert late.motor_velocity == pytest.approx(plain.motor_velocity)
     drive = links.link_side(shifted(log, "u", -samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in drive.warnings}
-    told = drive.drive_delay[joint - 1]
-    assert told is not None
-    assert told.value / SAMPLE == pytest.approx(samples, rel=0.35)
+    reported = drive.drive_delay[joint - 1]
+    assert reported is not None
+    assert reported.value / SAMPLE == pytest.approx(samples, rel=0.35)
 
 
 def test_late_link_sensors_are_moved_back_in_all_records() -> None:
@@ -335,16 +335,16 @@ def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
 
 
 @pytest.mark.parametrize("joint", [1, 2])
-def test_a_bent_spring_tells_a_delay_only_of_the_joint_that_was_excited(joint: int) -> None:
+def test_a_bent_spring_shows_a_delay_only_of_the_joint_that_was_excited(joint: int) -> None:
     study, run = run_of(joint=joint)
     joints = tuple(replace(own, spring="three-slope") for own in study.arm.joints)
     seen = links.link_side(
         log_of(run, joint, seed=3),
         Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
     )
-    told = seen.sensor_delay[joint - 1]
-    assert told is not None
-    assert abs(told.value) < 0.3 * SAMPLE
+    reported = seen.sensor_delay[joint - 1]
+    assert reported is not None
+    assert abs(reported.value) < 0.3 * SAMPLE
     assert seen.sensor_delay[2 - joint] is None
 
 
@@ -360,7 +360,7 @@ def test_a_bandwidth_left_out_of_the_study_shows_as_a_delay() -> None:
     assert any("accelerometer_hz" in w.message for w in seen.warnings)
 
 
-def test_a_voltage_logged_below_its_clock_is_told() -> None:
+def test_a_voltage_logged_below_its_clock_is_reported() -> None:
     study, run = run_of()
     log = log_of(run)
     coarse = {k: v[::8] for k, v in log.channels.items()}

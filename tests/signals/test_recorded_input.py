@@ -11,7 +11,7 @@ from strainwave.domain import Control, Log, Prbs
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.identification.closed_loop import as_known, observe, predict_closed_loop
-from strainwave.signals.recorded_input import missing_for_replay, replay
+from strainwave.signals.recorded_input import missing_recorded_input, recorded_drive
 from tuning_runs import rig_logs, truth
 
 
@@ -19,10 +19,10 @@ def log_named(name: str) -> Log:
     return next(log for log in rig_logs()[1] if log.name == name)
 
 
-def test_a_servoed_log_is_replayed_by_its_references() -> None:
+def test_a_servoed_log_is_driven_by_its_references() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
-    drive = replay(Arm.of(study.arm), log)
+    drive = recorded_drive(Arm.of(study.arm), log)
     assert drive.servo == (True, True)
     assert drive.tick == log.sample_time
     np.testing.assert_array_equal(drive.reference[:, 0], log.channels["ref1"])
@@ -31,26 +31,26 @@ def test_a_servoed_log_is_replayed_by_its_references() -> None:
     assert drive.initial_voltage == (log.channels["u1"][0], log.channels["u2"][0])
 
 
-def test_an_open_joint_is_replayed_by_its_voltage_and_a_servoed_one_by_its_prbs() -> None:
+def test_an_open_joint_is_driven_by_its_voltage_and_a_servoed_one_by_its_prbs() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
     open_servo: tuple[Control, Control] = ("open", "servo")
     opened = replace(log, experiment=replace(log.experiment, control=open_servo))
-    drive = replay(Arm.of(study.arm), opened)
+    drive = recorded_drive(Arm.of(study.arm), opened)
     np.testing.assert_array_equal(drive.voltage[:, 0], log.channels["u1"])
     # the first sample's voltage begins with the record; before it there was none
     assert drive.initial_voltage[0] == 0.0
     prbs = Prbs(order=4, clock=1e-3, periods=2, amplitude=5.0)
     excited = replace(log, experiment=replace(log.experiment, prbs=prbs))
-    assert set(np.unique(replay(Arm.of(study.arm), excited).voltage[:, 0])) == {-5.0, 5.0}
+    assert set(np.unique(recorded_drive(Arm.of(study.arm), excited).voltage[:, 0])) == {-5.0, 5.0}
 
 
-def test_what_replaying_needs_is_named() -> None:
+def test_what_the_recorded_input_needs_is_named() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
-    assert missing_for_replay(Arm.of(study.arm), log) is None
+    assert missing_recorded_input(Arm.of(study.arm), log) is None
     assert (
-        missing_for_replay(Arm.of(replace(study, arm=replace(study.arm, servo=None)).arm), log)
+        missing_recorded_input(Arm.of(replace(study, arm=replace(study.arm, servo=None)).arm), log)
         == "the study describes no servo"
     )
     for channel, said in [
@@ -63,7 +63,7 @@ def test_what_replaying_needs_is_named() -> None:
             observe(replace(log, channels=channels), Arm.of(study.arm))
     # nobody moved joint 2
     channels = {name: signal for name, signal in log.channels.items() if name != "ref2"}
-    assert missing_for_replay(Arm.of(study.arm), replace(log, channels=channels)) is None
+    assert missing_recorded_input(Arm.of(study.arm), replace(log, channels=channels)) is None
 
 
 @pytest.mark.parametrize("name", ["step-check-j1", "step-check-j2", "motion-check"])

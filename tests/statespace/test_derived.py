@@ -108,7 +108,7 @@ def test_response_of_slow_samples_is_that_of_continuous_time() -> None:
     sampled = frequency_response(ARM.sampled(), f).response[:, :, 0]
     exact = frequency_response(ARM.continuous(), f).response[:, :, 0]
     delay = np.exp(-0.5j * 2.0 * np.pi * f * SAMPLE_TIME)[:, None]
-    # What is left is the hold's sinc, 1 - (w T)^2 / 24, and aliases: 1e-5.
+    # The rest is the hold's sinc, 1 - (w T)^2 / 24, and aliases: 1e-5.
     np.testing.assert_allclose(sampled, exact * delay, rtol=1e-4)
 
 

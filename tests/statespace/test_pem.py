@@ -280,9 +280,9 @@ def test_options_change_the_answer() -> None:
     assert not default.D[:, 0].any()
     assert through.D.all()
     assert through.n_parameters == default.n_parameters + 2
-    at_rest = pem(data, 3, options=PemOptions(initial_state="zero"))
+    at_standstill = pem(data, 3, options=PemOptions(initial_state="zero"))
     assert default.initial_states.any()
-    assert not at_rest.initial_states.any()
+    assert not at_standstill.initial_states.any()
     hurried = pem(data, 3, options=PemOptions(max_iterations=1))
     assert hurried.status == "iteration-limit"
     assert [warning.code for warning in hurried.warnings] == ["pem-iteration-limit"]

@@ -69,7 +69,7 @@ def test_records_are_never_joined() -> None:
     assert model.initial_states.shape == (3, 3)
 
 
-def test_singular_values_tell_the_order() -> None:
+def test_singular_values_show_the_order() -> None:
     rng = np.random.default_rng(0)
     model = subspace(simulate(ARM.sampled(), excitation(rng, 800)))
     assert model.order == 3

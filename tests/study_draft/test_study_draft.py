@@ -169,7 +169,7 @@ def test_the_third_joint_alone_is_an_arm_of_one_joint(tmp_path: Path) -> None:
         np.testing.assert_allclose(log.channels[ours], truth[theirs], rtol=1e-9, atol=1e-9)
 
 
-def test_a_drive_at_its_limit_is_told(tmp_path: Path) -> None:
+def test_a_drive_at_its_limit_is_reported(tmp_path: Path) -> None:
     truth = motion()
     limit = 0.7 * np.abs(truth["u1"]).max()
     columns = {"t": truth["t"], "pos": truth["theta_m1"]}
@@ -179,7 +179,7 @@ def test_a_drive_at_its_limit_is_told(tmp_path: Path) -> None:
     assert f"now and then it stays at {limit:.4g}: the drive's limit?" in text
 
 
-def test_the_gear_ratio_is_told_by_two_encoders(tmp_path: Path) -> None:
+def test_the_gear_ratio_follows_from_two_encoders(tmp_path: Path) -> None:
     rename, _ = VOCABULARIES["motor and link encoders"]
     write_log(tmp_path / "run.csv", rename(motion()))
     start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
@@ -273,7 +273,7 @@ def test_columns_that_only_a_shorter_log_has_are_mapped(tmp_path: Path, still: b
     assert ["gyro1" in log.channels for log in read_logs(study)] == [True, False]
 
 
-def test_text_and_nan_columns_are_left_out_and_told(tmp_path: Path) -> None:
+def test_text_and_nan_columns_are_left_out_and_reported(tmp_path: Path) -> None:
     truth = motion()
     names = ["t", "u1", "u2", "theta_m1", "theta_m2", "omega_m1", "state"]
     rows = zip(*(truth[n] for n in names[:5]), strict=True)
@@ -439,7 +439,7 @@ def run_init(*words: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("rig", ["scara-linear-5kg", "scara-strainwave-3kg", "vertical-linear-0kg"])
-def test_the_labs_records_are_told_apart(rig: str, shared_data: Path, tmp_path: Path) -> None:
+def test_the_labs_records_are_separated(rig: str, shared_data: Path, tmp_path: Path) -> None:
     known = read_study(shared_data / "lab" / rig / "study.toml")
     start_study([known.log_path(e) for e in known.experiments], tmp_path / "study.toml")
     answers = ANSWERS | {"link_length": "0.35"}
@@ -461,9 +461,9 @@ def test_measured_rigs_get_the_channels_they_have(shared_data: Path, tmp_path: P
         out = tmp_path / f"{rig}.toml"
         start_study([known.log_path(e) for e in known.experiments], out)
         found = read_study(filled_in(out))
-        told = {n: c.column for n, c in known.channels.items() if c.column != n}
-        told.pop("ref1", None)  # EMPS's is of position
-        assert {name: channel.column for name, channel in found.channels.items()} == told
+        reported = {n: c.column for n, c in known.channels.items() if c.column != n}
+        reported.pop("ref1", None)  # EMPS's is of position
+        assert {name: channel.column for name, channel in found.channels.items()} == reported
         assert found.arm.kind == known.arm.kind
         assert [j.motion for j in found.arm.joints] == [j.motion for j in known.arm.joints]
         uses = {e.name: e.use for e in found.experiments}
@@ -516,7 +516,7 @@ def test_six_axes_without_time_are_answered_with_a_column_to_add_and_the_limit(
     assert not (tmp_path / "study.toml").exists()
 
 
-def test_tells_logs_that_cannot_be_started_from(tmp_path: Path) -> None:
+def test_shows_logs_that_cannot_be_started_from(tmp_path: Path) -> None:
     truth = motion()
     out = tmp_path / "study.toml"
     write_log(tmp_path / "bare.csv", {n: truth[n] for n in ("theta_m1", "u1")})
@@ -543,7 +543,7 @@ def test_tells_logs_that_cannot_be_started_from(tmp_path: Path) -> None:
     periods=st.integers(1, 4),
     amplitude=st.sampled_from([0.5, 2.0, 10.0]),
 )
-def test_a_sequence_is_told_from_its_samples(
+def test_a_sequence_is_reported_from_its_samples(
     order: int, samples: int, periods: int, amplitude: float
 ) -> None:
     truth = Prbs(order, 0.001, periods, amplitude)
@@ -560,7 +560,7 @@ def test_other_signals_are_no_sequence() -> None:
 
 
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(0.01, 100.0), noise=st.floats(0.0, 1e-3))
-def test_a_derivative_is_told_with_its_unit(seed: int, scale: float, noise: float) -> None:
+def test_a_derivative_is_reported_with_its_unit(seed: int, scale: float, noise: float) -> None:
     rng = np.random.default_rng(seed)
     time = 0.001 * np.arange(3000, dtype=float)
     phase, rate = rng.uniform(0.0, 6.0), rng.uniform(3.0, 9.0)

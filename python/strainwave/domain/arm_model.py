@@ -19,10 +19,10 @@ class ResidualTest:
 
     experiment: str
     channel: str
-    deviation: float  # of what is left, in the channel's unit
+    deviation: float  # of the residuals, in the channel's unit
     noise: float  # of the sensor's noise behind the same low-pass
     frequency_hz: FloatArray  # (n_frequencies,)
-    density: FloatArray  # (n_frequencies,) of what is left, one-sided [unit^2/Hz]
+    density: FloatArray  # (n_frequencies,) of the residuals, one-sided [unit^2/Hz]
     noise_density: FloatArray  # (n_frequencies,)
     worst_hz: float  # where the one exceeds the other most
     whiteness: float  # probability that noise of the sensor's colour looks no more like it
@@ -176,7 +176,7 @@ class ArmModel(Displayed):
     status: Literal["converged", "iteration-limit", "at-bounds"]
     warnings: tuple[Diagnostic, ...] = ()
     criticism: Criticism | None = None
-    carried: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
+    gear_loads: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
     at_bounds: tuple[tuple[str, int | None], ...] = ()  # ended at a range's end, or rest on such
     differences: tuple[StageDifference, ...] = ()  # from the rigid model, value by value
     agreement: tuple[AgreementTest, ...] = ()  # with it, of all these differences and of groups

@@ -71,7 +71,7 @@ class JointModel(Displayed):
     experiments: tuple[str, ...]
     method: Literal["grey-box", "transfer-function", "motor-response", "catalogue"]
     parameters: tuple[Parameter, ...]
-    values: Mapping[str, float]  # of all parameters, also of those that the data hardly tell
+    values: Mapping[str, float]  # of all parameters, also of those that the data hardly identify
     covariance: FloatArray  # (n_values, n_values), in the order of `values`
     anti_resonance: Mode | None  # zeros of motor torque to motor velocity
     resonance: Mode | None  # its poles
@@ -93,7 +93,7 @@ class RecordModel(Displayed):
         JointModel | None
     )  # from the state-space model, by (17), (18); None: failed, not wanted
     check: ModelCheck | None = None  # the state-space model on a part that it was not fitted to
-    response: FrequencyResponse | None = None  # nonparametric; None: inputs not told apart
+    response: FrequencyResponse | None = None  # nonparametric; None: inputs not separated
     warnings: tuple[Diagnostic, ...] = ()
 
     @property

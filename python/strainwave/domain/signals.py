@@ -106,8 +106,8 @@ class LinkSummary:
     fusion: Fusion | None  # None: the velocity is a sensor's own
     fusion_error: float  # [rad/s] rms that (10) is wrong by, estimated
     bias: float  # [rad/s^2] taken off the link acceleration
-    sensor_delay: Delay | None  # link sensor behind encoder; None: not to be told
-    drive_delay: Delay | None  # torque behind the log's; None: not to be told
+    sensor_delay: Delay | None  # link sensor behind encoder; None: not identifiable
+    drive_delay: Delay | None  # torque behind the log's; None: not identifiable
 
 
 LinkSource = Literal["accelerometer", "encoder", "deflection", "gyro", "motor"]
@@ -144,8 +144,8 @@ class LinkSignals:
     fusion: tuple[Fusion | None, ...]  # one per joint; None: the velocity is a sensor's own
     fusion_error: FloatArray  # (n_joints,) [rad/s] rms that (10) is wrong by, estimated
     bias: FloatArray  # (n_joints,) [rad/s^2] taken off the link acceleration
-    sensor_delay: tuple[Delay | None, ...]  # link sensor behind encoder; None: not to be told
-    drive_delay: tuple[Delay | None, ...]  # torque behind the log's; None: not to be told
+    sensor_delay: tuple[Delay | None, ...]  # link sensor behind encoder; None: not identifiable
+    drive_delay: tuple[Delay | None, ...]  # torque behind the log's; None: not identifiable
     warnings: tuple[Diagnostic, ...] = ()
     removed_delay: tuple[Delay, ...] = ()  # of link sensors, one per joint; (): none was taken off
 

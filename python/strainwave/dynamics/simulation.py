@@ -50,9 +50,9 @@ class Drive:
     servo: tuple[bool, ...]  # per joint: whether its servo acts
     motor_angle: tuple[float, ...]  # [rad] at the start
     initial_voltage: tuple[float, ...]  # [V] that has been there before the start
-    motor_velocity: tuple[float, ...] | None = None  # [rad/s] at the start; None: at rest
+    motor_velocity: tuple[float, ...] | None = None  # [rad/s] at the start; None: at standstill
     link_angle: tuple[float, ...] | None = None  # [rad]; None: the links hang on their gears
-    link_velocity: tuple[float, ...] | None = None  # [rad/s]; None: at rest
+    link_velocity: tuple[float, ...] | None = None  # [rad/s]; None: at standstill
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ from strainwave.io.study import read_study
 __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
 
 _STARTS = 3  # of the search for the motion; the best two of them become records
-_RESTING = 0.3  # of a record; more, and Coulomb friction at rest hides what is asked
+_RESTING = 0.3  # of a record; more, and Coulomb friction at standstill hides what is asked
 _POOR = 300.0  # condition number; designs that have room reach 10
 _KNEES = ("gear_knee_t1", "gear_knee_t2")
 
@@ -188,7 +188,7 @@ def design(
         for error in refused
     )
     known = completed(values, arm)
-    warnings += tuple(c for record in records for c in _cautions(arm, known, record))
+    warnings += tuple(c for record in records for c in _warnings(arm, known, record))
     for joint, band in bands.items():
         of_it = [record for record in records if record.experiment.joint == joint]
         if band and of_it and of_it[0].band_hz[1] < 0.99 * band.high_hz:
@@ -243,7 +243,7 @@ def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diag
     return (Diagnostic("no-servo", study.path.name, text),)
 
 
-def _cautions(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
+def _warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
     """What to know before one record is taken."""
     name, seen = record.experiment.name, record.predicted
     found = []

@@ -12,7 +12,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 
 MARGIN = 5.0  # below the anti-resonance and above the resonance
-LINES = 5  # in the width of the anti-resonance: fewer, and its damping is told by one of them
+LINES = 5  # in the width of the anti-resonance: fewer, and its damping follows from one of them
 
 
 @dataclass(frozen=True, slots=True)

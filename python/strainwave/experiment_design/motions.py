@@ -1,4 +1,4 @@
-"""The rigid motion as a record: from rest into the series, through its periods, back to rest."""
+"""The rigid motion as a record: from standstill through the series and back to it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from strainwave.experiment_design.rigid_motion import (
 
 _TOP_HZ = 1.0  # of the motion; slower where the gears ring low
 _BELOW_RINGING = 12.0  # a rigid gear's error goes with the square of this: 0.7 %
-# Rows that come again make what the model leaves out look like certainty: the rigid step, asked
+# Rows that come again make the residuals out look like certainty: the rigid step, asked
 # with two periods, now and then took far too narrow a band.
 _MOST_PERIODS = 20
 _WANTED = 0.002  # deviation of each rigid parameter, of its size, from the encoders' noise alone
@@ -140,7 +140,7 @@ def _drive(
     steady = series.at(_ticks(periods * series.period, tick))
     ratio = arm.gear_ratios
     angle = np.concatenate([into[0], steady[0], out[0]]) / ratio
-    # the servo counts the encoder's steps, so what it is told is the angle's difference
+    # the servo counts the encoder's steps, so what it receives is the angle's difference
     reference = np.diff(angle, axis=0, append=angle[-1:]) / tick
     start = tuple(0.0 for _ in ratio)
     drive = Drive(

@@ -24,9 +24,9 @@ _DRAWN = 60  # random series, of which the best are starts
 _ITERATIONS = 40
 _STEP = 1e-8  # of forward differences of a cost near one: the root of the rounding
 _CUTS = 3
-_LEAST_SCALE = 1e-3  # where gravity alone takes the voltage: told apart by its poor condition
+_LEAST_SCALE = 1e-3  # where gravity alone takes the voltage: recognised by its poor condition
 _STANDING = 0.01  # of the largest velocity, over which the sign of the friction is rounded
-# What is left of each limit for the servo's error, the gears' vibration and the way in and out.
+# The share of each limit for the servo's error, the gears' vibration and the way in and out.
 _SHARE_ANGLE, _SHARE_VELOCITY, _SHARE_VOLTAGE = 0.95, 0.90, 0.80
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]

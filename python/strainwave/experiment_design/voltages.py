@@ -28,8 +28,8 @@ from strainwave.experiment_design.predicted_motion import predicted_motion, run
 Kind = Literal["prbs", "multisine"]
 
 _HALF_POWER = 0.44  # of a PRBS's clock rate: its spectrum has half its power there
-_LEAD = 1  # periods that bring the arm from rest to its periodic motion
-_LEAST_PERIODS, _MOST_PERIODS = 4, 30  # four tell noise from distortion
+_LEAD = 1  # periods that bring the arm from standstill to its periodic motion
+_LEAST_PERIODS, _MOST_PERIODS = 4, 30  # four separate noise from distortion
 _WANTED = 0.03  # noise over signal on the weakest lines, after averaging
 _SMALLEST = 0.02  # of the drive's voltage: less is no experiment
 _BISECTIONS = 7

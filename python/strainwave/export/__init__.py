@@ -77,7 +77,7 @@ def export_file(
     else:
         export = _RENDER[form](arm)
     write_whole(out.parent, {out.name: export.data})
-    return export.cautions
+    return export.warnings
 
 
 def _chosen(form: str | None, out: Path) -> str:

@@ -130,7 +130,7 @@ def about_axis(inertia: float, moment: float, length: float) -> Body:
     return Body(mass, moment / mass, inertia * rod / mass)
 
 
-def told_of_gravity(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
+def known_of_gravity(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """Where bodies under the study's gravity miss the torque of link 2 by more than a little."""
     gravity = arm.study.arm.gravity or 0.0
     if not gravity or abs(off := effective_gravity(arm) / gravity - 1.0) < _WORTH_TELLING:

@@ -66,7 +66,7 @@ def to_json(arm: IdentifiedArm) -> Export:
         "units": {entry.name: entry.unit for entry in listed},
     }
     text = json.dumps(document, indent=2, allow_nan=False)
-    return Export((text + "\n").encode(), arm.cautions)
+    return Export((text + "\n").encode(), arm.warnings)
 
 
 def to_c_header(arm: IdentifiedArm) -> Export:
@@ -90,7 +90,7 @@ def to_c_header(arm: IdentifiedArm) -> Export:
         "",
         "#endif",
     ]
-    return Export(("\n".join(lines) + "\n").encode(), arm.cautions)
+    return Export(("\n".join(lines) + "\n").encode(), arm.warnings)
 
 
 def _line(entry: Entry) -> str:

@@ -16,8 +16,8 @@ from strainwave.export.bodies import (
     Body,
     effective_gravity,
     holds_motor,
+    known_of_gravity,
     link_bodies,
-    told_of_gravity,
 )
 from strainwave.export.markup import numbers, remark, root, to_bytes
 from strainwave.export.source import Export, IdentifiedArm
@@ -76,8 +76,8 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     )
     for number in range(1, arm.study.arm.n_joints + 1):
         _sensors(sensors, arm, number)
-    cautions = arm.cautions + arm.assumed() + _left_out(arm) + told_of_gravity(arm)
-    return Export(to_bytes(mujoco), cautions)
+    warnings = arm.warnings + arm.assumed() + _left_out(arm) + known_of_gravity(arm)
+    return Export(to_bytes(mujoco), warnings)
 
 
 def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET.Element:
@@ -211,7 +211,7 @@ def _lag(joint: Joint) -> float | None:
 
 
 def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int) -> None:
-    """A joint's channels: what its drive tells, and what is mounted on its link.
+    """A joint's channels: what its drive shows, and what is mounted on its link.
 
     An accelerometer reads what ours does, (8), (9): under gravity specific force. The drive's
     torque is the actuator's, less the friction's constant part.

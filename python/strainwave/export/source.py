@@ -26,7 +26,7 @@ class Export:
     """A file's contents, and what its reader must know."""
 
     data: bytes
-    cautions: tuple[Diagnostic, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class IdentifiedArm:
     study: Study
     parameters: tuple[Parameter, ...]  # the best of each; None is what was not identified
     source: str  # where they come from, for messages
-    cautions: tuple[Diagnostic, ...] = ()  # what the reader of any export must know
+    warnings: tuple[Diagnostic, ...] = ()  # what the reader of any export must know
     rejected: tuple[str, ...] = ()  # "gear_damping 2": values that the verdict rejects, here null
 
     @property
@@ -46,10 +46,10 @@ class IdentifiedArm:
         Of viscous friction, whose sum is known better than its parts, the motor has all where the
         link's is not known.
         """
-        told = self._told()
+        identified = self._identified()
         for number in self._lumped():
-            told.pop(("motor_viscous_friction", number), None)
-        return completed(told, self.study.arm)
+            identified.pop(("motor_viscous_friction", number), None)
+        return completed(identified, self.study.arm)
 
     def need(self, name: str, joint: int | None = None) -> float:
         """The value of a parameter that cannot be done without.
@@ -112,25 +112,25 @@ class IdentifiedArm:
             if self.joint(number).spring != "rigid"  # motor and link of which are one
         ]
         leads = {("alpha", None), ("link_inertia", 1), ("motor_inertia", 1)}
-        told = self._told()
-        if ("rigid_inertia", 1) in told and not told.keys() & leads:
+        identified = self._identified()
+        if ("rigid_inertia", 1) in identified and not identified.keys() & leads:
             message = (
                 "of alpha and motor_inertia only rigid_inertia is known; their split is made up"
             )
             found.append(Diagnostic("assumed", "joint 1", message))
         return tuple(found)
 
-    def _told(self) -> Values:
+    def _identified(self) -> Values:
         return {(p.name, p.joint): p.value for p in self.parameters if p.value is not None}
 
     def _lumped(self) -> list[int]:
         """Joints of whose viscous friction only the sum is known, or the sum and the motor's."""
-        told = self._told()
+        identified = self._identified()
         return [
             number
             for number in range(1, self.study.arm.n_joints + 1)
-            if ("total_viscous_friction", number) in told
-            and ("link_viscous_friction", number) not in told
+            if ("total_viscous_friction", number) in identified
+            and ("link_viscous_friction", number) not in identified
         ]
 
     def _refuse(self, name: str, joint: int | None, problem: str) -> InvalidInput:
@@ -168,15 +168,15 @@ def read_result(path: Path | str, study_path: Path | str | None = None) -> Ident
     study_file = _find_study(path, named, sha256, study_path)
     study = read_study(study_file, logs_exist=False)
     _check_joints(parameters, study, path)
-    cautions: tuple[Diagnostic, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
     if study.sha256 != sha256:
         message = (
             f"{study_file} is not the study file as it was identified; "
             "its ratios, lengths and torques per volt are taken as they are now"
         )
-        cautions = (Diagnostic("study-changed", str(study_file), message),)
+        warnings = (Diagnostic("study-changed", str(study_file), message),)
     kept, rejected = _without_rejected(parameters, document, path)
-    return IdentifiedArm(study, kept, str(path), cautions, rejected)
+    return IdentifiedArm(study, kept, str(path), warnings, rejected)
 
 
 def _without_rejected(

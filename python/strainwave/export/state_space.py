@@ -100,7 +100,7 @@ def _link_inertia(arm: IdentifiedArm, joint: int) -> float:
 
 def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """What a linear model of a joint leaves out, and whoever uses it must know."""
-    found = arm.cautions + arm.assumed()
+    found = arm.warnings + arm.assumed()
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.spring == "three-slope":
             message = "its gear has three slopes; the linear model has the middle one"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
-from strainwave.export.bodies import Body, holds_motor, link_bodies, told_of_gravity
+from strainwave.export.bodies import Body, holds_motor, known_of_gravity, link_bodies
 from strainwave.export.markup import numbers, remark, root, to_bytes
 from strainwave.export.source import Export, IdentifiedArm
 
@@ -37,8 +37,8 @@ def to_urdf(arm: IdentifiedArm) -> Export:
         _joint(robot, arm, number)
     for number in range(1, arm.study.arm.n_joints + 1):
         _transmission(robot, arm, number)
-    cautions = arm.cautions + arm.assumed() + told_of_gravity(arm)
-    return Export(to_bytes(robot), cautions)
+    warnings = arm.warnings + arm.assumed() + known_of_gravity(arm)
+    return Export(to_bytes(robot), warnings)
 
 
 def _link(robot: ET.Element, number: int, body: Body) -> None:

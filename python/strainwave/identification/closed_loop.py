@@ -19,7 +19,7 @@ from strainwave.dynamics.link_sensors import as_read
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.dynamics.simulation import Drive, Quantity, simulate_arms
 from strainwave.numerics.filters import differentiate, low_pass, noise_deviation, signal_band
-from strainwave.signals.recorded_input import check_replay, replay
+from strainwave.signals.recorded_input import check_recorded_input, recorded_drive
 
 _MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
 
@@ -165,7 +165,7 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observed:
     InvalidInput
         The log lacks something that simulating it needs.
     """
-    check_replay(arm, log)
+    check_recorded_input(arm, log)
     cutoff = cutoff_hz or velocity_band(log, arm)
     numbers = range(1, arm.n_joints + 1)
     placed = [i for i in numbers if has_accelerometer(log, arm, i)]
@@ -178,7 +178,7 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observed:
     noise = np.array([noise_deviation(channel) for channel in raw])
     return Observed(
         log=log,
-        drive=replay(arm, log),
+        drive=recorded_drive(arm, log),
         cutoff_hz=cutoff,
         channels=tuple([f"omega_m{i}" for i in numbers] + [f"a{i}" for i in placed]),
         time=log.time[_inside(log, cutoff)],

@@ -184,7 +184,7 @@ def _richness(
     """Least over largest eigenvalue of the inputs' coherency matrix, by frequency.
 
     Two inputs with the coherence gamma^2 have (1 - gamma)/(1 + gamma): zero where one is a linear
-    function of the other, so that their effects cannot be told apart. At the ratio r the
+    function of the other, so that their effects cannot be separated. At the ratio r the
     deviations are 1 / sqrt(4 r) times those of inputs without coherence, for small r.
     """
     frequency, density = densities

@@ -486,11 +486,11 @@ def _criticism(criticism: Criticism) -> dict[str, Any]:
 
 
 def _correlations(model: ArmModel) -> list[list[float]]:
-    """Between the parameters, in their order; nothing varies with what nothing tells of."""
+    """Between the parameters, in their order; nothing varies with what no record shows."""
     deviation = np.sqrt(np.diag(model.covariance))
-    told = np.isfinite(deviation)
-    scale = np.where((deviation > 0.0) & told, deviation, 1.0)
-    covariance = np.where(np.outer(told, told), model.covariance, 0.0)
+    identified = np.isfinite(deviation)
+    scale = np.where((deviation > 0.0) & identified, deviation, 1.0)
+    covariance = np.where(np.outer(identified, identified), model.covariance, 0.0)
     correlations: list[list[float]] = (covariance / np.outer(scale, scale)).round(4).tolist()
     return correlations
 

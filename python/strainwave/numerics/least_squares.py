@@ -20,7 +20,7 @@ KNOWN = -1
 
 _NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
 _SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
-_TELLING = 0.2  # share of its error that a row must show to tell of the errors' size
+_INFORMATIVE = 0.2  # share of its error that a row must show to speak of the errors' size
 _TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
 
 
@@ -250,9 +250,9 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
     root = np.ones_like(residual)
     for g in np.unique(equations.group[equations.group != KNOWN]):
         rows = equations.group == g
-        telling = rows & (free > _TELLING)
+        telling = rows & (free > _INFORMATIVE)
         telling = telling if telling.any() else rows
-        size = np.abs(residual[telling]) / np.sqrt(np.clip(free[telling], _TELLING, None))
+        size = np.abs(residual[telling]) / np.sqrt(np.clip(free[telling], _INFORMATIVE, None))
         # where the model is exact the bulk is rounding: keep the weights finite
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
         deviation = max(1.4826 * float(np.median(size)), 1e-6 * rms, 1e-300)

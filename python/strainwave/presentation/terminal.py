@@ -138,11 +138,11 @@ def _resonances(identification: Identification) -> Iterator[str]:
     for each in seen:
         if each.joint in by_motor:
             kinds = (each.anti_resonances_hz, each.resonances_hz)
-            told = [" and ".join(f"{value:.4g}" for value in values) for values in kinds]
+            listed = [" and ".join(f"{value:.4g}" for value in values) for values in kinds]
             condition = CONDITIONS[each.condition]
             yield (
                 f"motor {each.joint} in {each.experiment}, {condition}: by the fitted arm"
-                f" anti-resonance {told[0]} Hz, resonance {told[1]} Hz"
+                f" anti-resonance {listed[0]} Hz, resonance {listed[1]} Hz"
             )
 
 

@@ -35,7 +35,7 @@ def fuse(rate: FloatArray, slow: FloatArray, fusion: Fusion, sample_time: float)
 
 
 def complement(signal: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
-    """The low-pass F of the fusion, from rest at the first sample.
+    """The low-pass F of the fusion, from standstill at the first sample.
 
     Parameters
     ----------

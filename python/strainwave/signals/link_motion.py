@@ -352,7 +352,7 @@ def _links(view: _View, motor_velocity: FloatArray) -> _Links:
 
 
 def _slow(view: _View, i: int, motor_side: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A link's angle and velocity as some encoder tells them."""
+    """A link's angle and velocity as some encoder gives them."""
     channels = view.log.channels
     if f"theta_l{i + 1}" in channels:
         motor_side = view.through(channels[f"theta_l{i + 1}"])
@@ -378,10 +378,10 @@ def _acceleration(arm: Arm, read: FloatArray, i: int, links: _Links) -> FloatArr
 
 def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
     """Samples that edges and limits of the drive do not touch, and what to say of the sensors."""
-    saturated, cautions = saturation(view.log, view.arm, view.channels)
+    saturated, found = saturation(view.log, view.arm, view.channels)
     valid = ~saturated
     valid[: view.edge] = valid[-view.edge :] = False
-    warnings = list(cautions)
+    warnings = list(found)
     for i, source in enumerate(view.sources, start=1):
         if source == "motor":
             text = f"link {i} has no sensor: its gear shows only in the motor's own response; an"

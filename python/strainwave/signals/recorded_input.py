@@ -13,7 +13,7 @@ from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 
 
-def replay(arm: Arm, log: Log) -> Drive:
+def recorded_drive(arm: Arm, log: Log) -> Drive:
     """The log's own references and open-loop voltages; a servoed joint's PRBS from its numbers.
 
     The arm starts at standstill where the log does, under the voltages of its first sample. A
@@ -67,7 +67,7 @@ def driven_by_voltage(arm: Arm, log: Log) -> tuple[Arm, Drive]:
     drive : Drive
     """
     joints = tuple(replace(joint, encoder_counts=None) for joint in arm.joints)
-    voltage, recorded = driving_voltages(arm, log), replay(arm, log)
+    voltage, recorded = driving_voltages(arm, log), recorded_drive(arm, log)
     before = list(recorded.initial_voltage)
     for i, joint in enumerate(arm.joints):
         if input_channel(log, i + 1) == f"torque{i + 1}":  # which the current loop begins with
@@ -78,7 +78,7 @@ def driven_by_voltage(arm: Arm, log: Log) -> tuple[Arm, Drive]:
     return arm.with_joints(joints), drive
 
 
-def missing_for_replay(arm: Arm, log: Log) -> str | None:
+def missing_recorded_input(arm: Arm, log: Log) -> str | None:
     """What a log lacks to be gone through again, if anything.
 
     Parameters
@@ -125,7 +125,7 @@ def missing_motor_signal(arm: Arm, log: Log) -> str | None:
     return None
 
 
-def check_replay(arm: Arm, log: Log) -> None:
+def check_recorded_input(arm: Arm, log: Log) -> None:
     """Refuse a log that cannot be gone through again.
 
     Parameters
@@ -138,7 +138,7 @@ def check_replay(arm: Arm, log: Log) -> None:
     InvalidInput
         A channel or the servo is missing.
     """
-    missing = missing_for_replay(arm, log)
+    missing = missing_recorded_input(arm, log)
     if missing:
         raise InvalidInput(
             missing,

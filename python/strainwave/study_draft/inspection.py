@@ -136,8 +136,8 @@ def _bag(path: Path) -> Record:
             remedy="record joint states, commands and sensors; write [channels] by hand: "
             "docs/study.md",
         )
-    tracks, cautions = bag.tracks(wanted)
-    notes, faults = [caution.message for caution in cautions], list[str]()
+    tracks, warnings = bag.tracks(wanted)
+    notes, faults = [warning.message for warning in warnings], list[str]()
     usable: list[Track] = []
     for track in tracks:
         columns, said = _finite(track.columns)
@@ -149,8 +149,8 @@ def _bag(path: Path) -> Record:
     if not usable:
         raise InvalidInput("the topics are too short", where=str(path), remedy="record for longer")
     as_is = Experiment(path.name, path.name, "motion", ())
-    time, columns, told = one_clock(usable, commanded, as_is, path)
-    notes += [caution.message for caution in told]
+    time, columns, found = one_clock(usable, commanded, as_is, path)
+    notes += [warning.message for warning in found]
     return Record(path, time, None, 1.0, "s", columns, tuple(notes), tuple(faults))
 
 

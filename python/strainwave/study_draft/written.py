@@ -226,8 +226,8 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
         lines.append(_line(channel, f'"{TODO}"', f"no column was found for {what}"))
     for column, why in mapping.unused.items():
         lines += _wrapped(f"not used: {_quoted(column)}: {why}")
-    told = (f"{each.path.name}: {said}" for each in records for said in each.faults)
-    for note in dict.fromkeys((mapping.limit, *mapping.notes, *record.notes, *told)):
+    faults = (f"{each.path.name}: {said}" for each in records for said in each.faults)
+    for note in dict.fromkeys((mapping.limit, *mapping.notes, *record.notes, *faults)):
         if note:
             lines += _wrapped(f"note: {note}")
     return "\n".join(lines)

@@ -42,7 +42,7 @@ from strainwave.experiment_design.command_table import read_applied
 from strainwave.io import logs
 from strainwave.io import study as studies
 from strainwave.io.parameters import read_parameters
-from strainwave.signals.recorded_input import replay as replay_log
+from strainwave.signals.recorded_input import recorded_drive
 from strainwave.virtual import scara
 
 Progress = Callable[[str], None]
@@ -118,7 +118,7 @@ def simulate_study(
     *,
     seed: int = 0,
     noise: SensorNoise | None = None,
-    replay: bool = True,
+    as_recorded: bool = True,
     simulator: Simulator = simulate,
     sample_time: float = _FAST_SAMPLE,
     progress: Progress = lambda _: None,
@@ -135,7 +135,7 @@ def simulate_study(
     seed : int
     noise : SensorNoise, optional
         Ideal sensors without.
-    replay : bool
+    as_recorded : bool
         Where an experiment's log exists, apply what was applied then, and where its plan exists,
         what was planned; not an excitation of its use.
     simulator : callable
@@ -161,7 +161,7 @@ def simulate_study(
     for number, experiment in enumerate(study.experiments):
         progress(f"simulating {experiment.name}, {number + 1} of {len(study.experiments)}")
         rng = np.random.default_rng([seed, number])
-        plan = _known(study, arm, experiment, values) if replay else None
+        plan = _known(study, arm, experiment, values) if as_recorded else None
         plan = plan or _invent(study.path, arm, experiment, values, rng, sample_time)
         written.append(_columns(study, arm, plan, values, noise, rng, simulator))
         file = Path(experiment.file).name
@@ -198,7 +198,7 @@ def demonstrate(
     values = scara.parameters()
     study = scara.study(folder)
     simulate_study(
-        study, values, folder, seed=seed, noise=SensorNoise(), replay=False, progress=progress
+        study, values, folder, seed=seed, noise=SensorNoise(), as_recorded=False, progress=progress
     )
 
     def follow(event: ProgressEvent) -> None:
@@ -230,7 +230,7 @@ def _known(study: Study, arm: Arm, experiment: Experiment, values: Values) -> _P
     """What was applied, by the log, or what is to be, by the plan; None: there is neither."""
     if study.log_path(experiment).exists():
         log = logs.read_log(study, experiment)
-        return _Plan(replay_log(arm, log), log.sample_time, len(log))
+        return _Plan(recorded_drive(arm, log), log.sample_time, len(log))
     drive = read_applied(study.path.parent, arm, experiment, values)
     if drive is None:
         return None

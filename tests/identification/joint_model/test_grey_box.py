@@ -23,12 +23,12 @@ from strainwave.identification.joint_model import (
     identify_joint,
     rigid_knowledge,
 )
-from strainwave.identification.joint_model.estimates import cautions_of, parameters_of
+from strainwave.identification.joint_model.estimates import parameters_of, warnings_of
 from strainwave.numerics import least_squares as ls
 from strainwave.signals import link_motion as links
 
 CASES = [(1, 1), (2, 1), (3, 2), (4, 2)]
-WELL_TOLD = [NAMES.index(n) for n in ("motor_inertia", "link_inertia", "gear_stiffness")]
+WELL_IDENTIFIED = [NAMES.index(n) for n in ("motor_inertia", "link_inertia", "gear_stiffness")]
 
 
 def found_in(one: Case, options: PhysicalOptions | None = None) -> JointModel:
@@ -48,7 +48,7 @@ def test_noisy_records_give_the_joint_back(models: list[tuple[Case, JointModel]]
     for one, model in models:
         off = vector_of(model) / one.truth.vector - 1.0
         # the rigid model is off by 0.1 %, three times over by chance
-        assert np.abs(off[WELL_TOLD]).max() < 0.005
+        assert np.abs(off[WELL_IDENTIFIED]).max() < 0.005
         assert abs(off[NAMES.index("gear_damping")]) < 0.06
         friction = one.values["motor_coulomb_friction", one.decoupled.joint]
         assert model.values["motor_coulomb_friction"] == pytest.approx(friction, rel=0.02)
@@ -63,7 +63,7 @@ def test_deviations_are_those_of_the_errors(models: list[tuple[Case, JointModel]
     normalised = []
     for one, model in models:
         std = np.sqrt(np.diag(model.covariance))[: len(NAMES)]
-        normalised.append(((vector_of(model) - one.truth.vector) / std)[WELL_TOLD])
+        normalised.append(((vector_of(model) - one.truth.vector) / std)[WELL_IDENTIFIED])
     size = float(np.sqrt(np.mean(np.square(normalised))))
     # errors of the three go together, so that there are some four independent ones
     assert 0.2 < size < 2.0
@@ -85,8 +85,8 @@ def test_frequencies_come_with_deviations(models: list[tuple[Case, JointModel]])
 def test_two_records_at_once_are_no_worse() -> None:
     one = case(1, 1)
     twice = identify_joint(one.records * 2, one.model, Arm.of(one.study.arm))
-    once = vector_of(found_in(one))[WELL_TOLD]
-    assert vector_of(twice)[WELL_TOLD] == pytest.approx(once, rel=1e-3)
+    once = vector_of(found_in(one))[WELL_IDENTIFIED]
+    assert vector_of(twice)[WELL_IDENTIFIED] == pytest.approx(once, rel=1e-3)
     assert twice.experiments == ("prbs", "prbs")
 
 
@@ -135,8 +135,8 @@ def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
     expected = (plain.values["gear_stiffness"] * 3e-5) ** 2
     assert added[at, at] == pytest.approx(expected, rel=1e-9)
     assert np.count_nonzero(added) == 1
-    told = next(p for p in removed.parameters if p.name == "gear_damping")
-    assert told.std == pytest.approx(np.sqrt(removed.covariance[at, at]))
+    reported = next(p for p in removed.parameters if p.name == "gear_damping")
+    assert reported.std == pytest.approx(np.sqrt(removed.covariance[at, at]))
 
 
 def test_slow_sampling_biases_nothing() -> None:
@@ -153,7 +153,7 @@ def test_slow_sampling_biases_nothing() -> None:
     decoupled = decoupling.decouple(signals, model, Arm.of(study.arm))[0]
     found = vector_of(identify_joint([(signals, decoupled)], model, Arm.of(study.arm)))
     off = found / truth_of(values, 1).vector - 1.0
-    assert np.abs(off[WELL_TOLD]).max() < 0.002
+    assert np.abs(off[WELL_IDENTIFIED]).max() < 0.002
     assert abs(off[NAMES.index("gear_damping")]) < 0.01
 
 
@@ -183,8 +183,8 @@ def test_the_search_may_begin_elsewhere(models: list[tuple[Case, JointModel]]) -
     )
     # bands settle to a twentieth, and the band is a small part of a deviation
     np.testing.assert_allclose(near.band_hz, model.band_hz, rtol=0.05)
-    off = np.abs(vector_of(near) - vector_of(model))[WELL_TOLD]
-    assert (off < 0.3 * np.sqrt(np.diag(model.covariance))[WELL_TOLD]).all()
+    off = np.abs(vector_of(near) - vector_of(model))[WELL_IDENTIFIED]
+    assert (off < 0.3 * np.sqrt(np.diag(model.covariance))[WELL_IDENTIFIED]).all()
     assert near.values != model.values
 
 
@@ -202,7 +202,7 @@ def test_without_a_rigid_model_the_data_speak_alone() -> None:
     one = case(1, 1)
     model = identify_joint(one.records, None, Arm.of(one.study.arm))
     off = vector_of(model) / one.truth.vector - 1.0
-    assert np.abs(off[WELL_TOLD]).max() < 0.01
+    assert np.abs(off[WELL_IDENTIFIED]).max() < 0.01
 
 
 def test_a_link_without_sensor_is_refused() -> None:
@@ -212,19 +212,20 @@ def test_a_link_without_sensor_is_refused() -> None:
         identify_joint([(blind, one.decoupled)], one.model, Arm.of(one.study.arm))
 
 
-def test_what_is_hardly_told_or_impossible_is_said() -> None:
+def test_what_is_hardly_identified_or_impossible_is_said() -> None:
     joint = Joint(spring="three-slope", gear_ratio=0.01)
     values = dict(zip(NAMES, [1e-4, 1e-4, -3.0, 0.5, 2e4, 20.0], strict=True))
     covariance = np.diag([1e-6, 9e-5, 0.1, 0.01, 10.0, 0.1]) ** 2
-    told = (True,) * 5 + (False,)
-    said = {p.name: p.value for p in parameters_of(values, covariance, told, joint, 1)}
+    reported = (True,) * 5 + (False,)
+    said = {p.name: p.value for p in parameters_of(values, covariance, reported, joint, 1)}
     assert said["motor_viscous_friction"] is None  # to 90 %
     assert said["link_viscous_friction"] == 0.5  # to 2 %
     assert said["gear_damping"] is None
     assert said["link_inertia"] == -3.0
     assert said["total_viscous_friction"] == pytest.approx(1.5e-4)
     codes = {
-        (c.code, c.where.split()[0]) for c in cautions_of(values, covariance, told, joint, 1, "x")
+        (c.code, c.where.split()[0])
+        for c in warnings_of(values, covariance, reported, joint, 1, "x")
     }
     assert codes == {
         ("not-identifiable", "motor_viscous_friction"),

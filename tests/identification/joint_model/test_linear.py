@@ -215,7 +215,7 @@ def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
 
 
 @pytest.mark.parametrize("which", CASES[:2])
-def test_held_out_data_are_foretold_and_feedback_is_seen(which: tuple[int, int]) -> None:
+def test_held_out_data_are_predicted_and_feedback_is_seen(which: tuple[int, int]) -> None:
     """One step ahead on the last quarter; the interaction torque is feedback, and shows as such."""
     check = judge(case(*which).decoupled, model_of(*which))
     assert min(check.prediction_fit_percent) > 90.0

@@ -19,7 +19,7 @@ from strainwave.io.study import read_study
 from strainwave.signals import link_motion as links
 from strainwave.signals import motor as signals
 
-WELL_TOLD = ("motor_inertia", "link_inertia", "gear_stiffness")
+WELL_IDENTIFIED = ("motor_inertia", "link_inertia", "gear_stiffness")
 
 
 @cache
@@ -64,7 +64,7 @@ def test_linear_arms_come_back(shared_data: Path, arm: str, asked: float, given:
         grey, linear = record.physical, record.transfer
         assert grey is not None, name
         assert linear is not None, name
-        for key in WELL_TOLD:
+        for key in WELL_IDENTIFIED:
             true = getattr(truth, key)
             # both sides of the gear give much more than was asked for; under gravity the second
             # motor's inertia has a deviation of 0.9 %
@@ -88,7 +88,7 @@ def test_deviations_hold_the_truth(shared_data: Path) -> None:
         for record in records_of(folder).values():
             truth, model = truth_of(folder, record.signals.joint), record.physical
             assert model is not None
-            for key in WELL_TOLD:
+            for key in WELL_IDENTIFIED:
                 k = list(model.values).index(key)
                 error = model.values[key] - getattr(truth, key)
                 normalised.append(error / np.sqrt(model.covariance[k, k]))

@@ -27,7 +27,7 @@ from two_inertia import SAMPLE_TIME, TwoInertia, state_space
 
 EXACT = TwoInertia(torque_per_volt=1.0)
 NOTHING = RigidKnowledge(None, None, None)
-WELL_TOLD = ("motor_inertia", "link_inertia", "gear_stiffness")
+WELL_IDENTIFIED = ("motor_inertia", "link_inertia", "gear_stiffness")
 
 
 def known(scale: float = 1.0, std: float = 0.0) -> RigidKnowledge:
@@ -44,20 +44,20 @@ def exact_of(model: StateSpace, rigid: RigidKnowledge) -> dict[str, float]:
 
 def test_an_exact_model_gives_its_joint_back() -> None:
     found = exact_of(EXACT.sampled(), known())
-    for name in WELL_TOLD:
+    for name in WELL_IDENTIFIED:
         assert found[name] == pytest.approx(getattr(EXACT, name), rel=1e-3)
     assert found["gear_damping"] == pytest.approx(EXACT.gear_damping, rel=1e-2)
 
 
 def test_without_a_rigid_model_17_itself_is_inverted() -> None:
     found = exact_of(EXACT.sampled(), NOTHING)
-    for name in (*WELL_TOLD, "gear_damping"):
+    for name in (*WELL_IDENTIFIED, "gear_damping"):
         assert found[name] == pytest.approx(getattr(EXACT, name), rel=2e-3)
 
 
 def test_an_error_of_c1_goes_straight_into_the_parameters() -> None:
     right, wrong = (exact_of(EXACT.sampled(), known(scale)) for scale in (1.0, 1.05))
-    for name in WELL_TOLD:
+    for name in WELL_IDENTIFIED:
         assert wrong[name] == pytest.approx(1.05 * right[name], rel=1e-6)
 
 
@@ -67,7 +67,7 @@ def test_the_records_joint_comes_back() -> None:
         rigid = rigid_knowledge(one.model, Arm.of(one.study.arm), which[1])
         model = state_space_of(one.decoupled)
         found = from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid)
-        for name in WELL_TOLD:
+        for name in WELL_IDENTIFIED:
             assert found.values[name] == pytest.approx(getattr(one.truth, name), rel=0.03)
         assert found.fit_percent["motor_velocity"] > 85.0
         assert found.fit_percent["link_velocity"] > 85.0
@@ -87,7 +87,7 @@ def test_the_records_joint_comes_back() -> None:
         assert np.all(np.diag(again.covariance) >= np.diag(found.covariance) * (1.0 - 1e-9))
 
 
-def test_a_joint_that_cannot_be_is_told_and_not_clipped() -> None:
+def test_a_joint_that_cannot_be_is_reported_and_not_clipped() -> None:
     """A dip above the peak takes a motor heavier than all that moves: m_L is negative."""
     one = case(1, 1)
     rigid, slow, peak, dip = 5e-4, 2.5e-4, 100.0, 140.0
@@ -137,7 +137,7 @@ def test_a_gear_ratio_that_is_wrong_breaks_reciprocity() -> None:
     assert "not-reciprocal" in codes[1]
 
 
-def test_a_rigid_model_of_another_arm_is_told() -> None:
+def test_a_rigid_model_of_another_arm_is_reported() -> None:
     one = case(1, 1)
     found = from_state_space(
         EXACT.sampled(), one.decoupled, Arm.of(one.study.arm), known(scale=1.5)
@@ -157,20 +157,20 @@ def test_a_model_that_does_not_ring_is_refused() -> None:
         )
 
 
-def test_a_record_tells_both_ways() -> None:
+def test_a_record_shows_both_ways() -> None:
     one = case(1, 1)
     found = identify_record(one.signals, one.decoupled, one.model, Arm.of(one.study.arm))
     assert found.physical is not None
     assert found.transfer is not None
     assert found.modes is not None
     assert not found.warnings
-    for name in WELL_TOLD:
+    for name in WELL_IDENTIFIED:
         grey, linear = found.physical.values[name], found.transfer.values[name]
         assert linear == pytest.approx(grey, rel=0.03)
 
 
 def test_what_fails_is_a_warning() -> None:
-    """No link sensor: no twist. And a band in which no stretch is long enough: no model."""
+    """No link sensor: no torsion. And a band in which no stretch is long enough: no model."""
     one = case(1, 1)
     blind = replace(one.signals, sources=("motor", "motor"))
     options = RecordOptions(linear=LinearOptions(band_hz=(0.5, 60.0)))

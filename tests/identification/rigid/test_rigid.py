@@ -1,4 +1,4 @@
-"""The rigid step: exact recovery, calibrated deviations, and what cannot be told."""
+"""The rigid step: exact recovery, calibrated deviations, and what cannot be reported."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_units_follow_the_motion() -> None:
 
 
 def test_records_combine() -> None:
-    # neither record alone moves both ways; together they tell Coulomb friction and offset apart
+    # neither record alone moves both ways; together they separate Coulomb friction and offset
     study = rigid_drive()
     time, angle, velocity, acceleration = exact_motion(1, 3)
     fast = velocity + 1.2 * np.abs(velocity).max()
@@ -320,7 +320,7 @@ def test_one_posture_confounds_the_inertias() -> None:
     assert "rigid_inertia of joint 1" in texts[0]
 
 
-def test_constant_velocity_tells_no_inertia() -> None:
+def test_constant_velocity_shows_no_inertia() -> None:
     study = rigid_drive()
     time = exact_motion(1, 0)[0]
     n = len(time)
@@ -379,7 +379,7 @@ def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
     for name, both in _DRIVES.items():
         values |= {(name, joint): value for joint, value in enumerate(both, start=1)}
     noise = simulation.SensorNoise()
-    simulate_study(study, values, tmp_path, seed=seed, noise=noise, replay=False)
+    simulate_study(study, values, tmp_path, seed=seed, noise=noise, as_recorded=False)
     written = read_study(tmp_path / "study.toml")
     model = rigid.fit(
         [signals.motor_side(log, Arm.of(written.arm)) for log in read_logs(written)],
@@ -393,7 +393,7 @@ def test_too_few_rows_do_not_end_the_search(tmp_path: Path) -> None:
     study, values = drawn(12)
     motion = tuple(e for e in study.experiments if e.use == "motion")
     simulate_study(
-        replace(study, experiments=motion), values, tmp_path, seed=12, noise=None, replay=False
+        replace(study, experiments=motion), values, tmp_path, seed=12, noise=None, as_recorded=False
     )
     written = read_study(tmp_path / "study.toml")
     model = rigid.fit(

@@ -93,10 +93,10 @@ def test_it_is_a_finding_from_three_deviations_on() -> None:
     near = StageDifference("beta", None, 0.6, 0.601, 0.01, "kg m^2")
     far = StageDifference("motor_inertia", 2, 5e-5, 5.8e-5, 1e-6, "kg m^2")
     quiet = AgreementTest("all", None, 20.0, 10, 0.99 * DISAGREES)
-    loud = AgreementTest("inertias", None, 70.0, 4, 7.4)
+    high_variance = AgreementTest("inertias", None, 70.0, 4, 7.4)
     assert list(disagreement((near, far), ())) == []
     assert list(disagreement((near, far), (quiet,))) == []
-    (said,) = disagreement((near, far), (quiet, loud))
+    (said,) = disagreement((near, far), (quiet, high_variance))
     assert said.code == "stages-disagree"
     assert "taken together, inertias differ by 7.4 standard deviations" in said.message
     assert "chi-square 70 of 4 degrees" in said.message

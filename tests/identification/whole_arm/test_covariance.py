@@ -1,4 +1,4 @@
-"""How sure a fit is: closed forms, repeated draws, and groups that are told only together."""
+"""How sure a fit is: closed forms, repeated draws, and groups that are identifiable only together."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def draws(pole: float, n: int, deviation: float, size: float) -> tuple[FloatArra
 
 def test_the_sandwich_knows_of_errors_that_go_on() -> None:
     true, found = draws(0.9, 150, FAR * 0.1, 0.1)
-    # of 150 draws; ten stretches, at whose borders errors are told as independent
+    # of 150 draws; ten stretches, at whose borders errors are reported as independent
     ratio = np.sqrt(np.diag(found) / np.diag(true))
     assert np.all((ratio > 0.75) & (ratio < 1.15)), ratio
     objective = objective_of([table_of(4, 3 * N)], [np.zeros((3 * N, 1))], 0.1)
@@ -194,7 +194,7 @@ def test_at_standstill_errors_are_the_sensors_noise() -> None:
     np.testing.assert_allclose(found.steady - 1e-3 * found.local, expected, rtol=1e-6)
 
 
-def test_what_the_rigid_step_told_counts_by_its_own_errors() -> None:
+def test_what_the_rigid_step_reported_counts_by_its_own_errors() -> None:
     """Not by the deviations that the fit weighs it with."""
     table = table_of(16)
     table[..., 2] = 0.0
@@ -210,17 +210,17 @@ def test_a_rigid_step_that_the_records_contradict_counts_for_less() -> None:
     rng = np.random.default_rng(17)
     table, error = table_of(17), rng.normal(0.0, 0.01, (N, 1))
     table[..., 2] = 0.0
-    assumed, told = np.array([0.1, 0.1]), np.array([0.02, 0.02])
+    assumed, reported = np.array([0.1, 0.1]), np.array([0.02, 0.02])
     rows = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) / assumed[:, None]
     found = []
     for off in (0.0, 0.2):
         target = (TRUTH[[0, 2]] + [off, 0.0]) / assumed
-        prior = Prior(rows, target, np.diag((told / assumed) ** 2))
+        prior = Prior(rows, target, np.diag((reported / assumed) ** 2))
         objective = objective_of([table], [error], 0.01, prior=prior)
         found.append(confidence_of(objective, solved(objective)))
-    assert np.sqrt(found[0].combined[2, 2]) == pytest.approx(told[1], rel=0.05)
+    assert np.sqrt(found[0].combined[2, 2]) == pytest.approx(reported[1], rel=0.05)
     # of two residuals one is ten deviations: on the whole they are sqrt(50)
-    assert np.sqrt(found[1].combined[2, 2]) == pytest.approx(np.sqrt(50.0) * told[1], rel=0.05)
+    assert np.sqrt(found[1].combined[2, 2]) == pytest.approx(np.sqrt(50.0) * reported[1], rel=0.05)
 
 
 def test_local_deviations_hold_for_white_errors() -> None:
@@ -253,7 +253,7 @@ def test_records_with_errors_of_their_own_scatter() -> None:
 
 
 def test_a_right_models_records_scatter_as_the_local_covariance_says() -> None:
-    """Even where one record alone tells a parameter, of which a jackknife would know nothing."""
+    """Even where one record alone identifies a parameter, of which a jackknife would know nothing."""
     rng = np.random.default_rng(7)
     tables = [table_of(30 + k, 200) for k in range(5)]
     for table in tables[1:]:
@@ -288,14 +288,14 @@ def test_deviations_count_stretches_and_scatter() -> None:
         objective = objective_of(tables, errors, 0.1)
         found = confidence_of(objective, solved(objective))
         own, sandwiched, scattered = deviations(found)
-        told = np.sqrt(np.diag(found.combined))
-        assert np.all(told**2 >= 0.5 * own**2)
-        assert np.all(told >= 0.999 * sandwiched)
-        # a scatter beyond all noise is told, and more for there being four records only
+        reported = np.sqrt(np.diag(found.combined))
+        assert np.all(reported**2 >= 0.5 * own**2)
+        assert np.all(reported >= 0.999 * sandwiched)
+        # a scatter beyond all noise is reported, and more for there being four records only
         if np.max(scattered / own) > 3.0:
-            assert np.all(told**2 >= 0.6 * scattered**2)
+            assert np.all(reported**2 >= 0.6 * scattered**2)
         if pole == 0.0:
-            assert np.all(told < 1.6 * own)
+            assert np.all(reported < 1.6 * own)
         # and correlations are those of the steady one
         correlations = [
             part / np.sqrt(np.outer(np.diag(part), np.diag(part)))
@@ -331,8 +331,8 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
     unexplained = replace(
         explained, records=(replace(explained.records[0], noise=np.ones(1) / 40.0),)
     )
-    loud = confidence_of(unexplained, z)
-    raised = np.sqrt(np.diag(loud.combined) / np.diag(quiet.combined))
+    high_variance = confidence_of(unexplained, z)
+    raised = np.sqrt(np.diag(high_variance.combined) / np.diag(quiet.combined))
     # of a variance noise makes 1 / 40^2; nearly all of the rest counts once more
     left = (table @ z)[:, :, None] - (table @ TRUTH)[:, :, None] - error[..., None]
     share = 0.8 - 1.0 / 40.0**2 / (1.4826 * np.median(np.abs(left))) ** 2
@@ -353,7 +353,7 @@ def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
     np.testing.assert_allclose(raised, 1.0 + 0.8 * n, rtol=1e-9)
 
 
-def test_what_nothing_tells_of_is_very_uncertain() -> None:
+def test_what_nothing_shows_of_is_very_uncertain() -> None:
     table = table_of(10)
     table[..., 2] = 0.0
     found = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.1), TRUTH)
@@ -363,7 +363,7 @@ def test_what_nothing_tells_of_is_very_uncertain() -> None:
     assert abs(found.local[0, 2]) <= 1e-3 * np.sqrt(found.local[0, 0] * found.local[2, 2])
 
 
-def test_a_pair_that_is_told_only_together() -> None:
+def test_a_pair_that_is_reported_only_together() -> None:
     rng = np.random.default_rng(11)
     table = table_of(11)
     # the second column is the third's shadow
@@ -389,7 +389,7 @@ def test_one_that_is_vague_by_itself_is_no_group() -> None:
     assert list(only_together(["a", "b", "c"], np.ones(3), mixed)) == []
 
 
-def test_well_told_correlated_ones_are_no_group() -> None:
+def test_well_identified_correlated_ones_are_no_group() -> None:
     pair = np.array([[1.0, 0.9999], [0.9999, 1.0]])
     assert list(only_together(["a", "b"], np.ones(2), 1e-4 * pair)) == []
     (names, spread), *more = only_together(["a", "b"], np.ones(2), pair)

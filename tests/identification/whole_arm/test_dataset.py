@@ -136,7 +136,7 @@ def test_a_servoed_record_is_driven_by_its_voltages() -> None:
     )
     rows = simulated(blind, values, blind.start())
     np.testing.assert_array_equal(rows, simulated(seen, values, seen.start()))
-    # encoder counts, an accelerometer's bias and noise are what is left
+    # encoder counts, an accelerometer's bias and noise remain
     off = rows - seen.measured
     assert np.max(np.abs(np.std(off, axis=0) / seen.noise - 1.0)) < 0.5
 
@@ -230,7 +230,7 @@ def test_every_channel_is_simulated_as_it_is_measured(
         Arm.of(study.arm), values, drive, sample_time=T, samples=len(log), record=["link_angle"]
     )
     channels = {**log.channels, "theta_l2": np.ascontiguousarray(run["link_angle"][:, 1])}
-    assert np.max(np.abs(channels["theta_l2"] - angle)) > 1e-4  # the gear twists
+    assert np.max(np.abs(channels["theta_l2"] - angle)) > 1e-4  # the gear loads
     for name in ("a1", "a2"):
         del channels[name]
     seen = dataset_of(replace(log, channels=channels), Arm.of(study.arm), CUTOFF)
@@ -252,7 +252,7 @@ def test_a_record_that_begins_in_motion() -> None:
     assert np.max(np.abs(off) / scale) < 0.06
     guess = seen.start()
     np.testing.assert_allclose(guess[2:4], begun[2:4], atol=5e-3)
-    # at rest the arm would do something else
+    # at standstill the arm would do something else
     rest = replace(seen, moving=False)
     assert np.max(np.abs(simulated(rest, values, np.zeros(0)) - seen.measured) / scale) > 0.1
 
@@ -288,7 +288,7 @@ def test_derivatives_are_those_of_the_rows(spring: str) -> None:
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_a_record_from_rest_is_seen_as_one(spring: str) -> None:
-    """From rest a motor gets nowhere at once, however hard it is pushed, however noisy it is."""
+    """From standstill a motor gets nowhere at once, however hard it is pushed, however noisy it is."""
     for amplitude in (3.0, 10.0):
         study, _, logs = shaken(spring, amplitude)
         for log in logs:

@@ -26,17 +26,17 @@ from strainwave.identification.whole_arm.preparation import dataset_of
 from tuning_runs import linear_search, truth
 
 
-def told_out(model: ArmModel) -> list[str]:
+def reported_out(model: ArmModel) -> list[str]:
     return [c.message.split()[0] for c in model.warnings if c.code == "effect-left-out"]
 
 
 def test_effects_that_are_there_come_back() -> None:
     model = tuned(ALL, ALL)
     assert model.status == "converged"
-    assert told_out(model) == []
-    told = {(p.name, p.joint): p for p in model.parameters}
+    assert reported_out(model) == []
+    reported = {(p.name, p.joint): p for p in model.parameters}
     for key, true in SIZES.items():
-        parameter = told[key]
+        parameter = reported[key]
         assert parameter.value is not None
         assert parameter.std is not None
         assert parameter.value == pytest.approx(true, rel=0.05), key
@@ -58,7 +58,7 @@ def test_without_them_other_parameters_take_their_place() -> None:
 
 def test_an_arm_without_effects_gets_none() -> None:
     model, plain = tuned((), ALL), tuned((), ())
-    assert told_out(model) == list(ALL)
+    assert reported_out(model) == list(ALL)
     assert not any(key in model.values for key in SIZES)
     assert model.values == plain.values
     assert model.iterations > plain.iterations  # they were named_effects
@@ -72,7 +72,7 @@ def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
 
 def test_only_what_is_there_stays() -> None:
     model = tuned(("hysteresis",), ALL)
-    assert told_out(model) == ["stribeck", "kinematic-error"]
+    assert reported_out(model) == ["stribeck", "kinematic-error"]
     for name in EFFECT_PARAMETERS["hysteresis"]:
         assert model.values[name, 1] == pytest.approx(SIZES[name, 1], rel=0.05)
     assert ("stribeck_friction", 1) not in model.values
@@ -105,7 +105,7 @@ def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     assert list(idle(space, z, sure)) == []
     unsure = sure.copy()
     unsure[2, 2] *= 4.0  # the hysteresis torque, now at two and a half deviations
-    unsure[1, 1] *= 100.0  # a velocity tells nothing of whether the friction is there
+    unsure[1, 1] *= 100.0  # a velocity says nothing of whether the friction is there
     assert list(idle(space, z, unsure)) == [(1, "hysteresis")]
     # one part of the error within its deviation does not matter where the other is not
     unsure[4, 4] *= 100.0

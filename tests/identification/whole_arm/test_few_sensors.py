@@ -31,7 +31,7 @@ def run(folder: Path, sensors: Sequence[str], seed: int = SEED) -> tuple[Identif
         folder,
         seed=seed,
         noise=own.noise,
-        replay=False,
+        as_recorded=False,
         sample_time=own.sample_time,
     )
     reduced(folder, own, sensors)

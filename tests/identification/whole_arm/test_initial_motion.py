@@ -1,4 +1,4 @@
-"""Records whose motors turn back as they begin: at rest by their angles, in motion by the fit."""
+"""Records whose motors turn back as they begin: at standstill by their angles, in motion by the fit."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def test_a_record_from_a_turning_point_is_in_motion(joint: int, first: int) -> N
     study, known, logs = shaken()
     log = logs[joint - 1]
     objective, z = arm([later(log, first)])
-    assert not objective.records[0].moving  # the motors' angles cannot tell
+    assert not objective.records[0].moving  # the motors' angles do not show it
     found = in_motion(objective, z)
     assert found.records[0].moving
     true = beginning(study, known, log, first)
-    # the links' angles, by which the gears are twisted
+    # the links' angles, by which the gears are loaded
     np.testing.assert_allclose(found.memory.own[0][2:4], true[2:4], atol=2e-4)
     assert np.max(np.abs(true[2:4])) > 0.01
 
@@ -69,7 +69,7 @@ def test_records_from_turning_points_are_fitted() -> None:
     start = (rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
     model = tune(cut(), *start)
     assert model.status == "converged"
-    # taken for records from rest they give 0.3 to 2 %, and fits of 68 to 93 %
+    # taken for records from standstill they give 0.3 to 2 %, and fits of 68 to 93 %
     for name, joint in model.values:
         if name in ("alpha", "beta", "gamma", "motor_inertia", "gear_stiffness"):
             assert model.values[name, joint] == pytest.approx(known[name, joint], rel=0.002)

@@ -94,7 +94,7 @@ def near_truth(spring: str) -> tuple[Objective, FloatArray]:
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_the_gradient_is_that_of_the_cost(spring: str) -> None:
     both, z = near_truth(spring)
-    # the one from rest, of whose own unknowns only constants are left
+    # the one from standstill, of whose own unknowns only constants are left
     objective = with_records(both, both.records[0])
     factor = factor_of(objective, z)
     gradient = 2.0 * factor[:, :-1].T @ factor[:, -1]
@@ -185,7 +185,7 @@ def test_only_where_a_record_begins_in_motion_is_moved() -> None:
 
 @pytest.mark.parametrize(("joint", "first"), [(1, 900), (1, 300), (1, 400), (2, 400), (2, 900)])
 def test_a_beginning_in_motion_is_found(joint: int, first: int) -> None:
-    """From gears untwisted to the true state, on the true arm."""
+    """From gears unloaded to the true state, on the true arm."""
     space, _, true = rig("linear")
     study, known, logs = shaken("linear", settling=SETTLING)
     record = dataset_of(later(logs[joint - 1], first), Arm.of(study.arm), CUTOFF)
@@ -234,7 +234,7 @@ def coloured(
 TRUTH = np.array([1.0, -2.0, 0.5])
 
 
-def linear_misfit(
+def linear_residual(
     errors: Sequence[FloatArray], *, noise: float = 1e-6, prior: Prior | None = None
 ) -> Objective:
     rng = np.random.default_rng(7)
@@ -251,7 +251,7 @@ def test_deviations_and_repetitions_are_those_of_the_errors() -> None:
         coloured(rng, (4000, 2)) * np.array([1.0, 10.0]),
         coloured(rng, (4000, 2), 0.8),
     ]
-    objective = linear_misfit(errors).reweighted(TRUTH)
+    objective = linear_residual(errors).reweighted(TRUTH)
     np.testing.assert_allclose(objective.weights[0].deviation, [WHITE, 10.0 * WHITE], rtol=0.06)
     np.testing.assert_allclose(objective.weights[1].deviation, WHITE, rtol=0.15)
     np.testing.assert_allclose(objective.weights[0].repeats, 1.0, atol=0.2)
@@ -261,17 +261,17 @@ def test_deviations_and_repetitions_are_those_of_the_errors() -> None:
 
 def test_no_model_is_better_than_its_sensors() -> None:
     errors = [1e-9 * np.random.default_rng(3).normal(size=(500, 1))]
-    spread = float(np.std(linear_misfit(errors).records[0].measured))
-    exact = linear_misfit(errors, noise=1e-12).reweighted(TRUTH)
+    spread = float(np.std(linear_residual(errors).records[0].measured))
+    exact = linear_residual(errors, noise=1e-12).reweighted(TRUTH)
     np.testing.assert_allclose(exact.weights[0].deviation, 1e-3 * spread)
-    noisy = linear_misfit(errors, noise=0.3).reweighted(TRUTH)
+    noisy = linear_residual(errors, noise=0.3).reweighted(TRUTH)
     np.testing.assert_allclose(noisy.weights[0].deviation, 0.3)
 
 
 def test_repeated_rows_count_once() -> None:
     errors = [coloured(np.random.default_rng(4), (600, 2))]
     deviation = np.array([0.1, 0.1])
-    objective = replace(linear_misfit(errors), weights=(Weights(deviation, np.ones(2)),))
+    objective = replace(linear_residual(errors), weights=(Weights(deviation, np.ones(2)),))
     for repeats in (1.0, 6.0):
         thinned = replace(objective, weights=(Weights(deviation, np.full(2, repeats)),))
         z = TRUTH + 0.02
@@ -303,7 +303,7 @@ def test_outliers_have_little_say() -> None:
     error = coloured(rng, (800, 1))
     wild = error.copy()
     wild[::40] += 100.0 * WHITE
-    objective = linear_misfit([wild])
+    objective = linear_residual([wild])
     steps = []
     for z in (TRUTH,) * 2:
         objective = objective.reweighted(z)
@@ -316,7 +316,7 @@ def test_outliers_have_little_say() -> None:
 def test_the_prior_is_part_of_the_cost() -> None:
     prior = Prior(np.array([[0.0, 20.0, 0.0]]), np.array([-30.0]), np.eye(1))
     errors = [coloured(np.random.default_rng(6), (300, 1))]
-    plain, held = linear_misfit(errors), linear_misfit(errors, prior=prior)
+    plain, held = linear_residual(errors), linear_residual(errors, prior=prior)
     z = TRUTH + np.array([0.1, 0.2, -0.1])
     added = (20.0 * z[1] + 30.0) ** 2
     assert cost_of(held, z) - cost_of(plain, z) == pytest.approx(added)
@@ -328,7 +328,7 @@ def test_the_prior_is_part_of_the_cost() -> None:
 
 def test_stretches_are_counted_through_all_records() -> None:
     errors = [np.zeros((n, 1)) for n in (100, 57)]
-    blocks = linear_misfit(errors).blocks()
+    blocks = linear_residual(errors).blocks()
     assert [len(block) for block in blocks] == [100, 57]
     labels = np.concatenate(blocks)
     assert np.all(np.diff(labels) >= 0)
@@ -349,22 +349,22 @@ def test_the_share_of_the_noise() -> None:
         records = [replace(r, kernels=Kernels(taps, taps, 1)) for r in objective.records]
         return objective.seen_by(records).reweighted(TRUTH)
 
-    alone = behind(linear_misfit([noise], noise=WHITE))
+    alone = behind(linear_residual([noise], noise=WHITE))
     assert alone.noise_shares(TRUTH)[0] == pytest.approx(1.0, abs=0.15)
     model = coloured(rng, (6000, 1), 0.9, 3.0 * WHITE)
-    wrong = behind(linear_misfit([noise + model], noise=WHITE))
+    wrong = behind(linear_residual([noise + model], noise=WHITE))
     # variances and their repetitions, 2 and 19
     expected = 2.0 / (2.0 + 9.0 * 19.0)
     assert wrong.noise_shares(TRUTH)[0] == pytest.approx(expected, rel=0.5)
     # a channel that errs by less than its noise makes up for no other
     errors = np.concatenate([noise + model, 0.01 * noise], axis=1)
-    both = behind(linear_misfit([errors], noise=WHITE))
+    both = behind(linear_residual([errors], noise=WHITE))
     assert both.noise_shares(TRUTH)[0] == pytest.approx(0.5 * (1.0 + expected), rel=0.2)
 
 
 def test_other_unknowns_leave_records_and_weights() -> None:
     errors = [coloured(np.random.default_rng(9), (300, 1))]
-    objective = linear_misfit(errors).reweighted(TRUTH)
+    objective = linear_residual(errors).reweighted(TRUTH)
     held = objective.for_unknowns(objective.space.holding({("p2", None): 0.5}))
     assert held.weights == objective.weights
     assert factor_of(held, TRUTH[:2]).shape == (3, 3)
@@ -373,7 +373,7 @@ def test_other_unknowns_leave_records_and_weights() -> None:
     np.testing.assert_array_equal(held.memory.own, objective.memory.own)
 
 
-def test_known_weights_foretell_how_the_cost_bends() -> None:
+def test_known_weights_predict_how_the_cost_bends() -> None:
     """R'R is half the second derivative of the cost, here to a few per cent; guessed, far above."""
     rng = np.random.default_rng(4)
     table, errors = rng.normal(size=(4000, 1, 2)), rng.normal(size=(4000, 1))
@@ -384,8 +384,8 @@ def test_known_weights_foretell_how_the_cost_bends() -> None:
     slope = table[:, 0] / deviation
     bend = (1.0 + (errors / deviation) ** 2) ** -1.5 / repeats
     second = slope.T @ (bend * slope)
-    foretold = factor_of(known, z)[:, :-1]
-    np.testing.assert_allclose(foretold.T @ foretold, second, atol=0.05 * np.max(second))
+    predicted = factor_of(known, z)[:, :-1]
+    np.testing.assert_allclose(predicted.T @ predicted, second, atol=0.05 * np.max(second))
     guess = factor_of(replace(known, guessed=True), z)[:, :-1]
     assert np.all(np.diag(guess.T @ guess) > 1.3 * np.diag(second))
 

@@ -239,7 +239,7 @@ def test_one_knee_can_be_held(knee: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_prior_rows_weigh_what_the_rigid_model_tells(seed: int) -> None:
+def test_prior_rows_weigh_what_the_rigid_model_shows(seed: int) -> None:
     """|rows p - target|^2 is e' C^-1 e, e the rigid model's combinations of p less its values."""
     rng = np.random.default_rng(seed)
     study = mixed_study()
@@ -255,8 +255,8 @@ def test_prior_rows_weigh_what_the_rigid_model_tells(seed: int) -> None:
     )
 
     values = space.values(0.3 * somewhere(space, seed))
-    told = derived(values, study.arm)  # by the sums that the simulation's own truth is made of
-    error = np.array([told[p.name, p.joint] for p in model.parameters]) - model.solution
+    reported = derived(values, study.arm)  # by the sums that the simulation's own truth is made of
+    error = np.array([reported[p.name, p.joint] for p in model.parameters]) - model.solution
     whole = covariance + np.diag((FLOOR * model.solution) ** 2)
     expected = error @ np.linalg.solve(whole, error)
     p = np.array([values[key] for key in space.keys])
@@ -282,7 +282,7 @@ def test_the_floor_widens_the_prior() -> None:
         assert np.sum(off**2) == pytest.approx(1.0, rel=1e-6)
 
 
-def test_what_the_rigid_model_does_not_tell_is_no_row() -> None:
+def test_what_the_rigid_model_does_not_show_is_no_row() -> None:
     study, known = truth()
     model = rigid_model(study, known, 0.01)
     unknown = [p.name for p in model.parameters].index("beta")

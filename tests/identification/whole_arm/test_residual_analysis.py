@@ -92,7 +92,7 @@ def left_over(channel: str, deviation: float, odds: float) -> ResidualTest:
     )
 
 
-def test_only_what_is_loud_is_worth_a_word() -> None:
+def test_only_what_is_of_high_variance_is_worth_a_word() -> None:
     tests = [left_over("a1", 2.0, 1e-9), left_over("a2", 5.0, 1e-9), left_over("a2", 4.0, 0.5)]
     (said,) = residual_warnings(tests)
     assert said.code == "residual-not-noise"

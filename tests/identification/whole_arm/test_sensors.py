@@ -35,13 +35,13 @@ def tuned(
     late: tuple[float, float] = (0.0, 0.0),
     scale: tuple[float, float] = (1.0, 1.0),
     *,
-    told: bool = False,
+    reported: bool = False,
 ) -> tuple[Study, Values, ArmModel]:
     study, known, logs = shaken()
     records = [read_so(log, late, scale) for log in logs]
     joints = joint_models(study, known, 0.05, FACTORS)
     begin: dict[Key, float] = {("accelerometer_delay", i): late[i - 1] for i in (1, 2)}
-    start = begin if told else None
+    start = begin if reported else None
     model = tune(
         records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm), start=start
     )
@@ -69,9 +69,9 @@ def test_a_clean_rig_has_no_sensor_constants() -> None:
     ],
 )
 def test_late_sensors_and_wrong_scales_are_found_and_corrected(
-    late: tuple[float, float], scale: tuple[float, float], told: bool
+    late: tuple[float, float], scale: tuple[float, float], reported: bool
 ) -> None:
-    _, known, model = tuned(late, scale, told=told)
+    _, known, model = tuned(late, scale, reported=reported)
     assert model.status == "converged"
     found = {(p.name, p.joint): p for p in model.parameters}
     wrong = {("accelerometer_delay", i): d for i, d in enumerate(late, 1) if d}

@@ -20,11 +20,11 @@ def curve(*numbers: float) -> Values:
     return rest | {(name, 1): value for name, value in zip(NAMES, numbers, strict=True)}
 
 
-def torque(values: Values, twist: float) -> float:
+def torque(values: Values, torsion: float) -> float:
     k1, k2, k3, t1, t2 = (values[name, 1] for name in NAMES)
     d1 = t1 / k1
     d2 = d1 + (t2 - t1) / k2
-    return float(np.interp(twist, [0.0, d1, d2, d2 + 1.0], [0.0, t1, t2, t2 + k3]))
+    return float(np.interp(torsion, [0.0, d1, d2, d2 + 1.0], [0.0, t1, t2, t2 + k3]))
 
 
 def test_a_curve_that_bends_twice_is_left_alone() -> None:
@@ -49,8 +49,8 @@ def test_one_bend_is_split(lost: Values) -> None:
         assert 0.0 < start[KNEES[0], 1] < start[KNEES[1], 1] < LARGEST
         slopes = [start[name, 1] for name in CURVE]
         assert all(abs(b / a - 1.0) > 0.01 for a, b in pairwise(slopes))
-        for twist in (4e-4, 1.5e-3):
-            assert torque(start, twist) == pytest.approx(torque(lost, twist), rel=0.1)
+        for torsion in (4e-4, 1.5e-3):
+            assert torque(start, torsion) == pytest.approx(torque(lost, torsion), rel=0.1)
         assert {k: v for k, v in start.items() if k[1] == 2 or k[0] not in NAMES} == {
             k: v for k, v in lost.items() if k[1] == 2 or k[0] not in NAMES
         }

@@ -50,7 +50,7 @@ FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 
 
 def errors_of(model: ArmModel, known: Values) -> dict[tuple[str, int | None], tuple[float, float]]:
-    """Of each parameter that is told, relative to its true value and to its deviation."""
+    """Of each parameter that is reported, relative to its true value and to its deviation."""
     found = {}
     for p in model.parameters:
         true = known.get((p.name, p.joint), 0.0)
@@ -59,8 +59,8 @@ def errors_of(model: ArmModel, known: Values) -> dict[tuple[str, int | None], tu
     return found
 
 
-def cautions(model: ArmModel, code: str) -> list[str]:
-    return [caution.where for caution in model.warnings if caution.code == code]
+def warnings(model: ArmModel, code: str) -> list[str]:
+    return [warning.where for warning in model.warnings if warning.code == code]
 
 
 def from_wrong_starts(
@@ -109,9 +109,9 @@ def test_wrong_starts_come_back() -> None:
             limit = 0.3  # of the two only the sum is well known
         assert abs(relative) < limit, (name, joint, relative)
         assert abs(deviations) < 4.0, (name, joint, deviations)
-    told = {name for name, _ in errors}
-    assert {name for name in JOINT_NAMES if "viscous" not in name} <= told
-    assert {"alpha", "beta", "gamma", "total_viscous_friction"} <= told
+    reported = {name for name, _ in errors}
+    assert {name for name in JOINT_NAMES if "viscous" not in name} <= reported
+    assert {"alpha", "beta", "gamma", "total_viscous_friction"} <= reported
     assert model.covariance.shape == (len(model.parameters),) * 2
     for parameter, variance in zip(model.parameters, np.diag(model.covariance), strict=True):
         if parameter.value is not None and parameter.std is not None:
@@ -171,7 +171,7 @@ def curved(amplitude: float) -> ArmModel:
     return from_wrong_starts(records, study, known)
 
 
-def test_slopes_and_knees_of_gears_that_are_twisted_far() -> None:
+def test_slopes_and_knees_of_gears_that_are_under_large_torque() -> None:
     model = curved(10.0)
     assert model.status == "converged"
     errors = errors_of(model, truth("three-slope")[1])
@@ -182,9 +182,9 @@ def test_slopes_and_knees_of_gears_that_are_twisted_far() -> None:
             assert abs(errors[name, joint][0]) < 0.02, (name, joint)
         assert abs(errors["gear_damping", joint][0]) < 0.01
     assert max(abs(deviations) for _, deviations in errors.values()) < 4.0
-    assert cautions(model, "not-reached") == []
+    assert warnings(model, "not-reached") == []
     assert not any(p.name == "gear_stiffness" for p in model.parameters)
-    # a curve foretells steps of another size
+    # a curve predicts steps of another size
     study, records = rig_logs("three-slope")
     for log in records:
         if log.name.startswith("step-check"):
@@ -192,23 +192,23 @@ def test_slopes_and_knees_of_gears_that_are_twisted_far() -> None:
             assert fits[f"omega_m{log.experiment.joint}"] > 99.0
 
 
-def test_what_a_small_amplitude_does_not_reach_is_told() -> None:
+def test_what_a_small_amplitude_does_not_reach_is_reported() -> None:
     model = curved(1.5)
     vague = {(p.name, p.joint) for p in model.parameters if p.value is None}
     curve = {key for key in vague if key[0] in (*CURVE, *KNEES)}
     assert curve
-    said = cautions(model, "not-reached")
+    said = warnings(model, "not-reached")
     assert set(said) == {f"{name} of joint {joint}" for name, joint in curve}
     # what simulating needs is there all the same
     assert curve <= set(model.values)
     known = truth("three-slope")[1]
-    told = {(p.name, p.joint): p.value for p in model.parameters}
+    reported = {(p.name, p.joint): p.value for p in model.parameters}
     for joint in (1, 2):
         name = "gear_stiffness_k1"
-        assert told[name, joint] == pytest.approx(known[name, joint], rel=0.03)
+        assert reported[name, joint] == pytest.approx(known[name, joint], rel=0.03)
 
 
-def test_no_slope_is_told_that_was_not_reached() -> None:
+def test_no_slope_is_reported_that_was_not_reached() -> None:
     model = curved(1.5)
     errors = errors_of(model, truth("three-slope")[1])
     for name in (*CURVE, *KNEES):
@@ -227,7 +227,7 @@ def test_friction_that_settles_is_found() -> None:
         assert abs(errors[SETTLING, joint][1]) < 4.0
         assert abs(errors["motor_inertia", joint][0]) < 0.003
     where = [f"friction_settling_time of joint {joint}" for joint in (1, 2)]
-    assert cautions(model, "friction-settles") == where
+    assert warnings(model, "friction-settles") == where
     # without it other parameters must take its place
     at_once = from_wrong_starts(records, study, known, TuningOptions(settling=False))
     assert at_once.values[SETTLING, 1] == 0.0
@@ -238,7 +238,7 @@ def test_friction_that_settles_is_found() -> None:
 
 def test_friction_that_acts_at_once_needs_no_time() -> None:
     model = standard()
-    assert cautions(model, "friction-settles") == []
+    assert warnings(model, "friction-settles") == []
     assert not any(p.name == SETTLING for p in model.parameters)
     assert model.values[SETTLING, 1] == model.values[SETTLING, 2] == 0.0
     kept = tuned(TuningOptions(settling=True), share=0.05)
@@ -302,7 +302,7 @@ def test_a_single_joint_under_gravity() -> None:
     named = dict(zip(JOINT_NAMES, wrong.tolist(), strict=True))
     start = joint_model(study, 1, named, np.diag((0.05 * true) ** 2))
     model = tune(records, rigid_model(study, values, 0.01, 1.0), [start], Arm.of(study.arm))
-    # one step tells the split of viscous friction so little that the search may creep along it
+    # one step shows the split of viscous friction so little that the search may creep along it
     for name, limit in [
         ("motor_inertia", 0.005),
         ("link_inertia", 0.005),
@@ -341,13 +341,13 @@ def test_a_vague_viscous_friction_is_not_printed() -> None:
     assert set(model.fit_percent["prbs-j1"]) == {"omega_m1", "omega_m2"}
     vague = [(p.name, p.joint) for p in model.parameters if p.value is None]
     assert ("link_viscous_friction", 1) in vague
-    assert set(cautions(model, "not-identifiable")) == {f"{n} of joint {j}" for n, j in vague}
+    assert set(warnings(model, "not-identifiable")) == {f"{n} of joint {j}" for n, j in vague}
     assert set(vague) <= set(model.values)
     errors = errors_of(model, known)
     assert all(abs(errors["total_viscous_friction", joint][0]) < 0.05 for joint in (1, 2))
 
 
-def test_a_parameter_at_the_end_of_its_range_is_told() -> None:
+def test_a_parameter_at_the_end_of_its_range_is_reported() -> None:
     """A stiffness that starts at three tenths of the truth may only treble."""
     study, known, records = rig_records()
     joints = list(joint_models(study, known, 0.0, FACTORS))
@@ -361,7 +361,7 @@ def test_a_parameter_at_the_end_of_its_range_is_told() -> None:
         TuningOptions(settling=False),
     )
     assert model.status == "at-bounds"
-    assert "gear_stiffness of joint 2" in cautions(model, "at-bounds")
+    assert "gear_stiffness of joint 2" in warnings(model, "at-bounds")
     assert model.values["gear_stiffness", 2] == pytest.approx(3.0 * start, rel=0.02)
 
 
@@ -378,10 +378,10 @@ def test_inertias_that_rest_on_one_at_its_bound_are_at_it_as_well() -> None:
     assert model.at_bounds == (("beta", None), ("link_inertia", 1), ("link_inertia", 2))
 
 
-def test_too_few_iterations_are_told() -> None:
+def test_too_few_iterations_are_reported() -> None:
     model = tuned(TuningOptions(max_iterations=2))
     assert model.status == "iteration-limit"
-    assert "iteration-limit" in [caution.code for caution in model.warnings]
+    assert "iteration-limit" in [warning.code for warning in model.warnings]
     assert model.iterations < standard().iterations
 
 
@@ -459,14 +459,14 @@ def test_an_impossible_start_is_replaced(joint: int, name: str, value: float, wh
     joints[joint - 1] = replace(wrong, values={**wrong.values, name: value})
     model = tune(records, rigid_model(study, known, 0.01), joints, Arm.of(study.arm))
     assert model.status == "converged"
-    assert cautions(model, "start-rejected") == [where]
+    assert warnings(model, "start-rejected") == [where]
     for key, (relative, deviations) in errors_of(model, known).items():
         assert abs(deviations) < 4.0, key
         if key[0] in ("gear_stiffness", "motor_inertia", "link_inertia"):
             assert abs(relative) < 0.003, key
 
 
-def test_a_start_that_nothing_tells_is_refused() -> None:
+def test_a_start_that_nothing_shows_is_refused() -> None:
     study, known, records = rig_records()
     joints = joint_models(study, known, 0.05, FACTORS)
     heavy = replace(joints[1], values={**joints[1].values, "link_inertia": -0.2})
@@ -515,8 +515,8 @@ def test_a_lab_arm(arm: str, inertia: float, damping: float, shared_data: Path) 
     errors = errors_of(model, known)
     for (name, joint), (relative, _) in errors.items():
         assert abs(relative) < limits.get(name, np.inf), (name, joint, relative)
-    told = {name for name, _ in errors}
-    assert {"alpha", "gear_stiffness", "gear_damping", "motor_coulomb_friction"} <= told
+    reported = {name for name, _ in errors}
+    assert {"alpha", "gear_stiffness", "gear_damping", "motor_coulomb_friction"} <= reported
     for log in records:
         if log.experiment.use == "check":
             fits = validation.predict_elastic(model, log, Arm.of(study.arm)).fit_percent

@@ -132,7 +132,7 @@ def test_topics_of_other_rates_come_to_the_motor_angles_stamps(tmp_path: Path) -
     assert "/imu1 (250 Hz): brought to the stamps of /joint_states (1000 Hz)" in said["resampled"]
 
 
-def test_commands_are_held_and_a_silent_one_is_told(tmp_path: Path) -> None:
+def test_commands_are_held_and_a_silent_one_is_reported(tmp_path: Path) -> None:
     time = ticks(0.001, 400)
     messages = [m for m in bags.of_columns(signals(time)) if m[0] != "/cmd"]
     said = np.array([*ticks(0.002, 50), 0.3])
@@ -143,9 +143,9 @@ def test_commands_are_held_and_a_silent_one_is_told(tmp_path: Path) -> None:
     log = read(tmp_path, "run")
     expected = np.searchsorted(said + 0.0004, log.time, side="right") - 1
     np.testing.assert_array_equal(log.channels["u1"], expected)
-    told = [w.message for w in log.warnings if w.code == "silent-command"]
-    assert len(told) == 1
-    assert "/cmd sends nothing from 0.0984 to 0.3004 s" in told[0]
+    reported = [w.message for w in log.warnings if w.code == "silent-command"]
+    assert len(reported) == 1
+    assert "/cmd sends nothing from 0.0984 to 0.3004 s" in reported[0]
 
 
 def test_a_window_keeps_the_command_set_before_it(tmp_path: Path) -> None:
@@ -230,11 +230,11 @@ def test_the_order_of_messages_does_not_matter(
     log = read(folder, "run")
     np.testing.assert_allclose(log.channels["theta_m1"], values["theta_m1"], atol=1e-12)
     np.testing.assert_allclose(log.channels["a1"], values["a1"], atol=1e-12)
-    told = " ".join(w.message for w in log.warnings if w.code == "reordered")
-    assert "/joint_states" in told or not doubled
+    reported = " ".join(w.message for w in log.warnings if w.code == "reordered")
+    assert "/joint_states" in reported or not doubled
 
 
-def test_joints_that_several_nodes_publish_are_told_apart(tmp_path: Path) -> None:
+def test_joints_that_several_nodes_publish_are_separated(tmp_path: Path) -> None:
     """Half of the messages name one joint only, in another order."""
     time = ticks(0.001, 120)
     messages: list[bags.Message] = []
@@ -289,7 +289,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_tells_what_is_not_in_the_bag(fault: str, tmp_path: Path) -> None:
+def test_shows_what_is_not_in_the_bag(fault: str, tmp_path: Path) -> None:
     text, said = FAULTS[fault]
     bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
     kept = [
@@ -303,7 +303,7 @@ def test_tells_what_is_not_in_the_bag(fault: str, tmp_path: Path) -> None:
     assert caught.value.remedy
 
 
-def test_tells_where_a_value_is_no_number(tmp_path: Path) -> None:
+def test_shows_where_a_value_is_no_number(tmp_path: Path) -> None:
     messages = bags.of_columns(studies.columns())
     messages[3 * 7 + 1] = ("/imu1", messages[3 * 7 + 1][1], bags.imu(messages[3 * 7][1], np.nan))
     bags.write(tmp_path / "run", messages)
@@ -312,14 +312,14 @@ def test_tells_where_a_value_is_no_number(tmp_path: Path) -> None:
     read(tmp_path, "run", window="start = 0.01\n")  # as the remedy says
 
 
-def test_tells_an_empty_topic(tmp_path: Path) -> None:
+def test_shows_an_empty_topic(tmp_path: Path) -> None:
     messages = [m for m in bags.of_columns(studies.columns()) if m[0] != "/imu1"]
     bags.write(tmp_path / "run", messages, silent={"/imu1": "sensor_msgs/msg/Imu"})
     with pytest.raises(InvalidInput, match="the topic '/imu1' has no messages"):
         read(tmp_path, "run")
 
 
-def test_tells_a_damaged_bag_and_a_directory_that_is_none(tmp_path: Path) -> None:
+def test_shows_a_damaged_bag_and_a_directory_that_is_none(tmp_path: Path) -> None:
     bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
     data = (tmp_path / "run" / "run.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])

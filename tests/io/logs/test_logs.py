@@ -134,7 +134,7 @@ def test_rounded_stamps_are_uniform(tmp_path: Path) -> None:
     assert log.sample_time == pytest.approx(0.00100002406, rel=1e-5)
 
 
-def test_jittered_stamps_are_resampled_and_told(tmp_path: Path) -> None:
+def test_jittered_stamps_are_resampled_and_reported(tmp_path: Path) -> None:
     jitter = np.random.default_rng(0).uniform(0.0, 0.6, 600)
     log = timed(tmp_path, 0.001 * (np.arange(600) + jitter))
     assert [w.code for w in log.warnings] == ["resampled"]
@@ -228,7 +228,7 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_tells_every_fault(fault: str, tmp_path: Path) -> None:
+def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
     log, said = FAULTS[fault]
     with pytest.raises(InvalidInput, match=said) as caught:
         read(tmp_path, log)
@@ -258,7 +258,7 @@ def test_tells_every_fault(fault: str, tmp_path: Path) -> None:
         ("log.xlsx", b"PK", "is of no known kind"),
     ],
 )
-def test_tells_what_a_file_is_not(name: str, data: bytes, said: str, tmp_path: Path) -> None:
+def test_shows_what_a_file_is_not(name: str, data: bytes, said: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=said):
         renamed(tmp_path, name, data)
 
@@ -331,12 +331,12 @@ def test_the_excited_joint_must_move(tmp_path: Path) -> None:
 
 
 def test_reads_every_log_of_the_measured_data(shared_data: Path) -> None:
-    told = {}
+    reported = {}
     for path in sorted(shared_data.glob("*/*/study.toml")):
         logs = read_logs(read_study(path))
-        told[path.parent.name] = {warning.code for log in logs for warning in log.warnings}
-    assert told.pop("dfki-double-pendulum") == {"resampled"}
-    assert not any(told.values())
+        reported[path.parent.name] = {warning.code for log in logs for warning in log.warnings}
+    assert reported.pop("dfki-double-pendulum") == {"resampled"}
+    assert not any(reported.values())
 
 
 def test_arrow_holds_no_object_of_pythons() -> None:

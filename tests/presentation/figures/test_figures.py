@@ -24,7 +24,7 @@ from strainwave.presentation.report import predictions
 from virtual_arms import rigid_drive
 
 
-def test_thinning_keeps_every_peak_of_every_line() -> None:
+def test_decimation_keeps_every_peak_of_every_line() -> None:
     long = prediction("motion", 90.0)
     long.measured[3333, 0] = 50.0
     long.measured[4444, 0] = -50.0

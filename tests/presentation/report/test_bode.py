@@ -58,7 +58,7 @@ def test_the_band_is_that_of_the_parameters() -> None:
     std = np.std(np.abs(A), axis=0) / np.abs(response(f))
     # away from dip and peak, where two per cent are much, first order holds
     plain = np.abs(f[:, None] - [joint.frequency_hz for joint in _modes()]).min(axis=1) > 6.0
-    # 2000 draws tell a deviation to 1.6 %, their largest error among many to some 5 %
+    # 2000 draws give a deviation to 1.6 %, their largest error among many to some 5 %
     assert (10 ** (high / 20) / np.abs(response(f)) - 1.0)[plain] == pytest.approx(
         1.96 * std[plain], rel=0.08
     )

@@ -25,31 +25,31 @@ def found(names: list[str], covariance: list[list[float]]) -> Correlations | Non
 
 
 def test_correlations_are_covariances_in_deviations() -> None:
-    told = found(["gear_stiffness", "gear_damping"], [[4.0, -5.88], [-5.88, 9.0]])
-    assert told is not None
-    assert told.names == ("gear stiffness 1", "gear damping 1")
-    assert told.matrix[0, 1] == pytest.approx(-0.98)
-    ((first, second, size),) = correlations.pairs(told)
-    assert (first, second) == told.names
+    reported = found(["gear_stiffness", "gear_damping"], [[4.0, -5.88], [-5.88, 9.0]])
+    assert reported is not None
+    assert reported.names == ("gear stiffness 1", "gear damping 1")
+    assert reported.matrix[0, 1] == pytest.approx(-0.98)
+    ((first, second, size),) = correlations.pairs(reported)
+    assert (first, second) == reported.names
     assert size == pytest.approx(-0.98)
-    assert "gear stiffness 1 with gear damping 1 (-0.980)" in correlations.words(told)
-    (heat,) = marks(correlations.heat_map(told), HeatMap)
-    assert heat.names == told.names
+    assert "gear stiffness 1 with gear damping 1 (-0.980)" in correlations.words(reported)
+    (heat,) = marks(correlations.heat_map(reported), HeatMap)
+    assert heat.names == reported.names
     assert heat.values[1] == pytest.approx([-0.98, 1.0])
 
 
 def test_what_is_hardly_alike_is_not_named() -> None:
-    told = found(["gear_stiffness", "gear_damping"], [[1.0, 0.9], [0.9, 1.0]])
-    assert told is not None
-    assert correlations.pairs(told) == []
-    assert "stands on its own" in correlations.words(told)
+    reported = found(["gear_stiffness", "gear_damping"], [[1.0, 0.9], [0.9, 1.0]])
+    assert reported is not None
+    assert correlations.pairs(reported) == []
+    assert "stands on its own" in correlations.words(reported)
 
 
 def test_a_sum_is_left_out_beside_its_parts() -> None:
     names = ["motor_viscous_friction", "gear_damping", "total_viscous_friction"]
-    told = found(names, np.eye(3).tolist())
-    assert told is not None
-    assert told.names == ("motor viscous friction 1", "gear damping 1")
+    reported = found(names, np.eye(3).tolist())
+    assert reported is not None
+    assert reported.names == ("motor viscous friction 1", "gear damping 1")
     alone = found(names[1:], np.eye(2).tolist())
     assert alone is not None
     assert alone.names == ("gear damping 1", "total viscous friction 1")
@@ -57,6 +57,6 @@ def test_a_sum_is_left_out_beside_its_parts() -> None:
 
 def test_errors_that_are_not_known_have_no_correlation() -> None:
     assert found(["gear_damping", "gear_stiffness"], [[np.inf, 0.0], [0.0, 1.0]]) is None
-    one = identification()  # of its two parameters one was not told
+    one = identification()  # of its two parameters one was not reported
     assert correlations.correlations(one) is None
     assert correlations.correlations(replace(one, rigid=None)) is None

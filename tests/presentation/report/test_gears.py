@@ -21,7 +21,7 @@ def curve() -> Curve:
     return found[0]
 
 
-def test_the_slope_of_the_twist_is_one_over_the_stiffness() -> None:
+def test_the_slope_of_the_torsion_is_one_over_the_stiffness() -> None:
     torque: FloatArray = np.linspace(0.0, 60.0, 6001)
     torsion, _ = gears.torsion_at(curve(), torque)
     slope = np.gradient(torque, torsion)
@@ -30,7 +30,7 @@ def test_the_slope_of_the_twist_is_one_over_the_stiffness() -> None:
         assert slope[inside] == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_twist_scatters_as_its_deviation_says() -> None:
+def test_the_torsion_scatters_as_its_deviation_says() -> None:
     rng = np.random.default_rng(5)
     torque = np.array([3.0, 15.0, 50.0])
     drawn, found = [], curve()
@@ -42,7 +42,7 @@ def test_the_twist_scatters_as_its_deviation_says() -> None:
     assert std == pytest.approx(np.std(drawn, axis=0), rel=0.05)  # of 4000 draws: 1.1 %
 
 
-def test_what_was_not_told_is_not_drawn() -> None:
+def test_what_was_not_reported_is_not_drawn() -> None:
     one = elastic_identification()
     assert one.tuned is not None
     parameters, covariance = curve_parameters(gear_stiffness_k3=None, gear_knee_t2=None)
@@ -53,11 +53,11 @@ def test_what_was_not_told_is_not_drawn() -> None:
     assert found.covariance.shape == (3, 3)
 
 
-def test_without_the_whole_arm_the_joint_tells_one_slope() -> None:
+def test_without_the_whole_arm_the_joint_shows_one_slope() -> None:
     found = gears.curves(replace(elastic_identification(), tuned=None))[0]
     assert found.slopes.tolist() == [25000.0]
     assert found.covariance[0, 0] == pytest.approx(joint_model().covariance[4, 4])
-    assert found.carried is None
+    assert found.gear_loads is None
     assert "One stiffness for the whole" in gears.words(found)
     assert len(gears.slope_figure(found).panels) == 1
 

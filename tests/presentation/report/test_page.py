@@ -174,8 +174,8 @@ def test_names_cannot_leave_their_place() -> None:
 
 
 def test_a_name_is_a_name_whatever_it_begins_with() -> None:
-    caution = Diagnostic("saturated", "#1.csv", "#2 is at its limit")
-    page = render(replace(identification(), warnings=(caution,)))
+    warning = Diagnostic("saturated", "#1.csv", "#2 is at its limit")
+    page = render(replace(identification(), warnings=(warning,)))
     assert '<th scope="row">#1.csv</th><td class="text">#2 is at its limit</td>' in page
 
 

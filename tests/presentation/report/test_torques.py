@@ -21,10 +21,14 @@ def test_of_each_joint_the_record_with_most_interaction() -> None:
 
 
 def test_sweeps_and_lone_joints_are_left_out() -> None:
-    loud = replace(record_model("sweep", 9.0), signals=decoupled("sweep", 9.0, use="sweep"))
+    high_variance = replace(
+        record_model("sweep", 9.0), signals=decoupled("sweep", 9.0, use="sweep")
+    )
     lone = decoupled("lone", 9.0)
-    alone = replace(loud, signals=replace(lone, inputs=lone.inputs[:, :1]))
-    assert torques.interacting(replace(elastic_identification(), records=(loud, alone))) == []
+    alone = replace(high_variance, signals=replace(lone, inputs=lone.inputs[:, :1]))
+    assert (
+        torques.interacting(replace(elastic_identification(), records=(high_variance, alone))) == []
+    )
 
 
 def test_both_are_drawn_as_the_motor_feels_them() -> None:

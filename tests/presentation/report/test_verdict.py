@@ -41,7 +41,9 @@ def words_of(found: Callout) -> str:
     return "|".join(["", *texts, ""])
 
 
-def told(name: str, value: float | None, half: float | None, joint: int | None = 1) -> Parameter:
+def reported(
+    name: str, value: float | None, half: float | None, joint: int | None = 1
+) -> Parameter:
     interval = None if half is None or value is None else (value - half, value + half)
     return Parameter(name, joint, value, half, "-", "rigid", interval)
 
@@ -61,23 +63,23 @@ def told(name: str, value: float | None, half: float | None, joint: int | None =
 def test_each_parameter_is_classed_by_its_interval(
     value: float | None, half: float | None, said: str
 ) -> None:
-    text = of(told("gear_damping", value, half))
+    text = of(reported("gear_damping", value, half))
     assert f"|{said}||gear damping (1)|" in text, text
 
 
 def test_it_counts_what_is_identified() -> None:
-    alpha = told("alpha", 1.0, 0.05, None)
+    alpha = reported("alpha", 1.0, 0.05, None)
     assert "All 2 parameters are identified, 1 with a 95 % half-width of 10 %" in of(
-        alpha, told("beta", 1.0, 0.2)
+        alpha, reported("beta", 1.0, 0.2)
     )
-    assert "1 of 2 parameters are identified, 1 with" in of(alpha, told("beta", None, None))
+    assert "1 of 2 parameters are identified, 1 with" in of(alpha, reported("beta", None, None))
     assert "No parameter was estimated." in of()
     assert "Not determined.| nothing moved; not identified: beta" in of(failures=("nothing moved",))
 
 
 def test_nearly_nothing_is_said_to_be_so() -> None:
     active = (Activity(1, torque=1.0, velocity=50.0, acceleration=500.0),)
-    text = of(told("motor_coulomb_friction", 0.001, 0.015), activity=active)
+    text = of(reported("motor_coulomb_friction", 0.001, 0.015), activity=active)
     assert "|Zero within 2 % of the joint torque||motor coulomb friction (1)|" in text
 
 
@@ -89,8 +91,8 @@ def test_combinations_stand_beside_the_parameters() -> None:
 
 
 def test_names_are_gathered_over_the_joints() -> None:
-    both = [told("link_inertia", 1.0, 0.1, joint) for joint in (1, 2)]
-    assert named([told("alpha", 1.0, 0.1, None), *both]) == "alpha, link inertia (1, 2)"
+    both = [reported("link_inertia", 1.0, 0.1, joint) for joint in (1, 2)]
+    assert named([reported("alpha", 1.0, 0.1, None), *both]) == "alpha, link inertia (1, 2)"
 
 
 def test_fits_of_validation_data() -> None:
@@ -107,7 +109,7 @@ def test_the_grade_is_that_of_the_median() -> None:
         assert f"The rigid model predicts the torques of validation data {grade}: median" in text
 
 
-def test_only_validation_data_that_twist_the_gears_speak_for_the_elastic_model() -> None:
+def test_only_validation_data_that_load_the_gears_speak_for_the_elastic_model() -> None:
     one = elastic_identification()
     steps = replace(prediction("steps", 99.0, 99.0), channels=("omega_m1", "a1"))
     steps = replace(steps, fit_percent={"omega_m1": 99.0, "a1": 98.0})
@@ -131,7 +133,7 @@ def drive(**changed: object) -> Identification:
     one = identification()
     assert one.rigid is not None
     names = ("inertia", "motor_viscous_friction", "motor_coulomb_friction")
-    rigid = replace(one.rigid, parameters=tuple(told(name, 1.0, 0.01) for name in names))
+    rigid = replace(one.rigid, parameters=tuple(reported(name, 1.0, 0.01) for name in names))
     fine = replace(one, study=rigid_drive(), warnings=(), rigid=rigid)
     return replace(fine, **changed)  # type: ignore[arg-type]
 
@@ -139,7 +141,7 @@ def drive(**changed: object) -> Identification:
 def test_only_what_is_determined_and_predicted_is_green() -> None:
     fine = drive()
     assert fine.rigid is not None
-    vague = (*fine.rigid.parameters, told("friction_offset", 1.0, 2.0))
+    vague = (*fine.rigid.parameters, reported("friction_offset", 1.0, 2.0))
     for found, mark in (
         (fine, ""),
         (replace(fine, rigid=replace(fine.rigid, parameters=vague)), "doubt"),

@@ -28,7 +28,7 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     wanted = {"motion", "motion-check"} | ({"prbs-j1"} if request.param == "horizontal" else set())
     kept = tuple(e for e in study.experiments if e.name in wanted)
     simulate_study(
-        replace(study, experiments=kept), values, folder, noise=SensorNoise(), replay=False
+        replace(study, experiments=kept), values, folder, noise=SensorNoise(), as_recorded=False
     )
     written = read_study(folder / "study.toml")
     return read_logs(written), written

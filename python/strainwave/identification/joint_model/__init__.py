@@ -31,7 +31,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compared
-from strainwave.identification.joint_model.estimates import cautions_of, parameters_of, status_of
+from strainwave.identification.joint_model.estimates import parameters_of, status_of, warnings_of
 from strainwave.identification.joint_model.grey_box import (
     FIRST_BAND_HZ,
     GreyBoxFit,
@@ -85,7 +85,7 @@ class RecordOptions:
     physical: PhysicalOptions = field(default_factory=PhysicalOptions)
     linear: LinearOptions = field(default_factory=LinearOptions)
     state_space: bool = True  # whether a state-space model is estimated beside
-    # whether that model is put to its tests, and tells physical parameters; else it is estimated
+    # whether that model is put to its tests, and gives physical parameters; else it is estimated
     # in the band that the equations of motion found, which takes an eighth of the time
     judged: bool = True
 
@@ -174,7 +174,7 @@ def _joint_model(solved: Solved) -> JointModel:
     values = _values(fit)
     covariance = _with_delay(fit.covariance, values, solved.records, number)
     said = values, covariance, fit.determined, solved.arm.joints[number - 1], number
-    warnings = tuple(cautions_of(*said, ", ".join(names)))
+    warnings = tuple(warnings_of(*said, ", ".join(names)))
     return JointModel(
         joint=number,
         experiments=names,
@@ -185,7 +185,7 @@ def _joint_model(solved: Solved) -> JointModel:
         anti_resonance=anti_resonance(fit.joint, fit.covariance[:6, :6]),
         resonance=resonance(fit.joint, fit.covariance[:6, :6]),
         band_hz=fit.band_hz,
-        fit_percent={"torque": fit.torque_fit_percent, "torsion": fit.twist_fit_percent},
+        fit_percent={"torque": fit.torque_fit_percent, "torsion": fit.torsion_fit_percent},
         status=status_of(warnings),
         warnings=warnings,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, Joint, Parameter
 from strainwave.domain.parameters import unit_of
 
-_TOLD = 0.3  # relative deviation up to which a damping or friction is worth printing
+_IDENTIFIED = 0.3  # relative deviation up to which a damping or friction is worth printing
 _SPLIT = ("motor_viscous_friction", "link_viscous_friction")
 _REACH = 1.96  # of a 95 % interval, in deviations
 
@@ -40,8 +40,8 @@ def parameters_of(
     """
     deviation = _deviations(covariance)
     for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
-        told = _is_told(name, value, std, known)
-        yield _parameter(name, number, joint, (value, std) if told else None)
+        identified = _is_identified(name, value, std, known)
+        yield _parameter(name, number, joint, (value, std) if identified else None)
     weight = np.array(
         [
             {"motor_viscous_friction": 1.0, "link_viscous_friction": joint.gear_ratio**2}.get(n, 0)
@@ -53,7 +53,7 @@ def parameters_of(
     yield _parameter("total_viscous_friction", number, joint, (total, spread))
 
 
-def cautions_of(
+def warnings_of(
     values: Mapping[str, float],
     covariance: FloatArray,
     determined: Sequence[bool],
@@ -77,12 +77,12 @@ def cautions_of(
     deviation = _deviations(covariance)
     for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
         place, unit = f"{name} of joint {number}", unit_of(name, joint)
-        told = _is_told(name, value, std, known)
+        identified = _is_identified(name, value, std, known)
         size = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
-        if value + 2.0 * np.nan_to_num(std) < 0.0 and (told or name not in _SPLIT):
+        if value + 2.0 * np.nan_to_num(std) < 0.0 and (identified or name not in _SPLIT):
             text = f"{size} is impossible: {source} show something that"
             yield Diagnostic("implausible", place, text + " this joint's model has not")
-        elif not told:
+        elif not identified:
             text = f"{source} identify it only to {size}"
             if name.endswith("viscous_friction"):
                 text += "; of the viscous frictions only the total is well known"
@@ -96,7 +96,7 @@ def cautions_of(
 def status_of(
     warnings: Iterable[Diagnostic],
 ) -> Literal["determined", "partly-determined", "implausible"]:
-    """The verdict on a joint's parameters that their cautions make.
+    """The verdict on a joint's parameters that their warnings make.
 
     Parameters
     ----------
@@ -112,11 +112,13 @@ def status_of(
     return "partly-determined" if "not-identifiable" in codes else "determined"
 
 
-def _parameter(name: str, number: int, joint: Joint, told: tuple[float, float] | None) -> Parameter:
+def _parameter(
+    name: str, number: int, joint: Joint, identified: tuple[float, float] | None
+) -> Parameter:
     unit = unit_of(name, joint)
-    if told is None:
+    if identified is None:
         return Parameter(name, number, None, None, unit, "decoupled")
-    value, std = told
+    value, std = identified
     if not np.isfinite(std):
         return Parameter(name, number, value, None, unit, "decoupled")
     return Parameter(
@@ -128,8 +130,8 @@ def _deviations(covariance: FloatArray) -> list[float]:
     return [float(d) for d in np.sqrt(np.clip(np.diag(covariance), 0.0, None))]
 
 
-def _is_told(name: str, value: float, std: float, determined: bool) -> bool:
+def _is_identified(name: str, value: float, std: float, determined: bool) -> bool:
     """Only the sum of the viscous frictions shows in fast records; their split hardly does."""
-    if name in _SPLIT and not std <= _TOLD * abs(value):
+    if name in _SPLIT and not std <= _IDENTIFIED * abs(value):
         return False
     return determined

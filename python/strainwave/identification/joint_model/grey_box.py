@@ -57,16 +57,16 @@ _BANDS = 6  # rounds in which the band may move
 _SAME_BAND = 0.05
 # samples of a record in which its band is looked for; records as long as this are searched whole
 _SEARCHED = 1 << 16
-_OTHER_BAND = 1.3  # factor by which band edges are moved to see what the model leaves out
+_OTHER_BAND = 1.3  # factor by which band edges are moved to see the residuals out
 _ROUNDS = 8  # of weights and linearisation at one band, at most
 # of a deviation, by which a round still moves the unknowns: in an answer, and where all that is
 # looked for is the next band, whose edges need no more than percents
-_SETTLED, _ROUGHLY = 0.05, 10.0
+_SETTLED, _COARSELY = 0.05, 10.0
 _NEARLY = 0.5  # the same where the answer serves to see how much the band matters
 _ROWS_PER_HZ = 4.0
 _BLOCKS = 20
 _KNOTS = 8.0  # of free friction, in periods of the upper edge
-_SUREST = 1e-6  # relative deviation of what the rigid model tells, at least: weights stay finite
+_SUREST = 1e-6  # relative deviation of what the rigid model gives, at least: weights stay finite
 _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
 # the same where the velocity's sign is taken at its word, to see what hangs on that: a tenth
 _TAKEN = 0.058
@@ -119,7 +119,7 @@ class GreyBoxFit:
     determined: tuple[bool, ...]  # (7,)
     band_hz: tuple[float, float]
     torque_fit_percent: float  # of (S6)
-    twist_fit_percent: float  # of (S7)
+    torsion_fit_percent: float  # of (S7)
     condition_number: float
     n_rows: int
 
@@ -232,7 +232,7 @@ def _found(
     band = _possible(*search_from_hz, records)
     equations = _equations(records, arm, known, band)
     for _ in range(_BANDS - 1):
-        equations = _settled(equations, known, _ROUGHLY)
+        equations = _settled(equations, known, _COARSELY)
         better = _band_around(_joint_of(equations), records, band)
         if same_band(band, better, _SAME_BAND):
             break
@@ -256,7 +256,7 @@ def _found_in_part(
         return None
     middle = [(_middle(signals), _middle(joint)) for signals, joint in records]
     band, near = _found(middle, arm, known, search_from_hz)
-    equations = _settled(_equations(records, arm, known, band, near), known, _ROUGHLY)
+    equations = _settled(_equations(records, arm, known, band, near), known, _COARSELY)
     better = _band_around(_joint_of(equations), records, band)
     return (band, equations) if same_band(band, better, _SAME_BAND) else None
 
@@ -549,7 +549,7 @@ def _result(weighted: _Weighted, known: RigidKnowledge, band: tuple[float, float
     equations, x = weighted.equations, weighted.x
     factor = ls.factorise(equations, weighted.root)
     covariance, _ = ls.jackknife(equations, factor)
-    told = ls.determined(equations, factor, covariance)
+    identified = ls.determined(equations, factor, covariance)
     # tau came from the rigid model, whose errors no row of the data shows
     errors = _rigid_errors(weighted, factor, known)
     covariance = covariance + errors @ errors.T
@@ -565,10 +565,10 @@ def _result(weighted: _Weighted, known: RigidKnowledge, band: tuple[float, float
         joint=_joint_of(weighted),
         coulomb_friction=float(x[_COULOMB]),
         covariance=J @ covariance @ J.T,
-        determined=tuple(bool(told[k]) for k in order),
+        determined=tuple(bool(identified[k]) for k in order),
         band_hz=band,
         torque_fit_percent=float(fits[0]),
-        twist_fit_percent=float(fits[1]),
+        torsion_fit_percent=float(fits[1]),
         condition_number=factor.condition_number,
         n_rows=int(np.count_nonzero(equations.group != ls.KNOWN)),
     )

@@ -53,8 +53,8 @@ _RAISED = 0.75  # of the new rate, up to which inputs are raised: sinc^2 is then
 _BELOW_NYQUIST = 0.8  # of the new Nyquist frequency, as in MATLAB's `decimate`
 _SHORTEST = 10.0  # periods of that low-pass in one of the slowest motion, at least
 PHYSICAL_ORDER = 3  # torsion and two velocities: a common turn of both sides is not seen in them
-_TELLING = 2000  # samples that choose an order: a hundred for each parameter of three states
-_OTHER_BAND = 1.2  # factor by which band edges are moved to see what the model leaves out
+_INFORMATIVE = 2000  # samples that choose an order: a hundred for each parameter of three states
+_OTHER_BAND = 1.2  # factor by which band edges are moved to see the residuals out
 
 
 def state_space_of(
@@ -400,7 +400,7 @@ def _pieces(
 
     for start, stop in _stretches(record):
         edge = int(1.0 / (low * T))
-        # the high-pass answers over one period; what is left must tell something
+        # the high-pass answers over one period; the rest must say something
         if (stop - start) * T * low < _SLOWEST - 1e-6:
             continue
         inputs = by_spectrum(record.inputs[start:stop, :n_in], raised, T, 3.0 / low)
@@ -487,7 +487,7 @@ def _reduced(records: Sequence[Decoupled], order: int) -> Diagnostic:
 
 def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
     """By `select_order`, on no more samples than an order needs to show."""
-    left, taken = _TELLING, []
+    left, taken = _INFORMATIVE, []
     for piece in data:
         if left > 0:
             taken.append(piece.window(0, min(left, len(piece.inputs))))

@@ -61,8 +61,8 @@ def _parts(arm: Arm, joint: int) -> tuple[_Sum, _Sum, _Sum]:
 def _weight(model: RigidModel, part: _Sum) -> FloatArray | None:
     """Of each parameter; None where one is not known."""
     weight = np.array([part.get((p.name, p.joint), 0.0) for p in model.parameters])
-    told = np.array([p.value is not None for p in model.parameters])
-    if np.count_nonzero(weight) != len(part) or not told[weight != 0.0].all():
+    identified = np.array([p.value is not None for p in model.parameters])
+    if np.count_nonzero(weight) != len(part) or not identified[weight != 0.0].all():
         return None
     return weight
 

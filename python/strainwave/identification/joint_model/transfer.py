@@ -31,7 +31,7 @@ from strainwave.dynamics.two_inertia import (
     state_space,
 )
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.joint_model.estimates import cautions_of, parameters_of, status_of
+from strainwave.identification.joint_model.estimates import parameters_of, status_of, warnings_of
 from strainwave.identification.joint_model.grey_box import RigidKnowledge
 from strainwave.identification.joint_model.linear import (
     band_around,
@@ -43,7 +43,7 @@ from strainwave.identification.joint_model.linear import (
 from strainwave.numerics.filters import by_spectrum
 from strainwave.statespace import nearest, poles_and_zeros, propagate, to_continuous
 
-_TOLD = 1.0  # relative deviation beyond which even the sign is a guess
+_IDENTIFIED = 1.0  # relative deviation beyond which even the sign is a guess
 _SLOW = 0.1  # of the anti-resonance: (18) asks for c_0/c_1 far below
 _HEAVIER = 0.1  # relative difference of c_1 to the model's own that is worth a word
 _RECIPROCAL = 70.0  # per cent; noise leaves above 90 on good records
@@ -116,7 +116,9 @@ def from_state_space(
     covariance = J @ sources @ J.T
     values = dict(zip(NAMES, found.vector.tolist(), strict=True))
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    told = tuple(not d > _TOLD * abs(v) for d, v in zip(deviation, found.vector, strict=True))
+    identified = tuple(
+        not d > _IDENTIFIED * abs(v) for d, v in zip(deviation, found.vector, strict=True)
+    )
     ring = np.sqrt(np.clip(np.diag(scatter)[6:], 0.0, None))
     modes = [_mode(nominal.zero, ring[:2]), _mode(nominal.pole, ring[2:])]
     band = band_around(modes[0].frequency_hz, modes[1].frequency_hz, joint_records)
@@ -124,8 +126,8 @@ def from_state_space(
     reciprocity = _reciprocity(model, modes[0].frequency_hz, modes[1].frequency_hz)
     if reciprocity is not None:
         fit["reciprocity"] = reciprocity
-    said = values, covariance, told, joint, number
-    warnings = (*cautions_of(*said, where), *_doubts(nominal, lag, reciprocity, where))
+    said = values, covariance, identified, joint, number
+    warnings = (*warnings_of(*said, where), *_doubts(nominal, lag, reciprocity, where))
     return JointModel(
         joint=number,
         experiments=names,

@@ -34,7 +34,7 @@ from strainwave.identification.rigid.equations import (
     Stretch,
     anti_resonances,
     assemble,
-    carried,
+    carried_over,
     decimation,
     estimate_of,
     halfway,
@@ -247,7 +247,9 @@ def _search(motions: Sequence[_Motion], arm: Arm) -> list[_Trial]:
         if len(limits) > 1 and bandwidth > max(limits):  # one trial alone may mistake its band
             break
         stretches = _prepared(arm, motions, bandwidth)
-        around = carried(trials[-1].estimate, trials[-1].stretches, stretches) if trials else None
+        around = (
+            carried_over(trials[-1].estimate, trials[-1].stretches, stretches) if trials else None
+        )
         trial = _trial(arm, stretches, around)
         trials.append(trial)
         gained = bool(np.any(trial.spread < least - _GAIN))
@@ -333,7 +335,7 @@ def _trial(
         root = ls.root_weights(equations, factor)
         equations = assemble(arm, stretches, around, loads)
     covariance, compliance_variance = ls.jackknife(equations, factor)
-    told = ls.determined(equations, factor, covariance) & _tells_friction(arm, stretches)
+    identified = ls.determined(equations, factor, covariance) & _shows_friction(arm, stretches)
     deviation = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None
     return _Trial(
@@ -343,17 +345,17 @@ def _trial(
         equations=equations,
         factor=factor,
         covariance=covariance,
-        determined=told,
-        last_move=float(np.max((moved / deviation)[told], initial=0.0)),
+        determined=identified,
+        last_move=float(np.max((moved / deviation)[identified], initial=0.0)),
     )
 
 
-def _tells_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
+def _shows_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
     """False for Coulomb friction and offset of a joint that never slides both ways.
 
-    What little its edges seem to tell of them is the prior on friction at rest, not data.
+    What little its edges seem to say of them is the prior on friction at standstill, not data.
     """
-    told = np.ones(len(arm.rigid_columns), dtype=bool)
+    identified = np.ones(len(arm.rigid_columns), dtype=bool)
     for k, column in enumerate(arm.rigid_columns):
         if column.joint is not None and column.name in (
             "motor_coulomb_friction",
@@ -364,8 +366,8 @@ def _tells_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
                 for s in stretches
                 for sign in np.unique(s.signals.direction[:, column.joint - 1])
             }
-            told[k] = {-1.0, 1.0} <= ways
-    return told
+            identified[k] = {-1.0, 1.0} <= ways
+    return identified
 
 
 def _elastic_remainder(arm: Arm, best: _Trial) -> FloatArray:
@@ -403,8 +405,8 @@ def _choose(trials: Sequence[_Trial], arm: Arm) -> _Trial:
     """
     spread = np.array([trial.spread for trial in trials])
     least = spread.min(axis=0)
-    told = np.isfinite(least)
-    regret = np.max(spread[:, told] - least[told], axis=1, initial=0.0)
+    identified = np.isfinite(least)
+    regret = np.max(spread[:, identified] - least[identified], axis=1, initial=0.0)
     if all(joint.spring == "rigid" for joint in arm.joints):
         return trials[int(np.argmin(regret))]
     return trials[int(np.argmax(regret <= regret.min() + _GAIN))]
@@ -439,9 +441,9 @@ def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
 def _model(
     arm: Arm, best: _Trial, covariance: FloatArray, shares: tuple[Parameter, ...]
 ) -> RigidModel:
-    """The record of a fit: what was not told becomes None."""
+    """The record of a fit: what was not identified becomes None."""
     columns = arm.rigid_columns
-    told = best.determined
+    identified = best.determined
     deviation = np.sqrt(np.diag(covariance))
     n_blocks = len(np.unique(best.equations.block))
     reach = _student(n_blocks - 1)
@@ -452,17 +454,17 @@ def _model(
             Parameter(
                 name=column.name,
                 joint=column.joint,
-                value=value if told[k] else None,
-                std=std if told[k] else None,
+                value=value if identified[k] else None,
+                std=std if identified[k] else None,
                 unit=column.unit,
                 stage="rigid",
-                ci95=(value - reach * std, value + reach * std) if told[k] else None,
+                ci95=(value - reach * std, value + reach * std) if identified[k] else None,
             )
         )
     status: Literal["determined", "partly-determined", "not-identifiable"] = "not-identifiable"
-    if told.any():
-        status = "determined" if told.all() else "partly-determined"
-    unknown = np.where(told, 1.0, np.nan)
+    if identified.any():
+        status = "determined" if identified.all() else "partly-determined"
+    unknown = np.where(identified, 1.0, np.nan)
     return RigidModel(
         parameters=tuple(parameters),
         solution=best.estimate.solution,
@@ -497,7 +499,7 @@ def _fits(
 
 
 def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
-    """What the reader must know: unknowns not told, motors that stand, motion too fast."""
+    """What the reader must know: unknowns not identified, motors that stand, motion too fast."""
     columns = arm.rigid_columns
     names = ", ".join(s.signals.experiment.name for s in best.stretches)
     for k, column in enumerate(columns):
@@ -537,7 +539,7 @@ def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
 
 
 def _why(arm: Arm, best: _Trial, unknown: int) -> str:
-    """Why one parameter could not be told, and what to record."""
+    """Why one parameter could not be identified, and what to record."""
     columns = arm.rigid_columns
     column = columns[unknown]
     joint = column.joint

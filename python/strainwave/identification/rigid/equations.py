@@ -189,7 +189,9 @@ def _impulse_response(cutoff_hz: float, sample_time: float) -> FloatArray:
     return low_pass(impulse, cutoff_hz, sample_time)
 
 
-def carried(estimate: Estimate, before: Sequence[Stretch], after: Sequence[Stretch]) -> Estimate:
+def carried_over(
+    estimate: Estimate, before: Sequence[Stretch], after: Sequence[Stretch]
+) -> Estimate:
     """An estimate at one bandwidth as the point to start from at another.
 
     Parameters
@@ -508,12 +510,12 @@ def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray
     )
     angle = signals.motor_angle[:: max(1, len(signals.time) // 200)] * n
     still = np.zeros_like(angle)
-    at_rest = arm.rigid_regressor(angle, still, still)
+    at_standstill = arm.rigid_regressor(angle, still, still)
     power = np.zeros(len(arm.rigid_columns))
     for j in range(arm.n_joints):
         noisy = still.copy()
         noisy[:, j] = n[j] * second[j]
-        phi = arm.rigid_regressor(angle, still, noisy) - at_rest
+        phi = arm.rigid_regressor(angle, still, noisy) - at_standstill
         power[: arm.n_body] += np.mean(phi**2, axis=(0, 1))
         power[arm.n_body + FRICTION_COLUMNS * j] = first[j] ** 2 / arm.n_joints
     return np.asarray(np.sqrt(power))

@@ -67,8 +67,8 @@ def torque_ratio(
             return None
         if abs(step) < _SETTLED:
             variance = float(ls.jackknife(scaled, factor)[1][-1])
-            told = variance < _VAGUE**2 * ratio**2
-            return TorqueRatio(ratio * (1.0 + step), variance) if told else None
+            identified = variance < _VAGUE**2 * ratio**2
+            return TorqueRatio(ratio * (1.0 + step), variance) if identified else None
         ratio *= float(np.clip(1.0 + step, 1.0 / _LARGEST_STEP, _LARGEST_STEP))
         root = ls.root_weights(scaled, factor)
     return None

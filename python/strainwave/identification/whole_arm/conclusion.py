@@ -38,7 +38,7 @@ from strainwave.identification.whole_arm.sensors import (
 )
 from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import side_by_side
-from strainwave.signals.recorded_input import missing_for_replay
+from strainwave.signals.recorded_input import missing_recorded_input
 
 
 def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
@@ -59,8 +59,8 @@ def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
     first = start.coarse.space.values(start.initial)
     at_once = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
     values = at_once | fit.objective.space.values(fit.z)
-    carried = gear_torque_samples(fit.objective.records, values)
-    largest = largest_of(carried).tolist()
+    gear_loads = gear_torque_samples(fit.objective.records, values)
+    largest = largest_of(gear_loads).tolist()
     parameters, covariance = parameters_of(fit, arm, largest)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
@@ -73,7 +73,7 @@ def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
     repeated = [
         log
         for log in start.logs
-        if log.experiment.use == "tuning" and missing_for_replay(arm, log) is None
+        if log.experiment.use == "tuning" and missing_recorded_input(arm, log) is None
     ]
     ends = (values, first)
     repeats = side_by_side(
@@ -101,7 +101,7 @@ def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
             *effect_warnings(criticism.score_tests, arm),
         ),
         criticism=criticism,
-        carried=histograms_of(carried),
+        gear_loads=histograms_of(gear_loads),
         at_bounds=ended,
         differences=differences,
         agreement=agreement,

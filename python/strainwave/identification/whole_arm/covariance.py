@@ -42,13 +42,13 @@ from strainwave.numerics.parallel import side_by_side
 LEAST_SHARE = 1e-3
 """Of the local variance: what no record identifies shows no errors either."""
 
-_NOTHING = 1e-30  # information of what no record tells of
+_NOTHING = 1e-30  # information of what no record shows
 _LEAST_KEPT = 1e-6  # of a variance that is left in the prior's residuals
 _UNSURE = 0.2  # share of a variance by which the noise behind it may be misjudged
 _FEWEST = 3  # records that can scatter
 _NORMAL = 1.96  # deviations of 95 %
-_LEAST_LEFT = 1e-3  # of a gradient where one record alone tells a parameter
-_VAGUE = 0.1  # relative deviation from which a parameter is hardly told
+_LEAST_LEFT = 1e-3  # of a gradient where one record alone identifies a parameter
+_VAGUE = 0.1  # relative deviation from which a parameter is hardly identified
 _SURER = 5.0  # times, that a sum must be surer than its parts to be named
 _TAKES_PART = 0.2  # share of the largest component from which a parameter takes part
 
@@ -108,12 +108,12 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     unbread = inverse_information(bread)
     blocks = np.concatenate([record.gradients for record in records])
     n = len(blocks)
-    loud = n / (n - 1.0) * blocks.T @ blocks
+    high_variance = n / (n - 1.0) * blocks.T @ blocks
     left = prior.rows @ space.parameters(z) - prior.target
-    larger = _contradicted(prior.errors, left, rows @ unbread, rows, loud)
-    told = larger * rows.T @ prior.errors @ rows
-    sandwich = unbread @ (loud + told) @ unbread
-    steady = unbread @ sum((record.steady for record in records), told) @ unbread
+    larger = _contradicted(prior.errors, left, rows @ unbread, rows, high_variance)
+    from_prior = larger * rows.T @ prior.errors @ rows
+    sandwich = unbread @ (high_variance + from_prior) @ unbread
+    steady = unbread @ sum((record.steady for record in records), from_prior) @ unbread
     steady = steady + LEAST_SHARE * inverse
     scatter, pooled = _scatter(bread, known, records)
     local, sandwich, steady, scatter = (
@@ -132,7 +132,8 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     raised = np.sqrt(np.divide(variance, steadied, out=ones, where=steadied > 0.0))
     by_errors = sum((record.steady for record in records), np.zeros_like(known))
     expected = tuple(
-        residual_covariance(prior.errors, rows @ unbread, rows, meat) for meat in (loud, by_errors)
+        residual_covariance(prior.errors, rows @ unbread, rows, meat)
+        for meat in (high_variance, by_errors)
     )
     return Confidence(
         steady * np.outer(raised, raised),
@@ -235,7 +236,7 @@ def gradient_covariance(columns: FloatArray, autocovariance: FloatArray) -> Floa
 def _autocovariance(residual: FloatArray, noise: float) -> FloatArray:
     """Of the loss's slope: (n_rows,). Errors count as no smaller than the sensor's noise.
 
-    That of a motor at rest is more than what they show.
+    That of a motor at standstill is more than what they show.
     """
     n, size, least = len(residual), float(np.var(residual)), noise**2
     if size == 0.0:
@@ -306,7 +307,7 @@ def _scatter(
     information and P the record's own: of a gradient's variance A a share I - A is left. It is
     raised by (I - A)^(-1/2), after which a right model makes the scatter the local covariance
     (Bell and McCaffrey, 2002). A jackknife raises it by (I - A)^-1, which for a parameter that one
-    record alone tells is beyond all bounds. The average excess is the mean square of the raised
+    record identifies is beyond all bounds. The average excess is the mean square of the raised
     gradients over all records and directions, beside what is expected; never less than one. The
     prior counts as it does in the local covariance, beside which the scatter is set.
     """

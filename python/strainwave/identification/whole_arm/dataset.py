@@ -100,7 +100,7 @@ class Dataset:
         return tuple((name, i) for name in INITIAL for i in range(1, self.arm.n_joints + 1))
 
     def start(self) -> FloatArray:
-        """A first guess of the unknown initial states, (n_local,): gears untwisted."""
+        """A first guess of the unknown initial states, (n_local,): gears unloaded."""
         if not self.moving:
             return np.zeros(0)
         n, T = self.arm.n_joints, self.log.sample_time

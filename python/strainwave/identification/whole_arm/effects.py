@@ -28,7 +28,7 @@ _STRIBECK_SHARE = 0.2  # of Coulomb's friction, to start from
 STRIBECK_VELOCITY = 3.0
 """[rad/s] at the motor, to start from."""
 _HYSTERESIS_SHARE = 0.02  # of the largest gear torque
-HYSTERESIS_TWIST = 1.5e-4
+HYSTERESIS_TORSION = 1.5e-4
 """[rad] to start from."""
 _KINEMATIC_ERROR = 1e-4  # [rad] that count as much as a factor e elsewhere
 
@@ -87,7 +87,7 @@ def with_effects(
     for number, effect in named_effects(arm):
         sizes = {
             "stribeck": (_STRIBECK_SHARE * values[COULOMB, number], STRIBECK_VELOCITY),
-            "hysteresis": (_HYSTERESIS_SHARE * largest_torque[number - 1], HYSTERESIS_TWIST),
+            "hysteresis": (_HYSTERESIS_SHARE * largest_torque[number - 1], HYSTERESIS_TORSION),
             "kinematic-error": (0.0, 0.0),
         }[effect]
         starts |= {

@@ -28,7 +28,7 @@ from strainwave.identification.whole_arm.parametrisation import (
 
 _BENDS = 0.01  # share by which two slopes differ at least
 _EVIDENT = 3.0  # and deviations
-_TOLD = 0.3  # relative deviation up to which a parameter is worth printing
+_IDENTIFIED = 0.3  # relative deviation up to which a parameter is worth printing
 _OFF = 1e-6  # by which a mounting's unknowns are varied for slopes
 _REACH = 1.96  # of a 95 % interval, in deviations
 
@@ -69,8 +69,8 @@ def parameters_of(
     keys = space.keys
     names = list(keys)
     units = [unknown.unit for unknown in space.unknowns]
-    told = _curves_told(fit, fit.confidence.combined, largest_torque)
-    weight = [combination(keys, {told.get(key) or key: 1.0}) for key in keys]
+    identified = _identified_curves(fit, fit.confidence.combined, largest_torque)
+    weight = [combination(keys, {identified.get(key) or key: 1.0}) for key in keys]
     held = [0.0] * len(keys)
     for number, joint in enumerate(arm.joints, start=1):
         derived = {"total_viscous_friction": total_viscous(arm, number)}
@@ -95,7 +95,7 @@ def parameters_of(
         values = np.concatenate([values, mounted.values])
     covariance = W @ fit.confidence.combined @ W.T
     deviation = np.sqrt(np.diag(covariance))
-    deviation[[told.get(name, name) is None for name in names]] = np.inf
+    deviation[[identified.get(name, name) is None for name in names]] = np.inf
     found = tuple(
         _parameter(name, joint, unit, float(value), float(std))
         for (name, joint), unit, value, std in zip(names, units, values, deviation, strict=True)
@@ -153,19 +153,19 @@ def mountings_of(fit: Fit) -> Mountings:
     return found
 
 
-def _curves_told(
+def _identified_curves(
     fit: Fit, covariance: FloatArray, largest_torque: Sequence[float]
 ) -> dict[Key, Key | None]:
     """For each slope and knee the unknown that holds it, or None where no record reaches it.
 
     A knee between two slopes that are one, or beyond the largest torque, is none: what lies behind
-    it moves up, and the last of its kind is not told. Of two slopes that are one the better known
-    stands for both.
+    it moves up, and the last of its kind is not identified. Of two slopes that are one the better
+    known stands for both.
     """
     space = fit.objective.space
     at = {key: k for k, key in enumerate(space.keys)}
     values = space.parameters(fit.z)
-    told: dict[Key, Key | None] = {}
+    identified: dict[Key, Key | None] = {}
     for joint, largest in enumerate(largest_torque, start=1):
         if (CURVE[0], joint) not in at:
             continue
@@ -185,12 +185,12 @@ def _curves_told(
                 slopes[-1] = (name, joint)
         for names, found in ((CURVE, slopes), (KNEES, knees)):
             for k, name in enumerate(names):
-                told[name, joint] = found[k] if k < len(found) else None
-    return told
+                identified[name, joint] = found[k] if k < len(found) else None
+    return identified
 
 
 def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
-    vague = name in (*VISCOUS, *CURVE, *KNEES) and std > _TOLD * abs(value)
+    vague = name in (*VISCOUS, *CURVE, *KNEES) and std > _IDENTIFIED * abs(value)
     if vague or not np.isfinite(std):
         return Parameter(name, joint, None, None, unit, "tuned")
     reach = _REACH * std
@@ -228,12 +228,12 @@ def warnings_of(
             text += " the link"
             yield Diagnostic("not-reached", str(unknown), text)
             continue
-        told = (
+        said = (
             f"the records identify it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
         )
         if unknown.name in VISCOUS:
-            told += "; of the viscous frictions only the total is well known"
-        yield Diagnostic("not-identifiable", str(unknown), told)
+            said += "; of the viscous frictions only the total is well known"
+        yield Diagnostic("not-identifiable", str(unknown), said)
     for unknown, value in zip(space.unknowns, values, strict=True):
         if unknown.name == SETTLING:
             text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"

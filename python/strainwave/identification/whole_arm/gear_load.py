@@ -49,29 +49,29 @@ def gear_torque_samples(
         Moduli.
     """
 
-    def carried(record: Dataset) -> FloatArray:
+    def of_record(record: Dataset) -> FloatArray:
         return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
 
-    return side_by_side([partial(carried, r) for r in records])
+    return side_by_side([partial(of_record, r) for r in records])
 
 
-def largest_of(carried: Sequence[FloatArray]) -> FloatArray:
+def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:
     """The largest of each gear, but for one sample in a thousand of a record: (n_joints,) [N m]."""
-    return np.asarray(np.max([np.quantile(torque, 0.999, axis=0) for torque in carried], axis=0))
+    return np.asarray(np.max([np.quantile(torque, 0.999, axis=0) for torque in gear_loads], axis=0))
 
 
-def histograms_of(carried: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
+def histograms_of(gear_loads: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
     """How often each gear carries which torque, over all records.
 
     Parameters
     ----------
-    carried : sequence of (n_samples, n_joints) [N m]
+    gear_loads : sequence of (n_samples, n_joints) [N m]
 
     Returns
     -------
     tuple of TorqueHistogram
     """
-    together = np.concatenate(carried)
+    together = np.concatenate(gear_loads)
     found = []
     for joint, torque in enumerate(together.T, start=1):
         count, edges = np.histogram(torque, bins=_BINS, range=(0.0, float(torque.max())))

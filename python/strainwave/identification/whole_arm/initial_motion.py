@@ -1,8 +1,8 @@
 """Records that begin in motion, though their motors seem to stand: found by what it explains.
 
-A motor that turns back has no velocity: its angle begins like one from rest, while gears are
-under torque and the links move. Beside a fit the two are far apart: an arm from rest never gets
-near such a record, one that may begin as it likes does.
+A motor that turns back has no velocity: its angle begins like one from standstill, while gears are
+under torque and the links move. Beside a fit the two are far apart: an arm from standstill never
+gets near such a record, one that may begin as it likes does.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
 
 
 def in_motion(objective: Objective, z: FloatArray) -> Objective:
-    """The same with those records in motion at first that an arm from rest fits far worse.
+    """The same with those records in motion at first that an arm from standstill fits far worse.
 
     Parameters
     ----------
@@ -56,13 +56,13 @@ def in_motion(objective: Objective, z: FloatArray) -> Objective:
     Objective
         The very same where there is none.
     """
-    at_rest = [k for k, record in enumerate(objective.records) if not record.moving]
+    at_standstill = [k for k, record in enumerate(objective.records) if not record.moving]
     rows = objective.rows(z)
-    costs = [rows[k].cost(objective.weights[k]) for k in at_rest]
+    costs = [rows[k].cost(objective.weights[k]) for k in at_standstill]
     owns = side_by_side(
-        [partial(_evident, objective, z, *each) for each in zip(at_rest, costs, strict=True)]
+        [partial(_evident, objective, z, *each) for each in zip(at_standstill, costs, strict=True)]
     )
-    for k, own in zip(at_rest, owns, strict=True):
+    for k, own in zip(at_standstill, owns, strict=True):
         objective = objective if own is None else objective.in_motion(k, own)
     return objective
 

@@ -391,17 +391,17 @@ def unit_of_arm(name: str) -> str:
 
 def _prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float) -> Prior:
     """The rigid model's parameters as combinations of the unknowns, divided by their errors."""
-    told = [
+    identified = [
         k
         for k, p in enumerate(model.parameters if model is not None else ())
         if p.value is not None and np.isfinite(model.covariance[k, k] if model else np.nan)
     ]
-    if model is None or not told:
+    if model is None or not identified:
         return Prior(np.zeros((0, len(keys))), np.zeros(0), np.zeros((0, 0)))
-    names = [(model.parameters[k].name, model.parameters[k].joint) for k in told]
+    names = [(model.parameters[k].name, model.parameters[k].joint) for k in identified]
     rows = np.array([combination(keys, _parts(name, arm)) for name in names])
-    mean = model.solution[told]
-    covariance = model.covariance[np.ix_(told, told)]
+    mean = model.solution[identified]
+    covariance = model.covariance[np.ix_(identified, identified)]
     factor = np.asarray(np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2)))
     errors = np.linalg.solve(factor, np.linalg.solve(factor, covariance).T)
     white = np.asarray(np.linalg.solve(factor, rows))

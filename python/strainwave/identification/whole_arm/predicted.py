@@ -83,10 +83,10 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
     records = [dataset_of(log, arm, cutoff) for log in used]
     parts = side_by_side([partial(_evidence, record, values, keys, scale) for record in records])
     prior = np.array(list(_rigid_rows(arm, keys, values))) * scale
-    told = prior.T @ prior
-    information = sum((own for own, _ in parts), told)
+    from_prior = prior.T @ prior
+    information = sum((own for own, _ in parts), from_prior)
     inverse = inverse_information(information)
-    errors = sum((own for _, own in parts), told)
+    errors = sum((own for _, own in parts), from_prior)
     covariance = inverse @ errors @ inverse + LEAST_SHARE * inverse
     return tuple(_parameters(arm, keys, values, covariance * np.outer(scale, scale)))
 
@@ -136,13 +136,13 @@ def _evidence(
 
 def _rigid_rows(arm: Arm, keys: Sequence[Key], values: Mapping[Key, float]) -> Iterator[FloatArray]:
     """What the rigid step knows, in its deviations: (n_unknowns,) each."""
-    told: list[Mapping[Key, float]] = list(rigid_inertia(arm).values())
-    told += [{key: 1.0} for key in keys if key[1] is None and key[0] != "alpha"]
+    known_rows: list[Mapping[Key, float]] = list(rigid_inertia(arm).values())
+    known_rows += [{key: 1.0} for key in keys if key[1] is None and key[0] != "alpha"]
     for number in range(1, arm.n_joints + 1):
-        told += [total_viscous(arm, number), {(COULOMB, number): 1.0}]
+        known_rows += [total_viscous(arm, number), {(COULOMB, number): 1.0}]
         if number > 1:
-            told.append({("motor_inertia", number): 1.0})
-    for parts in told:
+            known_rows.append({("motor_inertia", number): 1.0})
+    for parts in known_rows:
         size = abs(sum((weight * values[key] for key, weight in parts.items()), 0.0))
         if size > 0.0:
             yield combination(keys, parts) / (_RIGID * size)

@@ -18,13 +18,13 @@ from strainwave.identification.whole_arm.low_pass import low_pass_kernels
 from strainwave.numerics.filters import noise_deviation
 from strainwave.signals.recorded_input import (
     driven_by_voltage,
-    missing_for_replay,
     missing_motor_signal,
-    replay,
+    missing_recorded_input,
+    recorded_drive,
 )
 
 _STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
-_REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at rest
+_REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at standstill
 _TURN = 0.002  # [s] over which accelerations are seen
 
 
@@ -165,15 +165,15 @@ def _channels(log: Log, arm: Arm) -> Iterator[Channel]:
 
 def _drive(log: Log, arm: Arm, *, closed_loop: bool) -> Drive:
     """The recorded voltages, held from sample to sample, in place of servos and references."""
-    if closed_loop and missing_for_replay(arm, log) is None:
-        return replay(arm, log)
+    if closed_loop and missing_recorded_input(arm, log) is None:
+        return recorded_drive(arm, log)
     return driven_by_voltage(arm, log)[1]
 
 
 def _begins_in_motion(log: Log, arm: Arm) -> bool:
-    """Whether any motor is further on, at some early instant, than it could get from rest.
+    """Whether any motor is further on, at some early instant, than it could get from standstill.
 
-    From rest it gets no further than a t^2 / 2, a its largest acceleration in the whole record.
+    From standstill it gets no further than a t^2 / 2, a its largest acceleration in all.
     """
     T = log.sample_time
     span = max(1, round(_TURN / T))

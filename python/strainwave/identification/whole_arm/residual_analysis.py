@@ -19,7 +19,7 @@ _SEGMENTS = 8  # of a record, half of each in common with the next, over which s
 _LEAST_SEGMENT = 64  # rows
 _BELOW = 0.8  # of the cut-off: the band in which colours are compared
 _DELAYS = 0.1  # [s] by which an input may come before what it explains
-_LOUD = 3.0  # times the sensor's noise from which what is left is worth a word
+_HIGH_VARIANCE = 3.0  # times the sensor's noise from which residuals are worth a word
 _SURELY = 1e-3  # probability below which chance is no explanation
 
 
@@ -191,7 +191,7 @@ def residual_warnings(tests: Sequence[ResidualTest]) -> Iterator[Diagnostic]:
     for name in dict.fromkeys(test.channel for test in tests):
         own = [test for test in tests if test.channel == name and test.noise > 0.0]
         worst = max(own, key=lambda test: test.deviation / test.noise, default=None)
-        if worst is None or worst.deviation < _LOUD * worst.noise:
+        if worst is None or worst.deviation < _HIGH_VARIANCE * worst.noise:
             continue
         text = f"the residuals of {name} are {worst.deviation / worst.noise:.2g} times its sensor's"
         text += f" noise, most near {worst.worst_hz:.3g} Hz"

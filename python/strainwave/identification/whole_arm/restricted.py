@@ -22,7 +22,7 @@ from strainwave.identification.whole_arm.parametrisation import (
     Prior,
     Unknown,
 )
-from strainwave.signals.recorded_input import missing_for_replay
+from strainwave.signals.recorded_input import missing_recorded_input
 
 
 def as_published(options: TuningOptions) -> TuningOptions:
@@ -72,7 +72,7 @@ def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
             'tuning as published needs records with use = "tuning": steps under servo'
         )
     for log in chosen:
-        missing = missing_for_replay(arm, log)
+        missing = missing_recorded_input(arm, log)
         if missing is not None:
             raise InvalidInput(
                 f"tuning as published simulates in closed loop, but {missing}",

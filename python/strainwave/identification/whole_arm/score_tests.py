@@ -16,7 +16,7 @@ from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.effects import (
-    HYSTERESIS_TWIST,
+    HYSTERESIS_TORSION,
     STRIBECK_VELOCITY,
     NamedEffect,
     named_effects,
@@ -33,7 +33,7 @@ _AT_NOTHING = {
     "stribeck_friction": 0.0,
     "stribeck_velocity": STRIBECK_VELOCITY,
     "hysteresis_torque": 0.0,
-    "hysteresis_twist": HYSTERESIS_TWIST,
+    "hysteresis_twist": HYSTERESIS_TORSION,
     "kinematic_error_cos": 0.0,
     "kinematic_error_sin": 0.0,
 }

@@ -222,7 +222,7 @@ def _idle(fit: Fit) -> dict[Key, float]:
         if is_optional(key) and (within or is_bandwidth(key))
     }
     for key in [key for key in apart if _twin(key) in apart]:
-        # a delay and a low-pass that cannot be told apart both stay, and say so
+        # a delay and a low-pass that cannot be separated both stay, and say so
         if apart[key] < _STAYS and apart[_twin(key)] < _STAYS and not _ended(fit, key):
             del apart[key]
     least = min(apart, key=lambda key: apart[key], default=None)

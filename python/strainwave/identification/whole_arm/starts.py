@@ -150,7 +150,7 @@ def _friction(
     values = _mended(joint.values, arm.joints[number - 1].gear_ratio)
     found = {name: values[name] for name in VISCOUS}
     found[OFFSET] = _known(model, OFFSET, number) or 0.0
-    coulomb = _known(model, COULOMB, number)  # not every route to a joint's model tells it
+    coulomb = _known(model, COULOMB, number)  # not every route to a joint's model gives it
     return found | {COULOMB: values.get(COULOMB, 0.0) if coulomb is None else coulomb}
 
 

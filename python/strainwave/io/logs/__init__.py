@@ -94,13 +94,13 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     table, path = _open(study, experiment, data)
     sources = _sources(study, experiment, table, path)
     tracks, warnings = _tracks(table, sources, experiment)
-    time, columns, told = one_clock(tracks, _held(sources, experiment), experiment, path)
+    time, columns, found = one_clock(tracks, _held(sources, experiment), experiment, path)
     channels = {
         name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
         for name, channel in sources.items()
         if name != "t"
     }
-    warnings += told + _constants(channels, study, experiment, path)
+    warnings += found + _constants(channels, study, experiment, path)
     del columns, tracks
     release_readers_memory()
     sample_time = float((time[-1] - time[0]) / (len(time) - 1))

@@ -115,7 +115,7 @@ class Bag:
         with _opened(self.path) as reader:
             found = _collect(reader, topics)
         stamped = {name for name, each in found.items() if all(each.headers)}
-        cautions = self._check_clocks(found, stamped)
+        warnings = self._check_clocks(found, stamped)
         stamps = {
             name: np.array(each.headers if name in stamped else each.recorded, dtype=np.int64)
             for name, each in found.items()
@@ -123,11 +123,11 @@ class Bag:
         zero = min(int(each.min()) for each in stamps.values())
         tracks = []
         for name, each in found.items():
-            tracks += self._split(name, each, stamps[name] - zero, cautions)
-        return tracks, cautions
+            tracks += self._split(name, each, stamps[name] - zero, warnings)
+        return tracks, warnings
 
     def _split(
-        self, topic: str, found: _Found, stamps: IntArray, cautions: list[Diagnostic]
+        self, topic: str, found: _Found, stamps: IntArray, warnings: list[Diagnostic]
     ) -> list[Track]:
         """A topic's columns by the messages that have them, in the order of their stamps."""
         together: dict[tuple[int, ...], list[str]] = {}
@@ -136,9 +136,9 @@ class Bag:
         tracks = []
         for shared, columns in together.items():
             rows = np.array(shared)
-            order, told = _in_order(stamps[rows], topic)
-            if told:
-                cautions.append(Diagnostic("reordered", self.path.name, told))
+            order, said = _in_order(stamps[rows], topic)
+            if said:
+                warnings.append(Diagnostic("reordered", self.path.name, said))
             time = stamps[rows][order] * _NANO
             values = {column: np.array(found.values[column])[order] for column in columns}
             tracks.append(Track(topic, time, values, partial(_message_name, rows[order])))
@@ -299,8 +299,8 @@ def _in_order(stamps: IntArray, topic: str) -> tuple[IntArray, str]:
     late = int(np.count_nonzero(np.diff(stamps) < 0))
     last = np.append(np.diff(stamps[order]) > 0, True)
     doubled = len(stamps) - int(np.count_nonzero(last))
-    told = (
+    said = (
         f"{late} message(s) of {topic} came late and {doubled} had the stamp of another: they were "
         "put in order, and of several with one stamp only the last was taken"
     )
-    return order[last], told if late or doubled else ""
+    return order[last], said if late or doubled else ""

@@ -73,14 +73,14 @@ def one_clock(
     for track in tracks:
         _check_time(track, path)
     windowed = [_window(track, held, experiment, path) for track in tracks]
-    cautions = []
+    warnings = []
     for track in windowed:
         if not set(track.columns) <= set(held):
             _check_gaps(track, path)
     windowed = _overlap(windowed, held, path)
-    grid, ticks, told = _grid(windowed[0].time)
-    if told:
-        cautions.append(Diagnostic("resampled", path.name, told))
+    grid, ticks, found = _grid(windowed[0].time)
+    if found:
+        warnings.append(Diagnostic("resampled", path.name, found))
     columns: dict[str, FloatArray] = {}
     foreign = []
     for track in windowed:
@@ -93,9 +93,9 @@ def one_clock(
             columns |= _cut(track, rows).columns
     others = [track for track in foreign if track is not windowed[0]]
     if others:
-        cautions.append(_told_foreign(windowed[0], others, path))
-        cautions += _told_silence(others, held, grid, path)
-    return grid, columns, cautions
+        warnings.append(_foreign_found(windowed[0], others, path))
+        warnings += _silence_found(others, held, grid, path)
+    return grid, columns, warnings
 
 
 def _check_values(track: Track, inside: slice, path: Path) -> None:
@@ -332,7 +332,7 @@ def _at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
     return np.asarray(PchipInterpolator(track.time, values)(inside))
 
 
-def _told_foreign(clock: Track, others: list[Track], path: Path) -> Diagnostic:
+def _foreign_found(clock: Track, others: list[Track], path: Path) -> Diagnostic:
     def rate(track: Track) -> str:
         return f"{1.0 / np.median(np.diff(track.time)):.4g} Hz" if len(track.time) > 1 else "once"
 
@@ -345,11 +345,11 @@ def _told_foreign(clock: Track, others: list[Track], path: Path) -> Diagnostic:
     return Diagnostic("resampled", path.name, message)
 
 
-def _told_silence(
+def _silence_found(
     tracks: list[Track], held: Collection[str], grid: FloatArray, path: Path
 ) -> list[Diagnostic]:
     """Commands that stop coming: held may be meant, or a node that died."""
-    told = []
+    found = []
     for track in tracks:
         if not set(track.columns) <= set(held):
             continue
@@ -362,5 +362,5 @@ def _told_silence(
                 f"{track.name} sends nothing from {ends[k]:.6g} to {ends[k + 1]:.6g} s: its last "
                 "value is held. Check that this is what the drive did"
             )
-            told.append(Diagnostic("silent-command", path.name, message))
-    return told
+            found.append(Diagnostic("silent-command", path.name, message))
+    return found

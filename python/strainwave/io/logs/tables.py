@@ -259,7 +259,7 @@ def _find_fault(
     skipped: int,
     point: str,
 ) -> None:
-    """Read line by line until the fault shows, and tell it."""
+    """Read line by line until the fault shows, and name it."""
     lines = data.decode("utf-8", errors="replace").splitlines()
     columns = {name: names.index(name) for name in wanted}
     last = len(lines)

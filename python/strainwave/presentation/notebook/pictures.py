@@ -118,7 +118,7 @@ def _(
     input: int = 0,
     band_hz: tuple[float, float] | None = None,
 ) -> Figure:
-    """Where it is told: a point less sure than `_NOISY` would hide the others."""
+    """Where it is known: a point less sure than `_NOISY` would hide the others."""
     f, G = response.frequencies_hz, response.response[:, output, input]
     low, high = band_hz or (0.0, np.inf)
     size, phase = _spread(response, output, input)

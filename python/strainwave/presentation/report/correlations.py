@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Identification, Parameter
 from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, HeatMap, Panel
 
-STRONG = 0.95  # from which two parameters are said to be told only together
+STRONG = 0.95  # from which two parameters are said to be identifiable only together
 _MOST_PAIRS = 8
 # what follows from others goes with them of necessity, and is left out beside them
 _PARTS = {"total_viscous_friction": "motor_viscous_friction", "link_inertia": "beta"}

@@ -12,7 +12,7 @@ from strainwave.presentation.figures import BRIEF, MEASURED, RESIDUAL, Axis, Fig
 from strainwave.presentation.report.blocks import Block, Fold, Plot, Row, Table, number, table
 from strainwave.presentation.report.predictions import unit_of
 
-_CHANCE = 1e-3  # probabilities below are not told apart
+_CHANCE = 1e-3  # probabilities below are not separated
 
 
 def criticised(criticism: Criticism) -> Iterator[Block]:

@@ -74,7 +74,7 @@ def link_rows(identification: Identification) -> list[tuple[str, ...]]:
 
 
 def _delay(delay: Delay | None) -> str:
-    """In milliseconds; nothing where the record does not tell it."""
+    """In milliseconds; nothing where the record does not show it."""
     return "" if delay is None else " ± ".join(plus_minus(1e3 * delay.value, 1e3 * delay.std))
 
 

@@ -39,8 +39,8 @@ class Curve:
     knees: FloatArray  # (n_slopes - 1,) [N m]
     covariance: FloatArray  # of slopes, then knees
     largest: float  # [N m] up to which it is drawn
-    carried: TorqueHistogram | None  # None: not known
-    equivalent: bool = False  # one slope for the whole of a bent curve
+    gear_loads: TorqueHistogram | None  # None: not known
+    equivalent: bool = False  # one slope for the whole of a multi-slope curve
     straight: bool = False  # whether it is a prismatic joint's: N and m, not N m and rad
 
     @property
@@ -70,14 +70,16 @@ def curves(identification: Identification) -> list[Curve]:
     for number, joint in enumerate(identification.study.arm.joints, start=1):
         if joint.spring == "rigid":
             continue
-        carried = next((h for h in (tuned.carried if tuned else ()) if h.joint == number), None)
+        gear_loads = next(
+            (h for h in (tuned.gear_loads if tuned else ()) if h.joint == number), None
+        )
         curve = None
         if tuned is not None:
-            curve = _curve(number, tuned.parameters, tuned.covariance, carried)
+            curve = _curve(number, tuned.parameters, tuned.covariance, gear_loads)
         for own in identification.joints:
             if curve is None and own.joint == number:
                 size = len(own.parameters)
-                curve = _curve(number, own.parameters, own.covariance[:size, :size], carried)
+                curve = _curve(number, own.parameters, own.covariance[:size, :size], gear_loads)
         if curve is not None:
             equivalent = joint.spring == "three-slope" and len(curve.slopes) == 1
             straight = joint.motion == "prismatic"
@@ -109,9 +111,9 @@ def slope_figure(curve: Curve) -> Figure:
         height=1.1,
     )
     panels = [stiffness]
-    if curve.carried is not None:
+    if curve.gear_loads is not None:
         # logarithmic: the rare large torques identify the last slope
-        panels.append(Panel(Axis("records [%]", log=True), (_bars(curve.carried),), height=0.9))
+        panels.append(Panel(Axis("records [%]", log=True), (_bars(curve.gear_loads),), height=0.9))
     axis = Axis(f"|torque| of the gear, at the link [{curve.unit}]")
     return Figure(axis, tuple(panels), _knees(curve, curve.knees, height=0.25))
 
@@ -185,12 +187,12 @@ def words(curve: Curve) -> str:
     text = f"Slope {', then '.join(slopes)} {curve.slope_unit}"
     if count > 1:
         knees = zip(curve.knees, stds[count:], strict=True)
-        told = " and ".join(" ± ".join(plus_minus(*knee)) for knee in knees)
-        text += f", with knees at {told} {curve.unit}"
+        identified = " and ".join(" ± ".join(plus_minus(*knee)) for knee in knees)
+        text += f", with knees at {identified} {curve.unit}"
     text += "."
     if curve.equivalent:
         text += " One stiffness for the whole of a multi-slope curve."
-    if curve.carried is not None:
+    if curve.gear_loads is not None:
         reach = f"{curve.largest:.3g} {curve.unit}"
         text += f" The records load the gear up to {reach}, and nothing is identifiable beyond."
     return text
@@ -200,9 +202,9 @@ def _curve(
     number: int,
     parameters: Sequence[Parameter],
     covariance: FloatArray,
-    carried: TorqueHistogram | None,
+    gear_loads: TorqueHistogram | None,
 ) -> Curve | None:
-    """From parameters in the order of their covariance; None where no slope is told."""
+    """From parameters in the order of their covariance; None where no slope is identified."""
     at = {p.name: k for k, p in enumerate(parameters) if p.joint == number and p.value is not None}
     slopes = [at[name] for name in _SLOPES if name in at] or [
         at[name] for name in ("gear_stiffness",) if name in at
@@ -210,19 +212,19 @@ def _curve(
     if not slopes:
         return None
     knees = [at[name] for name in _KNEES if name in at][: len(slopes) - 1]
-    slopes = slopes[: len(knees) + 1]  # beyond a knee that is not told a slope has no place
+    slopes = slopes[: len(knees) + 1]  # beyond a knee that is not identified a slope has no place
     order = slopes + knees
     values = np.array([parameters[k].value for k in order], dtype=float)
     bends = values[len(slopes) :]
-    largest = float(carried.edges[-1]) if carried is not None else 0.0
-    largest = max(largest, _BEYOND * float(bends.max(initial=0.0)) if carried is None else 0.0)
+    largest = float(gear_loads.edges[-1]) if gear_loads is not None else 0.0
+    largest = max(largest, _BEYOND * float(bends.max(initial=0.0)) if gear_loads is None else 0.0)
     return Curve(
         number,
         values[: len(slopes)],
         bends,
         np.nan_to_num(covariance[np.ix_(order, order)]),
         largest or 1.0,
-        carried,
+        gear_loads,
     )
 
 
@@ -230,11 +232,11 @@ def _stds(curve: Curve) -> FloatArray:
     return np.asarray(np.sqrt(np.clip(np.diag(curve.covariance), 0.0, None)))
 
 
-def _bars(carried: TorqueHistogram) -> Bars:
+def _bars(gear_loads: TorqueHistogram) -> Bars:
     """Share of the samples in each bin."""
-    middle = 0.5 * (carried.edges[1:] + carried.edges[:-1])
-    width = float(np.diff(carried.edges)[0])
-    return Bars(middle, 100.0 * carried.share, width, "torques in the records", MEASURED)
+    middle = 0.5 * (gear_loads.edges[1:] + gear_loads.edges[:-1])
+    width = float(np.diff(gear_loads.edges)[0])
+    return Bars(middle, 100.0 * gear_loads.share, width, "torques in the records", MEASURED)
 
 
 def _knees(curve: Curve, at: FloatArray, height: float = 1.0) -> tuple[Upright, ...]:

@@ -69,8 +69,8 @@ def _share(values: FloatArray, *, rests: bool) -> float:
         return 0.0
     share = 0.0
     for extreme in (low, high):
-        at_rest = rests and abs(extreme - middle) < 0.25 * size
-        if at_rest or abs(extreme) < 1e-9 * size:
+        at_standstill = rests and abs(extreme - middle) < 0.25 * size
+        if at_standstill or abs(extreme) < 1e-9 * size:
             continue
         at = np.abs(values - extreme) <= 1e-9 * size
         if rests and at.sum() < _LONGER * _next_to(values, extreme, 1e-9 * size):

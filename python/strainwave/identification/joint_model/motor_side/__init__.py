@@ -16,7 +16,7 @@ from strainwave.domain import FloatArray, JointModel, LinkSignals, RigidModel
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.joint_model.estimates import cautions_of, parameters_of, status_of
+from strainwave.identification.joint_model.estimates import parameters_of, status_of, warnings_of
 from strainwave.identification.joint_model.motor_side.arms import Family, family_of
 from strainwave.identification.joint_model.motor_side.catalogue import models_from_catalogue
 from strainwave.identification.joint_model.motor_side.search import Found, minima
@@ -26,7 +26,7 @@ from strainwave.numerics.parallel import one_blas_thread
 __all__ = ["models_from_catalogue", "models_from_motors"]
 
 _LINES, _COARSE = 160, 40  # of a piece, for least squares and for the grid
-_TOLD = 0.3  # relative deviation up to which a value is worth printing
+_IDENTIFIED = 0.3  # relative deviation up to which a value is worth printing
 _SPLIT = ("motor_viscous_friction", "link_viscous_friction")
 _DIFFERENCE = 1e-4  # of a coordinate
 
@@ -93,9 +93,11 @@ def _models(
         covariance = _covariance(found, family, i)
         values = dict(zip(NAMES, joint.vector.tolist(), strict=True))
         deviation = np.sqrt(np.diag(covariance))
-        told = [bool(d <= _TOLD * v) for d, v in zip(deviation, values.values(), strict=True)]
-        said = values, covariance, told, arm.joints[i], i + 1
-        warnings = tuple(cautions_of(*said, ", ".join(experiments[i])))
+        identified = [
+            bool(d <= _IDENTIFIED * v) for d, v in zip(deviation, values.values(), strict=True)
+        ]
+        said = values, covariance, identified, arm.joints[i], i + 1
+        warnings = tuple(warnings_of(*said, ", ".join(experiments[i])))
         fit = found.fit_percent[i]
         models.append(
             JointModel(

@@ -204,12 +204,12 @@ def _residual(
 
 def _known(family: Family, point: FloatArray) -> FloatArray:
     """Motor inertias beside those that the rigid model has apart, in units of robust residuals."""
-    told = np.flatnonzero(~np.isnan(family.known_share))
-    if not told.size or family.total_inertia is None:
+    identified = np.flatnonzero(~np.isnan(family.known_share))
+    if not identified.size or family.total_inertia is None:
         return np.zeros(0)
-    motor = family.parts(point)["motor_inertia"][told]
-    aim = family.known_share[told] * family.total_inertia[told]
-    return np.asarray(_ROBUST * np.log(motor / aim) / family.known_deviation[told])
+    motor = family.parts(point)["motor_inertia"][identified]
+    aim = family.known_share[identified] * family.total_inertia[identified]
+    return np.asarray(_ROBUST * np.log(motor / aim) / family.known_deviation[identified])
 
 
 def _polished(
