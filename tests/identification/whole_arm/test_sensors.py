@@ -60,7 +60,7 @@ def test_a_clean_rig_has_no_sensor_constants() -> None:
 
 
 @pytest.mark.parametrize(
-    ("late", "scale", "told"),
+    ("late", "scale", "reported"),
     [
         ((1e-3, 1e-3), (1.0, 1.0), False),
         ((-0.4e-3, 3e-3), (1.0, 1.0), True),
