@@ -11,15 +11,16 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel
+from strainwave.domain.combinations import lumped_inertias
 from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.joint_models import JointModel
+from strainwave.domain.kinds import Key, Row, kind_of
 from strainwave.domain.ranges import PHYSICAL_RANGES, is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity
 from strainwave.domain.study import Study
-
-Key = tuple[str, int | None]
 
 CONTRADICTION = 4.0
 """Standard deviations from which a disagreement of the stages rejects what it touches.
@@ -102,7 +103,7 @@ def decide(
     if tuned is not None:
         _take_tuned(table, tuned, faulty)
     else:
-        _make_consistent(table, study, decided)
+        _make_consistent(table, study.arm, decided)
     _one_spring(table, study, tuned is not None)
     _check_body(table)
     levels = {one.joint: one for one in activity}
@@ -211,29 +212,41 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
             table[key] = replace(entry, rejected=_CONTRADICTED)
 
 
-def _make_consistent(table: _Table, study: Study, decided: Sequence[JointModel]) -> None:
-    """Of two links: beta, alpha and the rigid inertia follow from the joints, (3) and (16).
+def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[JointModel]) -> None:
+    """Inertias of the links, and those that have motors' in them, follow from the joints' models.
 
-    beta = m_L2, alpha = m_L1 - beta - 2 gamma, rigid inertia = alpha + m_M1 / n_1^2. Errors of the
-    stages are correlated in ways that nobody knows: standard deviations are added, an upper bound.
+    Of two links beta = m_L2, alpha = m_L1 - beta - 2 gamma and the rigid inertia, alpha +
+    m_M1 / n_1^2: (3) and (16). Errors of the stages are correlated in ways that nobody knows:
+    standard deviations are added, an upper bound.
     """
-    if study.arm.kind != "planar-two-link":
-        return
-    by_joint = {one.joint: {p.name: p for p in one.parameters} for one in decided}
-    second = by_joint.get(2, {}).get("link_inertia")
-    if second is not None:
-        table["beta", None] = _Entry(replace(second, name="beta", joint=None))
-    first = by_joint.get(1, {})
-    parts = [(1.0, first.get("link_inertia"))]
-    parts += [(-c, _published(table, (name, None))) for c, name in ((1.0, "beta"), (2.0, "gamma"))]
-    alpha = _sum("alpha", None, parts)
-    if alpha is None:
-        return
-    table["alpha", None] = _Entry(alpha)
-    n2 = study.arm.joints[0].gear_ratio ** 2
-    total = _sum("rigid_inertia", 1, [*parts, (1.0 / n2, first.get("motor_inertia"))])
-    if total is not None:
-        table["rigid_inertia", 1] = _Entry(total)
+    of_joints: dict[Key, Parameter] = {
+        (p.name, one.joint): p for one in decided for p in one.parameters
+    }
+
+    def parts(row: Row) -> list[tuple[float, Parameter | None]]:
+        known = ((w, of_joints.get(k) if k[1] else _published(table, k)) for k, w in row.items())
+        return list(known)
+
+    follows: dict[Key, Row] = {}
+    for key, row in kind_of(arm).from_link_inertias:
+        found = _renamed(key, parts(row)) if len(row) == 1 else _sum(*key, parts(row))
+        if found is not None and key not in row:
+            table[key], follows[key] = _Entry(found), row
+    for key, row in lumped_inertias(arm).items():
+        if follows.keys().isdisjoint(row):
+            continue
+        spelt = {
+            k: w * v for part, w in row.items() for k, v in follows.get(part, {part: 1.0}).items()
+        }
+        total = _sum(*key, parts(spelt))
+        if total is not None:
+            table[key] = _Entry(total)
+
+
+def _renamed(key: Key, parts: Sequence[tuple[float, Parameter | None]]) -> Parameter | None:
+    """A parameter under the name that it has of the arm."""
+    (_, own), *_ = parts
+    return None if own is None else replace(own, name=key[0], joint=key[1])
 
 
 def _published(table: _Table, key: Key) -> Parameter | None:

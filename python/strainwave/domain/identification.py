@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 
 from strainwave.display import Displayed
 from strainwave.domain.arm_model import ArmModel, MotorResponse
+from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.domain.final_table import Decision, decide
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.linear_models import FrequencyResponse
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity, LinkSummary
@@ -120,23 +122,21 @@ def verdict_of(found: Identification) -> Verdict:
 def _called_for(found: Identification) -> _Called:
     """Stages that the study needs of those requested, and the primary parameters these answer."""
     study = found.study
-    springs = [joint.spring for joint in study.arm.joints]
-    two = study.arm.kind == "planar-two-link"
+    arm, kind = study.arm, kind_of(study.arm)
+    springs = [joint.spring for joint in arm.joints]
     elastic = [number for number, spring in enumerate(springs, start=1) if spring != "rigid"]
     motion = any(e.use == "motion" for e in study.experiments)
-    alone = not two and study.arm.gravity is None and bool(elastic)
+    alone = is_uncoupled(arm) and bool(elastic)
     fast = bool(elastic) and "decoupled" in found.stages
     stages = ["rigid"] if motion or not (alone and fast) else []
     names: list[str] = []
     if stages:
-        names += ["beta", "gamma", "rigid_inertia 1", "motor_inertia 2"] if two else ["inertia 1"]
-        if study.arm.gravity is not None:
-            names += [f"gravity_torque_{i}" for i in range(1, study.arm.n_joints + 1)]
-    for number, spring in enumerate(springs, start=1):
-        lumped = not two and spring == "rigid"  # motor and link are one, and so is their friction
-        viscous = "motor_viscous_friction" if lumped else "total_viscous_friction"
-        names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
-    whole = "tuned" in found.stages and len(elastic) == study.arm.n_joints
+        names += kind.primary
+        if arm.gravity is not None:
+            names += [f"gravity_torque_{i}" for i in range(1, arm.n_joints + 1)]
+    for number in range(1, arm.n_joints + 1):
+        names += [f"{viscous_friction(arm, number)} {number}", f"motor_coulomb_friction {number}"]
+    whole = "tuned" in found.stages and len(elastic) == arm.n_joints
     excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
     if fast and (excited or not whole):
         stages.append("decoupled")
@@ -147,7 +147,7 @@ def _called_for(found: Identification) -> _Called:
             names += inertias + [f"{name} {number}" for name in _spring_names(curve=curve)]
     if whole:
         stages.append("tuned")
-        names += ["alpha"] if two else []
+        names += kind.primary_of_all
     return _Called(tuple(stages), tuple(dict.fromkeys(names)))
 
 

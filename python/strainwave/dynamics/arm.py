@@ -167,6 +167,27 @@ class Arm(ArmDescription):
         motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
         return self.core.base_regressor(*motion)
 
+    def link_torques(
+        self,
+        base: FloatArray,
+        angle: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+    ) -> FloatArray:
+        """The links' torques, M(q) ddq + c(q, dq) + g(q).
+
+        Parameters
+        ----------
+        base : (n_base,)
+        angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
+
+        Returns
+        -------
+        (n_samples, n_joints) [N m]
+        """
+        rows = self.base_regressor(angle, velocity, acceleration)
+        return np.asarray((rows.reshape(-1, len(base)) @ base).reshape(rows.shape[:2]))
+
     def rigid_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
@@ -184,12 +205,12 @@ class Arm(ArmDescription):
         (n_samples, n_joints, n_body)
             Columns as in `rigid_columns`, friction left out.
         """
-        base = self.gear_ratios[:, None] * self.base_regressor(angle, velocity, acceleration)
+        base = self.base_regressor(angle, velocity, acceleration)
         phi = np.zeros((*angle.shape, self.n_body))
         for k, column in enumerate(self.rigid_columns[: self.n_body]):
             key = next(iter(column.parts))
             if key in self.base_names:
-                phi[:, :, k] = base[:, :, self.base_names.index(key)]
+                phi[:, :, k] = self.gear_ratios * base[:, :, self.base_names.index(key)]
             elif key[1] is not None:
                 i = key[1] - 1
                 phi[:, i, k] = acceleration[:, i] / self.gear_ratios[i]
@@ -250,9 +271,8 @@ class Arm(ArmDescription):
         """
         unit = np.eye(self.n_joints)
         at, still = np.tile(angle, (self.n_joints, 1)), np.zeros_like(unit)
-        torque = self.core.base_regressor(at, still, unit) @ base
-        held = self.core.base_regressor(at, still, still) @ base
-        return np.asarray(torque - held).T
+        torque = self.link_torques(base, at, still, unit)
+        return np.asarray(torque - self.link_torques(base, at, still, still)).T
 
     def torques_of_accelerations(
         self, base: FloatArray, angle: FloatArray, acceleration: FloatArray
@@ -275,7 +295,7 @@ class Arm(ArmDescription):
         for j in range(self.n_joints):
             alone = still.copy()
             alone[:, j] = acceleration[:, j]
-            found[:, :, j] = self.base_regressor(angle, still, alone) @ weightless
+            found[:, :, j] = self.link_torques(weightless, angle, still, alone)
         return found
 
     def link_inertias(self, base: FloatArray) -> FloatArray:

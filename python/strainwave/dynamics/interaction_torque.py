@@ -67,7 +67,7 @@ def interaction_torques(
     -------
     (n_samples, n_joints) [N m] at the links
     """
-    rigid = arm.base_regressor(angle, velocity, acceleration) @ base
+    rigid = arm.link_torques(base, angle, velocity, acceleration)
     return np.asarray(arm.link_inertias(base) * acceleration - rigid)
 
 

@@ -239,8 +239,8 @@ def _constancy(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Chec
     unit = np.zeros_like(q)
     unit[:, i] = 1.0
     still = np.zeros_like(q)
-    held = arm.base_regressor(q, still, still) @ base
-    inertia = (arm.base_regressor(q, still, unit) @ base - held)[:, i]
+    held = arm.link_torques(base, q, still, still)
+    inertia = (arm.link_torques(base, q, still, unit) - held)[:, i]
     change = float(np.ptp(inertia) / arm.link_inertias(base)[i])
     text = f"the link's own inertia changes by {100.0 * change:.2g} %"
     text += "" if change <= _CONSTANT else ", all of it in tau; keep the swing of joint 2 small"

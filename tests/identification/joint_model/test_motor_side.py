@@ -95,7 +95,6 @@ def known_family(study: Study, values: Values) -> Family:
     known, n = derived(values, arm), arm.gear_ratios
     motor = np.array([known["motor_inertia", i] for i in (1, 2)])
     link = np.array([known["link_inertia", i] for i in (1, 2)])
-    names = arm.base_names
     total = motor + n**2 * link
     return Family(
         arm=arm,
@@ -103,8 +102,7 @@ def known_family(study: Study, values: Values) -> Family:
         total_inertia=total,
         total_viscous=np.array([known["total_viscous_friction", i] for i in (1, 2)]),
         coulomb=np.array([known["motor_coulomb_friction", i] for i in (1, 2)]),
-        base=np.array([known.get(key, 0.0) for key in names]),
-        places=tuple(names.index((name, None)) for name in BASE),
+        base=np.array([known.get(key, 0.0) for key in arm.base_names]),
         known_share=np.array([np.nan, motor[1] / total[1]]),
         known_deviation=np.array([np.nan, 0.02]),
     )

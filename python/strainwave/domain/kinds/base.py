@@ -5,8 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from strainwave.domain.arm import ArmDescription
+
+if TYPE_CHECKING:
+    from strainwave.domain.kinds.starts import StageInertias
 
 Key = tuple[str, int | None]
 """A parameter: its name and its joint, from 1, or None for the arm's own."""
@@ -101,6 +105,28 @@ class Kind(ABC):
         Returns
         -------
         tuple of RigidColumn
+        """
+
+    @abstractmethod
+    def starting_inertias(self, arm: ArmDescription, found: StageInertias) -> tuple[Values, Values]:
+        """Inertias that a fit of the whole arm starts from.
+
+        Parameters
+        ----------
+        arm : ArmDescription
+        found : StageInertias
+
+        Returns
+        -------
+        dict
+            Of links and motors, positive definite.
+        dict
+            Those of the stages before that no arm can have.
+
+        Raises
+        ------
+        NotIdentifiable
+            Something is missing or impossible that nothing can stand for.
         """
 
     @abstractmethod

@@ -5,13 +5,17 @@ M(q) = [alpha + beta + 2 gamma cos q2, beta + gamma cos q2; beta + gamma cos q2,
 
 from __future__ import annotations
 
+import numpy as np
+
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.kinds.base import Key, Kind, RigidColumn, Row, Values
+from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, required
 
 _ALPHA: Key = ("alpha", None)
 _BETA: Key = ("beta", None)
 _GAMMA: Key = ("gamma", None)
-_CHOSEN = 1.5  # times gamma^2 / beta, which alpha must exceed for a positive definite inertia
+_PROPER = 1.05  # times gamma^2 / beta, which alpha must exceed for a positive definite inertia
+_CHOSEN = 1.5  # and where it is chosen
 
 
 class PlanarTwoLink(Kind):
@@ -45,6 +49,30 @@ class PlanarTwoLink(Kind):
             RigidColumn("beta", None, "kg m^2", {_BETA: 1.0}),
             RigidColumn("gamma", None, "kg m^2", {_GAMMA: 1.0}),
         )
+
+    def starting_inertias(self, arm: ArmDescription, found: StageInertias) -> tuple[Values, Values]:
+        """Beta and alpha by the joints' models, gamma by the rigid one."""
+        motor, link, rejected = dict(found.motor), found.link, Values()
+        n2 = [joint.gear_ratio**2 for joint in arm.joints]
+        gamma, beta = found.needed("gamma"), link[2]
+        if not is_positive(beta):
+            rejected[_BETA] = beta
+            beta = required("beta", found.needed("beta"))
+        if not is_positive(motor[2]):
+            rejected["motor_inertia", 2] = motor[2]
+            known = found.rigid.get(("motor_inertia", 2))
+            motor[2] = known if known is not None and is_positive(known) else n2[1] * beta
+        rigid = found.rigid.get(("rigid_inertia", 1))
+        if not is_positive(motor[1]):
+            rejected["motor_inertia", 1] = motor[1]
+            whole = rigid if rigid is not None and is_positive(rigid) else link[1]
+            motor[1] = MOTOR_SHARE * n2[0] * required("rigid_inertia of joint 1", whole)
+        alpha, least = link[1] - beta - 2.0 * gamma, gamma**2 / beta
+        if not np.isfinite(alpha) or alpha <= max(0.0, _PROPER * least):
+            rejected[_ALPHA] = alpha
+            alpha = max((rigid or 0.0) - motor[1] / n2[0], _CHOSEN * least)
+        start: Values = {_ALPHA: alpha, _BETA: beta, _GAMMA: gamma}
+        return start | {("motor_inertia", i): motor[i] for i in (1, 2)}, rejected
 
     def complete(self, known: Values, arm: ArmDescription) -> None:
         """Alpha from `link_inertia` of joint 1, or from `rigid_inertia` and the motor's inertia."""

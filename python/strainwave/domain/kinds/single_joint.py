@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.kinds.base import Key, Kind, RigidColumn, Row, Values
+from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, required
 
 _LINK: Key = ("link_inertia", 1)
 _MOTOR: Key = ("motor_inertia", 1)
@@ -23,8 +24,8 @@ class SingleJoint(Kind):
 
     @property
     def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
-        """None: it is the parameter."""
-        return ()
+        """m_L itself."""
+        return ((_LINK, {_LINK: 1.0}),)
 
     def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
         """c_1, motor and link together."""
@@ -32,6 +33,19 @@ class SingleJoint(Kind):
         unit = "kg m^2" if joint.motion == "revolute" else "kg"
         parts = {_MOTOR: 1.0, _LINK: joint.gear_ratio**2}
         return (RigidColumn("inertia", 1, unit, parts),)
+
+    def starting_inertias(self, arm: ArmDescription, found: StageInertias) -> tuple[Values, Values]:
+        """Of an impossible one its usual share of the inertia on the whole."""
+        motor, link, rejected = found.motor[1], found.link[1], Values()
+        n2, total = arm.joints[0].gear_ratio ** 2, found.rigid.get(("inertia", 1))
+        if not is_positive(link):
+            rejected[_LINK] = link
+            whole = total if is_positive(total) else required("inertia", motor) / MOTOR_SHARE
+            link = (1.0 - MOTOR_SHARE) * (whole or 0.0) / n2
+        if not is_positive(motor):
+            rejected[_MOTOR] = motor
+            motor = MOTOR_SHARE / (1.0 - MOTOR_SHARE) * n2 * link
+        return {_LINK: link, _MOTOR: motor}, rejected
 
     def complete(self, known: Values, arm: ArmDescription) -> None:
         """Behind a rigid gear motor and link are one: all of c_1 stands for the motor's."""

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, LinkSignals, RigidModel
+from strainwave.domain.combinations import is_uncoupled, total_inertia
+from strainwave.domain.kinds import Row
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_variations, interaction_torques
 from strainwave.identification.joint_model.grey_box import RigidError, RigidKnowledge
-
-_Sum = dict[tuple[str, int | None], float]
 
 
 def rigid_knowledge(
@@ -35,30 +35,18 @@ def rigid_knowledge(
     """
     if model is None:
         return RigidKnowledge(None, None, None)
-    weights = [_weight(model, part) for part in _parts(arm, joint)]
+    parts: tuple[Row, ...] = (
+        total_inertia(arm, joint),
+        {("total_viscous_friction", joint): 1.0},
+        {("motor_coulomb_friction", joint): 1.0},
+    )
+    weights = [_weight(model, part) for part in parts]
     known = [_sum(model, weight) for weight in weights]
     errors = tuple(_errors(model, arm, joint, records, weights)) if records else ()
     return RigidKnowledge(known[0], known[1], known[2], errors)
 
 
-def _parts(arm: Arm, joint: int) -> tuple[_Sum, _Sum, _Sum]:
-    """c_1, c_0 and f as weighted sums of the rigid model's parameters."""
-    n2 = arm.joints[joint - 1].gear_ratio ** 2
-    inertia: _Sum
-    if arm.n_joints == 1:
-        inertia = {("inertia", 1): 1.0}
-    elif joint == 1:
-        inertia = {("rigid_inertia", 1): n2, ("beta", None): n2, ("gamma", None): 2.0 * n2}
-    else:
-        inertia = {("motor_inertia", 2): 1.0, ("beta", None): n2}
-    return (
-        inertia,
-        {("total_viscous_friction", joint): 1.0},
-        {("motor_coulomb_friction", joint): 1.0},
-    )
-
-
-def _weight(model: RigidModel, part: _Sum) -> FloatArray | None:
+def _weight(model: RigidModel, part: Row) -> FloatArray | None:
     """Of each parameter; None where one is not known."""
     weight = np.array([part.get((p.name, p.joint), 0.0) for p in model.parameters])
     identified = np.array([p.value is not None for p in model.parameters])
@@ -84,7 +72,7 @@ def _errors(
     weights: Sequence[FloatArray | None],
 ) -> Iterator[RigidError]:
     """Directions in which tau is uncertain, with what else moves along with them on average."""
-    if arm.n_joints == 1 and arm.gravity is None:
+    if is_uncoupled(arm):
         return
     variations = base_variations(model, arm)
     used = np.flatnonzero(variations.any(axis=0))

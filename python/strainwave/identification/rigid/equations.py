@@ -410,7 +410,7 @@ def anti_resonances(arm: Arm, estimate: Estimate) -> FloatArray:
     (n_joints,) [Hz]
         Infinite where the gear is rigid.
     """
-    inertia = np.maximum(_link_inertias(arm, estimate), 1e-300)
+    inertia = np.maximum(arm.link_inertias(_base(arm, estimate)), 1e-300)
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / (2.0 * np.pi * np.sqrt(estimate.compliance * inertia)))
 
@@ -431,10 +431,9 @@ def _body_equations(
     c = around.compliance
     phi = arm.rigid_regressor(q - c * gear, dq - c * dgear, ddq - c * ddgear)
     # motors turn with the motors' acceleration, not the links'
-    per_acceleration = n[0] if arm.n_joints == 2 else 1.0 / n[0]
-    phi[:, 0, 0] += around.motor_share * per_acceleration * c[0] * ddgear[:, 0]
-    if arm.n_joints == 2:
-        phi[:, 1, 1] = stretch.motion[2][:, 1]
+    motors = arm.motors_of_rigid(around.motor_share)
+    for i, k in np.argwhere(motors):
+        phi[:, i, k] += motors[i, k] / n[i] * c[i] * ddgear[:, i]
     lags = _mass_times(arm, around, q, ddgear) * elastic
     both = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = both[:, :, : phi.shape[2]], both[:, :, phi.shape[2] :]
@@ -451,10 +450,7 @@ def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatAr
     solution = around.solution
     viscous, coulomb, offset = solution[arm.n_body :].reshape(-1, FRICTION_COLUMNS).T
     friction = viscous * velocity + coulomb * direction + offset + standing
-    if arm.n_joints == 2:
-        inertia = np.array([around.motor_share * solution[0] * n[0] ** 2, solution[1]])
-    else:
-        inertia = np.array([around.motor_share * solution[0]])
+    inertia = arm.motors_of_rigid(around.motor_share) @ solution[: arm.n_body]
     net = (torque - friction - inertia * acceleration) / n
     T, step = stretch.signals.sample_time, stretch.motion_step
     return low_pass(net, 2.0 * stretch.bandwidth_hz, T, decimated=step)
@@ -462,28 +458,13 @@ def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatAr
 
 def _mass_times(arm: Arm, around: Estimate, angle: FloatArray, ddgear: FloatArray) -> FloatArray:
     """Motor torque per compliance, -n_i M_ij(q) ddT_j: (n_samples, n_joints, n_joints)."""
-    n = arm.gear_ratios
-    if arm.n_joints == 1:
-        link = _link_inertias(arm, around)[0]
-        return np.asarray(-n[0] * link * ddgear[:, :, None])
-    solution = around.solution
-    alpha, beta, gamma = (1.0 - around.motor_share) * solution[0], solution[2], solution[3]
-    cos = np.cos(angle[:, 1])
-    M = np.empty((len(angle), 2, 2))
-    M[:, 0, 0] = alpha + beta + 2.0 * gamma * cos
-    M[:, 0, 1] = M[:, 1, 0] = beta + gamma * cos
-    M[:, 1, 1] = beta
-    return np.asarray(-n[:, None] * M * ddgear[:, None, :])
+    torque = arm.torques_of_accelerations(_base(arm, around), angle, ddgear)
+    return np.asarray(-arm.gear_ratios[:, None] * torque)
 
 
-def _link_inertias(arm: Arm, around: Estimate) -> FloatArray:
-    """Each link's own inertia with the arm stretched, link side: (n_joints,)."""
-    solution = around.solution
-    first = (1.0 - around.motor_share) * solution[0]
-    if arm.n_joints == 1:
-        return np.array([first / arm.joints[0].gear_ratio ** 2])
-    first += solution[2] + 2.0 * solution[3]
-    return np.array([first, solution[2]])
+def _base(arm: Arm, around: Estimate) -> FloatArray:
+    """The links' base parameters: (n_base,)."""
+    return np.asarray(arm.base_of_rigid(around.motor_share) @ around.solution[: arm.n_body])
 
 
 def _compliance_deviation(
@@ -492,7 +473,7 @@ def _compliance_deviation(
     """Prior deviation of the compliances: the anti-resonance lies well above the bandwidth."""
     assert around is not None
     w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
-    inertia = np.abs(_link_inertias(arm, around))
+    inertia = np.abs(arm.link_inertias(_base(arm, around)))
     return np.asarray(_STIFF / (np.maximum(inertia, 1e-300) * w**2))
 
 

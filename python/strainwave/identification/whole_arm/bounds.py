@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.parametrisation import (
     SETTLING,
     Key,
-    link_inertia,
-    rigid_inertia,
 )
 
 _EDGE = 0.01  # of half its range, so near to which a parameter counts as at its bound
@@ -33,12 +31,8 @@ def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
     keys = fit.objective.space.keys
     ended = [key for key, at in zip(keys, at_bounds(fit), strict=True) if at and key[0] != SETTLING]
     yield from ended
-    derived: dict[Key, Mapping[Key, float]] = {
-        (name, 1): parts for name, parts in rigid_inertia(arm).items()
-    }
-    for number in range(1, arm.n_joints + 1):
-        derived["link_inertia", number] = link_inertia(arm, number)
-    for key, parts in derived.items():
+    links = {key: row for key, row in arm.reported.items() if key[0] == "link_inertia"}
+    for key, parts in (*arm.lumped_inertias.items(), *links.items()):
         if key not in ended and any(part in ended for part in parts):
             yield key
 

@@ -118,7 +118,7 @@ class Dataset:
     ) -> dict[Quantity, FloatArray]:
         """What an arm does in this experiment: (n_samples, n_joints) of each quantity."""
         runs = simulate_arms(
-            self._study_at(values),
+            self._arm_at(values),
             [dict(values)],
             self._begun(local),
             sample_time=self.log.sample_time,
@@ -145,7 +145,7 @@ class Dataset:
         """
         simulated = [key for key in directions if not is_sensor_constant(key)]
         runs = sensitivities(
-            self._study_at(values),
+            self._arm_at(values),
             dict(values),
             self._begun(local),
             [*simulated, *self.local],
@@ -171,7 +171,7 @@ class Dataset:
             tangent = whole
         return seen * scales, tangent
 
-    def _study_at(self, values: Mapping[tuple[str, int | None], float]) -> Arm:
+    def _arm_at(self, values: Mapping[tuple[str, int | None], float]) -> Arm:
         """The arm with those bandwidths of sensors that are among the values."""
         found = {k: hz for k, hz in values.items() if is_bandwidth(k) and np.isfinite(hz)}
         return with_bandwidths(self.arm, found) if found else self.arm

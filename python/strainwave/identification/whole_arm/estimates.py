@@ -21,9 +21,6 @@ from strainwave.identification.whole_arm.parametrisation import (
     VISCOUS,
     Key,
     combination,
-    link_inertia,
-    rigid_inertia,
-    total_viscous,
 )
 
 _BENDS = 0.01  # share by which two slopes differ at least
@@ -72,19 +69,13 @@ def parameters_of(
     identified = _identified_curves(fit, fit.confidence.combined, largest_torque)
     weight = [combination(keys, {identified.get(key) or key: 1.0}) for key in keys]
     held = [0.0] * len(keys)
-    for number, joint in enumerate(arm.joints, start=1):
-        derived = {"total_viscous_friction": total_viscous(arm, number)}
-        if arm.n_joints > 1:
-            derived["link_inertia"] = link_inertia(arm, number)
-        if number == 1:
-            derived |= rigid_inertia(arm)
-        for name, parts in derived.items():
-            if not any(key in keys for key in parts):
-                continue  # all of it is held
-            names.append((name, number))
-            units.append(unit_of(name, joint))
-            weight.append(combination(keys, parts))
-            held.append(sum(w * space.fixed.get(key, 0.0) for key, w in parts.items()))
+    for (name, number), parts in arm.reported.items():
+        if number is None or not any(key in keys for key in parts):
+            continue  # all of it is held
+        names.append((name, number))
+        units.append(unit_of(name, arm.joints[number - 1]))
+        weight.append(combination(keys, parts))
+        held.append(sum(w * space.fixed.get(key, 0.0) for key, w in parts.items()))
     W = np.array(weight)
     values = W @ space.parameters(fit.z) + np.array(held)
     mounted = mountings_of(fit)

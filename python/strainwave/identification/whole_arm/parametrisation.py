@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, JointModel, RigidModel
+from strainwave.domain.kinds import Row
 from strainwave.domain.parameters import Values, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.starts import COULOMB, OFFSET, VISCOUS, Key, starts_of
@@ -26,9 +27,7 @@ __all__ = [
     "Prior",
     "Unknown",
     "combination",
-    "link_inertia",
     "space_of",
-    "total_viscous",
     "with_curves",
     "with_settling",
 ]
@@ -206,13 +205,13 @@ class ParameterSpace:
         return [(at[KNEES[0], j], at[KNEES[1], j]) for j in joints if (KNEES[1], j) in at]
 
 
-def combination(names: Sequence[Key], parts: Mapping[Key, float]) -> FloatArray:
+def combination(names: Sequence[Key], parts: Row) -> FloatArray:
     """A weighted sum of the unknowns as a row: (n_unknowns,).
 
     Parameters
     ----------
     names : sequence of (name, joint)
-    parts : dict
+    parts : Row
         Weights; those of what is no unknown are left out.
 
     Returns
@@ -220,60 +219,6 @@ def combination(names: Sequence[Key], parts: Mapping[Key, float]) -> FloatArray:
     (n_unknowns,)
     """
     return np.array([parts.get(name, 0.0) for name in names])
-
-
-def link_inertia(arm: Arm, joint: int) -> dict[Key, float]:
-    """m_L of a joint as a combination of parameters: alpha + beta + 2 gamma, or beta.
-
-    Parameters
-    ----------
-    arm : Arm
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    dict
-    """
-    if arm.n_joints == 1:
-        return {("link_inertia", 1): 1.0}
-    if joint == 1:
-        return {("alpha", None): 1.0, ("beta", None): 1.0, ("gamma", None): 2.0}
-    return {("beta", None): 1.0}
-
-
-def rigid_inertia(arm: Arm) -> dict[str, dict[Key, float]]:
-    """What the rigid step has in place of joint 1's motor and link, as a combination by its name.
-
-    Of two links alpha + m_M1 / n_1^2; of one joint m_M + n^2 m_L.
-
-    Parameters
-    ----------
-    arm : Arm
-
-    Returns
-    -------
-    dict
-    """
-    name = "inertia" if arm.n_joints == 1 else "rigid_inertia"
-    return {name: _parts((name, 1), arm)}
-
-
-def total_viscous(arm: Arm, joint: int) -> dict[Key, float]:
-    """d_M + n^2 d_L of a joint as a combination of parameters.
-
-    Parameters
-    ----------
-    arm : Arm
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    dict
-    """
-    ratio = arm.joints[joint - 1].gear_ratio
-    return {(VISCOUS[0], joint): 1.0, (VISCOUS[1], joint): ratio**2}
 
 
 def space_of(
@@ -399,7 +344,8 @@ def _prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float
     if model is None or not identified:
         return Prior(np.zeros((0, len(keys))), np.zeros(0), np.zeros((0, 0)))
     names = [(model.parameters[k].name, model.parameters[k].joint) for k in identified]
-    rows = np.array([combination(keys, _parts(name, arm)) for name in names])
+    parts = {column.key: column.parts for column in arm.rigid_columns}
+    rows = np.array([combination(keys, parts[name]) for name in names])
     mean = model.solution[identified]
     covariance = model.covariance[np.ix_(identified, identified)]
     factor = np.asarray(np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2)))
@@ -407,18 +353,3 @@ def _prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float
     white = np.asarray(np.linalg.solve(factor, rows))
     target = np.asarray(np.linalg.solve(factor, mean))
     return Prior(white, target, errors, tuple(names), factor, mean)
-
-
-def _parts(name: Key, arm: Arm) -> dict[Key, float]:
-    """What a parameter of the rigid model is made of."""
-    kind, joint = name
-    if joint is None:
-        return {name: 1.0}
-    ratio = arm.joints[joint - 1].gear_ratio
-    if kind == "rigid_inertia":
-        return {("alpha", None): 1.0, ("motor_inertia", joint): ratio**-2}
-    if kind == "inertia":
-        return {("motor_inertia", joint): 1.0, ("link_inertia", joint): ratio**2}
-    if kind == "total_viscous_friction":
-        return total_viscous(arm, joint)
-    return {name: 1.0}

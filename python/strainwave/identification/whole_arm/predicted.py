@@ -8,6 +8,8 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, Parameter
+from strainwave.domain.combinations import value_of
+from strainwave.domain.kinds import Row
 from strainwave.domain.parameters import Values, completed, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
@@ -24,9 +26,6 @@ from strainwave.identification.whole_arm.parametrisation import (
     SETTLING,
     Key,
     combination,
-    link_inertia,
-    rigid_inertia,
-    total_viscous,
     unit_of_arm,
 )
 from strainwave.identification.whole_arm.preparation import dataset_of, usable
@@ -136,25 +135,17 @@ def _evidence(
 
 def _rigid_rows(arm: Arm, keys: Sequence[Key], values: Mapping[Key, float]) -> Iterator[FloatArray]:
     """What the rigid step knows, in its deviations: (n_unknowns,) each."""
-    known_rows: list[Mapping[Key, float]] = list(rigid_inertia(arm).values())
-    known_rows += [{key: 1.0} for key in keys if key[1] is None and key[0] != "alpha"]
-    for number in range(1, arm.n_joints + 1):
-        known_rows += [total_viscous(arm, number), {(COULOMB, number): 1.0}]
-        if number > 1:
-            known_rows.append({("motor_inertia", number): 1.0})
-    for parts in known_rows:
-        size = abs(sum((weight * values[key] for key, weight in parts.items()), 0.0))
-        if size > 0.0:
-            yield combination(keys, parts) / (_RIGID * size)
+    for column in arm.rigid_columns:
+        size = abs(value_of(column.parts, values))
+        if size > 0.0 and column.name != OFFSET:
+            yield combination(keys, column.parts) / (_RIGID * size)
 
 
 def _parameters(
     arm: Arm, keys: Sequence[Key], values: Mapping[Key, float], covariance: FloatArray
 ) -> Iterator[Parameter]:
-    rows: dict[Key, Mapping[Key, float]] = {key: {key: 1.0} for key in keys}
-    for number in range(1, arm.n_joints + 1):
-        rows["total_viscous_friction", number] = total_viscous(arm, number)
-        rows["link_inertia", number] = link_inertia(arm, number)
+    rows: dict[Key, Row] = {key: {key: 1.0} for key in keys}
+    rows |= {key: row for key, row in arm.reported.items() if key not in arm.lumped_inertias}
     for (name, joint), parts in rows.items():
         weights = combination(keys, parts)
         value = float(weights @ np.array([values[key] for key in keys]))

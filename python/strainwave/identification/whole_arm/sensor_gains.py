@@ -21,7 +21,7 @@ from strainwave.identification.whole_arm.covariance import inverse_information
 from strainwave.identification.whole_arm.dataset import Channel, Dataset
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import LEAST_ERROR, Rows, repetitions_of
-from strainwave.identification.whole_arm.parametrisation import Key, combination, link_inertia
+from strainwave.identification.whole_arm.parametrisation import Key, combination
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import side_by_side
 
@@ -122,7 +122,7 @@ def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
     key = (parameter.name, parameter.joint)
     if key in keys or parameter.joint is None:
         return combination(keys, {key: 1.0})
-    return combination(keys, link_inertia(arm, parameter.joint))
+    return combination(keys, arm.link_inertia(parameter.joint))
 
 
 def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:

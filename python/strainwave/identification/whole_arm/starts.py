@@ -13,6 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Diagnostic, JointModel, RigidModel
+from strainwave.domain.combinations import value_of
+from strainwave.domain.kinds import kind_of
+from strainwave.domain.kinds.starts import StageInertias, is_positive
 from strainwave.domain.parameters import Values, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
@@ -24,12 +27,9 @@ COULOMB = "motor_coulomb_friction"
 OFFSET = "friction_offset"
 
 _LEAST_SHARE = 0.05  # of the total viscous friction, where a start would be negative
-_MOTOR_SHARE = 0.3  # of a joint's inertia: motors are chosen to match their load, about
 _ANTI_RESONANCE_HZ = 15.0  # of arms with strain-wave gears: 10 to 30, small ones up to 60
 _DAMPING = 0.03  # damping ratio of such gears
 _RATIOS = (0.01, 0.5)  # damping ratios to start within: ranges lie about the start
-_PROPER = 1.05  # times gamma^2 / beta, which alpha must exceed for a positive definite inertia
-_CHOSEN = 1.5  # and where it is chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,19 +61,24 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
         A joint has no model, or the rigid model lacks something that nothing can stand for.
     """
     models = _by_joint(joints, arm)
-    start, rejected = _inertias(model, models, arm)
+    found = StageInertias(
+        motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
+        link={number: joint.values["link_inertia"] for number, joint in models.items()},
+        rigid={(p.name, p.joint): p.value for p in model.parameters} if model else {},
+    )
+    start, rejected = kind_of(arm).starting_inertias(arm, found)
     if arm.gravity is not None:
         for i in range(1, arm.n_joints + 1):
-            start[f"gravity_torque_{i}", None] = _rigid(model, f"gravity_torque_{i}")
+            start[f"gravity_torque_{i}", None] = found.needed(f"gravity_torque_{i}")
     for number in sorted(models):
         values = models[number].values
         stiffness, damping = values["gear_stiffness"], values["gear_damping"]
-        load = _link_inertia(start, arm, number)
-        if not _positive(stiffness):
+        load = value_of(arm.link_inertia(number), start)
+        if not is_positive(stiffness):
             rejected["gear_stiffness", number] = stiffness
             stiffness = (2.0 * np.pi * _ANTI_RESONANCE_HZ) ** 2 * load
         critical = 2.0 * float(np.sqrt(stiffness * load))
-        if not _positive(damping):
+        if not is_positive(damping):
             rejected["gear_damping", number] = damping
             damping = _DAMPING * critical
         damping = min(max(damping, _RATIOS[0] * critical), _RATIOS[1] * critical)
@@ -104,45 +109,6 @@ def rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
         yield Diagnostic("start-rejected", place, text)
 
 
-def _inertias(
-    model: RigidModel | None, joints: Mapping[int, JointModel], arm: Arm
-) -> tuple[Values, dict[Key, float]]:
-    """Inertias of links and motors; each that is impossible made of what the rigid model knows."""
-    rejected: dict[Key, float] = {}
-    motor = {number: joint.values["motor_inertia"] for number, joint in joints.items()}
-    link = {number: joint.values["link_inertia"] for number, joint in joints.items()}
-    n2 = {i: joint.gear_ratio**2 for i, joint in enumerate(arm.joints, start=1)}
-    if arm.n_joints == 1:
-        total = _known(model, "inertia", 1)
-        if not _positive(link[1]):
-            rejected["link_inertia", 1] = link[1]
-            whole = total if _positive(total) else _sure("inertia", motor[1]) / _MOTOR_SHARE
-            link[1] = (1.0 - _MOTOR_SHARE) * (whole or 0.0) / n2[1]
-        if not _positive(motor[1]):
-            rejected["motor_inertia", 1] = motor[1]
-            motor[1] = _MOTOR_SHARE / (1.0 - _MOTOR_SHARE) * n2[1] * link[1]
-        return {("link_inertia", 1): link[1], ("motor_inertia", 1): motor[1]}, rejected
-    gamma, beta = _rigid(model, "gamma"), link[2]
-    if not _positive(beta):
-        rejected["beta", None] = beta
-        beta = _sure("beta", _rigid(model, "beta"))
-    if not _positive(motor[2]):
-        rejected["motor_inertia", 2] = motor[2]
-        known = _known(model, "motor_inertia", 2)
-        motor[2] = known if known is not None and _positive(known) else n2[2] * beta
-    rigid = _known(model, "rigid_inertia", 1)
-    if not _positive(motor[1]):
-        rejected["motor_inertia", 1] = motor[1]
-        whole = rigid if rigid is not None and _positive(rigid) else link[1]
-        motor[1] = _MOTOR_SHARE * n2[1] * _sure("rigid_inertia of joint 1", whole)
-    alpha, least = link[1] - beta - 2.0 * gamma, gamma**2 / beta
-    if not np.isfinite(alpha) or alpha <= max(0.0, _PROPER * least):
-        rejected["alpha", None] = alpha
-        alpha = max((rigid or 0.0) - motor[1] / n2[1], _CHOSEN * least)
-    start: Values = {("alpha", None): alpha, ("beta", None): beta, ("gamma", None): gamma}
-    return start | {("motor_inertia", i): motor[i] for i in (1, 2)}, rejected
-
-
 def _friction(
     model: RigidModel | None, joint: JointModel, arm: Arm, number: int
 ) -> dict[str, float]:
@@ -168,28 +134,6 @@ def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
     return mended
 
 
-def _link_inertia(start: Values, arm: Arm, joint: int) -> float:
-    if arm.n_joints == 1:
-        return start["link_inertia", 1]
-    beta = start["beta", None]
-    return beta if joint == 2 else start["alpha", None] + beta + 2.0 * start["gamma", None]
-
-
-def _positive(value: float | None) -> bool:
-    return value is not None and bool(np.isfinite(value)) and value > 0.0
-
-
-def _sure(name: str, value: float) -> float:
-    """A value that must be positive for there to be any start at all."""
-    if not _positive(value):
-        raise NotIdentifiable(
-            f"the whole-arm fit has no start: {name} is {value:.3g} by the steps before, which is"
-            " impossible. Check the signs, units and assignment of the channels, gear_ratio and"
-            " torque_per_volt"
-        )
-    return value
-
-
 def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
     found = {joint.joint: joint for joint in joints}
     for number, joint in enumerate(arm.joints, start=1):
@@ -199,16 +143,6 @@ def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
                 ' has none: record it with use = "frequency"'
             )
     return found
-
-
-def _rigid(model: RigidModel | None, name: str) -> float:
-    value = model.value(name) if model is not None else None
-    if value is None:
-        raise NotIdentifiable(
-            f"the whole-arm fit needs {name}, which the motion records do not identify: record both"
-            ' joints moving together with use = "motion"'
-        )
-    return value
 
 
 def _known(model: RigidModel | None, name: str, joint: int) -> float | None:

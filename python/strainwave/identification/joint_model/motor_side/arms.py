@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray, RigidModel
+from strainwave.domain.kinds import kind_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_parameters, total_inertias
 from strainwave.dynamics.two_inertia import TwoInertia
@@ -22,7 +23,6 @@ from strainwave.identification.joint_model.motor_side.impedance import LinearArm
 PER_JOINT = 3
 """Coordinates of each joint: log k, log d_G, and the log odds of the motor's share of c_1."""
 
-_BASE = ("alpha", "beta", "gamma")
 _STEP = 1e-4  # [rad] of a central difference
 _LEAST_DEVIATION = 0.02  # of a motor inertia that the rigid model knows apart from the link's
 _START_VISCOUS = 0.5  # [1/s] c_0 over c_1 where a search for it starts
@@ -65,7 +65,6 @@ class Family:
     total_viscous: FloatArray | None  # (n_joints,) c_0 [N m s/rad]; None with the above
     coulomb: FloatArray | None  # (n_joints,) [N m]; None: whatever explains the records best
     base: FloatArray  # (n_base,) of the links, where it is not a link's own inertia
-    places: tuple[int, ...]  # of alpha, beta and gamma in it; none of a single joint
     known_share: FloatArray  # (n_joints,) motor's share of c_1 that the rigid model knows; NaN
     known_deviation: FloatArray  # (n_joints,) of the log of that motor inertia
 
@@ -173,12 +172,12 @@ class Family:
     def _base(self, link_inertia: FloatArray) -> FloatArray:
         """Base parameters of arms whose links, stretched, have these inertias: (..., n_base)."""
         base = np.broadcast_to(self.base, (*link_inertia.shape[:-1], len(self.base))).copy()
-        if self.n_joints == 1:
-            base[..., 0] = link_inertia[..., 0]
-            return base
-        alpha, beta, gamma = self.places
-        base[..., beta] = link_inertia[..., 1]
-        base[..., alpha] = link_inertia[..., 0] - base[..., beta] - 2.0 * base[..., gamma]
+        at = {key: k for k, key in enumerate(self.arm.base_names)}
+        for key, row in kind_of(self.arm).from_link_inertias:
+            base[..., at[key]] = sum(
+                weight * (link_inertia[..., of - 1] if of else base[..., at[name, of]])
+                for (name, of), weight in row.items()
+            )
         return base
 
 
@@ -200,17 +199,16 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
     NotIdentifiable
         The rigid model lacks an inertia.
     """
-    n, names = arm.n_joints, arm.base_names
-    places = tuple(names.index((name, None)) for name in _BASE) if n > 1 else ()
+    n = arm.n_joints
     ratio, nothing = arm.gear_ratios, np.full(n, np.nan)
     if model is None:
-        base = np.zeros(len(names))
-        return Family(arm, ratio, None, None, None, base, places, nothing, nothing)
+        base = np.zeros(len(arm.base_names))
+        return Family(arm, ratio, None, None, None, base, nothing, nothing)
     total = total_inertias(model, arm)
     share, deviation = nothing.copy(), nothing.copy()
     for parameter in model.parameters:
         named = parameter.name == "motor_inertia" and parameter.joint is not None
-        if named and n > 1 and parameter.value and parameter.value > 0.0:
+        if named and parameter.value and parameter.value > 0.0:
             i = (parameter.joint or 1) - 1
             share[i] = min(0.95, parameter.value / total[i])
             own = (parameter.std or 0.0) / parameter.value
@@ -222,7 +220,6 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
         np.array([_least(model, "total_viscous_friction", i, total[i - 1]) for i in _numbers(n)]),
         np.array([max(0.0, _value(model, "motor_coulomb_friction", i)) for i in _numbers(n)]),
         base_parameters(model, arm),
-        places,
         share,
         deviation,
     )
