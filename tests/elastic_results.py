@@ -86,7 +86,7 @@ def joint_model(number: int = 1) -> JointModel:
         anti_resonance=anti_resonance(JOINT, covariance),
         resonance=resonance(JOINT, covariance),
         band_hz=BAND,
-        fit_percent={"torque": 99.0, "twist": 98.0},
+        fit_percent={"torque": 99.0, "torsion": 98.0},
         status="determined",
     )
 
