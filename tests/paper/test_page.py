@@ -35,7 +35,7 @@ Tallies = tuple[Tally, ...]
 class Outside(HTMLParser):
     """What a page would fetch, and whether its elements are closed."""
 
-    VOID = ("meta", "link", "br", "img")
+    VOID = ("meta", "link", "br", "img", "wbr")
 
     def __init__(self) -> None:
         super().__init__()

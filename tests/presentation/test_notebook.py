@@ -91,7 +91,7 @@ def test_a_table_says_what_the_record_holds(name: str) -> None:
 def test_a_picture_has_lines_and_titled_axes(name: str) -> None:
     axes = shown()[name][0].plot().axes
     assert any(ax.lines or ax.containers for ax in axes)
-    assert axes[-1].get_ylabel()
+    assert axes[0].get_ylabel()
 
 
 def test_a_joint_is_drawn_with_its_gear_ratio_and_what_was_measured() -> None:

@@ -127,3 +127,13 @@ def test_every_figure_of_a_report_is_json() -> None:
     for name, drawn in figures_of(elastic_identification()).items():
         found = plotly(drawn)
         assert json.loads(json.dumps(found, allow_nan=False)) == found, name
+
+
+def test_many_panels_have_units_in_their_own_line_and_low_ones_few_ticks() -> None:
+    panels = tuple(Panel(Axis("speed [rad/s]"), (LINE,), height) for height in (1.0, 0.4) * 2)
+    layout = plotly(Figure(Axis("x"), panels))["layout"]
+    assert layout["yaxis"]["title"]["text"] == "speed<br>[rad/s]"
+    assert "nticks" not in layout["yaxis"]
+    assert layout["yaxis2"]["nticks"] == 3
+    few = plotly(Figure(Axis("x"), panels[:2]))["layout"]
+    assert few["yaxis"]["title"]["text"] == "speed [rad/s]"

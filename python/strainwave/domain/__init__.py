@@ -76,6 +76,7 @@ from strainwave.domain.options import (
     RigidOptions,
     TuningOptions,
 )
+from strainwave.domain.parameter_words import PARAMETER_WORDS, ParameterWords
 from strainwave.domain.progress import Progress, ProgressEvent
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel
@@ -107,6 +108,7 @@ __all__ = [
     "CHANNELS",
     "CONDITIONS",
     "OUTCOMES",
+    "PARAMETER_WORDS",
     "Activity",
     "AgreementTest",
     "ArmDescription",
@@ -160,6 +162,7 @@ __all__ = [
     "OrderSelection",
     "Outcome",
     "Parameter",
+    "ParameterWords",
     "PhysicalOptions",
     "Positive",
     "Prbs",

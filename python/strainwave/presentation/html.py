@@ -5,9 +5,16 @@ from __future__ import annotations
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
+from unicodedata import lookup
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from markupsafe import Markup
+
+_GREEK = {
+    name: lookup(f"GREEK SMALL LETTER {name.upper()}")
+    for name in ("alpha", "beta", "gamma", "delta", "tau")
+}
 
 
 def filled(template: str, **values: Any) -> str:
@@ -49,7 +56,7 @@ def source(name: str) -> str:
 def _environment() -> Environment:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-    return Environment(
+    found = Environment(
         autoescape=True,
         loader=FunctionLoader(source),
         undefined=StrictUndefined,
@@ -57,3 +64,43 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         auto_reload=False,
     )
+    found.filters |= {"typeset": typeset, "breakable": breakable}
+    return found
+
+
+def breakable(name: str) -> Markup:
+    """A name that may go on in a new line after each of its words.
+
+    Parameters
+    ----------
+    name : str
+        Its words joined by underscores.
+
+    Returns
+    -------
+    Markup
+    """
+    from markupsafe import Markup, escape
+
+    return escape(name).replace("_", Markup("_<wbr>"))
+
+
+def typeset(symbol: str) -> Markup:
+    """A symbol as print sets it: `m_M` with its index lowered, `alpha` as the Greek letter.
+
+    Parameters
+    ----------
+    symbol : str
+        As in docs/notation.md.
+
+    Returns
+    -------
+    Markup
+    """
+    from markupsafe import Markup
+
+    stem, _, index = symbol.partition("_")
+    if not index:
+        stem = symbol.rstrip("0123456789")
+        index = symbol.removeprefix(stem)
+    return Markup("{}<sub>{}</sub>" if index else "{}").format(_GREEK.get(stem, stem), index)

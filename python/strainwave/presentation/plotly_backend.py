@@ -25,6 +25,9 @@ from strainwave.presentation.figures import (
 )
 
 _BETWEEN = 0.08  # of the height of one panel, left free above the next
+_FEW = 3  # panels: where there are more, units have a line of their own
+_TICKS = 3  # of a low panel, or they would touch
+_LOW = 0.6  # height of a panel, from which it is not low
 _LETTERS = 10  # pixels high, so that thirty names of a heat map stand one below the other
 _OPACITY = 0.18  # of a band
 _THIN = 1.2  # [px] of an error bar
@@ -59,7 +62,11 @@ def plotly(figure: Figure) -> dict[str, Any]:
             data.append(trace)
     layout: dict[str, Any] = {"xaxis": _horizontal(figure.x) | {"anchor": f"y{_number(k)}"}}
     for k, (panel, domain) in enumerate(zip(figure.panels, domains, strict=True)):
-        layout[f"yaxis{_number(k)}"] = _axis(panel.axis) | {"domain": domain}
+        layout[f"yaxis{_number(k)}"] = own = _axis(panel.axis) | {"domain": domain}
+        if len(domains) > _FEW:
+            own["title"]["text"] = panel.axis.title.replace(" [", "<br>[")
+        if panel.height < _LOW:
+            own["nticks"] = _TICKS
     if figure.uprights:
         layout["shapes"] = [_line(one) for one in figure.uprights]
         layout["annotations"] = [

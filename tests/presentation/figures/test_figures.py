@@ -52,7 +52,7 @@ def test_residuals_stand_beneath_each_channel_over_the_same_time() -> None:
     two = prediction("motion", 90.0, 80.0)
     drawn = predictions.of_prediction(two)
     titles = [panel.axis.title for panel in drawn.panels]
-    assert titles == ["torque1 [N m]", "residuals", "torque2 [N m]", "residuals"]
+    assert titles == ["torque1 [N m]", "", "torque2 [N m]", ""]
     for k in (0, 2):
         measured, model = line(drawn, "measured", k), line(drawn, "model", k)
         beneath = line(drawn, "residuals", k + 1)
@@ -65,7 +65,7 @@ def test_residuals_stand_beneath_each_channel_over_the_same_time() -> None:
 def test_one_channel_can_be_asked_for() -> None:
     two = prediction("motion", 90.0, 80.0)
     drawn = predictions.of_prediction(two, channels=("torque2",))
-    assert [panel.axis.title for panel in drawn.panels] == ["torque2 [N m]", "residuals"]
+    assert [panel.axis.title for panel in drawn.panels] == ["torque2 [N m]", ""]
     assert line(drawn, "measured").y[0] == two.measured[0, 1]
 
 

@@ -8,7 +8,7 @@ import pytest
 from jinja2 import UndefinedError
 
 from strainwave.presentation.figures import Axis, Figure, Panel
-from strainwave.presentation.html import filled
+from strainwave.presentation.html import filled, typeset
 from strainwave.presentation.report.blocks import (
     Block,
     Callout,
@@ -99,3 +99,19 @@ def test_no_text_leaves_its_place() -> None:
 def test_a_name_that_the_template_lacks_is_an_error() -> None:
     with pytest.raises(UndefinedError, match="rows"):
         filled("notebook/table", head="", columns=())
+
+
+@pytest.mark.parametrize(
+    ("symbol", "html"),
+    [
+        ("m_M", "m<sub>M</sub>"),
+        ("K1", "K<sub>1</sub>"),
+        ("alpha", "α"),  # noqa: RUF001
+        ("delta_h", "δ<sub>h</sub>"),
+        ("D", "D"),
+        ("<", "&lt;"),
+        ("", ""),
+    ],
+)
+def test_symbols_are_set_as_in_print(symbol: str, html: str) -> None:
+    assert str(typeset(symbol)) == html

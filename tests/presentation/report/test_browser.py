@@ -59,6 +59,9 @@ def shown(page: str, folder: Path, *flags: str) -> tuple[dict[str, str], str]:
     return dict(re.findall(r'data-([a-z]+)="([^"]*)"', head[0])), console
 
 
+UNFOLD = "document.querySelectorAll('details').forEach((fold) => { fold.open = true; });"
+
+
 def watched(page: str, *, before: str = "", after: str = "") -> str:
     page = page.replace(BEFORE[0], BEFORE[1].format(before), 1)
     at = page.rindex(AFTER[0])
@@ -70,13 +73,45 @@ def page() -> str:
     return render(elastic_identification())
 
 
-def test_every_figure_is_drawn_and_the_console_is_silent(page: str, tmp_path: Path) -> None:
-    count = "seen.plots = document.querySelectorAll('.plot .main-svg .cartesianlayer').length;"
+def test_every_figure_is_drawn_once_it_is_unfolded(page: str, tmp_path: Path) -> None:
+    count = (
+        "const plots = () => document.querySelectorAll('.plot .main-svg .cartesianlayer').length;"
+        f"seen.folded = plots(); {UNFOLD} setTimeout(() => {{ seen.plots = plots(); }}, 2000);"
+    )
     said, console = shown(watched(page, after=count), tmp_path)
     assert console == ""
-    expected = str(len(figures_of(elastic_identification())))
-    assert said["drawn"] == expected
-    assert int(said["plots"]) == int(expected)
+    expected = len(figures_of(elastic_identification()))
+    assert int(said["folded"]) == expected - 2  # of records that were fitted
+    assert int(said["drawn"]) == int(said["plots"]) == expected
+
+
+def test_contents_fold_unfold_and_lead_into_what_is_folded(page: str, tmp_path: Path) -> None:
+    steps = (
+        "const open = () => document.querySelectorAll('section > details[open]').length;"
+        "const button = document.querySelector('nav button');"
+        "seen.first = open(); button.click(); seen.none = open();"
+        "location.hash = '#parameter-motor_inertia';"
+        "setTimeout(() => { seen.one = open(); seen.unfolded ="
+        " document.querySelector('#parameters > details').open; button.click(); button.click();"
+        " seen.all = open(); }, 500);"
+    )
+    said, console = shown(watched(page, after=steps), tmp_path)
+    assert console == ""
+    assert (said["first"], said["none"], said["one"], said["all"]) == ("10", "0", "1", "10")
+    assert said["unfolded"] == "true"
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_contents_stay_in_sight(page: str, width: int, tmp_path: Path) -> None:
+    after = (
+        "scrollTo(0, document.querySelector('#gears').offsetTop);"
+        "window.dispatchEvent(new Event('scroll'));"  # no frames, no event of its own
+        "setTimeout(() => { const box = document.querySelector('nav').getBoundingClientRect();"
+        " seen.top = Math.round(box.top); seen.current ="
+        " document.querySelector('nav [aria-current]').hash.slice(1); }, 500);"
+    )
+    said, _ = shown(watched(page, after=after), tmp_path, f"--window-size={width},800")
+    assert (said["top"], said["current"]) == ("0", "gears")
 
 
 def test_a_page_that_fetches_or_fails_would_be_heard(page: str, tmp_path: Path) -> None:

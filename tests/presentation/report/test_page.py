@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from html import escape
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +16,12 @@ import pytest
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
 from strainwave.domain import Diagnostic, Identification, Parameter
-from strainwave.presentation.report import figures_of, parameters, render
+from strainwave.domain.parameter_words import PARAMETER_WORDS
+from strainwave.presentation.report import figures_of, remedies, render
 from strainwave.presentation.terminal import print_summary
 
 MOST_BYTES = 8_000_000
+ROOT = Path(__file__).parents[3]
 
 
 def figures_in(page: str) -> dict[str, dict[str, Any]]:
@@ -34,7 +38,7 @@ def sections(page: str) -> list[str]:
 class Outline(HTMLParser):
     """What is open, fetched, named and linked to."""
 
-    VOID = ("meta", "link", "br", "img")
+    VOID = ("meta", "link", "br", "img", "wbr")
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -159,7 +163,7 @@ def test_a_value_without_an_interval_is_said_to_be_so() -> None:
     assert one.rigid is not None
     bare = Parameter("motor_inertia", 1, 1.5e-4, None, "kg m^2", "rigid")
     page = render(replace(one, rigid=replace(one.rigid, parameters=(bare,))))
-    row = re.search(r"<tr><th[^>]*>motor_inertia.*?</tr>", page)
+    row = re.search(r"<tr><th[^>]*><a[^>]*>motor_<wbr>inertia</a>.*?</tr>", page)
     assert row is not None
     assert "not known" in row[0]
 
@@ -176,7 +180,9 @@ def test_names_cannot_leave_their_place() -> None:
 def test_a_name_is_a_name_whatever_it_begins_with() -> None:
     warning = Diagnostic("saturated", "#1.csv", "#2 is at its limit")
     page = render(replace(identification(), warnings=(warning,)))
-    assert '<th scope="row">#1.csv</th><td class="text">#2 is at its limit</td>' in page
+    assert (
+        '<th scope="row" class="text">#1.csv</th><td class="text">#2 is at its limit</td>' in page
+    )
 
 
 def test_long_records_share_the_room() -> None:
@@ -230,11 +236,39 @@ def test_the_summary_names_all() -> None:
     assert max(len(line) for line in printed.splitlines()) <= 80
 
 
-def test_every_parameter_has_its_symbol_and_meaning() -> None:
-    """Of all that a result can have: names without a meaning would leave the table."""
-    found = identification()
-    page = render(found)
-    assert "What the parameters are" in page
-    for name in {p.name for p in found.parameters}:
-        assert name in parameters._MEANINGS, name
-        assert parameters._MEANINGS[name][1] in page, name
+def test_every_parameter_has_its_symbol_and_its_description() -> None:
+    page = render(elastic_identification())
+    outline = Outline(page)
+    tips = {own["href"]: own["title"] for own in outline.of("a") if own.get("title")}
+    for name in {p.name for p in elastic_identification().parameters}:
+        description = PARAMETER_WORDS[name].description
+        assert tips[f"#parameter-{name}"] == description
+        assert f"parameter-{name}" in outline.ids
+        assert escape(description) in page
+    assert "<var>m<sub>M</sub></var>" in page
+
+
+def test_a_parameter_without_words_is_a_row_all_the_same() -> None:
+    page = render(identification("own_name"))
+    row = re.search(r"<tr><th[^>]*>own_name</th>.*?</tr>", page)
+    assert row is not None
+    assert "0.02010" in row[0]
+
+
+def test_codes_name_their_section_of_the_documentation() -> None:
+    page = render(identification())
+    assert "<code>saturated</code>" in page
+    assert "<code>docs/troubleshooting.md#saturated</code>" in page
+    sections = (ROOT / remedies.PAGE).read_text(encoding="utf-8")
+    assert [code for code in remedies.REMEDIES if f"\n### `{code}`\n" not in sections] == []
+
+
+def test_sections_fold_and_so_do_records_that_were_fitted() -> None:
+    outline = Outline(render(elastic_identification()))
+    folds = outline.of("details")
+    closed = [own for own in folds if "open" not in own]
+    assert len(folds) - len(closed) == len(outline.of("section"))
+    page = render(elastic_identification())
+    fitted = re.search(r"<details><summary>Records that were fitted.*?</details>", page, re.DOTALL)
+    assert fitted is not None
+    assert re.findall(r'id="figure-([^"]+)"', fitted[0]) == ["tuning-step-j1", "fitted-motion"]

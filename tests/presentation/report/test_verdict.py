@@ -13,7 +13,7 @@ from elastic_results import elastic_identification
 from results import identification, prediction
 from strainwave.domain import Activity, Diagnostic, Identification, Parameter, Suspicion
 from strainwave.presentation.report import remedies
-from strainwave.presentation.report.blocks import Callout, Facts, Paragraph
+from strainwave.presentation.report.blocks import Callout, Facts, Paragraph, Table
 from strainwave.presentation.report.verdict import named, verdict
 from virtual_arms import rigid_drive
 
@@ -174,16 +174,20 @@ def test_the_most_serious_warning_is_named() -> None:
 
 
 def test_warnings_stand_in_their_order_with_what_to_do() -> None:
-    (found,) = remedies.warnings_table(
+    found, where = remedies.warnings_table(
         [
             Diagnostic("resampled", "a.csv", "uneven"),
             Diagnostic("saturated", "b.csv", "at its limit"),
         ]
     )
+    assert isinstance(found, Table)
+    assert isinstance(where, Paragraph)
+    assert "docs/troubleshooting.md#saturated" in [span.text for span in where.spans]
     first, second = ([cell.text for cell in row] for row in found.rows if isinstance(row, tuple))
     assert (first[0], second[0]) == ("b.csv", "a.csv")
     assert "Lower the amplitude" in first[2]
-    (odd,) = remedies.warnings_table([Diagnostic("unheard-of", "c", "odd")])
+    odd, _ = remedies.warnings_table([Diagnostic("unheard-of", "c", "odd")])
+    assert isinstance(odd, Table)
     assert isinstance(odd.rows[0], tuple)
     assert odd.rows[0][2].text == "See the message."
 

@@ -129,8 +129,8 @@ def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure
         Line(time, measured.y[pick], measured.name, MEASURED),
         Line(time, model.y[pick], model.name, MODEL, BRIEF),
     )
-    left = Line(time, residual[pick], "difference", RESIDUAL, width=1.0, legend=False)
-    panels = Panel(Axis(quantity), both), Panel(Axis("difference"), (left,), _SMALL)
+    left = Line(time, residual[pick], "difference", RESIDUAL, width=1.0)
+    panels = Panel(Axis(quantity), both), Panel(Axis(""), (left,), _SMALL)
     return Figure(Axis("time [s]"), panels, caption=caption)
 
 

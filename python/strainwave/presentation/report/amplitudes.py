@@ -22,7 +22,7 @@ from strainwave.presentation.figures import (
 )
 from strainwave.statespace import frequency_response
 
-WORDS = "State-space models of each record, within the band of their fit; see the resonances below."
+WORDS = "State-space models of each record, within the band of their fit; see the resonances above."
 """What the figure shows, for those who do not see it."""
 
 _POINTS = 200  # of one curve

@@ -22,7 +22,9 @@ class Span:
 
     text: str
     strong: bool = False
+    kind: Literal["", "code"] = ""
     href: str = ""  # of an element of the page, "#warnings"
+    tip: str = ""  # what a pointer over the link shows
     mark: Mark = ""
 
 
@@ -39,8 +41,10 @@ class Cell:
     """A cell of a table that is not a plain word."""
 
     text: str
-    kind: Literal["", "number", "text", "code"] = ""
-    href: str = ""
+    kind: Literal["", "number", "text", "code", "symbol"] = ""
+    href: str = ""  # of an element of the page
+    tip: str = ""  # what a pointer over the link shows
+    key: str = ""  # of a row's first cell: the row's id
     mark: Mark = ""
 
 

@@ -24,6 +24,7 @@ from strainwave.presentation.report.blocks import (
     Block,
     Cell,
     Facts,
+    Fold,
     Plot,
     Row,
     Section,
@@ -170,22 +171,31 @@ def _by_whole_arm(found: Identification, joint: JointModel) -> dict[str, float] 
 def _predictions(found: Identification) -> Iterator[Block]:
     """Records over time: validation data first, then those that were fitted."""
     tuned = found.tuned
-    groups = (
-        ("check", "validation", found.checks),
-        ("tuning", "fitted", tuned.simulated if tuned else ()),
-        ("fitted", "fitted", found.fitted),
-    )
-    channels = sum(len(p.channels) for _, _, group in groups for p in group)
+    fitted = [("tuning", p) for p in (tuned.simulated if tuned else ())]
+    fitted += [("fitted", p) for p in found.fitted]
+    channels = sum(len(p.channels) for p in (*found.checks, *(p for _, p in fitted)))
     most = min(MOST_POINTS, max(_FEWEST_POINTS, _ALL_POINTS // (3 * max(channels, 1))))
-    for kind, seen, group in groups:
-        for prediction in group:
-            label = f"{prediction.experiment}, {seen}: {_what(prediction)}"
-            fits = [f"{name} {_fit(fit)}" for name, fit in prediction.fit_percent.items()]
-            drawn = of_prediction(prediction, found.study.arm.joints, most)
-            name = f"{kind} {prediction.experiment}"
-            yield Plot(name, label, drawn, f"Fit: {', '.join(fits)}.")
+    for prediction in found.checks:
+        yield _predicted(found, prediction, ("check", "validation"), most)
+    if fitted:
+        plots = [_predicted(found, p, (kind, "fitted"), most) for kind, p in fitted]
+        yield Fold(f"Records that were fitted ({len(plots)})", tuple(plots))
     if tuned is not None:
         yield from _fits(tuned)
+
+
+def _predicted(
+    found: Identification, prediction: Prediction, of: tuple[str, str], most: int
+) -> Plot:
+    """One record over time, with its fits in words."""
+    kind, use = of
+    fits = [f"{name} {_fit(fit)}" for name, fit in prediction.fit_percent.items()]
+    return Plot(
+        f"{kind} {prediction.experiment}",
+        f"{prediction.experiment}, {use}: {_what(prediction)}",
+        of_prediction(prediction, found.study.arm.joints, most),
+        f"Fit: {', '.join(fits)}.",
+    )
 
 
 def _fit(fit: float) -> str:

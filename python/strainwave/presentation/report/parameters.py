@@ -6,43 +6,22 @@ from collections.abc import Iterator, Sequence
 
 from strainwave.domain import Decision
 from strainwave.domain.formatting import plus_minus
-from strainwave.presentation.report.blocks import Cell, Group, Row, Table, number, table
+from strainwave.domain.parameter_words import PARAMETER_WORDS, ParameterWords
+from strainwave.presentation.report.blocks import Cell, Group, Row, Table, number, prose, table
 
 _HEADS: tuple[str | Cell, ...] = (
     "parameter",
+    "symbol",
+    *map(number, ("value", "± one sigma")),
     "unit",
-    *map(number, ("value", "± one sigma", "95 % interval", "95 % half-width, %")),
+    *map(number, ("95 % interval", "95 % half-width [%]")),
     "source stage",
 )
-
-
-_MEANINGS = {  # name -> symbol of docs/notation.md, meaning
-    "alpha": ("alpha", "inertia of link 1, and of link 2 as a point at axis 2, about axis 1"),
-    "beta": ("beta", "inertia of link 2 about its own axis"),
-    "gamma": ("gamma", "coupling of the links: link length times first moment of link 2"),
-    "gravity_torque_1": ("G₁", "largest gravity torque of link 1"),
-    "gravity_torque_2": ("G₂", "largest gravity torque of link 2"),
-    "rigid_inertia": ("alpha + m_M/n²", "inertia of joint 1 with its motor, link side"),
-    "inertia": ("m", "motor and link together, motor side"),
-    "motor_inertia": ("m_M", "inertia of the motor"),
-    "motor_viscous_friction": ("d_M", "viscous friction of the motor"),
-    "motor_coulomb_friction": ("f", "Coulomb friction, motor side"),
-    "friction_offset": ("f₀", "constant part of the friction, motor side"),
-    "link_inertia": ("m_L", "inertia of what the gear moves, arm stretched"),
-    "link_viscous_friction": ("d_L", "viscous friction of the link"),
-    "total_viscous_friction": ("d_M + n² d_L", "viscous friction of the joint, motor side"),
-    "gear_stiffness": ("k", "stiffness of the gear, link side"),
-    "gear_stiffness_k1": ("K₁", "stiffness of the gear below the first knee"),
-    "gear_stiffness_k2": ("K₂", "stiffness of the gear between the knees"),
-    "gear_stiffness_k3": ("K₃", "stiffness of the gear beyond the second knee"),
-    "gear_knee_t1": ("T₁", "gear torque of the first knee"),
-    "gear_knee_t2": ("T₂", "gear torque of the second knee"),
-    "gear_damping": ("d_G", "damping of the gear, link side"),
-}
+_NO_WORDS = ParameterWords("", "")
 
 
 def meanings_table(decisions: Sequence[Decision]) -> Iterator[Table]:
-    """Symbol and meaning of every parameter in the table, once.
+    """Symbol and description of every parameter in the table, once.
 
     Parameters
     ----------
@@ -53,8 +32,12 @@ def meanings_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     iterator of Table
     """
     names = dict.fromkeys(decision.parameter.name for decision in decisions)
-    rows = [(name, *_MEANINGS[name]) for name in names if name in _MEANINGS]
-    return table("What the parameters are", ("parameter", "symbol", "meaning"), rows)
+    known = ((name, PARAMETER_WORDS[name]) for name in names if name in PARAMETER_WORDS)
+    rows = [
+        (Cell(name, key=_key(name)), Cell(words.symbol, "symbol"), prose(words.description))
+        for name, words in known
+    ]
+    return table("What the parameters are", ("parameter", "symbol", "description"), rows)
 
 
 def parameter_table(decisions: Sequence[Decision]) -> Iterator[Table]:
@@ -92,7 +75,21 @@ def _row(decision: Decision) -> Row:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
         half = _share(0.5 * (high - low), p.value)
-    return (p.name, p.unit, *map(number, (value, spread, interval, half)), p.stage)
+    words = PARAMETER_WORDS.get(p.name, _NO_WORDS)
+    link = f"#{_key(p.name)}" if words.description else ""
+    return (
+        Cell(p.name, href=link, tip=words.description),
+        Cell(words.symbol, "symbol"),
+        *map(number, (value, spread)),
+        p.unit.replace("^2", "²").replace(" ", "\N{NO-BREAK SPACE}"),
+        *map(number, (interval, half)),
+        p.stage,
+    )
+
+
+def _key(name: str) -> str:
+    """The id of a parameter's row in the table of descriptions."""
+    return f"parameter-{name}"
 
 
 def _share(half: float, value: float) -> str:

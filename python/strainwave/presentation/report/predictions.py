@@ -61,7 +61,7 @@ def of_prediction(
         )
         beneath = Line(time, residuals[pick], "residuals", RESIDUAL, width=1.0)
         panels.append(Panel(Axis(f"{channel} [{unit_of(channel, joints)}]"), both))
-        panels.append(Panel(Axis("residuals"), (beneath,), _RESIDUALS))
+        panels.append(Panel(Axis(""), (beneath,), _RESIDUALS))
     return Figure(Axis("time [s]"), tuple(panels))
 
 

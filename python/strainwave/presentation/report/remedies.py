@@ -6,7 +6,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import PurePath
 
 from strainwave.domain import Diagnostic
-from strainwave.presentation.report.blocks import Cell, Table, prose, table
+from strainwave.presentation.report.blocks import Block, Cell, Span, paragraph, prose, table
+
+PAGE = "docs/troubleshooting.md"
+"""Has a section of every code, under the code's name."""
 
 REMEDIES = {
     # the answer itself is in doubt
@@ -161,27 +164,38 @@ def by_weight(warnings: Iterable[Diagnostic]) -> list[Diagnostic]:
     return sorted(warnings, key=_weight)
 
 
-def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Table]:
-    """Every warning with its remedy, the most serious first.
+def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
+    """Every warning with its remedy, the most serious first, and where more is said of each.
 
     Parameters
     ----------
     warnings : iterable of Diagnostic
 
-    Returns
-    -------
-    iterator of Table
+    Yields
+    ------
+    Block
     """
     rows = [
         (
-            place_of(w),
+            prose(place_of(w)),
             prose(w.message),
             prose(REMEDIES.get(w.code, _UNHEARD)),
             Cell(w.code, "code"),
         )
         for w in by_weight(warnings)
     ]
-    return table("Warnings", ("where", "what", "what to do", "code"), rows, heading=False)
+    yield from table("Warnings", ("where", "what", "what to do", "code"), rows, heading=False)
+    if rows:
+        anchors = dict.fromkeys(f"{PAGE}#{w.code}" for w in by_weight(warnings))
+        lead = "Cause and consequence of each code are in the documentation: "
+        yield paragraph(lead, *_listed(Span(anchor, kind="code") for anchor in anchors), ".")
+
+
+def _listed(spans: Iterable[Span]) -> Iterator[Span]:
+    for k, span in enumerate(spans):
+        if k:
+            yield Span(", ")
+        yield span
 
 
 def place_of(warning: Diagnostic) -> str:
