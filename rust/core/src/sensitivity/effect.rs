@@ -54,7 +54,7 @@ impl<const N: usize> EffectSensitivity<N> {
     #[inline(always)]
     pub(crate) fn enter<A: Arm<N>, S: Real, L: Real>(
         &self,
-        quads: &mut Quads,
+        quads: &mut Quads<N>,
         plant: &Plant<A, L, N, true>,
         (trace, h): (&Trace<N>, f64),
         modes: &Modes<S, N>,
@@ -69,7 +69,7 @@ impl<const N: usize> EffectSensitivity<N> {
                 let [gear, motor] = [GEAR_EFFECTS, MOTOR_EFFECTS];
                 let mut put = |quad: usize, slot: usize, value: L| {
                     for lane in 0..L::LANES {
-                        quads.of(i)[quad].0[first + lane][slot] = value.lane(lane);
+                        quads.own[i][quad].0[first + lane][slot] = value.lane(lane);
                     }
                 };
                 if self.effects[i].stribeck {
@@ -97,7 +97,7 @@ impl<const N: usize> EffectSensitivity<N> {
                 let z = |k, t| law.after(self.z[i], &from, &trace.twist_at(i, k), t);
                 let z = [self.z[i], z(1, 0.5 * h), z(2, 0.5 * h), z(3, h)];
                 for k in 0..4 {
-                    quads.of(i)[GEAR_EFFECTS].0[k][0] = z[k];
+                    quads.own[i][GEAR_EFFECTS].0[k][0] = z[k];
                 }
             }
         }

@@ -34,31 +34,35 @@ pub(crate) const GEAR: usize = 1;
 pub(crate) const MOTOR_EFFECTS: usize = 3;
 /// By the sizes of hysteresis and, at [`KINEMATIC`], the kinematic error.
 pub(crate) const GEAR_EFFECTS: usize = 4;
-/// By the link's viscous friction, then by the arm's base parameters: as many quads as it takes.
-pub(crate) const LINK: usize = 5;
+/// How many of a joint's quads there are of these.
+const OWN: usize = 5;
+/// By the link's viscous friction, then by the arm's base parameters: as many quads as it takes, one
+/// after the other.
+const LINK: usize = OWN;
 /// The kinematic error's first size, among the effects.
 pub(crate) const KINEMATIC: usize = 1;
 
-/// The quads of all joints, joint by joint.
-pub(crate) struct Quads {
-    all: Vec<Quad>,
-    per_joint: usize,
+/// The quads of all joints.
+pub(crate) struct Quads<const N: usize> {
+    pub(crate) own: [[Quad; OWN]; N],
+    /// Of the links' rows, joint by joint.
+    pub(crate) link: Vec<Quad>,
 }
 
-impl Quads {
-    /// Nothing at all, for an arm of so many joints and base parameters.
-    pub(crate) fn nothing(joints: usize, bases: usize) -> Self {
-        let per_joint = LINK + (1 + bases).div_ceil(4);
-        Self {
-            all: vec![Quad([[0.0; 4]; 4]); joints * per_joint],
-            per_joint,
-        }
-    }
+/// How many quads a link's row has for so many base parameters.
+#[inline(always)]
+pub(crate) fn link_quads(bases: usize) -> usize {
+    (1 + bases).div_ceil(4)
+}
 
-    /// One joint's quads.
-    #[inline(always)]
-    pub(crate) fn of(&mut self, joint: usize) -> &mut [Quad] {
-        &mut self.all[joint * self.per_joint..][..self.per_joint]
+impl<const N: usize> Quads<N> {
+    /// Nothing at all, for so many base parameters.
+    pub(crate) fn nothing(bases: usize) -> Self {
+        let nothing = Quad([[0.0; 4]; 4]);
+        Self {
+            own: [[nothing; OWN]; N],
+            link: vec![nothing; N * link_quads(bases)],
+        }
     }
 }
 
@@ -139,7 +143,7 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
     /// By the first `V::LANES` directions.
     pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
         let places = places(config);
-        let per_joint = Quads::nothing(0, config.arm.names().len()).per_joint;
+        let per_link = link_quads(config.arm.names().len());
         let mut wanted: BTreeMap<(usize, usize), [Option<usize>; MOST_LANES]> = BTreeMap::new();
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
             if let &Source::Parameter(k) = direction {
@@ -153,7 +157,10 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
         for ((joint, quad), slots) in wanted {
             let own: &mut Picks<V::Pick> = &mut picks[row(quad) as usize][joint];
             let next = own.iter().position(Option::is_none);
-            let quad = joint * per_joint + quad;
+            let quad = match quad.checked_sub(LINK) {
+                Some(of_link) => joint * per_link + of_link,
+                None => quad,
+            };
             own[next.expect("a lane takes one quad")] = Some((quad, V::pick(slots)));
         }
         Self { picks }
@@ -161,13 +168,17 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
 
     /// What is added to a joint's row at a stage of a step with these quads.
     #[inline(always)]
-    pub(crate) fn of(&self, quads: &Quads, row: Row, joint: usize, stage: usize) -> V {
+    pub(crate) fn of(&self, quads: &Quads<N>, row: Row, joint: usize, stage: usize) -> V {
+        let from = match row {
+            Row::Link => &quads.link[..],
+            Row::Gear | Row::Motor => &quads.own[joint][..],
+        };
         let mut sum = V::splat(0.0);
         for own in &self.picks[row as usize][joint] {
             let Some((quad, pick)) = own else {
                 break;
             };
-            sum = sum.picked(pick, &quads.all[*quad].0[stage]);
+            sum = sum.picked(pick, &from[*quad].0[stage]);
         }
         sum
     }

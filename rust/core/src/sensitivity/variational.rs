@@ -18,7 +18,7 @@ use crate::plant::config::{Config, GearKind};
 use crate::plant::{Modes, Plant};
 use crate::scalar::{Lanes, Real, solve};
 use crate::sensitivity::effect::EffectSensitivity;
-use crate::sensitivity::forcing::{GEAR, LINK, MOTOR, Quads};
+use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, link_quads};
 use crate::sensitivity::trace::{Stages, Trace};
 
 /// Coefficients of the linear equations at the four stages, in the units of
@@ -38,7 +38,7 @@ pub(crate) struct Linearised<A: Arm<N>, L: Lanes, const N: usize> {
     /// n ddtheta_M' per gear torque, per n dtheta_M' and per motor torque.
     pub(crate) motor: [[f64; N]; 3],
     /// What each parameter adds to its rows.
-    pub(crate) quads: Quads,
+    pub(crate) quads: Quads<N>,
     /// What a little of the effects that the arm lacks would add.
     pub(crate) effects: Option<EffectSensitivity<N>>,
     pub(crate) settling: [Option<Settling>; N],
@@ -94,7 +94,7 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
             by_velocity: [[[0.0; 4]; N]; N],
             damping: plant.joints.map(|joint| joint.gear_damping.lane(0) / half),
             motor: [[0.0; N]; 3],
-            quads: Quads::nothing(N, config.arm.names().len()),
+            quads: Quads::nothing(config.arm.names().len()),
             effects: asked
                 .has_effects()
                 .then(|| EffectSensitivity::new(asked, all)),
@@ -151,7 +151,7 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
             let stage = &trace.stages[k];
             let (acceleration, velocity) = (stage.motor_acceleration[i], stage.motor_velocity[i]);
             let by = [acceleration, velocity, direction, 1.0];
-            put::<L>(&mut self.quads.of(i)[MOTOR].0[k], &by, -push);
+            put::<L>(&mut self.quads.own[i][MOTOR].0[k], &by, -push);
         }
     }
 
@@ -187,14 +187,21 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
         }
         let regressor = arm.regressor(&at, &dq, &ddq);
         let by = regressor.as_ref();
+        // all in loops of known length, without closures: each would be a call
+        let quads = &mut self.quads.link[..N * link_quads(by.len())];
         for i in 0..N {
-            let slot = |k: usize| match k {
-                0 => dq[i],
-                _ => by.get(k - 1).map_or(L::splat(0.0), |by| by[i]),
-            };
-            for k in 0..(1 + by.len()).div_ceil(4) {
-                let four = [0, 1, 2, 3].map(|one| slot(4 * k + one));
-                L::store_rows(&four, &mut self.quads.of(i)[LINK + k].0[first..]);
+            for k in 0..link_quads(by.len()) {
+                let mut four = [L::splat(0.0); 4];
+                for slot in 0..4 {
+                    let place = 4 * k + slot;
+                    if place == 0 {
+                        four[slot] = dq[i];
+                    } else if place <= by.len() {
+                        four[slot] = by[place - 1][i];
+                    }
+                }
+                let quad = &mut quads[i * link_quads(by.len()) + k];
+                L::store_rows(&four, &mut quad.0[first..]);
             }
         }
     }
@@ -202,7 +209,7 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
     /// One gear, for the stages from the `first`.
     #[inline(always)]
     fn gear(&mut self, trace: &Trace<N>, i: usize, first: usize) {
-        let (joint, quads) = (&self.plant.joints[i], self.quads.of(i));
+        let (joint, quads) = (&self.plant.joints[i], &mut self.quads.own[i]);
         let zero = L::splat(0.0);
         let twist = trace.across::<L>(first, |stage| stage.twist[i]);
         let rate = trace.across::<L>(first, |stage| stage.rate[i]);
