@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -93,7 +93,7 @@ def bode(
     for k, (name, model) in enumerate(sampled):
         top = min(joint.band_hz[1], _NYQUIST * 0.5 / model.sample_time)
         f: FloatArray = np.geomspace(joint.band_hz[0], top, _POINTS)
-        G = frequency_response(model, f).response[:, 0, 0]
+        G = frequency_response(replace(model, covariance=None), f).response[:, 0, 0]
         _curve(drawn, f, G, f"state space, {name}", LINEAR, _DASHES[k % len(_DASHES)])
     f = np.geomspace(low, high, _POINTS)
     _physical(drawn, joint, gear_ratio, f)

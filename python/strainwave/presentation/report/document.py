@@ -58,7 +58,7 @@ def _script() -> str:
     if found is None or found.origin is None:
         raise ModuleNotFoundError("plotly")
     script = Path(found.origin).parent / "package_data" / "plotly.min.js"
-    return script.read_text(encoding="utf-8")
+    return script.read_bytes().decode()
 
 
 def _inline_json(value: object) -> str:
