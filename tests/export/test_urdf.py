@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 import exports
 from strainwave.domain import Parameter
+from strainwave.domain.kinds.bodies import Body, about_axis
 from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm
-from strainwave.export.bodies import Body, about_axis, link_bodies
+from strainwave.export.bodies import link_bodies
 from strainwave.export.urdf import to_urdf
 
 LENGTH, GRAVITY = 0.35, 9.81

@@ -12,8 +12,9 @@ import math
 from xml.etree import ElementTree as ET
 
 from strainwave.domain import Diagnostic, Joint
+from strainwave.domain.kinds import kind_of
+from strainwave.domain.kinds.bodies import Body
 from strainwave.export.bodies import (
-    Body,
     effective_gravity,
     holds_motor,
     known_of_gravity,
@@ -46,10 +47,9 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     bodies = link_bodies(arm, gravity)
     mujoco = root("mujoco", "model")
     ET.SubElement(mujoco, "compiler", angle="radian")
-    if gravity and arm.study.arm.n_joints > 1:
-        remark(
-            mujoco, "Gravity is gravity_torque_2 link_length/gamma, so that all torques are right"
-        )
+    note = kind_of(arm.study.arm).gravity_note
+    if gravity and note:
+        remark(mujoco, f"Gravity is {note}, so that all torques are right")
     option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP), integrator="RK4")
     option.set("gravity", numbers(0, -gravity, 0))
     world = ET.SubElement(mujoco, "worldbody")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray
+from strainwave.domain.kinds import kind_of
 from strainwave.dynamics import two_inertia
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import InvalidInput
@@ -91,11 +92,9 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
 
 def _link_inertia(arm: IdentifiedArm, joint: int) -> float:
     """m_L, or the sum of base parameters that it is, (3)."""
-    if arm.study.arm.n_joints == 1 or ("link_inertia", joint) in arm.values:
-        return arm.need("link_inertia", joint)
-    if joint == 2:
-        return arm.need("beta")
-    return arm.need("alpha") + arm.need("beta") + 2.0 * arm.need("gamma")
+    own = ("link_inertia", joint)
+    row = {own: 1.0} if own in arm.values else kind_of(arm.study.arm).link_inertia(joint)
+    return sum(weight * arm.need(*key) for key, weight in row.items())
 
 
 def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:

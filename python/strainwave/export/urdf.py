@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
-from strainwave.export.bodies import Body, holds_motor, known_of_gravity, link_bodies
+from strainwave.domain.kinds.bodies import Body
+from strainwave.export.bodies import holds_motor, known_of_gravity, link_bodies
 from strainwave.export.markup import numbers, remark, root, to_bytes
 from strainwave.export.source import Export, IdentifiedArm
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from strainwave.domain.arm import ArmDescription
 
 if TYPE_CHECKING:
+    from strainwave.domain.kinds.bodies import Body, Needed
     from strainwave.domain.kinds.starts import StageInertias
 
 Key = tuple[str, int | None]
@@ -52,6 +53,17 @@ class RigidColumn:
         return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
 
 
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What an arm of a kind cannot be: where it says so, and what to do."""
+
+    problem: str
+    remedy: str
+    table: str  # "arm" or "joint"
+    index: int | None = None  # of the [[joint]] table, from 0
+    key: str | None = None
+
+
 class Kind(ABC):
     """A kind of arm: the inertial parameters of its links, and what follows from them.
 
@@ -70,6 +82,23 @@ class Kind(ABC):
 
     primary_of_all: tuple[str, ...]
     """And those that take the whole-arm fit."""
+
+    gravity_note: str = ""
+    """What the gravity of `effective_gravity` is, where it is not the study's."""
+
+    @abstractmethod
+    def faults(self, arm: ArmDescription) -> Iterator[Fault]:
+        """What a description says that an arm of this kind cannot be.
+
+        Parameters
+        ----------
+        arm : ArmDescription
+            With the right number of joints.
+
+        Yields
+        ------
+        Fault
+        """
 
     @abstractmethod
     def link_inertia(self, joint: int) -> Row:
@@ -139,3 +168,46 @@ class Kind(ABC):
             (name, joint) -> value; nothing that is there is changed.
         arm : ArmDescription
         """
+
+    @abstractmethod
+    def bodies(self, arm: ArmDescription, need: Needed, gravity: float) -> tuple[Body, ...]:
+        """Rigid bodies whose base parameters are the arm's, one a link from the base.
+
+        Parameters
+        ----------
+        arm : ArmDescription
+        need : callable
+            The parameters.
+        gravity : float [m/s^2]
+            Under which link 1 has the measured gravity torque; zero: its centre lies on the axis.
+
+        Returns
+        -------
+        tuple of Body
+
+        Raises
+        ------
+        InvalidInput
+            No bodies have these parameters.
+        """
+
+    def effective_gravity(self, arm: ArmDescription, need: Needed) -> float:
+        """Gravity under which rigid bodies have all measured gravity torques.
+
+        Parameters
+        ----------
+        arm : ArmDescription
+        need : callable
+            The parameters.
+
+        Returns
+        -------
+        float [m/s^2]
+            Zero for a horizontal arm.
+
+        Raises
+        ------
+        InvalidInput
+            Parameters contradict each other.
+        """
+        return arm.gravity or 0.0

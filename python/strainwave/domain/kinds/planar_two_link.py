@@ -5,17 +5,22 @@ M(q) = [alpha + beta + 2 gamma cos q2, beta + gamma cos q2; beta + gamma cos q2,
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from strainwave.domain.arm import ArmDescription
-from strainwave.domain.kinds.base import Key, Kind, RigidColumn, Row, Values
+from strainwave.domain.kinds.base import Fault, Key, Kind, RigidColumn, Row, Values
+from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, Needed, about_axis
 from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, required
+from strainwave.errors import InvalidInput
 
 _ALPHA: Key = ("alpha", None)
 _BETA: Key = ("beta", None)
 _GAMMA: Key = ("gamma", None)
 _PROPER = 1.05  # times gamma^2 / beta, which alpha must exceed for a positive definite inertia
 _CHOSEN = 1.5  # and where it is chosen
+_FASTER = "record faster motions of both joints and identify again"
 
 
 class PlanarTwoLink(Kind):
@@ -25,6 +30,7 @@ class PlanarTwoLink(Kind):
     inertias = (_ALPHA, _BETA, _GAMMA)
     primary = ("beta", "gamma", "rigid_inertia 1", "motor_inertia 2")
     primary_of_all = ("alpha",)
+    gravity_note = "gravity_torque_2 link_length/gamma"
 
     def link_inertia(self, joint: int) -> Row:
         """Alpha + beta + 2 gamma of joint 1, beta of joint 2."""
@@ -90,3 +96,59 @@ class PlanarTwoLink(Kind):
             known[_ALPHA] = min(_CHOSEN * gamma**2 / beta, rigid)
         if motor is None and rigid is not None and _ALPHA in known:
             known["motor_inertia", 1] = (rigid - known[_ALPHA]) * n2
+
+    def faults(self, arm: ArmDescription) -> Iterator[Fault]:
+        """No length between the axes, or a prismatic joint."""
+        if arm.link_length is None:
+            yield Fault(
+                "the key 'link_length' is missing",
+                "add the distance from joint 1's axis to joint 2's [m]",
+                "arm",
+            )
+        for index, joint in enumerate(arm.joints):
+            if joint.motion == "prismatic":
+                yield Fault(
+                    "a planar two-link arm has revolute joints only",
+                    'use kind = "single-joint" for a prismatic joint',
+                    "joint",
+                    index,
+                    "motion",
+                )
+
+    def bodies(self, arm: ArmDescription, need: Needed, gravity: float) -> tuple[Body, ...]:
+        """Two bodies that are proper for every arm whose M(q) is positive definite.
+
+        With kappa = gamma^2/(alpha beta), which is then below one,
+
+        m2 l1^2 = alpha (1 + kappa)/2,   m2 lc2 = gamma/l1,   I2 = beta (1 - kappa)/(1 + kappa),
+
+        so that the rest, for link 1, alpha (1 - kappa)/2, and I2 are positive for every such arm.
+        Link 1 is `about_axis` with what gravity shows of its first moment.
+        """
+        length = arm.link_length or ASSUMED_LENGTH
+        alpha, beta, gamma = (need(*key) for key in self.inertias)
+        if not (alpha > 0.0 and beta > 0.0 and alpha * beta > gamma**2):
+            raise InvalidInput(
+                f"no bodies have alpha = {alpha:g}, beta = {beta:g}, gamma = {gamma:g} kg m^2: "
+                "their inertia matrix is not positive definite",
+                remedy=_FASTER,
+            )
+        kappa = gamma**2 / (alpha * beta)
+        mass = alpha * (1.0 + kappa) / (2.0 * length**2)
+        moment = gamma / length
+        second = Body(mass, moment / mass, beta * (1.0 - kappa) / (1.0 + kappa))
+        first_moment = need("gravity_torque_1") / gravity - mass * length if gravity else 0.0
+        return about_axis(alpha * (1.0 - kappa) / 2.0, first_moment, length), second
+
+    def effective_gravity(self, arm: ArmDescription, need: Needed) -> float:
+        """G2 l1/gamma: the study's but for the errors of G2 and gamma."""
+        if not arm.gravity:
+            return 0.0
+        torque, gamma = need("gravity_torque_2"), need(*_GAMMA)
+        if torque * gamma <= 0.0:
+            raise InvalidInput(
+                f"gravity_torque_2 = {torque:g} N m and gamma = {gamma:g} kg m^2 put the centre of "
+                "link 2 on opposite sides of its axis",
+                remedy=_FASTER,
+            )
+        return torque * (arm.link_length or ASSUMED_LENGTH) / gamma

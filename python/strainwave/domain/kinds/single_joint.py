@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from strainwave.domain.arm import ArmDescription
-from strainwave.domain.kinds.base import Key, Kind, RigidColumn, Row, Values
+from strainwave.domain.kinds.base import Fault, Key, Kind, RigidColumn, Row, Values
+from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, Needed, about_axis
 from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, required
+from strainwave.errors import InvalidInput
 
 _LINK: Key = ("link_inertia", 1)
 _MOTOR: Key = ("motor_inertia", 1)
@@ -52,3 +56,29 @@ class SingleJoint(Kind):
         if arm.joints[0].spring == "rigid" and ("inertia", 1) in known:
             known.setdefault(_MOTOR, known["inertia", 1])
             known.setdefault(_LINK, 0.0)
+
+    def faults(self, arm: ArmDescription) -> Iterator[Fault]:
+        """A prismatic joint that gravity would have to move across itself."""
+        if arm.joints[0].motion == "prismatic" and arm.gravity:
+            yield Fault(
+                "a prismatic joint moves along x, across gravity",
+                "leave gravity out; a constant force shows as friction_offset",
+                "arm",
+                key="gravity",
+            )
+
+    def bodies(self, arm: ArmDescription, need: Needed, gravity: float) -> tuple[Body, ...]:
+        """The link; behind a rigid gear the motor is part of it."""
+        joint, length = arm.joints[0], arm.link_length or ASSUMED_LENGTH
+        inertia = need(*_LINK)
+        if joint.spring == "rigid":
+            inertia += need(*_MOTOR) / joint.gear_ratio**2
+        if inertia <= 0.0:
+            raise InvalidInput(
+                f"the link's inertia is {inertia:g}, not positive",
+                remedy="record faster motions and identify again",
+            )
+        if joint.motion == "prismatic":
+            return (Body(inertia, 0.0, inertia * length**2),)  # it does not turn: any inertia does
+        moment = need("gravity_torque_1") / gravity if gravity else 0.0
+        return (about_axis(inertia, moment, length),)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from strainwave.domain import ArmDescription, Study, channel_names
+from strainwave.domain.kinds import KINDS, kind_of
 from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameters
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import nearest
 from strainwave.io.study.reader import Reader
-
-JOINTS = {"planar-two-link": 2, "single-joint": 1}
 
 
 def check_fit(study: Study, reader: Reader) -> None:
@@ -35,8 +34,8 @@ def check_fit(study: Study, reader: Reader) -> None:
 
 
 def _check_kind(arm: ArmDescription, reader: Reader) -> None:
-    count = JOINTS[arm.kind]
-    if arm.n_joints > max(JOINTS.values()):
+    count = kind_of(arm).n_joints
+    if arm.n_joints > max(kind.n_joints for kind in KINDS.values()):
         raise InvalidInput(
             f"there are {arm.n_joints} [[joint]] tables; an arm of one joint, or of two links "
             "in one plane, is what can be identified so far",
@@ -50,25 +49,11 @@ def _check_kind(arm: ArmDescription, reader: Reader) -> None:
             where=reader.place("joint"),
             remedy=f"write {count} [[joint]] table(s), from the base, or another kind of [arm]",
         )
-    if arm.kind == "planar-two-link":
-        if arm.link_length is None:
-            raise InvalidInput(
-                "the key 'link_length' is missing",
-                where=reader.place("arm"),
-                remedy="add the distance from joint 1's axis to joint 2's [m]",
-            )
-        for index, joint in enumerate(arm.joints):
-            if joint.motion == "prismatic":
-                raise InvalidInput(
-                    "a planar two-link arm has revolute joints only",
-                    where=reader.place("joint", index, "motion"),
-                    remedy='use kind = "single-joint" for a prismatic joint',
-                )
-    elif arm.joints[0].motion == "prismatic" and arm.gravity:
+    for fault in kind_of(arm).faults(arm):
         raise InvalidInput(
-            "a prismatic joint moves along x, across gravity",
-            where=reader.place("arm", None, "gravity"),
-            remedy="leave gravity out; a constant force shows as friction_offset",
+            fault.problem,
+            where=reader.place(fault.table, fault.index, fault.key),
+            remedy=fault.remedy,
         )
 
 
