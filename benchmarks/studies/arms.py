@@ -18,7 +18,8 @@ from strainwave.domain import Experiment, Prbs, Spring, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import SensorNoise, simulate
 from strainwave.virtual import scara
-from strainwave.virtual.experiments import Simulator, simulate_study
+from strainwave.virtual.experiments import simulate_study
+from strainwave.virtual.records import Simulator
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,8 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import simulate
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify
-from strainwave.virtual.experiments import Simulator, derived
+from strainwave.virtual.experiments import derived
+from strainwave.virtual.records import Simulator
 
 EXACT_STEP = 4e-6
 """[s] Of a truth: at 300 Hz the sensors' filters are wrong by 5e-6, below any deviation."""

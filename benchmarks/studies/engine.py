@@ -24,6 +24,7 @@ from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 from benchmarks.studies.arms import Rig, drawn, each, with_logs
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
 from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
@@ -36,7 +37,7 @@ STEP = 5e-5  # [s] of the engine
 
 
 def in_mujoco(
-    study: Study,
+    arm: Arm,
     values: Values,
     drive: Drive,
     *,
@@ -45,15 +46,15 @@ def in_mujoco(
     record: Sequence[Quantity],
 ) -> Trajectory:
     """One experiment, as `strainwave.dynamics.simulation.simulate` runs it."""
-    model = _model(study, values)
+    model = _model(arm, values)
     data = mujoco.MjData(model)
-    joints = range(1, study.arm.n_joints + 1)
-    _hang(study, values, drive, data)
+    joints = range(1, arm.n_joints + 1)
+    _hang(arm, values, drive, data)
     per_tick, per_sample = round(drive.tick / STEP), round(sample_time / STEP)
     n = (samples - 1) * per_sample + 1
-    servo, current = _Servo(study, drive), _CurrentLoop(study, drive)
+    servo, current = _Servo(arm, drive), _CurrentLoop(arm, drive)
     seen = np.empty((n, model.nsensordata))
-    voltage = np.empty((n, study.arm.n_joints))
+    voltage = np.empty((n, arm.n_joints))
     motors = [model.joint(f"motor_joint{i}").qposadr[0] for i in joints]
     for k in range(n):
         if k % per_tick == 0:
@@ -72,27 +73,27 @@ def in_mujoco(
     made: dict[Quantity, Callable[[], FloatArray]] = {
         "voltage": lambda: voltage,
         "link_angle": lambda: sensed("theta_l", 0),
-        "encoder": lambda: _rounded(sensed("theta_m", 0), study.arm.joints),
+        "encoder": lambda: _rounded(sensed("theta_m", 0), arm.joints),
         "accelerometer": lambda: _filtered(
-            sensed("a", 1), 2, [j.accelerometer_hz for j in study.arm.joints]
+            sensed("a", 1), 2, [j.accelerometer_hz for j in arm.joints]
         ),
-        "gyro": lambda: _filtered(sensed("gyro", 2), 1, [j.gyro_hz for j in study.arm.joints]),
+        "gyro": lambda: _filtered(sensed("gyro", 2), 1, [j.gyro_hz for j in arm.joints]),
     }
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
     return Trajectory(time, {name: made[name]()[::per_sample] for name in record})
 
 
-def _model(study: Study, values: Values) -> Any:
+def _model(arm: Arm, values: Values) -> Any:
     parameters = tuple(
         Parameter(name, joint, value, 0.0, "1", "truth") for (name, joint), value in values.items()
     )
     # currents are followed here
-    joints = tuple(replace(joint, current_loop_hz=None) for joint in study.arm.joints)
-    arm = IdentifiedArm(replace(study, arm=replace(study.arm, joints=joints)), parameters, "truth")
-    text = to_mjcf(arm).data.decode()
+    joints = tuple(replace(joint, current_loop_hz=None) for joint in arm.joints)
+    study = Study(arm=arm.with_joints(joints), experiments=())
+    text = to_mjcf(IdentifiedArm(study, parameters, "truth")).data.decode()
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.timestep = STEP
-    for i in range(1, study.arm.n_joints + 1):
+    for i in range(1, arm.n_joints + 1):
         at = model.joint(f"motor_joint{i}").dofadr[0]
         model.dof_solref[at] = 2.0 * settling(values, i), 1.0
     return model
@@ -103,17 +104,17 @@ def settling(values: Values, joint: int) -> float:
     return max(values.get(("friction_settling_time", joint), 0.0), STEP)
 
 
-def _hang(study: Study, values: Values, drive: Drive, data: Any) -> None:
+def _hang(arm: Arm, values: Values, drive: Drive, data: Any) -> None:
     """Links at standstill on their gears, of linear stiffness where gravity pulls."""
     motor = np.array(drive.motor_angle)
-    unloaded = motor * [joint.gear_ratio for joint in study.arm.joints]
+    unloaded = motor * [joint.gear_ratio for joint in arm.joints]
     link = unloaded
-    for _ in range(100 if study.arm.gravity else 0):
+    for _ in range(100 if arm.gravity else 0):
         outer = values["gravity_torque_2", None] * np.cos(link[0] + link[1])
         inner = values["gravity_torque_1", None] * np.cos(link[0])
         stiffness = [values["gear_stiffness", i] for i in (1, 2)]
         link = unloaded - np.array([inner + outer, outer]) / stiffness
-    for i in range(study.arm.n_joints):
+    for i in range(arm.n_joints):
         data.joint(f"joint{i + 1}").qpos[0] = link[i]
         data.joint(f"motor_joint{i + 1}").qpos[0] = motor[i]
 
@@ -121,8 +122,8 @@ def _hang(study: Study, values: Values, drive: Drive, data: Any) -> None:
 class _CurrentLoop:
     """Voltages that would bring a current at once where the loop's own lags."""
 
-    def __init__(self, study: Study, drive: Drive) -> None:
-        bandwidth = np.array([joint.current_loop_hz or np.inf for joint in study.arm.joints])
+    def __init__(self, arm: Arm, drive: Drive) -> None:
+        bandwidth = np.array([joint.current_loop_hz or np.inf for joint in arm.joints])
         x = 2.0 * np.pi * bandwidth * STEP
         self.left, self.mean = np.exp(-x), -np.expm1(-x) / x
         self.now = np.array(drive.initial_voltage)
@@ -137,20 +138,20 @@ class _CurrentLoop:
 class _Servo:
     """u = kp e + ki integral(e), e = reference - encoder difference over a period."""
 
-    def __init__(self, study: Study, drive: Drive) -> None:
-        self.study, self.drive = study, drive
-        self.last = _rounded(np.array([drive.motor_angle]), study.arm.joints)[0]
-        ki = np.array(study.arm.servo.ki) if study.arm.servo else np.ones(study.arm.n_joints)
+    def __init__(self, arm: Arm, drive: Drive) -> None:
+        self.arm, self.drive = arm, drive
+        self.last = _rounded(np.array([drive.motor_angle]), arm.joints)[0]
+        ki = np.array(arm.servo.ki) if arm.servo else np.ones(arm.n_joints)
         # what holds the arm at the start is in the integral
         self.integral = np.where(drive.servo, drive.initial_voltage / ki, 0.0)
 
     def command(self, tick: int, angle: FloatArray) -> FloatArray:
         tick = min(tick, len(self.drive.voltage) - 1)
         voltage: FloatArray = self.drive.voltage[tick].copy()
-        servo = self.study.arm.servo
+        servo = self.arm.servo
         if servo is None:
             return voltage
-        encoder = _rounded(angle[None], self.study.arm.joints)[0]
+        encoder = _rounded(angle[None], self.arm.joints)[0]
         error = self.drive.reference[tick] - (encoder - self.last) / servo.period
         self.last = encoder
         integral = self.integral + error * servo.period

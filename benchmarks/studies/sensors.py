@@ -34,7 +34,8 @@ from strainwave.identification.whole_arm import tune
 from strainwave.io import logs
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
-from strainwave.virtual.experiments import Simulator, derived
+from strainwave.virtual.experiments import derived
+from strainwave.virtual.records import Simulator
 
 LINKS: Mapping[str, tuple[str, ...]] = {
     "none": (),

@@ -14,14 +14,12 @@ from strainwave.dynamics.mounting import (
     BASIS,
     RATE,
     Axis,
-    angles,
-    attitude,
     axes_of,
     factors,
-    rotation,
     slopes,
     unknowns_of,
 )
+from strainwave.dynamics.rotations import angles, attitude, rotation
 from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.signals.imu_attitude import imu_starts
 from strainwave.signals.mounting_start import kinematics, mounting_starts

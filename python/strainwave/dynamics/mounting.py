@@ -19,6 +19,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Imu
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rotations import angles, attitude, rotation
 from strainwave.dynamics.simulation import Quantity
 
 Key = tuple[str, int | None]
@@ -265,25 +266,6 @@ def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
     return np.asarray(start @ rotation(turn))
 
 
-def rotation(vector: FloatArray) -> FloatArray:
-    """The rotation matrix of a rotation vector (Rodrigues).
-
-    Parameters
-    ----------
-    vector : (3,) [rad]
-
-    Returns
-    -------
-    (3, 3)
-    """
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
-
-
 def slopes(axis: Axis, arm: Arm, values: Mapping[Key, float], keys: Sequence[Key]) -> FloatArray:
     """How an axis's factors depend on unknowns: (n_quantities, n_keys).
 
@@ -333,44 +315,6 @@ def with_places(arm: Arm, values: Mapping[Key, float]) -> Arm:
             )
         )
     return arm.with_joints(joints)
-
-
-def attitude(rpy: Sequence[float]) -> FloatArray:
-    """The rotation matrix of roll, pitch and yaw, as in URDF: Rz(yaw) Ry(pitch) Rx(roll).
-
-    Parameters
-    ----------
-    rpy : (3,) [rad]
-
-    Returns
-    -------
-    (3, 3)
-        Its columns are the sensor's axes in the link's frame.
-    """
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def angles(matrix: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw of a rotation matrix: (3,) [rad].
-
-    Parameters
-    ----------
-    matrix : (3, 3)
-
-    Returns
-    -------
-    (3,) [rad]
-    """
-    roll = np.arctan2(matrix[2, 1], matrix[2, 2])
-    pitch = -np.arcsin(np.clip(matrix[2, 0], -1.0, 1.0))
-    return np.array([roll, pitch, np.arctan2(matrix[1, 0], matrix[0, 0])])
 
 
 def reported(

@@ -21,13 +21,12 @@ from strainwave.dynamics.mounting import (
     START,
     TURN,
     Axis,
-    angles,
-    attitude,
     attitude_of,
     factors,
     slopes,
     unknowns_of,
 )
+from strainwave.dynamics.rotations import angles, attitude
 
 Key = tuple[str, int | None]
 

@@ -12,7 +12,7 @@ import pytest
 from strainwave.domain import ArmModel, Imu, Joint, Log, Parameter, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import angles, attitude
+from strainwave.dynamics.rotations import angles, attitude
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
 from tuning_runs import joint_models, rigid_model, shaken, shaken_study, truth, written_logs
