@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unicodedata import lookup
 
@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
+_HERE = Path(__file__).parent
 _GREEK = {
     name: lookup(f"GREEK SMALL LETTER {name.upper()}")
     for name in ("alpha", "beta", "gamma", "delta", "tau")
@@ -48,8 +49,7 @@ def source(name: str) -> str:
     str
     """
     folder, _, file = name.partition("/")
-    found = files("strainwave.presentation").joinpath(folder, "templates", file)
-    return found.read_text(encoding="utf-8")
+    return (_HERE / folder / "templates" / file).read_text(encoding="utf-8")
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -104,12 +105,13 @@ def rounded(values: FloatArray) -> list[float | None]:
     -------
     list of float or None
     """
-    finite = np.abs(values[np.isfinite(values)])
-    scale = float(finite.max()) if finite.size else 0.0
-    digits = 5 - int(np.floor(np.log10(scale))) if scale > 0 else 5
+    finite = np.isfinite(values)
+    scale = float(np.abs(values).max(initial=0.0, where=finite))
+    digits = 5 - math.floor(math.log10(scale)) if scale > 0.0 else 5
     shown: list[float | None] = np.round(values, digits).tolist()
-    for gap in np.flatnonzero(~np.isfinite(values)).tolist():
-        shown[gap] = None
+    if not finite.all():
+        for gap in np.flatnonzero(~finite).tolist():
+            shown[gap] = None
     return shown
 
 

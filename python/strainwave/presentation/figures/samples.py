@@ -44,9 +44,12 @@ def thinned(y: FloatArray, most: int = MOST_POINTS) -> IntArray:
     bins = np.minimum(low + np.arange(np.diff(edges).max()), last)  # short ones end in repetition
     inside = columns[bins]
     gap = np.isnan(inside)
-    least = np.argmin(np.where(gap, np.inf, inside), axis=1)
-    greatest = np.argmax(np.where(gap, -np.inf, inside), axis=1)
-    return np.unique(low + np.hstack([least, greatest]))
+    gaps = bool(gap.any())
+    least = np.argmin(np.where(gap, np.inf, inside) if gaps else inside, axis=1)
+    greatest = np.argmax(np.where(gap, -np.inf, inside) if gaps else inside, axis=1)
+    chosen = np.zeros(n, dtype=bool)
+    chosen[low + least] = chosen[low + greatest] = True
+    return np.flatnonzero(chosen)
 
 
 def decibel(size: FloatArray) -> FloatArray:

@@ -47,6 +47,16 @@ class Cell:
     key: str = ""  # of a row's first cell: the row's id
     mark: Mark = ""
 
+    @property
+    def classes(self) -> str:
+        """What the style sheet knows it by."""
+        return f"{self.kind} {self.mark}".strip()
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is its text and nothing else."""
+        return not self.href and self.kind in ("", "number", "text")
+
 
 @dataclass(frozen=True, slots=True)
 class Group:
