@@ -42,6 +42,36 @@ class Arm:
         effects: Sequence[Sequence[str]] | None = None,
         gear_corner: float = ...,
     ) -> Arm: ...
+    @staticmethod
+    def serial_chain(
+        joints: Sequence[tuple[str, Sequence[float], Sequence[float], Sequence[float]]],
+        springs: Sequence[str],
+        gear_ratio: Sequence[float],
+        *,
+        torque_per_volt: Sequence[float] | None = None,
+        gravity: Sequence[float] = ...,
+        current_loop_hz: Sequence[float | None] | None = None,
+        encoder_counts: Sequence[float | None] | None = None,
+        accelerometer_distance: Sequence[float] | None = None,
+        accelerometer_hz: Sequence[float | None] | None = None,
+        gyro_hz: Sequence[float | None] | None = None,
+        imu_accelerometer_hz: Sequence[float | None] | None = None,
+        imu_gyro_hz: Sequence[float | None] | None = None,
+        effects: Sequence[Sequence[str]] | None = None,
+        gear_corner: float = ...,
+    ) -> Arm:
+        """A chain of 1 to 6 rigid links on joints that are placed anywhere in space.
+
+        A joint is "revolute" or "prismatic", its origin [m] and its roll, pitch and yaw [rad] at
+        zero angle in the frame of the link before, and its axis in its own frame, as in URDF.
+        `gravity` is an acceleration [m/s^2] in the base's frame, (0, 0, -9.81) by default. Each
+        link has ten inertial parameters: its mass, its first moments m c and its inertia about its
+        frame's origin, in its frame's axes. Its accelerometer sits at `accelerometer_distance`
+        across the joint's axis, along the frame's x axis as far as that is across, and reads across
+        both; on a prismatic joint it reads along the axis, at the origin. A gyro reads the rate
+        about the axis. Of an IMU's signals there are those in the plane across the axis. Raises
+        ValueError for other numbers of joints and axes without a direction.
+        """
     @property
     def n_joints(self) -> int: ...
     @property
@@ -118,6 +148,17 @@ class Arm:
         acceleration: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Motor torques of a links' motion behind rigid gears, (5): (n_samples, n_joints)."""
+    def inertia_matrix(
+        self, parameters: NDArray[np.float64], angle: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """M_L(q) of (2) at each posture: (n_samples, n_joints, n_joints)."""
+    def bias_torques(
+        self,
+        parameters: NDArray[np.float64],
+        angle: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Centrifugal, Coriolis and gravity torques c + g of (2): (n_samples, n_joints)."""
 
 def eliminate(
     first: NDArray[np.int64],

@@ -77,7 +77,7 @@ pub fn simulate<A: Arm<N>, const N: usize>(
     width: Width,
 ) -> Results<N> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
-    if task.config.has_effects() {
+    if A::COMPACT || task.config.has_effects() {
         one_by_one(task, members, width)
     } else if task.config.is_elastic() {
         simulate_arms::<A, N, true>(task, members, width)
@@ -109,7 +109,8 @@ fn simulate_arms<A: Arm<N>, const N: usize, const ELASTIC: bool>(
         .collect()
 }
 
-/// Arms with effects, whose equations are written for one lane.
+/// Arms with effects, whose equations are written for one lane, and those of which one program has to
+/// do: it is that for all kinds of joints.
 fn one_by_one<A: Arm<N>, const N: usize>(
     task: &Task<A, N>,
     members: &[Member<'_, N>],
@@ -189,6 +190,9 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
         "a low-pass for each quantity"
     );
     let asked = (task, member);
+    if A::COMPACT {
+        return compact(task, member, directions, decimation, width);
+    }
     if task.config.is_elastic() && !task.config.has_effects() {
         return forward_at::<A, N, false>(task, member, asked, directions, decimation, width);
     }
@@ -210,6 +214,25 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
     Ok(found.decimated(decimation, directions.len()))
 }
 
+/// [`sensitivities`] of an arm of which few programs have to do.
+fn compact<A: Arm<N>, const N: usize>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    directions: &[Source],
+    decimation: Option<&Decimation>,
+    width: Width,
+) -> Result<Sensitivities<N>, Diverged> {
+    #[cfg(target_arch = "x86_64")]
+    if width > Width::Portable && task.config.is_elastic() && !task.config.has_effects() {
+        let asked = (task, member);
+        return forward::<A, Fused, F64x4, F64x4, N, false>(
+            task, member, asked, directions, decimation,
+        );
+    }
+    let found = by_duals_at(task, member, directions, width)?;
+    Ok(found.decimated(decimation, directions.len()))
+}
+
 /// What [`sensitivities`] gives of all samples, by the chain over numbers with derivatives alone:
 /// slower, for rigid gears and effects too, and what the faster way is checked against.
 ///
@@ -222,7 +245,7 @@ pub fn by_duals_at<A: Arm<N>, const N: usize>(
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
-    if task.config.has_effects() {
+    if A::COMPACT || task.config.has_effects() {
         duals::<A, N, true>(task, member, directions, width)
     } else {
         duals::<A, N, false>(task, member, directions, width)

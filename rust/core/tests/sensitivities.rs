@@ -7,7 +7,7 @@ use std::iter::zip;
 use common::{BuiltIn, Draw, config};
 use proptest::prelude::*;
 use strainwave_core::actuation::servo::Servo;
-use strainwave_core::arm::{Arm, OneLink, TwoLink};
+use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
 use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::joint::effects::EffectKinds;
@@ -210,6 +210,11 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "beta" => 0.7,
                 "gamma" => 0.5,
                 "link_inertia" => 1.5,
+                "link_mass" => 4.0,
+                "link_first_moment_x" => 0.15,
+                "link_first_moment_y" | "link_first_moment_z" => -0.05,
+                "link_inertia_xx" | "link_inertia_yy" | "link_inertia_zz" => 0.35,
+                "link_inertia_xy" | "link_inertia_xz" | "link_inertia_yz" => 0.004,
                 "gravity_torque_1" => 31.0,
                 "gravity_torque_2" => 7.0,
                 "motor_inertia" => either(1.5e-4, 0.5e-4),
@@ -460,6 +465,105 @@ fn where_a_servo_amplifies_rounding() {
     ));
 }
 
+/// A planar arm and the same as a chain, in one experiment.
+///
+/// With masses m, first moments h and inertias I of the links, alpha = I_1 + m_2 l^2, beta = I_2,
+/// gamma = l h_2, G_1 = g (h_1 + m_2 l) and G_2 = g h_2.
+fn check_planar_chain(seed: u64, servo: bool) {
+    let mut planar = Case::<TwoLink<true>, 2>::drawn([ThreeSlope, Linear], seed, servo, 240);
+    let (l, g) = (0.35, 9.81);
+    let links = [[6.0, 0.9, 0.5], [3.0, 0.4, 0.3]]; // m, h, I
+    let [[_, h_1, i_1], [m_2, h_2, i_2]] = links;
+    planar.parameters[..5].copy_from_slice(&[
+        i_1 + m_2 * l * l,
+        i_2,
+        l * h_2,
+        g * (h_1 + m_2 * l),
+        g * h_2,
+    ]);
+    let joint = |position| ChainJoint {
+        joint_type: JointType::Revolute,
+        position,
+        attitude: [0.0; 3],
+        axis: [0.0, 0.0, 1.0],
+        accelerometer_distance: 0.3,
+    };
+    let joints = [joint([0.0; 3]), joint([l, 0.0, 0.0])];
+    let config = Config {
+        arm: SerialChain::new(&joints, [0.0, -g, 0.0]).expect("axes with a direction"),
+        corner: planar.task.config.corner,
+        joints: planar.task.config.joints,
+    };
+    let body = |[m, h, i]: [f64; 3]| [m, h, 0.0, 0.0, 0.6 * i, 0.0, i, 0.0, 0.0, i];
+    let base = links.map(body);
+    let parameters = [base.as_flattened(), &planar.parameters[5..]].concat();
+    config.check(&parameters).expect("a possible arm");
+    let chain = Case {
+        task: Task {
+            config,
+            clock: planar.task.clock,
+            servo: planar.task.servo,
+            record: planar.task.record.clone(),
+        },
+        usual: parameters.clone(),
+        parameters,
+        initial: planar.initial,
+        voltage: planar.voltage.clone(),
+        reference: planar.reference.clone(),
+    };
+    let width = Width::detect();
+    let (of_planar, of_chain) = (planar.directions(), chain.directions());
+    let one = planar.follow(&of_planar, width);
+    let other = chain.follow(&of_chain, width);
+    // what each parameter of the chain is made of
+    let made_of = |k: usize| match k {
+        1 => vec![(3, g)],
+        9 => vec![(0, 1.0)],
+        10 => vec![(0, l * l), (3, g * l)],
+        11 => vec![(2, l), (4, g)],
+        19 => vec![(1, 1.0)],
+        20.. => vec![(k - 15, 1.0)],
+        _ => Vec::new(),
+    };
+    for k in 0..RECORDED.len() {
+        let values = [&one.values[k], &other.values[k]].map(|rows| rows.as_flattened());
+        let largest = values[0].iter().fold(0.0f64, |a, x| a.max(x.abs()));
+        for (one, other) in zip(values[0], values[1]) {
+            assert!((one - other).abs() <= 1e-8 * largest, "{:?}", RECORDED[k]);
+        }
+        for (d, direction) in of_chain.iter().enumerate() {
+            let parts = match direction {
+                // the planar arm has no first moments across its links
+                Source::Parameter(2 | 12) => continue,
+                Source::Parameter(k) => made_of(*k)
+                    .iter()
+                    .map(|&(k, factor)| (Source::Parameter(k), factor))
+                    .collect(),
+                state => vec![(*state, 1.0)],
+            };
+            let own: Vec<[f64; 2]> = rows_of(&other.tangents[k], of_chain.len(), d);
+            let mut sum = vec![[0.0; 2]; own.len()];
+            for (part, factor) in parts {
+                let at = of_planar.iter().position(|&one| one == part).unwrap();
+                let rows: Vec<[f64; 2]> = rows_of(&one.tangents[k], of_planar.len(), at);
+                for (sum, row) in zip(&mut sum, rows) {
+                    *sum = [sum[0] + factor * row[0], sum[1] + factor * row[1]];
+                }
+            }
+            let sums = sum.as_flattened().iter();
+            let scale = sums.fold(1e-9 * largest, |a, x| a.max(x.abs()));
+            for (own, sum) in zip(own.as_flattened(), sum.as_flattened()) {
+                // as far as two ways to the same derivative are apart, see `check_ways`
+                assert!(
+                    (own - sum).abs() <= 1e-6 * scale,
+                    "{direction:?} {:?}",
+                    RECORDED[k]
+                );
+            }
+        }
+    }
+}
+
 const ALL: EffectKinds = EffectKinds {
     stribeck: true,
     hysteresis: true,
@@ -493,6 +597,30 @@ proptest! {
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(some, [other, one], seed, servo, 240)));
         shares.push(check(&Case::<OneLink<true>, 1>::drawn_with(ALL, [one], seed, servo, 240)));
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
+    }
+
+    #[test]
+    fn so_are_those_of_chains(seed in any::<u64>(), servo in any::<bool>()) {
+        let some = EffectKinds { hysteresis: seed % 3 == 0, ..ALL };
+        let shares = [
+            check(&Case::<SerialChain<1>, 1>::drawn([ThreeSlope], seed, servo, 160)),
+            check(&Case::<SerialChain<2>, 2>::drawn_with(some, [Linear, Rigid], seed, servo, 160)),
+            check(&Case::<SerialChain<3>, 3>::drawn([Linear, ThreeSlope, Linear], seed, servo, 80)),
+        ];
+        prop_assert!(shares.iter().sum::<f64>() > 1.0, "{:?}", shares);
+    }
+
+    #[test]
+    fn both_ways_agree_on_chains(seed in any::<u64>(), servo in any::<bool>()) {
+        check_ways(&Case::<SerialChain<1>, 1>::drawn([Linear], seed, servo, 240));
+        check_ways(&Case::<SerialChain<2>, 2>::drawn([ThreeSlope, Linear], seed, servo, 240));
+        check_ways(&Case::<SerialChain<3>, 3>::drawn([Linear, ThreeSlope, Linear], seed, servo, 240));
+        check_ways(&Case::<SerialChain<6>, 6>::drawn([Linear; 6], seed, servo, 80));
+    }
+
+    #[test]
+    fn a_planar_chain_is_the_closed_form(seed in any::<u64>(), servo in any::<bool>()) {
+        check_planar_chain(seed, servo);
     }
 
     #[test]

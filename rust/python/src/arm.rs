@@ -1,24 +1,26 @@
 //! The arm as a Python class.
 
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1};
 use pyo3::exceptions::{PyFloatingPointError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use strainwave_core::actuation::servo::Servo;
-use strainwave_core::arm;
-use strainwave_core::arm::{OneLink, TwoLink};
+use strainwave_core::arm::{self, OneLink, SerialChain, TwoLink};
 use strainwave_core::dispatch::{self, Width};
 use strainwave_core::experiment::{
     Clock, Diverged, Initial, Member, Quantity, Record, Source, Task,
 };
-use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear;
-use strainwave_core::plant::config::{Config, GearKind, JointConfig};
+use strainwave_core::plant::config::{Config, JointConfig};
 use strainwave_core::plant::rigid;
 use strainwave_core::sensitivity::Sensitivities;
 use strainwave_core::sensors::decimation::Decimation;
 
-type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+use crate::arguments::{
+    Joints, Matrix, Placed, check_clock, fixed, given, of_joints, one_link, quantities, rows,
+    same_rows, serial_chain, two_link,
+};
+
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
 /// kp, ki, limit and which joints.
 type ServoGiven = (Vec<f64>, Vec<f64>, f64, Vec<bool>);
@@ -29,25 +31,36 @@ const TAPS: &str =
 /// Values (samples, joints) and tangents (samples, joints, directions).
 type WithTangents<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
 
-/// Each arm the core knows, with its constants.
-#[derive(Clone, Copy)]
-enum Any {
-    TwoLinkLevel(Config<TwoLink<false>, 2>),
-    TwoLinkUpright(Config<TwoLink<true>, 2>),
-    OneLinkLevel(Config<OneLink<false>, 1>),
-    OneLinkUpright(Config<OneLink<true>, 1>),
-}
+/// [`Any`] of the arms that the core knows, and `each!`, which runs the same generic code on
+/// whichever it is; `$` is what stands before the latter's own variables.
+macro_rules! arms {
+    ($dollar:tt $($name:ident: $arm:ty, $joints:literal;)*) => {
+        /// An arm with its constants.
+        enum Any {
+            $($name(Box<Config<$arm, $joints>>),)*
+        }
 
-/// Runs the same generic code on whichever arm it is.
-macro_rules! each {
-    ($any:expr, $config:ident => $code:expr) => {
-        match $any {
-            Any::TwoLinkLevel($config) => $code,
-            Any::TwoLinkUpright($config) => $code,
-            Any::OneLinkLevel($config) => $code,
-            Any::OneLinkUpright($config) => $code,
+        macro_rules! each {
+            ($dollar any:expr, $dollar config:ident => $dollar code:expr) => {
+                match $dollar any {
+                    $(Any::$name($dollar config) => $dollar code,)*
+                }
+            };
         }
     };
+}
+
+arms! { $
+    TwoLinkLevel: TwoLink<false>, 2;
+    TwoLinkUpright: TwoLink<true>, 2;
+    OneLinkLevel: OneLink<false>, 1;
+    OneLinkUpright: OneLink<true>, 1;
+    Chain1: SerialChain<1>, 1;
+    Chain2: SerialChain<2>, 2;
+    Chain3: SerialChain<3>, 3;
+    Chain4: SerialChain<4>, 4;
+    Chain5: SerialChain<5>, 5;
+    Chain6: SerialChain<6>, 6;
 }
 
 /// An arm with its known constants; see _core.pyi.
@@ -92,54 +105,103 @@ impl Arm {
         effects: Option<Vec<Vec<String>>>,
         gear_corner: f64,
     ) -> PyResult<Self> {
-        let count = springs.len();
-        let torque_per_volt = given(torque_per_volt, 1.0, count, "torque_per_volt")?;
-        let distance = given(accelerometer_distance, 1.0, count, "accelerometer_distance")?;
-        let current_loop_hz = given(current_loop_hz, None, count, "current_loop_hz")?;
-        let encoder_counts = given(encoder_counts, None, count, "encoder_counts")?;
-        let accelerometer_hz = given(accelerometer_hz, None, count, "accelerometer_hz")?;
-        let gyro_hz = given(gyro_hz, None, count, "gyro_hz")?;
-        let imu_accelerometer_hz =
-            given(imu_accelerometer_hz, None, count, "imu_accelerometer_hz")?;
-        let imu_gyro_hz = given(imu_gyro_hz, None, count, "imu_gyro_hz")?;
-        let effects = given(effects, Vec::new(), count, "effects")?;
-        let gear_ratio = given(Some(gear_ratio), 1.0, count, "gear_ratio")?;
-        let mut joints = Vec::new();
-        for i in 0..count {
-            let gear = gear_kind(&springs[i])?;
-            joints.push(JointConfig {
-                gear,
-                ratio: gear_ratio[i],
-                torque_per_volt: torque_per_volt[i],
-                current_loop_hz: current_loop_hz[i],
-                encoder_counts: encoder_counts[i],
-                accelerometer_hz: accelerometer_hz[i],
-                gyro_hz: gyro_hz[i],
-                imu_accelerometer_hz: imu_accelerometer_hz[i],
-                imu_gyro_hz: imu_gyro_hz[i],
-                effects: effect_kinds(&effects[i], gear)?,
-            });
-        }
-        if gear_corner <= 0.0 || gear_corner.is_nan() {
-            return Err(PyValueError::new_err("gear_corner must be positive"));
-        }
-        let known = (gear_corner, joints.as_slice());
+        let distance = given(
+            accelerometer_distance,
+            1.0,
+            springs.len(),
+            "accelerometer_distance",
+        )?;
+        let joints = Joints {
+            springs,
+            gear_ratio,
+            torque_per_volt,
+            current_loop_hz,
+            encoder_counts,
+            accelerometer_hz,
+            gyro_hz,
+            imu_accelerometer_hz,
+            imu_gyro_hz,
+            effects,
+        };
+        let known = (gear_corner, joints.configs()?);
         Ok(Self(match (kind, gravity != 0.0) {
-            ("planar-two-link", false) => {
-                let arm = two_link(link_length, gravity, &distance)?;
-                Any::TwoLinkLevel(configure(arm, known)?)
-            }
-            ("planar-two-link", true) => {
-                let arm = two_link(link_length, gravity, &distance)?;
-                Any::TwoLinkUpright(configure(arm, known)?)
-            }
+            ("planar-two-link", false) => Any::TwoLinkLevel(configure(
+                two_link(link_length, gravity, &distance)?,
+                &known,
+            )?),
+            ("planar-two-link", true) => Any::TwoLinkUpright(configure(
+                two_link(link_length, gravity, &distance)?,
+                &known,
+            )?),
             ("single-joint", false) => {
-                Any::OneLinkLevel(configure(one_link(gravity, &distance)?, known)?)
+                Any::OneLinkLevel(configure(one_link(gravity, &distance)?, &known)?)
             }
             ("single-joint", true) => {
-                Any::OneLinkUpright(configure(one_link(gravity, &distance)?, known)?)
+                Any::OneLinkUpright(configure(one_link(gravity, &distance)?, &known)?)
             }
             _ => return Err(PyValueError::new_err(format!("no arm of kind {kind:?}"))),
+        }))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (joints, springs, gear_ratio, *, torque_per_volt=None,
+        gravity=[0.0, 0.0, -9.81], current_loop_hz=None, encoder_counts=None,
+        accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None,
+        imu_accelerometer_hz=None, imu_gyro_hz=None, effects=None, gear_corner=gear::CORNER))]
+    fn serial_chain(
+        joints: Vec<Placed>,
+        springs: Vec<String>,
+        gear_ratio: Vec<f64>,
+        torque_per_volt: Option<Vec<f64>>,
+        gravity: [f64; 3],
+        current_loop_hz: Option<Vec<Option<f64>>>,
+        encoder_counts: Option<Vec<Option<f64>>>,
+        accelerometer_distance: Option<Vec<f64>>,
+        accelerometer_hz: Option<Vec<Option<f64>>>,
+        gyro_hz: Option<Vec<Option<f64>>>,
+        imu_accelerometer_hz: Option<Vec<Option<f64>>>,
+        imu_gyro_hz: Option<Vec<Option<f64>>>,
+        effects: Option<Vec<Vec<String>>>,
+        gear_corner: f64,
+    ) -> PyResult<Self> {
+        let distance = given(
+            accelerometer_distance,
+            1.0,
+            joints.len(),
+            "accelerometer_distance",
+        )?;
+        let constants = Joints {
+            springs,
+            gear_ratio,
+            torque_per_volt,
+            current_loop_hz,
+            encoder_counts,
+            accelerometer_hz,
+            gyro_hz,
+            imu_accelerometer_hz,
+            imu_gyro_hz,
+            effects,
+        };
+        let known = (gear_corner, constants.configs()?);
+        macro_rules! chain {
+            ($any:path) => {
+                $any(configure(
+                    serial_chain(&joints, gravity, &distance)?,
+                    &known,
+                )?)
+            };
+        }
+        Ok(Self(match joints.len() {
+            1 => chain!(Any::Chain1),
+            2 => chain!(Any::Chain2),
+            3 => chain!(Any::Chain3),
+            4 => chain!(Any::Chain4),
+            5 => chain!(Any::Chain5),
+            6 => chain!(Any::Chain6),
+            count => {
+                let text = format!("a chain has 1 to 6 joints, got {count}");
+                return Err(PyValueError::new_err(text));
+            }
         }))
     }
 
@@ -290,47 +352,40 @@ impl Arm {
         let motion = [&angle, &velocity, &acceleration];
         each!(&self.0, config => inverse_dynamics(py, config, &parameters, motion))
     }
-}
 
-fn two_link<const VERTICAL: bool>(
-    link_length: f64,
-    gravity: f64,
-    accelerometer_distance: &[f64],
-) -> PyResult<TwoLink<VERTICAL>> {
-    Ok(TwoLink {
-        link_length,
-        gravity,
-        accelerometer_distance: joints_of(accelerometer_distance)?,
-    })
-}
+    fn inertia_matrix<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: Vector<'py>,
+        angle: Matrix<'py>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        each!(&self.0, config => inertia_matrix(py, config, &parameters, &angle))
+    }
 
-fn one_link<const VERTICAL: bool>(
-    gravity: f64,
-    accelerometer_distance: &[f64],
-) -> PyResult<OneLink<VERTICAL>> {
-    let [accelerometer_distance] = joints_of(accelerometer_distance)?;
-    Ok(OneLink {
-        gravity,
-        accelerometer_distance,
-    })
-}
-
-/// A value for each of an arm's joints.
-fn joints_of<T: Copy, const N: usize>(values: &[T]) -> PyResult<[T; N]> {
-    values
-        .try_into()
-        .map_err(|_| PyValueError::new_err(format!("expected {N} joints, got {}", values.len())))
+    fn bias_torques<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: Vector<'py>,
+        angle: Matrix<'py>,
+        velocity: Matrix<'py>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let motion = [&angle, &velocity, &velocity];
+        each!(&self.0, config => bias_torques(py, config, &parameters, motion))
+    }
 }
 
 fn configure<A: arm::Arm<N>, const N: usize>(
     arm: A,
-    (corner, joints): (f64, &[JointConfig]),
-) -> PyResult<Config<A, N>> {
-    Ok(Config {
+    (corner, joints): &(f64, Vec<JointConfig>),
+) -> PyResult<Box<Config<A, N>>> {
+    if *corner <= 0.0 || corner.is_nan() {
+        return Err(PyValueError::new_err("gear_corner must be positive"));
+    }
+    Ok(Box::new(Config {
         arm,
-        corner,
-        joints: joints_of(joints)?,
-    })
+        corner: *corner,
+        joints: of_joints(joints)?,
+    }))
 }
 
 impl Experiment<'_> {
@@ -527,6 +582,42 @@ fn inverse_dynamics<'py, A: arm::Arm<N>, const N: usize>(
     PyArray1::from_vec(py, all).reshape([q.len(), N])
 }
 
+fn inertia_matrix<'py, A: arm::Arm<N>, const N: usize>(
+    py: Python<'py>,
+    config: &Config<A, N>,
+    parameters: &Vector<'py>,
+    angle: &Matrix<'py>,
+) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    let values = parameters.as_array().to_vec();
+    check_values(config, &values)?;
+    let q = rows::<N>(angle, "angle", 0)?;
+    let all: Vec<f64> = py.detach(|| {
+        let base = config.arm.base(&values);
+        let at = |q| config.arm.inertia(&base, &config.arm.posture(q));
+        q.iter()
+            .flat_map(|q| at(q).as_flattened().to_vec())
+            .collect()
+    });
+    PyArray1::from_vec(py, all).reshape([q.len(), N, N])
+}
+
+fn bias_torques<'py, A: arm::Arm<N>, const N: usize>(
+    py: Python<'py>,
+    config: &Config<A, N>,
+    parameters: &Vector<'py>,
+    motion: [&Matrix<'py>; 3],
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let values = parameters.as_array().to_vec();
+    check_values(config, &values)?;
+    let [q, dq, _] = same_rows::<N>(motion)?;
+    let all: Vec<f64> = py.detach(|| {
+        let base = config.arm.base(&values);
+        let at = |(q, dq): (_, &[f64; N])| config.arm.bias(&base, &config.arm.posture(q), dq);
+        q.iter().zip(&dq).flat_map(at).collect()
+    });
+    PyArray1::from_vec(py, all).reshape([q.len(), N])
+}
+
 fn checked_parameters<A: arm::Arm<N>, const N: usize>(
     config: &Config<A, N>,
     parameters: &Matrix<'_>,
@@ -562,129 +653,4 @@ fn check_values<A: arm::Arm<N>, const N: usize>(
     config
         .check(values)
         .map_err(|invalid| PyValueError::new_err(invalid.to_string()))
-}
-
-fn check_clock(clock: &Clock) -> PyResult<()> {
-    let positive = clock.step > 0.0 && clock.step.is_finite();
-    let counts = [
-        clock.steps_per_tick,
-        clock.steps_per_servo,
-        clock.steps_per_sample,
-        clock.samples,
-    ];
-    if !positive || counts.contains(&0) {
-        return Err(PyValueError::new_err(
-            "step, samples and the numbers of steps must be positive",
-        ));
-    }
-    Ok(())
-}
-
-fn gear_kind(name: &str) -> PyResult<GearKind> {
-    match name {
-        "linear" => Ok(GearKind::Linear),
-        "three-slope" => Ok(GearKind::ThreeSlope),
-        "rigid" => Ok(GearKind::Rigid),
-        _ => Err(PyValueError::new_err(format!("no gear spring {name:?}"))),
-    }
-}
-
-fn effect_kinds(names: &[String], gear: GearKind) -> PyResult<EffectKinds> {
-    let mut kinds = EffectKinds::default();
-    for name in names {
-        match name.as_str() {
-            "stribeck" => kinds.stribeck = true,
-            "hysteresis" => kinds.hysteresis = true,
-            "kinematic-error" => kinds.kinematic_error = true,
-            _ => return Err(PyValueError::new_err(format!("no effect {name:?}"))),
-        }
-    }
-    if gear == GearKind::Rigid && (kinds.hysteresis || kinds.kinematic_error) {
-        let text = "a rigid gear has neither hysteresis nor a kinematic error";
-        return Err(PyValueError::new_err(text));
-    }
-    Ok(kinds)
-}
-
-fn quantities(names: &[String]) -> PyResult<Vec<Quantity>> {
-    names.iter().map(|name| quantity(name)).collect()
-}
-
-fn quantity(name: &str) -> PyResult<Quantity> {
-    Ok(match name {
-        "voltage" => Quantity::Voltage,
-        "motor_torque" => Quantity::MotorTorque,
-        "motor_angle" => Quantity::MotorAngle,
-        "motor_velocity" => Quantity::MotorVelocity,
-        "link_angle" => Quantity::LinkAngle,
-        "link_velocity" => Quantity::LinkVelocity,
-        "link_acceleration" => Quantity::LinkAcceleration,
-        "gear_torque" => Quantity::GearTorque,
-        "encoder" => Quantity::Encoder,
-        "accelerometer" => Quantity::Accelerometer,
-        "gyro" => Quantity::Gyro,
-        "specific_force_x" => Quantity::SpecificForceX,
-        "specific_force_y" => Quantity::SpecificForceY,
-        "angular_acceleration" => Quantity::AngularAcceleration,
-        "squared_rate" => Quantity::SquaredRate,
-        "angular_rate" => Quantity::AngularRate,
-        "sliding" => Quantity::Sliding,
-        _ => {
-            return Err(PyValueError::new_err(format!(
-                "nothing called {name:?} can be recorded"
-            )));
-        }
-    })
-}
-
-fn given<T: Clone>(
-    values: Option<Vec<T>>,
-    default: T,
-    count: usize,
-    name: &str,
-) -> PyResult<Vec<T>> {
-    let values = values.unwrap_or_else(|| vec![default; count]);
-    if values.len() != count {
-        let got = values.len();
-        return Err(PyValueError::new_err(format!(
-            "{name}: expected {count} values, got {got}"
-        )));
-    }
-    Ok(values)
-}
-
-fn fixed<T: Copy, const N: usize>(values: &[T], name: &str) -> PyResult<[T; N]> {
-    values.try_into().map_err(|_| {
-        PyValueError::new_err(format!("{name}: expected {N} values, got {}", values.len()))
-    })
-}
-
-fn rows<const N: usize>(matrix: &Matrix<'_>, name: &str, least: usize) -> PyResult<Vec<[f64; N]>> {
-    let matrix = matrix.as_array();
-    if matrix.ncols() != N || matrix.nrows() < least {
-        let (rows, columns) = matrix.dim();
-        let text =
-            format!("{name}: expected at least {least} x {N} values, got {rows} x {columns}");
-        return Err(PyValueError::new_err(text));
-    }
-    Ok(matrix
-        .rows()
-        .into_iter()
-        .map(|row| std::array::from_fn(|i| row[i]))
-        .collect())
-}
-
-fn same_rows<const N: usize>(motion: [&Matrix<'_>; 3]) -> PyResult<[Vec<[f64; N]>; 3]> {
-    let samples = motion[0].as_array().nrows();
-    if motion.iter().any(|part| part.as_array().nrows() != samples) {
-        return Err(PyValueError::new_err(
-            "angle, velocity and acceleration differ in length",
-        ));
-    }
-    let [q, dq, ddq] = motion;
-    Ok([
-        rows(q, "angle", 0)?,
-        rows(dq, "velocity", 0)?,
-        rows(ddq, "acceleration", 0)?,
-    ])
 }

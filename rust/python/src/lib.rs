@@ -1,5 +1,6 @@
 //! Python's door to the core: convert, compute without the GIL, map the error. No arithmetic.
 
+mod arguments;
 mod arm;
 mod least_squares;
 mod statespace;

@@ -71,13 +71,16 @@ fn differentiate<A: Arm<N>, R: Real, const N: usize, const M: usize, const K: us
     functions: impl Fn(&A::Posture<Jet<R>>, &[Jet<R>; N], &[Jet<R>; N]) -> [[Jet<R>; N]; M],
 ) -> Derivatives<R, N, M, K> {
     let (zero, one) = (R::splat(0.0), R::splat(1.0));
+    let at = A::map_posture(at, Jet::constant);
     let mut all = [[[[zero; N]; N]; M]; K];
     for j in 0..N {
         for (kind, by) in all.iter_mut().enumerate() {
-            let mut moved = [&[zero; N], dq, ddq].map(|row| row.map(Jet::constant));
+            let mut moved = [[Jet::constant(zero); N]; 3];
+            for i in 0..N {
+                (moved[1][i].value, moved[2][i].value) = (dq[i], ddq[i]);
+            }
             moved[kind][j].tangent = one;
             let [turned, dq, ddq] = moved;
-            let at = A::map_posture(at, Jet::constant);
             let found = functions(&arm.near(&at, &turned), &dq, &ddq);
             for m in 0..M {
                 for i in 0..N {

@@ -9,10 +9,12 @@
 mod differentiation;
 pub mod link_signals;
 mod one_link;
+mod serial_chain;
 mod turn;
 mod two_link;
 
 pub use one_link::OneLink;
+pub use serial_chain::{ChainJoint, JointType, SerialChain};
 pub use two_link::TwoLink;
 
 use crate::scalar::Real;

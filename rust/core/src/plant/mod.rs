@@ -8,7 +8,7 @@ use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
 use crate::joint::effects::Twist;
 use crate::joint::{Gear, Joint};
-use crate::scalar::{Real, Work, solve};
+use crate::scalar::{Real, Work, apart, solve};
 
 /// Angles [rad] and velocities [rad/s] of motors and links, and what the gears remember.
 #[derive(Clone, Copy, Debug)]
@@ -170,7 +170,8 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        if EFFECTS {
+        if EFFECTS || A::COMPACT {
+            // the exponentials and sines of effects in every stage would be half of the program
             apart::<R, _>(Accelerating(self, x, at, torque, modes))
         } else {
             self.accelerations(x, at, torque, modes)
@@ -449,13 +450,6 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
     fn run(self) -> Self::Output {
         self.0.accelerations(self.1, self.2, self.3, self.4)
     }
-}
-
-/// Work in a function of its own: the exponentials and sines of effects in every stage of every step
-/// would be half of the program.
-#[inline(never)]
-fn apart<R: Real, W: Work>(work: W) -> W::Output {
-    R::scope(work)
 }
 
 /// [`Plant::twisted`].

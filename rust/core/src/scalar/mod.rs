@@ -11,5 +11,6 @@ mod solve;
 pub(crate) use aligned::Aligned;
 pub use dual::Dual;
 pub use jet::Jet;
+pub(crate) use real::apart;
 pub use real::{Lanes, MOST_LANES, Real, Work, gather};
-pub(crate) use solve::solve;
+pub(crate) use solve::{inverse, solve};

@@ -177,6 +177,13 @@ pub trait Lanes: Real {
     }
 }
 
+/// Work in a function of its own: what is long and called in every stage of every step is then in the
+/// program once.
+#[inline(never)]
+pub(crate) fn apart<R: Real, W: Work>(work: W) -> W::Output {
+    R::scope(work)
+}
+
 /// A number per lane.
 #[inline(always)]
 pub fn gather<R: Real>(value: impl Fn(usize) -> R::One) -> R {

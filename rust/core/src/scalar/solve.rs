@@ -1,6 +1,6 @@
 //! Small symmetric positive definite systems.
 
-use super::Real;
+use super::{Real, Work, apart};
 
 /// Solves a small symmetric positive definite system: Cramer's rule for two rows (one division),
 /// L D L' beyond.
@@ -15,37 +15,101 @@ pub(crate) fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N
         x[0] = d.mul_add(right[0], -(b * right[1])) * scale;
         x[1] = a.mul_add(right[1], -(b * right[0])) * scale;
     } else {
-        x = solve_ldl(matrix, right);
+        x = apart::<R, _>(Solving(matrix, right));
     }
     x
 }
 
-fn solve_ldl<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N]) -> [R; N] {
-    let mut l = *matrix;
+/// The inverse of a small symmetric positive definite matrix, times a factor.
+#[inline(always)]
+pub(crate) fn inverse<R: Real, const N: usize>(matrix: &[[R; N]; N], factor: R) -> [[R; N]; N] {
+    if N > 2 {
+        return apart::<R, _>(Inverting(matrix, factor));
+    }
+    let mut all = [[R::splat(0.0); N]; N];
     for j in 0..N {
-        for k in 0..j {
-            l[j][j] = l[j][j] - l[j][k] * l[j][k] * l[k][k];
+        let mut column = [R::splat(0.0); N];
+        column[j] = factor;
+        // symmetric: a column is a row
+        all[j] = solve(matrix, &column);
+    }
+    all
+}
+
+/// [`solve`] beyond two rows.
+struct Solving<'m, R, const N: usize>(&'m [[R; N]; N], &'m [R; N]);
+
+impl<R: Real, const N: usize> Work for Solving<'_, R, N> {
+    type Output = [R; N];
+    #[inline(always)]
+    fn run(self) -> [R; N] {
+        Factor::new(self.0).solve(self.1)
+    }
+}
+
+/// [`inverse`] beyond two rows.
+struct Inverting<'m, R, const N: usize>(&'m [[R; N]; N], R);
+
+impl<R: Real, const N: usize> Work for Inverting<'_, R, N> {
+    type Output = [[R; N]; N];
+    #[inline(always)]
+    fn run(self) -> [[R; N]; N] {
+        let factor = Factor::new(self.0);
+        let mut all = *self.0;
+        for j in 0..N {
+            let mut column = [R::splat(0.0); N];
+            column[j] = self.1;
+            all[j] = factor.solve(&column);
         }
-        for i in j + 1..N {
+        all
+    }
+}
+
+/// L below the diagonal, and 1/D.
+struct Factor<R, const N: usize> {
+    l: [[R; N]; N],
+    per_d: [R; N],
+}
+
+impl<R: Real, const N: usize> Factor<R, N> {
+    #[inline(always)]
+    fn new(matrix: &[[R; N]; N]) -> Self {
+        let mut l = *matrix;
+        let mut per_d = [R::splat(0.0); N];
+        for j in 0..N {
+            // row j times D so far
+            let mut scaled = l[j];
             for k in 0..j {
-                l[i][j] = l[i][j] - l[i][k] * l[j][k] * l[k][k];
+                scaled[k] = l[j][k] * l[k][k];
+                l[j][j] = (-l[j][k]).mul_add(scaled[k], l[j][j]);
             }
-            l[i][j] = l[i][j] / l[j][j];
+            per_d[j] = R::splat(1.0) / l[j][j];
+            for i in j + 1..N {
+                for k in 0..j {
+                    l[i][j] = (-l[i][k]).mul_add(scaled[k], l[i][j]);
+                }
+                l[i][j] = l[i][j] * per_d[j];
+            }
         }
+        Self { l, per_d }
     }
-    let mut x = *right;
-    for i in 0..N {
-        for k in 0..i {
-            x[i] = x[i] - l[i][k] * x[k];
+
+    #[inline(always)]
+    fn solve(&self, right: &[R; N]) -> [R; N] {
+        let mut x = *right;
+        for i in 0..N {
+            for k in 0..i {
+                x[i] = (-self.l[i][k]).mul_add(x[k], x[i]);
+            }
         }
-    }
-    for i in (0..N).rev() {
-        x[i] = x[i] / l[i][i];
-        for k in i + 1..N {
-            x[i] = x[i] - l[k][i] * x[k];
+        for i in (0..N).rev() {
+            x[i] = x[i] * self.per_d[i];
+            for k in i + 1..N {
+                x[i] = (-self.l[k][i]).mul_add(x[k], x[i]);
+            }
         }
+        x
     }
-    x
 }
 
 #[cfg(test)]
@@ -65,12 +129,15 @@ mod tests {
             }
             let right: [f64; 3] = std::array::from_fn(|i| (0..3).map(|j| matrix[i][j] * x[j]).sum());
             let found = solve(&matrix, &right);
+            let inverse = inverse(&matrix, 2.0);
             for i in 0..3 {
+                let row: f64 = (0..3).map(|j| inverse[i][j] * right[j]).sum();
+                prop_assert!((row - 2.0 * x[i]).abs() < 1e-11); // the condition number twice
                 prop_assert!((found[i] - x[i]).abs() < 1e-12); // condition number below 10
             }
             let corner = [[matrix[0][0], matrix[0][1]], [matrix[1][0], matrix[1][1]]];
             let right = [corner[0][0] * x[0] + corner[0][1] * x[1], corner[1][0] * x[0] + corner[1][1] * x[1]];
-            let (fast, general) = (solve(&corner, &right), solve_ldl(&corner, &right));
+            let (fast, general) = (solve(&corner, &right), Factor::new(&corner).solve(&right));
             for i in 0..2 {
                 prop_assert!((fast[i] - x[i]).abs() < 1e-12);
                 prop_assert!((general[i] - x[i]).abs() < 1e-12);

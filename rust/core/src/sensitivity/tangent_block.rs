@@ -4,7 +4,7 @@ use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
 use crate::experiment::Source;
 use crate::plant::config::{Config, SETTLING};
-use crate::scalar::Lanes;
+use crate::scalar::{Lanes, Work, apart};
 use crate::sensitivity::forcing::{Forcing, Row};
 use crate::sensitivity::step_length::StepLengthSensitivity;
 use crate::sensitivity::tangent::{Response, Tangent};
@@ -40,9 +40,25 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         }
     }
 
-    /// The equations of stage `k`.
+    /// The equations of stage `k`; of an arm of which few programs have to do, in a function of their
+    /// own.
     #[inline(always)]
     pub(crate) fn respond<A: Arm<N>, L: Lanes>(
+        &self,
+        step: &Linearised<A, L, N>,
+        k: usize,
+        x: &Tangent<V, N>,
+        torque: Option<&[V; N]>,
+    ) -> Response<V, N> {
+        if A::COMPACT {
+            apart::<V, _>(Responding(self, step, k, x, torque))
+        } else {
+            self.response(step, k, x, torque)
+        }
+    }
+
+    #[inline(always)]
+    fn response<A: Arm<N>, L: Lanes>(
         &self,
         step: &Linearised<A, L, N>,
         k: usize,
@@ -201,5 +217,22 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             stage.motor[i] = velocity_by_time.mul_add(self.settling[i], stage.motor[i]);
         }
         stage
+    }
+}
+
+/// [`TangentBlock::response`].
+struct Responding<'b, A: Arm<N>, L: Lanes, V: Lanes, const N: usize>(
+    &'b TangentBlock<V, N>,
+    &'b Linearised<A, L, N>,
+    usize,
+    &'b Tangent<V, N>,
+    Option<&'b [V; N]>,
+);
+
+impl<A: Arm<N>, L: Lanes, V: Lanes, const N: usize> Work for Responding<'_, A, L, V, N> {
+    type Output = Response<V, N>;
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.response(self.1, self.2, self.3, self.4)
     }
 }

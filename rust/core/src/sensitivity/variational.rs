@@ -16,7 +16,7 @@ use crate::arm::Arm;
 use crate::joint::gear::PerSlope;
 use crate::plant::config::{Config, GearKind};
 use crate::plant::{Modes, Plant};
-use crate::scalar::{Lanes, Real, solve};
+use crate::scalar::{Lanes, Real, inverse};
 use crate::sensitivity::effect::EffectSensitivity;
 use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, link_quads};
 use crate::sensitivity::trace::{Stages, Trace};
@@ -173,12 +173,10 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
             slopes.velocity[i][i] = slopes.velocity[i][i] + self.plant.joints[i].link_viscous;
         }
         let (square, rate) = (L::splat(self.half * self.half), L::splat(1.0 / self.half));
+        let inverse = inverse(&inertia, square);
         for j in 0..N {
-            let mut column = [L::splat(0.0); N];
-            column[j] = square;
-            let column = solve(&inertia, &column);
             for i in 0..N {
-                column[i].store(&mut self.inverse[i][j][first..]);
+                inverse[j][i].store(&mut self.inverse[i][j][first..]);
                 if A::FELT[j] {
                     slopes.angle[i][j].store(&mut self.by_angle[i][j][first..]);
                 }

@@ -1,7 +1,7 @@
 //! Arms and runs that the tests share.
 #![allow(dead_code)] // each test file uses its own part
 
-use strainwave_core::arm::{Arm, OneLink, TwoLink};
+use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Task};
 use strainwave_core::joint::effects::EffectKinds;
@@ -45,6 +45,27 @@ impl<const VERTICAL: bool> BuiltIn for OneLink<VERTICAL> {
             gravity: 9.81,
             accelerometer_distance: 0.3,
         }
+    }
+}
+
+/// No two axes parallel, and the second of three or more joints prismatic.
+impl<const N: usize> BuiltIn for SerialChain<N> {
+    fn built_in() -> Self {
+        let joint = |i: usize| {
+            let k = i as f64;
+            ChainJoint {
+                joint_type: match i {
+                    1 if N > 2 => JointType::Prismatic,
+                    _ => JointType::Revolute,
+                },
+                position: [0.3, 0.05 * k, -0.1],
+                attitude: [0.4 - 0.2 * k, 0.5 * k - 0.7, 0.3],
+                axis: [0.3 * k, -0.4, 1.0],
+                accelerometer_distance: 0.3,
+            }
+        };
+        let joints = std::array::from_fn(joint);
+        Self::new(&joints, [0.5, -0.3, -9.8]).expect("axes with a direction")
     }
 }
 

@@ -1,0 +1,500 @@
+//! A chain of rigid links on revolute or prismatic joints that are placed anywhere in space.
+
+mod placement;
+mod recursion;
+mod vector;
+
+pub use placement::{ChainJoint, JointType};
+
+use super::link_signals::LINK_SIGNALS;
+use super::turn::Turn;
+use super::{Arm, Name};
+use crate::scalar::{Real, Work, apart};
+use placement::Placement;
+use vector::{Matrix, cross, dot, plus, scaled, splat, times};
+
+/// Inertial parameters of a link.
+const PER_LINK: usize = 10;
+
+/// Their names: mass m [kg], first moments m c [kg m] and the inertia [kg m^2] about the origin of the
+/// link's frame, in its axes.
+const NAMES: [&str; PER_LINK] = [
+    "link_mass",
+    "link_first_moment_x",
+    "link_first_moment_y",
+    "link_first_moment_z",
+    "link_inertia_xx",
+    "link_inertia_xy",
+    "link_inertia_yy",
+    "link_inertia_xz",
+    "link_inertia_yz",
+    "link_inertia_zz",
+];
+
+/// A chain of `N` links, the first on a fixed base.
+///
+/// Torques by Newton and Euler's recursion; they are linear in ten parameters per link, all of which
+/// are parameters of the arm, whether a motion shows them or not. The inertia matrix is the sum of
+/// what each link adds.
+///
+/// A link's accelerometer sits at `accelerometer_distance` across the joint's axis, along the link
+/// frame's x axis as far as that is across (its y axis where the joint's axis is x), and reads across
+/// both; on a prismatic joint it reads along the axis, at the link's origin. A gyro reads the rate
+/// about the axis. The link signals are those of the plane across the axis: all that an IMU reads
+/// where the axes are parallel, and a part of it elsewhere.
+///
+/// One arm runs at a time, and each kind of processor has one program for all kinds of joints.
+/// Derivatives by the motion come from the recursion over numbers with a derivative.
+#[derive(Clone, Copy, Debug)]
+pub struct SerialChain<const N: usize> {
+    joints: [Placement; N],
+    /// [m/s^2] in the base's frame.
+    gravity: [f64; 3],
+}
+
+impl<const N: usize> SerialChain<N> {
+    /// Joints from the base on, and gravity's acceleration [m/s^2] in the base's frame.
+    ///
+    /// # Errors
+    /// The place of the first joint whose axis has no direction.
+    pub fn new(joints: &[ChainJoint; N], gravity: [f64; 3]) -> Result<Self, usize> {
+        let placed = joints.each_ref().map(Placement::new);
+        if let Some(place) = placed.iter().position(Option::is_none) {
+            return Err(place);
+        }
+        let Some(joints) = placed.into_iter().collect::<Option<Vec<_>>>() else {
+            unreachable!("every axis has a direction");
+        };
+        let Ok(joints) = joints.try_into() else {
+            unreachable!("as many as before");
+        };
+        Ok(Self { joints, gravity })
+    }
+
+    /// Turns the frames as far as the joints are turned.
+    #[inline(always)]
+    fn rotated<R: Real>(&self, turn: [Turn<R>; N], shift: [R; N]) -> Posture<R, N> {
+        let zero = R::splat(0.0);
+        let mut rotation = [[[zero; 3]; 3]; N];
+        for i in 0..N {
+            let placed = &self.joints[i];
+            for k in 0..3 {
+                let fixed = scaled(
+                    turn[i].sin,
+                    &splat(&placed.sin[k]),
+                    &splat(&placed.fixed[k]),
+                );
+                rotation[i][k] = scaled(turn[i].cos, &splat(&placed.cos[k]), &fixed);
+            }
+        }
+        Posture {
+            turn,
+            shift,
+            rotation,
+        }
+    }
+
+    #[inline(always)]
+    fn revolute(&self, i: usize) -> bool {
+        self.joints[i].joint_type == JointType::Revolute
+    }
+}
+
+/// How the joints stand.
+#[derive(Clone, Copy)]
+pub struct Posture<R, const N: usize> {
+    /// Of revolute joints.
+    turn: [Turn<R>; N],
+    /// [m] of prismatic ones.
+    shift: [R; N],
+    /// Of each link's frame in that of the link before.
+    rotation: [Matrix<R>; N],
+}
+
+/// Torques per inertial parameter, link by link.
+pub struct Regressor<R, const N: usize>([[[R; N]; PER_LINK]; N]);
+
+impl<R, const N: usize> AsRef<[[R; N]]> for Regressor<R, N> {
+    #[inline(always)]
+    fn as_ref(&self) -> &[[R; N]] {
+        self.0.as_flattened()
+    }
+}
+
+impl<const N: usize> Arm<N> for SerialChain<N> {
+    type Base<R: Real> = [[R; PER_LINK]; N];
+    type Posture<R: Real> = Posture<R, N>;
+    type Regressor<R: Real> = Regressor<R, N>;
+
+    const FELT: [bool; N] = [true; N];
+    const PLANAR: bool = false;
+    const COMPACT: bool = true;
+
+    fn names(&self) -> Vec<Name> {
+        let of = |i: usize| NAMES.map(|name| (name, Some(i + 1)));
+        (0..N).flat_map(of).collect()
+    }
+
+    /// A body's pseudo-inertia matrix (Wensing, Kim and Slotine, IEEE RA-L 3(1), 2018) is positive
+    /// definite, and with those of all links so is the inertia matrix.
+    fn check(&self, values: &[f64], _: &[Option<f64>; N]) -> Result<(), (usize, &'static str)> {
+        for (i, own) in values.as_chunks::<PER_LINK>().0.iter().enumerate() {
+            let first = i * PER_LINK;
+            if own[0] <= 0.0 {
+                return Err((first, "positive"));
+            }
+            if !is_body(own) {
+                let must = "that of a body: the link's pseudo-inertia matrix positive definite";
+                return Err((first + 4, must));
+            }
+        }
+        Ok(())
+    }
+
+    #[inline(always)]
+    fn base<R: Real>(&self, values: &[R]) -> [[R; PER_LINK]; N] {
+        std::array::from_fn(|i| std::array::from_fn(|k| values[i * PER_LINK + k]))
+    }
+
+    #[inline(always)]
+    fn map_base<R: Real, L: Real>(
+        base: &[[R; PER_LINK]; N],
+        to: impl Fn(R) -> L,
+    ) -> [[L; PER_LINK]; N] {
+        let mut all = [[to(base[0][0]); PER_LINK]; N];
+        for i in 0..N {
+            for k in 0..PER_LINK {
+                all[i][k] = to(base[i][k]);
+            }
+        }
+        all
+    }
+
+    #[inline(always)]
+    fn posture<R: Real>(&self, q: &[R; N]) -> Posture<R, N> {
+        let zero = R::splat(0.0);
+        let mut turn = [Turn::of(zero); N];
+        for i in 0..N {
+            if self.revolute(i) {
+                turn[i] = Turn::of(q[i]);
+            }
+        }
+        self.rotated(turn, *q)
+    }
+
+    #[inline(always)]
+    fn near<R: Real>(&self, from: &Posture<R, N>, increment: &[R; N]) -> Posture<R, N> {
+        let (mut turn, mut shift) = (from.turn, from.shift);
+        for i in 0..N {
+            if self.revolute(i) {
+                turn[i] = turn[i].further(increment[i]);
+            }
+            shift[i] = shift[i] + increment[i];
+        }
+        self.rotated(turn, shift)
+    }
+
+    #[inline(always)]
+    fn map_posture<R: Real, L: Real>(at: &Posture<R, N>, to: impl Fn(R) -> L) -> Posture<L, N> {
+        let mut all = Posture {
+            turn: [at.turn[0].map(&to); N],
+            shift: [to(at.shift[0]); N],
+            rotation: [[[to(at.shift[0]); 3]; 3]; N],
+        };
+        for i in 0..N {
+            all.turn[i] = at.turn[i].map(&to);
+            all.shift[i] = to(at.shift[i]);
+            for row in 0..3 {
+                for column in 0..3 {
+                    all.rotation[i][row][column] = to(at.rotation[i][row][column]);
+                }
+            }
+        }
+        all
+    }
+
+    #[inline(always)]
+    fn inertia<R: Real>(&self, base: &[[R; PER_LINK]; N], at: &Posture<R, N>) -> [[R; N]; N] {
+        apart::<R, _>(MassMatrix(self, base, at))
+    }
+
+    #[inline(always)]
+    fn bias<R: Real>(&self, base: &[[R; PER_LINK]; N], at: &Posture<R, N>, dq: &[R; N]) -> [R; N] {
+        self.torques(base, at, dq, &[R::splat(0.0); N])
+    }
+
+    #[inline(always)]
+    fn torques<R: Real>(
+        &self,
+        base: &[[R; PER_LINK]; N],
+        at: &Posture<R, N>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> [R; N] {
+        apart::<R, _>(NewtonEuler(self, base, at, dq, ddq))
+    }
+
+    #[inline(always)]
+    fn regressor<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N], ddq: &[R; N]) -> Regressor<R, N> {
+        apart::<R, _>(PerParameter(self, at, dq, ddq))
+    }
+
+    fn potential<R: Real>(&self, base: &[[R; PER_LINK]; N], at: &Posture<R, N>) -> R {
+        // mass and first moment of all links from the i-th on, about its origin
+        let (mut mass, mut moment) = (R::splat(0.0), [R::splat(0.0); 3]);
+        for i in (0..N).rev() {
+            let [own, x, y, z, ..] = base[i];
+            mass = mass + own;
+            let turned = times(&at.rotation[i], &plus(&moment, &[x, y, z]));
+            moment = scaled(mass, &self.origin(at, i), &turned);
+        }
+        -dot(&splat(&self.gravity), &moment)
+    }
+
+    #[inline(always)]
+    fn accelerometers<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N], ddq: &[R; N]) -> [R; N] {
+        let mut reading = [R::splat(0.0); N];
+        for (i, motion) in apart::<R, _>(Motions(self, at, dq, ddq)).iter().enumerate() {
+            let placed = &self.joints[i];
+            reading[i] = if self.revolute(i) {
+                let zero = [R::splat(0.0); 3];
+                let distance = R::splat(placed.accelerometer_distance);
+                let place = scaled(distance, &splat(&placed.x), &zero);
+                let turned = cross(&motion.turning, &place);
+                let inward = cross(&motion.rate, &cross(&motion.rate, &place));
+                dot(
+                    &splat(&placed.y),
+                    &plus(&motion.force, &plus(&turned, &inward)),
+                )
+            } else {
+                dot(&splat(&placed.axis), &motion.force)
+            };
+        }
+        reading
+    }
+
+    #[inline(always)]
+    fn absolute_rates<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N]) -> [R; N] {
+        let mut rates = *dq;
+        for (i, motion) in apart::<R, _>(Motions(self, at, dq, dq)).iter().enumerate() {
+            rates[i] = dot(&splat(&self.joints[i].axis), &motion.rate);
+        }
+        rates
+    }
+
+    #[inline(always)]
+    fn link_signals<R: Real>(
+        &self,
+        at: &Posture<R, N>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> [[R; N]; LINK_SIGNALS] {
+        let mut all = [[R::splat(0.0); N]; LINK_SIGNALS];
+        for (i, motion) in apart::<R, _>(Motions(self, at, dq, ddq)).iter().enumerate() {
+            let placed = &self.joints[i];
+            let rate = dot(&splat(&placed.axis), &motion.rate);
+            all[0][i] = dot(&splat(&placed.x), &motion.force);
+            all[1][i] = dot(&splat(&placed.y), &motion.force);
+            all[2][i] = dot(&splat(&placed.axis), &motion.turning);
+            all[3][i] = rate * rate;
+        }
+        all
+    }
+}
+
+/// Whether ten parameters are those of a body: Cholesky's factor of [[S, h], [h', m]] exists, where
+/// S = tr(I)/2 - I is the second moment of mass.
+fn is_body(&[mass, x, y, z, xx, xy, yy, xz, yz, zz]: &[f64; PER_LINK]) -> bool {
+    let half = 0.5 * (xx + yy + zz);
+    let mut l = [
+        [half - xx, -xy, -xz, x],
+        [-xy, half - yy, -yz, y],
+        [-xz, -yz, half - zz, z],
+        [x, y, z, mass],
+    ];
+    for j in 0..4 {
+        for k in 0..j {
+            for i in j..4 {
+                l[i][j] -= l[i][k] * l[j][k];
+            }
+        }
+        if l[j][j].is_nan() || l[j][j] <= 0.0 {
+            return false;
+        }
+        let root = l[j][j].sqrt();
+        for i in j..4 {
+            l[i][j] /= root;
+        }
+    }
+    true
+}
+
+/// Work of a chain that the integrator's stages call, so that it is there once: the recursions of six
+/// links in every stage of every step would be most of the program.
+macro_rules! out_of_line {
+    ($($(#[$doc:meta])* $name:ident($($at:tt: $argument:ty),*) -> $output:ty = $work:expr;)*) => {$(
+        $(#[$doc])*
+        struct $name<'a, R: Real, const N: usize>(&'a SerialChain<N>, $(&'a $argument),*);
+
+        impl<R: Real, const N: usize> Work for $name<'_, R, N> {
+            type Output = $output;
+            #[inline(always)]
+            fn run(self) -> $output {
+                $work(self.0, $(self.$at),*)
+            }
+        }
+    )*};
+}
+
+out_of_line! {
+    /// [`SerialChain::mass_matrix`].
+    MassMatrix(1: [[R; PER_LINK]; N], 2: Posture<R, N>) -> [[R; N]; N] = SerialChain::mass_matrix;
+    /// [`SerialChain::newton_euler`].
+    NewtonEuler(1: [[R; PER_LINK]; N], 2: Posture<R, N>, 3: [R; N], 4: [R; N]) -> [R; N]
+        = SerialChain::newton_euler;
+    /// [`SerialChain::torques_per_parameter`].
+    PerParameter(1: Posture<R, N>, 2: [R; N], 3: [R; N]) -> Regressor<R, N>
+        = |chain: &SerialChain<N>, at, dq, ddq| Regressor(chain.torques_per_parameter(at, dq, ddq));
+    /// [`SerialChain::motions`].
+    Motions(1: Posture<R, N>, 2: [R; N], 3: [R; N]) -> [recursion::LinkMotion<R>; N]
+        = SerialChain::motions;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::TwoLink;
+    use crate::plant::rigid::base_regressor;
+    use proptest::prelude::*;
+
+    /// No two axes parallel, every third joint prismatic.
+    fn chain<const N: usize>() -> SerialChain<N> {
+        let joint = |i: usize| {
+            let k = i as f64;
+            ChainJoint {
+                joint_type: match i % 3 {
+                    1 => JointType::Prismatic,
+                    _ => JointType::Revolute,
+                },
+                position: [0.3, 0.05 * k, -0.1],
+                attitude: [0.4 - 0.2 * k, 0.5 * k - 0.7, 0.3],
+                axis: [0.3 * k, -0.4, 1.0],
+                accelerometer_distance: 0.3,
+            }
+        };
+        SerialChain::new(&std::array::from_fn(joint), [0.5, -0.3, -9.8]).expect("axes")
+    }
+
+    /// Links of about 4 kg and 0.3 m, each a little different.
+    fn bodies<const N: usize>() -> Vec<f64> {
+        let own = |k: usize| {
+            let x = 0.01 * k as f64;
+            [
+                4.0 + x,
+                0.3,
+                -0.1,
+                0.1 + x,
+                0.3,
+                0.01,
+                0.35 + x,
+                -0.02,
+                0.01,
+                0.4,
+            ]
+        };
+        (0..N).flat_map(own).collect()
+    }
+
+    /// Identities between the recursions; torques are of the order of 100 N m.
+    fn check<const N: usize>([q, dq, ddq]: &[[f64; N]; 3]) {
+        let (arm, values) = (chain::<N>(), bodies::<N>());
+        assert_eq!(arm.check(&values, &[None; N]), Ok(()));
+        let (base, at) = (arm.base(&values), arm.posture(q));
+        let near = |one: f64, other: f64| {
+            assert!(
+                (one - other).abs() < 1e-11 * (100.0 + one.abs()),
+                "{one} {other}"
+            );
+        };
+        let torques = arm.torques(&base, &at, dq, ddq);
+        let (inertia, bias) = (arm.inertia(&base, &at), arm.bias(&base, &at, dq));
+        let (regressor, units) = (
+            arm.regressor(&at, dq, ddq),
+            base_regressor(&arm, q, dq, ddq),
+        );
+        for i in 0..N {
+            let accelerated: f64 = (0..N).map(|j| inertia[i][j] * ddq[j]).sum();
+            near(torques[i], accelerated + bias[i]);
+            for (column, unit) in regressor.as_ref().iter().zip(&units) {
+                near(column[i], unit[i]);
+            }
+            let columns = units.iter().zip(&values);
+            near(
+                torques[i],
+                columns.map(|(column, value)| column[i] * value).sum(),
+            );
+        }
+        // near by, and all that depends on the place alone: gravity's work
+        let moved = std::array::from_fn(|i| 1e-5 * (1.0 + dq[i]));
+        let ends = [1.0, -1.0].map(|side| arm.near(&at, &moved.map(|x| side * x)));
+        let gained = arm.potential(&base, &ends[0]) - arm.potential(&base, &ends[1]);
+        let gravity = arm.bias(&base, &at, &[0.0; N]);
+        let work: f64 = (0..N).map(|i| 2.0 * moved[i] * gravity[i]).sum();
+        // the cube of steps that add up to some 1e-4 rad, times energies of the order of 100 J
+        assert!((gained - work).abs() < 1e-9, "{gained} {work}");
+    }
+
+    proptest! {
+        #[test]
+        fn all_recursions_agree(motion in prop::array::uniform3(prop::array::uniform6(-2.0..2.0f64))) {
+            check(&motion.map(|row| [row[0]]));
+            check(&motion.map(|row| [row[0], row[1]]));
+            check(&motion.map(|row| [row[0], row[1], row[2]]));
+            check(&motion);
+        }
+
+        #[test]
+        fn two_links_in_a_plane_are_the_closed_form(motion in prop::array::uniform3(prop::array::uniform2(-2.0..2.0f64))) {
+            let (l, g, distance) = (0.35, 9.81, [0.33, 0.27]);
+            let joint = |place: usize| ChainJoint {
+                joint_type: JointType::Revolute,
+                position: [l * place as f64, 0.0, 0.0],
+                attitude: [0.0; 3],
+                axis: [0.0, 0.0, 1.0],
+                accelerometer_distance: distance[place],
+            };
+            let chain = SerialChain::new(&[joint(0), joint(1)], [0.0, -g, 0.0]).expect("axes");
+            let planar = TwoLink::<true> { link_length: l, gravity: g, accelerometer_distance: distance };
+            let [[m, h, i], [m_2, h_2, i_2]] = [[6.0, 0.9, 0.5], [3.0, 0.4, 0.3]];
+            let body = |m, h, i: f64| [m, h, 0.0, 0.0, 0.6 * i, 0.0, i, 0.0, 0.0, i];
+            let own = [body(m, h, i), body(m_2, h_2, i_2)];
+            let of_planar = planar.base(&[i + m_2 * l * l, i_2, l * h_2, g * (h + m_2 * l), g * h_2]);
+            let [q, dq, ddq] = &motion;
+            let (at, at_planar) = (chain.posture(q), planar.posture(q));
+            let pairs = [
+                (chain.torques(&own, &at, dq, ddq), planar.torques(&of_planar, &at_planar, dq, ddq)),
+                (chain.accelerometers(&at, dq, ddq), planar.accelerometers(&at_planar, dq, ddq)),
+                (chain.absolute_rates(&at, dq), planar.absolute_rates(&at_planar, dq)),
+            ];
+            let signals = [chain.link_signals(&at, dq, ddq), planar.link_signals(&at_planar, dq, ddq)];
+            let all = [pairs.map(|pair| pair.0).to_vec(), signals[0].to_vec()].concat();
+            let others = [pairs.map(|pair| pair.1).to_vec(), signals[1].to_vec()].concat();
+            for (own, other) in all.as_flattened().iter().zip(others.as_flattened()) {
+                prop_assert!((own - other).abs() < 1e-12 * 100.0, "{} {}", own, other);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_no_body_is_refused() {
+        let (arm, values) = (chain::<2>(), bodies::<2>());
+        let changed = |place: usize, value| {
+            let mut values = values.clone();
+            values[place] = value;
+            arm.check(&values, &[None; 2]).map_err(|(place, _)| place)
+        };
+        assert_eq!(changed(10, 0.0), Err(10));
+        assert_eq!(changed(11, 3.0), Err(14)); // farther out than the inertia about the origin allows
+        assert_eq!(changed(4, 1.0), Err(4)); // more than the two others together
+    }
+}

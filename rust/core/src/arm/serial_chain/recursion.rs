@@ -1,0 +1,263 @@
+//! The recursions along a chain, each link in its own frame: Newton and Euler's for torques, and the
+//! joints' twists for all that is linear in them.
+
+use super::placement::JointType;
+use super::vector::{Matrix, Vector, cross, dot, plus, scaled, splat, times, times_transposed};
+use super::{PER_LINK, Posture, SerialChain};
+use crate::scalar::Real;
+
+/// How a link moves, in its own frame.
+#[derive(Clone, Copy)]
+pub(super) struct LinkMotion<R> {
+    /// Angular velocity [rad/s].
+    pub(super) rate: Vector<R>,
+    /// Angular acceleration [rad/s^2].
+    pub(super) turning: Vector<R>,
+    /// Specific force [m/s^2] at its origin: the acceleration without gravity's.
+    pub(super) force: Vector<R>,
+}
+
+/// Angular and linear velocity per velocity of a joint.
+#[derive(Clone, Copy)]
+struct Twist<R> {
+    turning: Vector<R>,
+    moving: Vector<R>,
+}
+
+/// m, m c and I about the link's origin.
+struct Inertia<R> {
+    mass: R,
+    first_moment: Vector<R>,
+    second_moment: Matrix<R>,
+}
+
+impl<R: Real> Inertia<R> {
+    #[inline(always)]
+    fn of(base: &[R; PER_LINK]) -> Self {
+        let [mass, x, y, z, xx, xy, yy, xz, yz, zz] = *base;
+        Self {
+            mass,
+            first_moment: [x, y, z],
+            second_moment: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]],
+        }
+    }
+
+    /// Force and moment about the origin that accelerations take:
+    /// f = m s + alpha x h, n = I alpha + h x s.
+    #[inline(always)]
+    fn accelerated(&self, turning: &Vector<R>, force: &Vector<R>) -> [Vector<R>; 2] {
+        let h = &self.first_moment;
+        [
+            scaled(self.mass, force, &cross(turning, h)),
+            plus(&times(&self.second_moment, turning), &cross(h, force)),
+        ]
+    }
+
+    /// What a whole motion takes: f += omega x (omega x h), n += omega x I omega.
+    #[inline(always)]
+    fn wrench(&self, motion: &LinkMotion<R>) -> [Vector<R>; 2] {
+        let [force, moment] = self.accelerated(&motion.turning, &motion.force);
+        let (h, omega) = (&self.first_moment, &motion.rate);
+        let spin = times(&self.second_moment, omega);
+        [
+            plus(&force, &cross(omega, &cross(omega, h))),
+            plus(&moment, &cross(omega, &spin)),
+        ]
+    }
+}
+
+impl<const N: usize> SerialChain<N> {
+    /// The origin of link `i` in the frame of the link before.
+    #[inline(always)]
+    pub(super) fn origin<R: Real>(&self, at: &Posture<R, N>, i: usize) -> Vector<R> {
+        let placed = &self.joints[i];
+        match placed.joint_type {
+            JointType::Revolute => splat(&placed.position),
+            JointType::Prismatic => {
+                scaled(at.shift[i], &splat(&placed.slide), &splat(&placed.position))
+            }
+        }
+    }
+
+    /// Outward: how the links move.
+    #[inline(always)]
+    pub(super) fn motions<R: Real>(
+        &self,
+        at: &Posture<R, N>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> [LinkMotion<R>; N] {
+        let zero = [R::splat(0.0); 3];
+        let mut motion = LinkMotion {
+            rate: zero,
+            turning: zero,
+            force: scaled(R::splat(-1.0), &splat(&self.gravity), &zero),
+        };
+        let mut all = [motion; N];
+        for i in 0..N {
+            let (turn, axis) = (&at.rotation[i], splat(&self.joints[i].axis));
+            let (origin, rate) = (self.origin(at, i), &motion.rate);
+            let carried = plus(
+                &cross(&motion.turning, &origin),
+                &cross(rate, &cross(rate, &origin)),
+            );
+            let force = times_transposed(turn, &plus(&motion.force, &carried));
+            let rate = times_transposed(turn, rate);
+            let turning = times_transposed(turn, &motion.turning);
+            // of the joint's own velocity: omega x a dq, once or twice
+            let whirl = cross(&rate, &axis);
+            motion = match self.joints[i].joint_type {
+                JointType::Revolute => LinkMotion {
+                    rate: scaled(dq[i], &axis, &rate),
+                    turning: scaled(ddq[i], &axis, &scaled(dq[i], &whirl, &turning)),
+                    force,
+                },
+                JointType::Prismatic => LinkMotion {
+                    rate,
+                    turning,
+                    force: scaled(ddq[i], &axis, &scaled(dq[i] + dq[i], &whirl, &force)),
+                },
+            };
+            all[i] = motion;
+        }
+        all
+    }
+
+    /// Inward: the torques that a motion takes.
+    #[inline(always)]
+    pub(super) fn newton_euler<R: Real>(
+        &self,
+        base: &[[R; PER_LINK]; N],
+        at: &Posture<R, N>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> [R; N] {
+        let motions = self.motions(at, dq, ddq);
+        let zero = [R::splat(0.0); 3];
+        let (mut force, mut moment) = (zero, zero);
+        let mut torque = [R::splat(0.0); N];
+        for i in (0..N).rev() {
+            let [own_force, own_moment] = Inertia::of(&base[i]).wrench(&motions[i]);
+            (force, moment) = (plus(&force, &own_force), plus(&moment, &own_moment));
+            let axis = splat(&self.joints[i].axis);
+            torque[i] = match self.joints[i].joint_type {
+                JointType::Revolute => dot(&axis, &moment),
+                JointType::Prismatic => dot(&axis, &force),
+            };
+            force = times(&at.rotation[i], &force);
+            moment = plus(
+                &times(&at.rotation[i], &moment),
+                &cross(&self.origin(at, i), &force),
+            );
+        }
+        torque
+    }
+
+    /// Takes the twists that the joints before give a link to link `i`'s frame, and adds its own
+    /// joint's.
+    #[inline(always)]
+    fn extend<R: Real>(&self, at: &Posture<R, N>, i: usize, twists: &mut [Twist<R>; N]) {
+        let origin = self.origin(at, i);
+        for twist in &mut twists[..i] {
+            let moving = plus(&twist.moving, &cross(&twist.turning, &origin));
+            twist.moving = times_transposed(&at.rotation[i], &moving);
+            twist.turning = times_transposed(&at.rotation[i], &twist.turning);
+        }
+        let (axis, zero) = (splat(&self.joints[i].axis), [R::splat(0.0); 3]);
+        let (turning, moving) = match self.joints[i].joint_type {
+            JointType::Revolute => (axis, zero),
+            JointType::Prismatic => (zero, axis),
+        };
+        twists[i] = Twist { turning, moving };
+    }
+
+    /// Sum over the links of J' G J, J the joints' twists of a link and G its inertia.
+    #[inline(always)]
+    pub(super) fn mass_matrix<R: Real>(
+        &self,
+        base: &[[R; PER_LINK]; N],
+        at: &Posture<R, N>,
+    ) -> [[R; N]; N] {
+        let zero = [R::splat(0.0); 3];
+        let (turning, moving) = (zero, zero);
+        let mut twists = [Twist { turning, moving }; N];
+        let mut all = [[R::splat(0.0); N]; N];
+        for k in 0..N {
+            self.extend(at, k, &mut twists);
+            let own = Inertia::of(&base[k]);
+            for j in 0..=k {
+                let Twist { turning, moving } = &twists[j];
+                let [force, moment] = own.accelerated(turning, moving);
+                for i in 0..=j {
+                    let by_moment = dot(&twists[i].turning, &moment);
+                    all[i][j] = all[i][j] + (dot(&twists[i].moving, &force) + by_moment);
+                }
+            }
+        }
+        for i in 0..N {
+            for j in 0..i {
+                all[i][j] = all[j][i];
+            }
+        }
+        all
+    }
+
+    /// Torques per inertial parameter of each link: a joint's twist of the link times what the
+    /// parameter makes of the link's motion.
+    #[inline(always)]
+    pub(super) fn torques_per_parameter<R: Real>(
+        &self,
+        at: &Posture<R, N>,
+        dq: &[R; N],
+        ddq: &[R; N],
+    ) -> [[[R; N]; PER_LINK]; N] {
+        let motions = self.motions(at, dq, ddq);
+        let zero = [R::splat(0.0); 3];
+        let (turning, moving) = (zero, zero);
+        let mut twists = [Twist { turning, moving }; N];
+        let mut all = [[[R::splat(0.0); N]; PER_LINK]; N];
+        for k in 0..N {
+            self.extend(at, k, &mut twists);
+            for j in 0..=k {
+                let by = per_parameter(&twists[j], &motions[k]);
+                for p in 0..PER_LINK {
+                    all[k][p][j] = by[p];
+                }
+            }
+        }
+        all
+    }
+}
+
+/// w n + v f, with force f and moment n of a link that moves, by each of its parameters.
+#[inline(always)]
+fn per_parameter<R: Real>(twist: &Twist<R>, motion: &LinkMotion<R>) -> [R; PER_LINK] {
+    let (w, v) = (&twist.turning, &twist.moving);
+    let LinkMotion {
+        rate,
+        turning,
+        force,
+    } = motion;
+    // v (alpha x h) = h (v x alpha); v (omega x (omega x h)) = h ((v x omega) x omega);
+    // w (h x s) = h (s x w); w (omega x I omega) = (w x omega) I omega
+    let swung = plus(&cross(v, turning), &cross(&cross(v, rate), rate));
+    let h = plus(&swung, &cross(force, w));
+    let u = cross(w, rate);
+    let diagonal = |i: usize| w[i].mul_add(turning[i], u[i] * rate[i]);
+    let off = |i: usize, j: usize| {
+        let by_rate = u[i].mul_add(rate[j], u[j] * rate[i]);
+        w[i].mul_add(turning[j], w[j].mul_add(turning[i], by_rate))
+    };
+    [
+        dot(v, force),
+        h[0],
+        h[1],
+        h[2],
+        diagonal(0),
+        off(0, 1),
+        diagonal(1),
+        off(0, 2),
+        off(1, 2),
+        diagonal(2),
+    ]
+}

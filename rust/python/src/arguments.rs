@@ -1,0 +1,245 @@
+//! What Python gives to the core's terms, checked.
+
+use numpy::PyReadonlyArray2;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use strainwave_core::arm::{ChainJoint, JointType, OneLink, SerialChain, TwoLink};
+use strainwave_core::experiment::{Clock, Quantity};
+use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::plant::config::{GearKind, JointConfig};
+
+pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+/// A joint of a chain: its type, position, roll, pitch and yaw, and axis.
+pub type Placed = (String, [f64; 3], [f64; 3], [f64; 3]);
+/// A number for each joint, each of which may be missing.
+type Each = Option<Vec<Option<f64>>>;
+
+/// The known constants of an arm's joints, as lists.
+pub struct Joints {
+    pub springs: Vec<String>,
+    pub gear_ratio: Vec<f64>,
+    pub torque_per_volt: Option<Vec<f64>>,
+    pub current_loop_hz: Each,
+    pub encoder_counts: Each,
+    pub accelerometer_hz: Each,
+    pub gyro_hz: Each,
+    pub imu_accelerometer_hz: Each,
+    pub imu_gyro_hz: Each,
+    pub effects: Option<Vec<Vec<String>>>,
+}
+
+impl Joints {
+    /// Joint by joint.
+    pub fn configs(self) -> PyResult<Vec<JointConfig>> {
+        let count = self.springs.len();
+        let ratio = given(Some(self.gear_ratio), 1.0, count, "gear_ratio")?;
+        let torque_per_volt = given(self.torque_per_volt, 1.0, count, "torque_per_volt")?;
+        let each = |values: Each, name| given(values, None, count, name);
+        let current_loop_hz = each(self.current_loop_hz, "current_loop_hz")?;
+        let encoder_counts = each(self.encoder_counts, "encoder_counts")?;
+        let accelerometer_hz = each(self.accelerometer_hz, "accelerometer_hz")?;
+        let gyro_hz = each(self.gyro_hz, "gyro_hz")?;
+        let imu_accelerometer_hz = each(self.imu_accelerometer_hz, "imu_accelerometer_hz")?;
+        let imu_gyro_hz = each(self.imu_gyro_hz, "imu_gyro_hz")?;
+        let effects = given(self.effects, Vec::new(), count, "effects")?;
+        let joint = |i: usize| {
+            let gear = gear_kind(&self.springs[i])?;
+            Ok(JointConfig {
+                gear,
+                ratio: ratio[i],
+                torque_per_volt: torque_per_volt[i],
+                current_loop_hz: current_loop_hz[i],
+                encoder_counts: encoder_counts[i],
+                accelerometer_hz: accelerometer_hz[i],
+                gyro_hz: gyro_hz[i],
+                imu_accelerometer_hz: imu_accelerometer_hz[i],
+                imu_gyro_hz: imu_gyro_hz[i],
+                effects: effect_kinds(&effects[i], gear)?,
+            })
+        };
+        (0..count).map(joint).collect()
+    }
+}
+
+pub fn two_link<const VERTICAL: bool>(
+    link_length: f64,
+    gravity: f64,
+    accelerometer_distance: &[f64],
+) -> PyResult<TwoLink<VERTICAL>> {
+    Ok(TwoLink {
+        link_length,
+        gravity,
+        accelerometer_distance: of_joints(accelerometer_distance)?,
+    })
+}
+
+pub fn one_link<const VERTICAL: bool>(
+    gravity: f64,
+    accelerometer_distance: &[f64],
+) -> PyResult<OneLink<VERTICAL>> {
+    let [accelerometer_distance] = of_joints(accelerometer_distance)?;
+    Ok(OneLink {
+        gravity,
+        accelerometer_distance,
+    })
+}
+
+pub fn serial_chain<const N: usize>(
+    joints: &[Placed],
+    gravity: [f64; 3],
+    accelerometer_distance: &[f64],
+) -> PyResult<SerialChain<N>> {
+    let mut placed = Vec::with_capacity(N);
+    for ((name, position, attitude, axis), &distance) in joints.iter().zip(accelerometer_distance) {
+        placed.push(ChainJoint {
+            joint_type: match name.as_str() {
+                "revolute" => JointType::Revolute,
+                "prismatic" => JointType::Prismatic,
+                _ => return Err(PyValueError::new_err(format!("no joint of type {name:?}"))),
+            },
+            position: *position,
+            attitude: *attitude,
+            axis: *axis,
+            accelerometer_distance: distance,
+        });
+    }
+    SerialChain::new(&of_joints(&placed)?, gravity).map_err(|place| {
+        PyValueError::new_err(format!("the axis of joint {} has no direction", place + 1))
+    })
+}
+
+/// A value for each of an arm's joints.
+pub fn of_joints<T: Copy, const N: usize>(values: &[T]) -> PyResult<[T; N]> {
+    values
+        .try_into()
+        .map_err(|_| PyValueError::new_err(format!("expected {N} joints, got {}", values.len())))
+}
+
+pub fn check_clock(clock: &Clock) -> PyResult<()> {
+    let positive = clock.step > 0.0 && clock.step.is_finite();
+    let counts = [
+        clock.steps_per_tick,
+        clock.steps_per_servo,
+        clock.steps_per_sample,
+        clock.samples,
+    ];
+    if !positive || counts.contains(&0) {
+        return Err(PyValueError::new_err(
+            "step, samples and the numbers of steps must be positive",
+        ));
+    }
+    Ok(())
+}
+
+fn gear_kind(name: &str) -> PyResult<GearKind> {
+    match name {
+        "linear" => Ok(GearKind::Linear),
+        "three-slope" => Ok(GearKind::ThreeSlope),
+        "rigid" => Ok(GearKind::Rigid),
+        _ => Err(PyValueError::new_err(format!("no gear spring {name:?}"))),
+    }
+}
+
+fn effect_kinds(names: &[String], gear: GearKind) -> PyResult<EffectKinds> {
+    let mut kinds = EffectKinds::default();
+    for name in names {
+        match name.as_str() {
+            "stribeck" => kinds.stribeck = true,
+            "hysteresis" => kinds.hysteresis = true,
+            "kinematic-error" => kinds.kinematic_error = true,
+            _ => return Err(PyValueError::new_err(format!("no effect {name:?}"))),
+        }
+    }
+    if gear == GearKind::Rigid && (kinds.hysteresis || kinds.kinematic_error) {
+        let text = "a rigid gear has neither hysteresis nor a kinematic error";
+        return Err(PyValueError::new_err(text));
+    }
+    Ok(kinds)
+}
+
+pub fn quantities(names: &[String]) -> PyResult<Vec<Quantity>> {
+    names.iter().map(|name| quantity(name)).collect()
+}
+
+fn quantity(name: &str) -> PyResult<Quantity> {
+    Ok(match name {
+        "voltage" => Quantity::Voltage,
+        "motor_torque" => Quantity::MotorTorque,
+        "motor_angle" => Quantity::MotorAngle,
+        "motor_velocity" => Quantity::MotorVelocity,
+        "link_angle" => Quantity::LinkAngle,
+        "link_velocity" => Quantity::LinkVelocity,
+        "link_acceleration" => Quantity::LinkAcceleration,
+        "gear_torque" => Quantity::GearTorque,
+        "encoder" => Quantity::Encoder,
+        "accelerometer" => Quantity::Accelerometer,
+        "gyro" => Quantity::Gyro,
+        "specific_force_x" => Quantity::SpecificForceX,
+        "specific_force_y" => Quantity::SpecificForceY,
+        "angular_acceleration" => Quantity::AngularAcceleration,
+        "squared_rate" => Quantity::SquaredRate,
+        "angular_rate" => Quantity::AngularRate,
+        "sliding" => Quantity::Sliding,
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "nothing called {name:?} can be recorded"
+            )));
+        }
+    })
+}
+
+pub fn given<T: Clone>(
+    values: Option<Vec<T>>,
+    default: T,
+    count: usize,
+    name: &str,
+) -> PyResult<Vec<T>> {
+    let values = values.unwrap_or_else(|| vec![default; count]);
+    if values.len() != count {
+        let got = values.len();
+        return Err(PyValueError::new_err(format!(
+            "{name}: expected {count} values, got {got}"
+        )));
+    }
+    Ok(values)
+}
+
+pub fn fixed<T: Copy, const N: usize>(values: &[T], name: &str) -> PyResult<[T; N]> {
+    values.try_into().map_err(|_| {
+        PyValueError::new_err(format!("{name}: expected {N} values, got {}", values.len()))
+    })
+}
+
+pub fn rows<const N: usize>(
+    matrix: &Matrix<'_>,
+    name: &str,
+    least: usize,
+) -> PyResult<Vec<[f64; N]>> {
+    let matrix = matrix.as_array();
+    if matrix.ncols() != N || matrix.nrows() < least {
+        let (rows, columns) = matrix.dim();
+        let text =
+            format!("{name}: expected at least {least} x {N} values, got {rows} x {columns}");
+        return Err(PyValueError::new_err(text));
+    }
+    Ok(matrix
+        .rows()
+        .into_iter()
+        .map(|row| std::array::from_fn(|i| row[i]))
+        .collect())
+}
+
+pub fn same_rows<const N: usize>(motion: [&Matrix<'_>; 3]) -> PyResult<[Vec<[f64; N]>; 3]> {
+    let samples = motion[0].as_array().nrows();
+    if motion.iter().any(|part| part.as_array().nrows() != samples) {
+        return Err(PyValueError::new_err(
+            "angle, velocity and acceleration differ in length",
+        ));
+    }
+    let [q, dq, ddq] = motion;
+    Ok([
+        rows(q, "angle", 0)?,
+        rows(dq, "velocity", 0)?,
+        rows(ddq, "acceleration", 0)?,
+    ])
+}

@@ -1,0 +1,226 @@
+"""Chains of links against MuJoCo, and the names of their parameters."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from strainwave import _core
+
+mujoco = pytest.importorskip("mujoco")
+
+GRAVITY = (0.4, -0.7, -9.6)
+SAMPLES = 20
+MOTOR = [1.5e-4, 2e-4, 0.06, 0.01, 0.5, 2e4, 10.0, 0.0]  # with a linear gear
+
+Joint = tuple[str, list[float], list[float], list[float]]
+Array = NDArray[np.float64]
+
+
+def drawn_joints(rng: np.random.Generator, n_joints: int, types: str) -> list[Joint]:
+    """Joints without any two axes parallel; r for revolute, p for prismatic."""
+    names = {"r": "revolute", "p": "prismatic"}
+    return [
+        (
+            names[types[i]],
+            rng.uniform(-0.4, 0.4, 3).tolist(),
+            rng.uniform(-3.0, 3.0, 3).tolist(),
+            rng.normal(size=3).tolist(),
+        )
+        for i in range(n_joints)
+    ]
+
+
+def drawn_body(rng: np.random.Generator) -> dict[str, Any]:
+    """Mass, centre and inertia about it of a box that is turned somehow."""
+    mass = rng.uniform(0.5, 8.0)
+    a, b, c = rng.uniform(0.05, 0.4, 3)
+    turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    about_axes = np.diag([b * b + c * c, a * a + c * c, a * a + b * b]) * mass / 12
+    return {
+        "mass": mass,
+        "centre": rng.uniform(-0.3, 0.3, 3),
+        "inertia": turned @ about_axes @ turned.T,
+    }
+
+
+def parameters_of(body: dict[str, Any]) -> list[float]:
+    """m, m c and the inertia about the frame's origin (Huygens and Steiner)."""
+    m, c = body["mass"], body["centre"]
+    about = body["inertia"] + m * (c @ c * np.eye(3) - np.outer(c, c))
+    pairs = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]
+    return [m, *(m * c), *(about[i, j] for i, j in pairs)]
+
+
+def rotation(rpy: list[float]) -> Array:
+    """Rz(yaw) Ry(pitch) Rx(roll), by turns about one axis after the other."""
+    whole = np.eye(3)
+    for axis, angle in zip((2, 1, 0), reversed(rpy), strict=True):
+        i, j = [(1, 2), (2, 0), (0, 1)][axis]
+        turn = np.eye(3)
+        turn[[i, j], [i, j]] = np.cos(angle)
+        turn[i, j], turn[j, i] = -np.sin(angle), np.sin(angle)
+        whole = whole @ turn
+    return whole
+
+
+def in_plane(axis: Array) -> tuple[Array, Array]:
+    """The two directions across an axis in which a link's sensors are given."""
+    x = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
+    x /= np.linalg.norm(x)
+    return x, np.cross(axis, x)
+
+
+def mujoco_model(joints: list[Joint], bodies: list[dict[str, Any]], distance: float) -> Any:
+    """The same chain, with an accelerometer, a gyro and an angular accelerometer on each link."""
+    spec = mujoco.MjSpec()
+    spec.compiler.balanceinertia = False
+    spec.option.gravity = GRAVITY
+    parent = spec.worldbody
+    for i, ((kind, position, rpy, axis), body) in enumerate(zip(joints, bodies, strict=True)):
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, rotation(rpy).ravel())
+        link = parent.add_body(name=f"link{i}", pos=position, quat=quaternion)
+        link.explicitinertial = True
+        link.mass, link.ipos = body["mass"], body["centre"]
+        inertia = body["inertia"]
+        link.fullinertia = [
+            inertia[j, k] for j, k in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+        ]
+        unit = np.array(axis) / np.linalg.norm(axis)
+        slides = kind == "prismatic"
+        joint_type = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+        link.add_joint(name=f"joint{i}", type=joint_type, axis=unit)
+        link.add_site(name=f"origin{i}")
+        link.add_site(name=f"sensor{i}", pos=[0, 0, 0] if slides else distance * in_plane(unit)[0])
+        for name, sensor in [
+            (f"origin{i}", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
+            (f"sensor{i}", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
+            (f"origin{i}", mujoco.mjtSensor.mjSENS_GYRO),
+        ]:
+            spec.add_sensor(type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
+        parent = link
+    return spec.compile()
+
+
+def assert_close(found: Array, expected: Array) -> None:
+    """Both are exact; torques are of the order of 100 N m."""
+    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-10)
+
+
+def chain(joints: list[Joint], **constants: Any) -> _core.Arm:
+    count = len(joints)
+    return _core.Arm.serial_chain(
+        joints, ["linear"] * count, [0.01] * count, gravity=GRAVITY, **constants
+    )
+
+
+@pytest.mark.parametrize("types", ["r", "p", "rr", "rp", "rpr", "rrrrrr", "rrprpr"])
+def test_dynamics_are_those_of_mujoco(types: str) -> None:
+    rng = np.random.default_rng(len(types))
+    n = len(types)
+    joints = drawn_joints(rng, n, types)
+    bodies = [drawn_body(rng) for _ in range(n)]
+    arm = chain(joints)
+    base = np.concatenate([parameters_of(body) for body in bodies])
+    parameters = np.concatenate([base, MOTOR * n])
+    q, dq, ddq = rng.uniform(-2.0, 2.0, (3, SAMPLES, n))
+    model = mujoco_model(joints, bodies, 0.3)
+    data = mujoco.MjData(model)
+    inertia, bias, torque = (
+        np.empty((SAMPLES, n, n)),
+        np.empty((SAMPLES, n)),
+        np.empty((SAMPLES, n)),
+    )
+    gravity = np.empty((SAMPLES, n))
+    for k in range(SAMPLES):
+        data.qpos, data.qvel, data.qacc = q[k], 0.0, 0.0
+        mujoco.mj_inverse(model, data)
+        gravity[k] = data.qfrc_inverse
+        data.qvel, data.qacc = dq[k], ddq[k]
+        mujoco.mj_inverse(model, data)
+        torque[k], bias[k] = data.qfrc_inverse, data.qfrc_bias
+        mujoco.mj_fullM(model, data, inertia[k])
+    assert_close(arm.inertia_matrix(parameters, q), inertia)
+    assert_close(arm.bias_torques(parameters, q, dq), bias)
+    assert_close(arm.bias_torques(parameters, q, 0 * dq), gravity)
+    regressor = arm.base_regressor(q, dq, ddq)
+    assert regressor.shape == (SAMPLES, n, 10 * n)
+    assert_close(regressor @ base, torque)
+
+
+def test_sensors_read_as_those_of_mujoco() -> None:
+    rng = np.random.default_rng(3)
+    types = "rrpr"
+    n, distance = len(types), 0.3
+    joints = drawn_joints(rng, n, types)
+    bodies = [drawn_body(rng) for _ in range(n)]
+    arm = chain(joints, accelerometer_distance=[distance] * n)
+    parameters = np.concatenate([parameters_of(body) for body in bodies] + [MOTOR] * n)
+    motion = ["link_angle", "link_velocity", "link_acceleration"]
+    record = arm.simulate(
+        parameters[None],
+        rng.uniform(-5.0, 5.0, (10, n)),
+        motor_angle=rng.uniform(-20.0, 20.0, n).tolist(),
+        link_velocity=rng.uniform(-1.0, 1.0, n).tolist(),
+        step=1e-4,
+        steps_per_tick=10,
+        steps_per_sample=10,
+        samples=10,
+        record=[*motion, "accelerometer", "gyro", "specific_force_x", "specific_force_y"],
+    )
+    model = mujoco_model(joints, bodies, distance)
+    data = mujoco.MjData(model)
+    for k in range(10):
+        data.qpos, data.qvel, data.qacc = (record[name][0, k] for name in motion)
+        mujoco.mj_inverse(model, data)
+        readings = data.sensordata.reshape(n, 3, 3)
+        for i, (kind, _, _, axis) in enumerate(joints):
+            unit = np.array(axis) / np.linalg.norm(axis)
+            x, y = in_plane(unit)
+            at_origin, at_sensor, rate = readings[i]
+            across = unit if kind == "prismatic" else y
+            expected = [across @ at_sensor, unit @ rate, x @ at_origin, y @ at_origin]
+            names = ["accelerometer", "gyro", "specific_force_x", "specific_force_y"]
+            found = [record[name][0, k, i] for name in names]
+            np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-9)
+
+
+def test_parameters_are_ten_per_link_and_then_the_joints_own() -> None:
+    arm = chain([("revolute", [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0])] * 2)
+    names = arm.parameter_names
+    assert [name for name, _ in names[:10]] == [
+        "link_mass",
+        "link_first_moment_x",
+        "link_first_moment_y",
+        "link_first_moment_z",
+        "link_inertia_xx",
+        "link_inertia_xy",
+        "link_inertia_yy",
+        "link_inertia_xz",
+        "link_inertia_yz",
+        "link_inertia_zz",
+    ]
+    assert [joint for _, joint in names] == [1] * 10 + [2] * 10 + [1] * 8 + [2] * 8
+    assert names[20] == ("motor_inertia", 1)
+
+
+def test_what_is_no_chain_is_refused() -> None:
+    joint = ("revolute", [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0])
+    with pytest.raises(ValueError, match="a chain has 1 to 6 joints, got 7"):
+        chain([joint] * 7)
+    with pytest.raises(ValueError, match="the axis of joint 2 has no direction"):
+        chain([joint, ("revolute", [0.0] * 3, [0.0] * 3, [0.0] * 3)])
+    with pytest.raises(ValueError, match='no joint of type "helical"'):
+        chain([("helical", *joint[1:])])
+    body = [1.0, 0.1, 0.0, 0.0, 0.02, 0.0, 0.03, 0.0, 0.0, 0.03]
+    still = np.zeros((1, 1))
+    for place, value, message in [
+        (0, 0.0, "link_mass of joint 1 is 0, but must be positive"),
+        (4, 0.2, "link_inertia_xx of joint 1 is 0.2, but must be that of a body"),
+    ]:
+        values = [*body]
+        values[place] = value
+        with pytest.raises(ValueError, match=message):
+            chain([joint]).inertia_matrix(np.array(values + MOTOR), still)
