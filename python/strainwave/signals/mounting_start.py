@@ -209,7 +209,7 @@ def with_stand_ins(logs: Sequence[Log], arm: Arm, known: Sequence[Log]) -> tuple
     list of Log, Study
         As they are where no place is unknown.
     """
-    study_then, logs_then = arm, list(logs)
+    arm_then, logs_then = arm, list(logs)
     for joint in range(1, arm.n_joints + 1):
         axes = axes_on(logs, arm, joint)
         taken = {"a", "theta_l", "gyro", "deflection"}
@@ -223,8 +223,8 @@ def with_stand_ins(logs: Sequence[Log], arm: Arm, known: Sequence[Log]) -> tuple
         if not long:  # a guess of a place is worse than none
             logs_then = _left_out(logs_then, joint)
             continue
-        logs_then, study_then = _stood_in(logs_then, study_then, axes, linear)
-    return logs_then, study_then
+        logs_then, arm_then = _stood_in(logs_then, arm_then, axes, linear)
+    return logs_then, arm_then
 
 
 def _left_out(logs: Sequence[Log], joint: int) -> list[Log]:
