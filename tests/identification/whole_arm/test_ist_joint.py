@@ -1,6 +1,6 @@
 """A measured elastic joint, with its torsion sensor and without: both must agree.
 
-`pytest tests/test_ist_joint.py -s` prints the table of docs/benchmarks.md.
+`pytest tests/identification/whole_arm/test_ist_joint.py -s` prints the table of docs/benchmarks.md.
 """
 
 from __future__ import annotations
