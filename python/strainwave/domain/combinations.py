@@ -26,7 +26,7 @@ def rigid_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
     for number, joint in enumerate(arm.joints, start=1):
         revolute = joint.motion == "revolute"
         force = "N m" if revolute else "N"
-        viscous = viscous_friction(arm, number)
+        viscous = viscous_friction(arm)
         parts = total_viscous_friction(arm, number)
         if viscous == "motor_viscous_friction":
             parts = {(viscous, number): 1.0}
@@ -85,14 +85,12 @@ def is_uncoupled(arm: ArmDescription) -> bool:
     return arm.n_joints == 1 and arm.gravity is None
 
 
-def viscous_friction(arm: ArmDescription, joint: int) -> str:
-    """By what name rigid motion identifies a joint's viscous friction: c_0 of (18), or d_M.
+def viscous_friction(arm: ArmDescription) -> str:
+    """By what name rigid motion identifies the joints' viscous friction: c_0 of (18), or d_M.
 
     Parameters
     ----------
     arm : ArmDescription
-    joint : int
-        From 1.
 
     Returns
     -------
@@ -132,15 +130,13 @@ def reported(arm: ArmDescription) -> dict[Key, Row]:
     -------
     dict
     """
-    kind = kind_of(arm)
+    kind, lumped = kind_of(arm), lumped_inertias(arm)
     found: dict[Key, Row] = {}
     for number in range(1, arm.n_joints + 1):
         found["total_viscous_friction", number] = total_viscous_friction(arm, number)
         if ("link_inertia", number) not in kind.inertias:
             found["link_inertia", number] = kind.link_inertia(number)
-        for column in kind.rigid_inertias(arm):
-            if column.joint == number and len(column.parts) > 1:
-                found[column.key] = column.parts
+        found |= {key: row for key, row in lumped.items() if key[1] == number}
     return found
 
 

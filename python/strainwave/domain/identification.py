@@ -134,8 +134,9 @@ def _called_for(found: Identification) -> _Called:
         names += kind.primary
         if arm.gravity is not None:
             names += [f"gravity_torque_{i}" for i in range(1, arm.n_joints + 1)]
+    viscous = viscous_friction(arm)
     for number in range(1, arm.n_joints + 1):
-        names += [f"{viscous_friction(arm, number)} {number}", f"motor_coulomb_friction {number}"]
+        names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
     whole = "tuned" in found.stages and len(elastic) == arm.n_joints
     excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
     if fast and (excited or not whole):

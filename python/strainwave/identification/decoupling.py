@@ -129,7 +129,7 @@ def _interaction(
 
 
 def _viscous(model: RigidModel, arm: Arm, joint: int) -> float | None:
-    return model.value(viscous_friction(arm, joint), joint)
+    return model.value(viscous_friction(arm), joint)
 
 
 def without_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:
