@@ -124,7 +124,7 @@ def test_a_result_reads_back_equal(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("{", "is not JSON"),
-        ("[1]", "names no schema"),
+        ("[1]", 'has no key "schema"'),
         ('{"schema": "strainwave/result/9"}', "has the schema"),
     ],
 )

@@ -14,11 +14,9 @@ from typing import Any
 from strainwave.domain import Diagnostic, Joint, Parameter, Study, is_physical, physical_range
 from strainwave.domain.parameters import Values, completed
 from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.io.atomic_files import read_bytes
+from strainwave.io.results import NOT_A_RESULT, read_document
 from strainwave.io.study import read_study
-
-_SCHEMA = "strainwave/result/1"
-_NOT_A_RESULT = "give the result.json that strainwave identify wrote"
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +185,7 @@ def _without_rejected(
     listed = verdict.get("rejected", []) if isinstance(verdict, dict) else None
     if not isinstance(listed, list) or not all(isinstance(label, str) for label in listed):
         raise InvalidInput(
-            "is no list of names", where=f"{path}: verdict.rejected", remedy=_NOT_A_RESULT
+            "is no list of names", where=f"{path}: verdict.rejected", remedy=NOT_A_RESULT
         )
     impossible = [p.label for p in parameters if p.value and not is_physical(p.name, p.value)]
     rejected = tuple(dict.fromkeys([*listed, *impossible]))
@@ -199,21 +197,7 @@ def _without_rejected(
 
 
 def _document(path: Path) -> dict[str, Any]:
-    text = decode(read_bytes(path, "the result file"), path)
-    try:
-        document = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InvalidInput(
-            f"is not JSON ({error})", where=str(path), remedy=_NOT_A_RESULT
-        ) from error
-    if not isinstance(document, dict) or "schema" not in document:
-        raise InvalidInput('has no key "schema"', where=str(path), remedy=_NOT_A_RESULT)
-    if document["schema"] != _SCHEMA:
-        raise InvalidInput(
-            f"its schema is {document['schema']!r}, not {_SCHEMA!r}",
-            where=f"{path}: schema",
-            remedy=_NOT_A_RESULT,
-        )
+    document = read_document(path)
     if not isinstance(document.get("parameters"), list) or not document["parameters"]:
         raise InvalidInput(
             "holds no parameters",
@@ -239,13 +223,11 @@ def _parameters(entries: list[Any], path: Path) -> tuple[Parameter, ...]:
             raise InvalidInput(
                 f"'{key}' is at fault: {said[0].lower() + said[1:]}",
                 where=place,
-                remedy=_NOT_A_RESULT,
+                remedy=NOT_A_RESULT,
             ) from error
         _check_entry(parameter, place)
         if (parameter.name, parameter.joint) in found:
-            raise InvalidInput(
-                f"{parameter.name} is there twice", where=place, remedy=_NOT_A_RESULT
-            )
+            raise InvalidInput(f"{parameter.name} is there twice", where=place, remedy=NOT_A_RESULT)
         found[parameter.name, parameter.joint] = parameter
     return tuple(found.values())
 
@@ -254,7 +236,7 @@ def _check_entry(parameter: Parameter, place: str) -> None:
     """Numbers are finite, and a name can be one in other languages."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", parameter.name):
         raise InvalidInput(
-            f"{parameter.name!r} is no parameter's name", where=place, remedy=_NOT_A_RESULT
+            f"{parameter.name!r} is no parameter's name", where=place, remedy=NOT_A_RESULT
         )
     for number in (parameter.value, parameter.std):
         if number is not None and not math.isfinite(number):
@@ -268,7 +250,7 @@ def _named_study(document: dict[str, Any], path: Path) -> tuple[str, str]:
     texts = [entry.get(key) for key in ("path", "sha256")] if isinstance(entry, dict) else []
     if not texts or not all(isinstance(text, str) for text in texts):
         raise InvalidInput(
-            "does not name its study file", where=f"{path}: study", remedy=_NOT_A_RESULT
+            "does not name its study file", where=f"{path}: study", remedy=NOT_A_RESULT
         )
     named, sha256 = map(str, texts)
     return named, sha256

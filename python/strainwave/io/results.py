@@ -38,6 +38,8 @@ from strainwave.io.atomic_files import decode, read_bytes
 Record = TypeVar("Record")
 
 SCHEMA = "strainwave/result/1"
+NOT_A_RESULT = "give a result.json that strainwave identify has written"
+"""What to do about a file that is none."""
 
 _NUMBERS = re.compile(r'\[\n\s*([^][{}"]+?)\n\s*\]')  # strings hold no line ends in JSON
 _OUTSIDE = 3.0  # how far beyond the band of a joint's fit its responses are given
@@ -131,15 +133,18 @@ def read_document(path: Path) -> dict[str, Any]:
         The file is missing, or no result of `strainwave identify`.
     """
     text = decode(read_bytes(path, "the result"), path)
-    remedy = "give a result.json that strainwave identify has written"
     try:
         document = json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
-        raise InvalidInput(f"is not JSON ({error})", where=str(path), remedy=remedy) from error
+        raise InvalidInput(
+            f"is not JSON ({error})", where=str(path), remedy=NOT_A_RESULT
+        ) from error
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema != SCHEMA:
-        said = "names no schema" if schema is None else f"has the schema {schema!r}"
-        raise InvalidInput(f"{said}; this version reads {SCHEMA!r}", where=str(path), remedy=remedy)
+        said = 'has no key "schema"' if schema is None else f"has the schema {schema!r}"
+        raise InvalidInput(
+            f"{said}; this version reads {SCHEMA!r}", where=str(path), remedy=NOT_A_RESULT
+        )
     return dict(document)
 
 
@@ -222,9 +227,7 @@ def _read(kind: type[Record], table: Mapping[str, Any], place: str) -> Record:
         return kind(**known)
     except TypeError as error:
         raise InvalidInput(
-            f"{place} is incomplete ({error})",
-            where="the result",
-            remedy="give a result.json as strainwave identify has written it",
+            f"{place} is incomplete ({error})", where="the result", remedy=NOT_A_RESULT
         ) from error
 
 
