@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import strainwave as sw
-from strainwave.domain.progress import ProgressEvent
+from strainwave.domain import Identification
+from strainwave.domain.progress import Progress, ProgressEvent
 from strainwave.io import results
 
 FOLDER = Path(__file__).parent / "data" / "small-arm"
@@ -154,6 +155,32 @@ def test_progress_comes_in_the_callers_thread_and_grows() -> None:
     fractions = [event.fraction for event in events]
     assert fractions == sorted(fractions)
     assert threads == {threading.get_ident()}
+
+
+def test_progress_said_at_the_very_end_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the last look at what there is, and before the work's thread ends."""
+    last = ProgressEvent("tuned", 1.0, "the last word", 8, 8)
+    found = rigid().run
+    begun, looked = threading.Event(), threading.Event()
+    workers: list[threading.Thread] = []
+
+    def work(*_: object, progress: Progress, **__: object) -> Identification | None:
+        workers.append(threading.current_thread())
+        begun.set()
+        looked.wait()
+        progress(last)
+        return found
+
+    def asked() -> bool:
+        begun.wait()
+        looked.set()
+        workers[0].join()
+        return False
+
+    events: list[ProgressEvent] = []
+    monkeypatch.setattr("strainwave.pipeline.identify", work)
+    sw.identify(STUDY, progress=events.append, cancel=asked)
+    assert events == [last]
 
 
 @pytest.mark.parametrize("stage", ["read", "rigid", "decoupled", "tuned"])

@@ -419,6 +419,7 @@ def _beside(
             follow()
             if asked():
                 raise Cancelled
+        follow()  # what was said between the last look and the end
     finally:
         given_up.set()
     if failed:
