@@ -10,9 +10,8 @@ import contextvars
 import copy
 import queue
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -347,10 +346,8 @@ class Result:
         """
         from strainwave.presentation.report import render
 
-        path, run = Path(path), self._needs_run("the report")
-        begin = time.perf_counter()
-        page = render(run).encode()
-        self.run = replace(run, timing_s={**run.timing_s, "report": time.perf_counter() - begin})
+        path = Path(path)
+        page = render(self._needs_run("the report")).encode()
         write_whole(path.parent, {path.name: page})
         return path
 
