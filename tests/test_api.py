@@ -121,6 +121,17 @@ def test_a_result_reads_back_equal(tmp_path: Path) -> None:
     assert "gear_damping" in whole._repr_html_()
 
 
+def test_a_figure_by_the_name_of_its_experiment() -> None:
+    """Also by one that has letters no file's name should have."""
+    run = rigid().run
+    assert run is not None
+    made = replace(run.fitted[0], experiment="Slow motion (1)")
+    result = sw.Result.of(replace(run, fitted=(made,)))
+    assert result.plot("fitted", experiment="Slow motion (1)").axes
+    with pytest.raises(sw.InvalidInput, match="there is no figure 'fitted-slow-motion-2'"):
+        result.plot("fitted", experiment="Slow motion (2)")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -314,13 +314,13 @@ class Result:
             There is no such figure, or the result was read from a file.
         """
         from strainwave.presentation.matplotlib_backend import draw
-        from strainwave.presentation.report import figures_of
+        from strainwave.presentation.report import figures_of, slug
 
         drawn = figures_of(self._needs_run("plots"))
         wanted = [kind]
         wanted += [f"joint-{joint}"] if joint is not None else []
         wanted += [experiment] if experiment is not None else []
-        prefix = "-".join(wanted)
+        prefix = slug(" ".join(wanted))
         for name, one in drawn.items():
             if name == prefix or name.startswith(f"{prefix}-"):
                 return draw(one)

@@ -209,16 +209,27 @@ def keyed(sections: Iterable[Section]) -> dict[str, Plot]:
     found: dict[str, Plot] = {}
     for section in sections:
         for plot in plots_of(section.blocks):
-            found[_free(_slug(plot.name), found)] = plot
+            found[_free(slug(plot.name), found)] = plot
     return found
+
+
+def slug(text: str) -> str:
+    """A name fit for a file and an element.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+        Small letters and digits, joined by dashes; "figure" where there are none.
+    """
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "figure"
 
 
 def _cells(row: Iterable[str | Cell]) -> tuple[Cell, ...]:
     return tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in row)
-
-
-def _slug(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "figure"
 
 
 def _free(key: str, taken: Iterable[str]) -> str:
