@@ -121,6 +121,21 @@ def test_a_page_that_fetches_or_fails_would_be_heard(page: str, tmp_path: Path) 
     assert "TypeError" in console
 
 
+def test_buttons_hide_nothing_and_send_nothing_away(page: str, tmp_path: Path) -> None:
+    look = (
+        "const bars = [...document.querySelectorAll('.modebar')];"
+        "const box = (one) => one.getBoundingClientRect();"
+        "seen.bars = bars.length; seen.inside = bars.filter("
+        " (bar) => box(bar).bottom > box(bar.closest('.plot')).top + 0.5).length;"
+        "seen.buttons = [...new Set([...document.querySelectorAll('.modebar-btn')]"
+        " .map((one) => one.dataset.title))].join(', ');"
+    )
+    said, _ = shown(watched(page, after=look), tmp_path, "--window-size=1280,900")
+    assert int(said["bars"]) > 0
+    assert said["inside"] == "0"
+    assert said["buttons"] == "Download plot as a PNG, Zoom, Pan, Zoom in, Zoom out, Reset axes"
+
+
 def test_colours_follow_the_system_while_the_page_is_open(page: str, tmp_path: Path) -> None:
     system = (
         "const real = matchMedia.bind(window); const dark = new EventTarget(); dark.matches = false;"

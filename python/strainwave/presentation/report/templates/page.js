@@ -8,6 +8,8 @@
     "#0072B2": "#56A8E8", "#D55E00": "#FF8A3C", "#009E73": "#35C99B", "#CC79A7": "#E59CC4",
     "#888888": "#A0A8B4", "#FFFFFF": "#14181E",
   };
+  // none that sends a figure away
+  const BUTTONS = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
   const figures = JSON.parse(document.getElementById("figures").textContent);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const narrow = window.matchMedia("(max-width: 40rem)");
@@ -52,7 +54,10 @@
 
   const draw = (name) => {
     const { data, layout } = coloured(figures[name]);
-    const how = { responsive: !printing, displaylogo: false, displayModeBar: narrow.matches ? false : "hover" };
+    const how = {
+      responsive: !printing, displaylogo: false, displayModeBar: narrow.matches ? false : "hover",
+      modeBarButtons: BUTTONS,
+    };
     waiting.delete(name);
     Plotly.react(place(name), data, framed(layout, name), how);
     document.documentElement.dataset.drawn = Object.keys(figures).length - waiting.size;
