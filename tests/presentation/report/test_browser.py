@@ -170,6 +170,26 @@ def test_a_phone_scrolls_one_way_only(page: str, tmp_path: Path) -> None:
     assert said["over"] == "0"
 
 
+def test_a_phone_shows_a_heat_map_with_names_at_its_left_only(page: str, tmp_path: Path) -> None:
+    narrow = (
+        "const real = matchMedia.bind(window); const narrow = new EventTarget();"
+        "narrow.matches = true;"
+        "window.matchMedia = (query) => query.includes('max-width') ? narrow : real(query);"
+        "window.phone = narrow;"
+    )
+    look = (
+        "const own = document.querySelector('#figure-correlations');"
+        "const names = (axis) => own.querySelectorAll(`.${axis}tick text`).length;"
+        "seen.below = names('x'); seen.left = names('y');"
+        "phone.matches = false; phone.dispatchEvent(new Event('change'));"
+        "seen.wide = names('x');"
+    )
+    said, console = shown(watched(page, before=narrow, after=look), tmp_path)
+    assert console == ""
+    assert said["below"] == "0"
+    assert said["left"] == said["wide"] != "0"
+
+
 def test_paper_is_light_and_holds_every_figure(page: str, tmp_path: Path) -> None:
     look = (
         "window.dispatchEvent(new Event('beforeprint'));"

@@ -41,7 +41,7 @@ class Cell:
     """A cell of a table that is not a plain word."""
 
     text: str
-    kind: Literal["", "number", "text", "code", "symbol"] = ""
+    kind: Literal["", "number", "text", "code", "symbol", "name"] = ""
     href: str = ""  # of an element of the page
     tip: str = ""  # what a pointer over the link shows
     key: str = ""  # of a row's first cell: the row's id

@@ -34,7 +34,7 @@ def meanings_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     names = dict.fromkeys(decision.parameter.name for decision in decisions)
     known = ((name, PARAMETER_WORDS[name]) for name in names if name in PARAMETER_WORDS)
     rows = [
-        (Cell(name, key=_key(name)), Cell(words.symbol, "symbol"), prose(words.description))
+        (Cell(name, "name", key=_key(name)), Cell(words.symbol, "symbol"), prose(words.description))
         for name, words in known
     ]
     return table("What the parameters are", ("parameter", "symbol", "description"), rows)

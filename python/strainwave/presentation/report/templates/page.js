@@ -31,6 +31,13 @@
     return { width: PAPER_WIDTH, height: PAPER_HEIGHTS.find(([most]) => panels <= most)[1] };
   };
 
+  // on a phone a heat map has its names at the left only, and its scale below
+  const slim = ({ data, layout }) => ({
+    data: data.map((one) => ({ ...one, colorbar: { orientation: "h", y: 0, yanchor: "top", thickness: 12 } })),
+    layout: { ...layout, margin: { ...layout.margin, b: 40 }, xaxis: { ...layout.xaxis, showticklabels: false, ticks: "" } },
+  });
+  const sized = (figure) => narrow.matches && !printing && figure.data[0].type === "heatmap" ? slim(figure) : figure;
+
   const framed = (given, name) => {
     const { ink, rule, paper } = inks();
     const size = printing ? 9 : narrow.matches ? 11 : 12;
@@ -53,7 +60,7 @@
   };
 
   const draw = (name) => {
-    const { data, layout } = coloured(figures[name]);
+    const { data, layout } = sized(coloured(figures[name]));
     const how = {
       responsive: !printing, displaylogo: false, displayModeBar: narrow.matches ? false : "hover",
       modeBarButtons: BUTTONS,
