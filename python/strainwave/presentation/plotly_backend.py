@@ -183,7 +183,7 @@ def _band(mark: Band, numbers: _Numbers) -> dict[str, Any]:
 def _axis(axis: Axis) -> dict[str, Any]:
     found: dict[str, Any] = {"title": {"text": axis.title}}
     if axis.log:
-        found["type"] = "log"
+        found |= {"type": "log", "exponentformat": "power"}  # or 0.01 stands beside 100µ
     if axis.range is not None:
         found["range"] = list(axis.range)
     if axis.step is not None:

@@ -36,8 +36,8 @@ def swept() -> Identification:
 
 def test_models_are_drawn_by_amplitude_within_their_band() -> None:
     drawn = amplitudes.responses(amplitudes.swept(swept())[1])
-    assert names(drawn) == names(drawn, 1) == ["2, slow", "10, prbs-j1"]
-    slow = line(drawn, "2, slow")
+    assert names(drawn) == names(drawn, 1) == ["2 V, slow", "10 V, prbs-j1"]
+    slow = line(drawn, "2 V, slow")
     f = slow.x
     assert f[0] >= 0.999 * BAND[0]
     assert f[-1] <= 1.001 * BAND[1]

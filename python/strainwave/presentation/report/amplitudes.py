@@ -74,7 +74,7 @@ def responses(records: Sequence[RecordModel]) -> Figure:
         top = min(joint.band_hz[1], _NYQUIST * 0.5 / model.sample_time)
         f: FloatArray = np.geomspace(joint.band_hz[0], top, _POINTS)
         G = frequency_response(replace(model, covariance=None), f).response[:, 0, 0]
-        name = f"{_amplitude(record):g}, {record.signals.experiment.name}"
+        name = f"{_amplitude(record):g} V, {record.signals.experiment.name}"
         turn, place_in_turn = divmod(k, len(_COLOURS))
         colour, dash = _COLOURS[place_in_turn], _DASHES[turn % len(_DASHES)]
         magnitude.append(Line(f, decibel(np.abs(G)), name, colour, dash))

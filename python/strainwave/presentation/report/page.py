@@ -290,8 +290,8 @@ def _making(identification: Identification) -> Iterator[Block]:
         facts.append(
             (
                 "rigid step",
-                f"{model.n_rows} equations, zero-phase filter {model.bandwidth_hz:.3g} Hz, every "
-                f"{model.decimation}th sample, condition number {model.condition_number:.3g}",
+                f"{model.n_rows} equations, zero-phase filter {model.bandwidth_hz:.3g} Hz, one "
+                f"sample in {model.decimation}, condition number {model.condition_number:.3g}",
             )
         )
         if model.torque_ratio is not None:
