@@ -100,6 +100,16 @@ def test_a_table_that_is_none_is_refused() -> None:
         sw.identify(STUDY, data={first: pa.table([[1.0], [2.0]], names=["t", "t"])})
 
 
+def test_a_missing_log_is_named_by_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY.read_text())
+    first = sw.read_study(path).experiments[0]
+    lines = path.read_text().splitlines()
+    number = 1 + next(k for k, line in enumerate(lines) if first.file in line)
+    with pytest.raises(sw.InvalidInput, match=rf"study\.toml, line {number}\b"):
+        sw.identify(path)
+
+
 def test_a_result_reads_back_equal(tmp_path: Path) -> None:
     whole = sw.identify(STUDY)
     path = whole.save(tmp_path / "result.json")

@@ -382,8 +382,11 @@ class Result:
 
 def _study_of(study: Study | Path | str, data: Data) -> Study:
     """The study, checked; files must be there for the experiments whose data are not given."""
-    read = study if isinstance(study, Study) else _read_study(study, logs_exist=False)
-    return checked_study(read, list(data))
+    if isinstance(study, Study):
+        return checked_study(study, list(data))
+    if not data:  # faults are named by their lines
+        return _read_study(study)
+    return checked_study(_read_study(study, logs_exist=False), list(data))
 
 
 def _beside(
