@@ -1,0 +1,81 @@
+"""A run while it lasts: what the stages leave for later ones, warnings, times and progress."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from strainwave.domain import Diagnostic, JointModel, LinkSummary
+from strainwave.domain.progress import Progress, ProgressEvent
+from strainwave.dynamics.arm import Arm
+
+
+@dataclass
+class Run:
+    """What accumulates while the stages run, and how far they are."""
+
+    stages: tuple[str, ...]
+    progress: Progress
+    arm: Arm = field(init=False)  # as soon as the study is read
+    parts: list[str] = field(default_factory=list)  # that have begun, or been passed over
+    warnings: list[Diagnostic] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+    sensors: dict[tuple[str, int | None], float] = field(default_factory=dict)  # delays found
+    links: tuple[LinkSummary, ...] = ()
+    others: list[tuple[JointModel, ...]] = field(default_factory=list)  # more starts of the fit
+    timing_s: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def timed(self, part: str, said: str) -> Iterator[None]:
+        """Say that a part begins, and add the time that it takes.
+
+        Parameters
+        ----------
+        part : str
+            One of those that are planned.
+        said : str
+            What is done in it.
+        """
+        self.report(part, said)
+        begin = time.perf_counter()
+        yield
+        self.timing_s[part] = self.timing_s.get(part, 0.0) + time.perf_counter() - begin
+
+    def report(self, part: str, said: str, within: float = 0.0) -> None:
+        """Say what is being done, and how far that is: parts that cannot run are passed over.
+
+        Parameters
+        ----------
+        part : str
+        said : str
+        within : float
+            How much of the part is done, from 0 to 1.
+        """
+        planned = planned_parts(self.stages)
+        begun = len(self.parts)
+        if part in planned[begun:]:
+            self.parts = planned[: planned.index(part, begun) + 1]
+        number, parts = len(self.parts), len(planned)
+        fraction = (number - 1 + min(within, 1.0)) / parts
+        self.progress(ProgressEvent(part, fraction, said, number, parts))
+
+
+def planned_parts(stages: Sequence[str]) -> list[str]:
+    """The timed parts of a run, in order; a part may come twice.
+
+    Parameters
+    ----------
+    stages : sequence of str
+
+    Returns
+    -------
+    list of str
+    """
+    planned = ["read", "consistency", "rigid", "checks"]
+    if "decoupled" in stages:
+        planned.append("decoupled")
+    if "tuned" in stages:
+        planned += ["tuned", "checks"]
+    return [*planned, "report"]
