@@ -1,4 +1,4 @@
-"""How often the whole-arm fit comes home from far: `python -m benchmarks.studies.convergence`.
+"""How often the whole-arm fit converges from far: `python -m benchmarks.studies.convergence`.
 
 Each arm is fitted from the truth and from a start 30 % off in every parameter and 3 times off in
 the gears' damping; home is where both ends are the same, to half of each parameter's deviation.
