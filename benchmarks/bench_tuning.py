@@ -34,12 +34,13 @@ from strainwave.domain import (
     Study,
     TuningOptions,
 )
+from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
 from strainwave.identification.whole_arm.objective import Objective
-from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, space_of, with_curves
+from strainwave.identification.whole_arm.parametrisation import space_of, with_curves
 from strainwave.identification.whole_arm.preparation import dataset_of
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
@@ -155,7 +156,7 @@ def _models(study: Study, values: Values) -> tuple[JointModel, ...]:
     models = []
     for j in range(1, study.arm.n_joints + 1):
         known = {(name, j): value for (name, own), value in values.items() if own == j}
-        stiffness = known.get(("gear_stiffness", j), known.get((CURVE[1], j)))
+        stiffness = known.get(("gear_stiffness", j), known.get((SLOPES[1], j)))
         own = {name: known.get((name, j), stiffness) for name in _JOINT}
         own["link_inertia"] = links[j - 1]
         plain = {name: float(value or 0.0) for name, value in own.items()}
@@ -177,8 +178,8 @@ def _start(values: Values) -> Values:
             factor = 1.0 + 0.4 * up
         elif name in _FRICTION:
             factor = _FRICTION[name] ** up
-        elif name in CURVE:
-            factor = values[CURVE[1], joint] / value
+        elif name in SLOPES:
+            factor = values[SLOPES[1], joint] / value
         else:
             factor = 1.4**up if "coulomb" in name else 1.0 + 0.05 * up
         start[name, joint] = value * factor

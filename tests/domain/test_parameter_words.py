@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from strainwave.domain.parameter_words import PARAMETER_WORDS
+from strainwave.domain.parameter_words import all_words
 from strainwave.domain.parameters import EFFECT_PARAMETERS, SENSOR_PARAMETERS
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
@@ -34,7 +34,7 @@ def whole(names: list[str]) -> list[str]:
 
 @pytest.mark.parametrize(("symbols", "names"), rows(), ids=str)
 def test_symbols_are_those_of_the_page(symbols: list[str], names: list[str]) -> None:
-    given = [PARAMETER_WORDS[name].symbol for name in names if "..." not in name]
+    given = [all_words()[name].symbol for name in names if "..." not in name]
     if len(symbols) == len(given):
         assert given == symbols
     else:
@@ -43,15 +43,15 @@ def test_symbols_are_those_of_the_page(symbols: list[str], names: list[str]) -> 
 
 def test_the_page_has_every_parameter() -> None:
     page = {name for _, names in rows() for name in names}
-    assert {name for name in PARAMETER_WORDS if not name.startswith("imu_")} <= page
+    assert {name for name in all_words() if not name.startswith("imu_")} <= page
 
 
 def test_every_parameter_that_is_listed_elsewhere_has_words() -> None:
     listed = {*SENSOR_PARAMETERS, *(name for pair in EFFECT_PARAMETERS.values() for name in pair)}
-    assert listed <= set(PARAMETER_WORDS)
+    assert listed <= set(all_words())
 
 
 def test_descriptions_are_one_line_and_differ() -> None:
-    texts = [words.description for words in PARAMETER_WORDS.values()]
+    texts = [words.description for words in all_words().values()]
     assert all(text and "\n" not in text and not text.endswith(".") for text in texts)
     assert len(set(texts)) == len(texts)

@@ -439,5 +439,9 @@ def test_what_a_later_stage_decides_is_not_warned_of_by_an_earlier_one() -> None
     slope = made("gear_stiffness", 1, "tuned")
     curve = tuple(replace(slope, name=f"gear_stiffness_k{k}") for k in (1, 2, 3))
     kept = tuple(p for p in found.tuned.parameters if p.name != "gear_stiffness")
-    found = replace(found, tuned=replace(found.tuned, parameters=kept + curve), warnings=(average,))
+    tuned = replace(found.tuned, parameters=kept + curve)
+    arm = found.study.arm
+    bent = arm.with_joints(replace(joint, spring="three-slope") for joint in arm.joints)
+    study = replace(found.study, arm=bent)
+    found = replace(found, study=study, tuned=tuned, warnings=(average,))
     assert published_warnings(found) == published_warnings(replace(found, warnings=()))

@@ -76,7 +76,7 @@ from strainwave.domain.options import (
     RigidOptions,
     TuningOptions,
 )
-from strainwave.domain.parameter_words import PARAMETER_WORDS, ParameterWords
+from strainwave.domain.parameter_words import ParameterWords, all_words
 from strainwave.domain.progress import Progress, ProgressEvent
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel
@@ -108,7 +108,6 @@ __all__ = [
     "CHANNELS",
     "CONDITIONS",
     "OUTCOMES",
-    "PARAMETER_WORDS",
     "Activity",
     "AgreementTest",
     "ArmDescription",
@@ -194,6 +193,7 @@ __all__ = [
     "Use",
     "Validated",
     "Verdict",
+    "all_words",
     "channel_names",
     "half_width",
     "is_physical",

@@ -8,12 +8,14 @@ from typing import Annotated, Literal, Self
 
 from annotated_types import Ge, Gt
 
+from strainwave.domain.gear_laws import RIGID, GearLaw, gear_law
+
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
 
 ArmKind = Literal["planar-two-link", "single-joint"]
 Motion = Literal["revolute", "prismatic"]
-Spring = Literal["linear", "three-slope", "rigid"]
+Spring = str  # name of a gear law
 Effect = Literal["stribeck", "hysteresis", "kinematic-error"]
 
 
@@ -42,6 +44,16 @@ class Joint:
     gyro_hz: Positive | None = None  # first order
     imu: Imu | None = None
     effects: tuple[Effect, ...] = ()  # that its friction and gear may have
+
+    @property
+    def law(self) -> GearLaw:
+        """The elastic law of its gear."""
+        return gear_law(self.spring)
+
+    @property
+    def elastic(self) -> bool:
+        """Whether its gear gives way between motor and link."""
+        return self.law.elastic
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,3 +85,7 @@ class ArmDescription:
     def with_joints(self, joints: Iterable[Joint]) -> Self:
         """The same arm with other joints."""
         return replace(self, joints=tuple(joints))
+
+    def behind_rigid_gears(self) -> Self:
+        """The same arm with gears that neither give way nor have effects."""
+        return self.with_joints(replace(j, spring=RIGID, effects=()) for j in self.joints)

@@ -68,7 +68,7 @@ def is_rigid_drive(arm: ArmDescription) -> bool:
     -------
     bool
     """
-    return arm.n_joints == 1 and arm.joints[0].spring == "rigid"
+    return arm.n_joints == 1 and not arm.joints[0].elastic
 
 
 def is_uncoupled(arm: ArmDescription) -> bool:

@@ -15,9 +15,10 @@ from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel
 from strainwave.domain.combinations import lumped_inertias
 from strainwave.domain.estimates import Parameter, Suspicion
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.kinds import Key, Row, kind_of
-from strainwave.domain.ranges import PHYSICAL_RANGES, is_physical, physical_range
+from strainwave.domain.ranges import is_physical, physical_range, physical_ranges
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity
 from strainwave.domain.study import Study
@@ -28,7 +29,6 @@ CONTRADICTION = 4.0
 Of the four groups of two joints one differs as much by noise alone in a run of four thousand.
 """
 
-_ORDER = {name: place for place, name in enumerate(PHYSICAL_RANGES)}
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
 _STAGE_OF_USE = {"motion": _RIGID, "frequency": _DECOUPLED, "sweep": _DECOUPLED, "tuning": _TUNED}
 _LINK_SIDE = re.compile(
@@ -108,13 +108,13 @@ def decide(
     _check_body(table)
     levels = {one.joint: one for one in activity}
     rows = [_decision(entry, study, levels) for entry in table.values()]
-    return tuple(sorted(rows, key=lambda row: _place(row.parameter)))
+    order = {name: place for place, name in enumerate(physical_ranges())}
 
+    def place(row: Decision) -> tuple[int, int]:
+        """The arm's own first, then joint by joint; the names as their ranges are listed."""
+        return row.parameter.joint or 0, order.get(row.parameter.name, len(order))
 
-def _place(p: Parameter) -> tuple[int, int]:
-    """The arm's own first, then joint by joint; the names as their ranges are listed."""
-    at = _ORDER.get(p.name, len(_ORDER))
-    return p.joint or 0, at
+    return tuple(sorted(rows, key=place))
 
 
 def first_faulty(suspicion: Suspicion, study: Study) -> int:
@@ -269,10 +269,11 @@ def _sum(
 
 
 def _one_spring(table: _Table, study: Study, reached: bool) -> None:
-    """One equivalent stiffness does not stand beside the slopes of a curve that was fitted."""
-    for number in range(1, study.arm.n_joints + 1):
-        if reached and ("gear_stiffness_k1", number) in table:
-            table.pop(("gear_stiffness", number), None)
+    """One equivalent stiffness does not stand beside the parameters of a curve that was fitted."""
+    for number, joint in enumerate(study.arm.joints, start=1):
+        own = joint.law.names
+        if reached and STIFFNESS not in own and any((name, number) in table for name in own):
+            table.pop((STIFFNESS, number), None)
 
 
 def _check_body(table: _Table) -> None:

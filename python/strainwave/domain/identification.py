@@ -11,6 +11,7 @@ from strainwave.domain.arm_model import ArmModel, MotorResponse
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.domain.final_table import Decision, decide
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.linear_models import FrequencyResponse
@@ -123,8 +124,7 @@ def _called_for(found: Identification) -> _Called:
     """Stages that the study needs of those requested, and the primary parameters these answer."""
     study = found.study
     arm, kind = study.arm, kind_of(study.arm)
-    springs = [joint.spring for joint in arm.joints]
-    elastic = [number for number, spring in enumerate(springs, start=1) if spring != "rigid"]
+    elastic = [number for number, joint in enumerate(arm.joints, start=1) if joint.elastic]
     motion = any(e.use == "motion" for e in study.experiments)
     alone = is_uncoupled(arm) and bool(elastic)
     fast = bool(elastic) and "decoupled" in found.stages
@@ -144,19 +144,12 @@ def _called_for(found: Identification) -> _Called:
     if fast:
         for number in elastic:
             inertias = [f"motor_inertia {number}", f"link_inertia {number}"]
-            curve = whole and springs[number - 1] == "three-slope"
-            names += inertias + [f"{name} {number}" for name in _spring_names(curve=curve)]
+            gear = arm.joints[number - 1].law.names if whole else (STIFFNESS,)
+            names += inertias + [f"{name} {number}" for name in (*gear, "gear_damping")]
     if whole:
         stages.append("tuned")
         names += kind.primary_of_all
     return _Called(tuple(stages), tuple(dict.fromkeys(names)))
-
-
-def _spring_names(*, curve: bool) -> list[str]:
-    if not curve:
-        return ["gear_stiffness", "gear_damping"]
-    slopes = [f"gear_stiffness_k{k}" for k in (1, 2, 3)]
-    return [*slopes, "gear_knee_t1", "gear_knee_t2", "gear_damping"]
 
 
 def _reasons(
@@ -177,7 +170,7 @@ def _reasons(
 
 
 def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
-    elastic = [n for n, j in enumerate(found.study.arm.joints, start=1) if j.spring != "rigid"]
+    elastic = [n for n, j in enumerate(found.study.arm.joints, start=1) if j.elastic]
     fitted = {joint.joint for joint in found.joints}
     if found.failures:
         return  # a stage that failed has said so, and those after it follow
@@ -202,9 +195,7 @@ would pass as well.
 
 def _validated(found: Identification) -> Validated:
     """Whether check records exercised each model."""
-    elastic = {
-        n for n, joint in enumerate(found.study.arm.joints, start=1) if joint.spring != "rigid"
-    }
+    elastic = {n for n, joint in enumerate(found.study.arm.joints, start=1) if joint.elastic}
     drives = [check for check in found.checks if check.of_drive]
     shown = {
         number

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from strainwave.domain.gear_laws import gear_parameters
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterWords:
@@ -42,12 +44,6 @@ _WORDS = {
     "link_inertia": ("m_L", "inertia that the gear moves with the arm stretched, at the link"),
     "link_viscous_friction": ("d_L", "viscous friction of the link, at the link"),
     "total_viscous_friction": ("c_0", "d_M + n² d_L: viscous friction of the joint, at the motor"),
-    "gear_stiffness": ("k_G", "stiffness of the gear, at the link"),
-    "gear_stiffness_k1": ("K1", "stiffness of the gear below its first knee, at the link"),
-    "gear_stiffness_k2": ("K2", "stiffness of the gear between its knees, at the link"),
-    "gear_stiffness_k3": ("K3", "stiffness of the gear beyond its second knee, at the link"),
-    "gear_knee_t1": ("T1", "gear torque at the first knee, at the link"),
-    "gear_knee_t2": ("T2", "gear torque at the second knee, at the link"),
     "gear_damping": ("d_G", "damping of the gear, at the link"),
     "friction_settling_time": ("tau", "time constant in which friction brings the motor to rest"),
     "stribeck_friction": ("f_S", "excess of the friction at standstill over Coulomb friction"),
@@ -81,7 +77,8 @@ _WORDS = {
     for axis in "xyz"
 }
 
-PARAMETER_WORDS: Mapping[str, ParameterWords] = {
-    name: ParameterWords(*words) for name, words in _WORDS.items()
-}
-"""By the name that the parameter has in results."""
+
+def all_words() -> Mapping[str, ParameterWords]:
+    """Of every parameter, those of all gear laws included, by the name that it has in results."""
+    of_gears = {p.name: (p.symbol, p.description) for p in gear_parameters().values()}
+    return {name: ParameterWords(*words) for name, words in (_WORDS | of_gears).items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from strainwave.domain.arm import ArmDescription, Effect, Joint
+from strainwave.domain.gear_laws import STIFFNESS, gear_parameters
 from strainwave.domain.kinds import Values, kind_of
 
 __all__ = [
@@ -57,17 +58,18 @@ def unit_of(name: str, joint: Joint) -> str:
     """
     if name.endswith("time"):
         return "s"
+    of_gear = gear_parameters().get(name)
     units = ("N m s/rad", "N s/m")
-    if "inertia" in name:
+    if of_gear is not None:
+        units = of_gear.units
+    elif "inertia" in name:
         units = ("kg m^2", "kg")
     elif name == "stribeck_velocity":
         units = ("rad/s", "m/s")
     elif name == "hysteresis_twist" or name.startswith("kinematic_error"):
         units = ("rad", "m")
-    elif any(part in name for part in ("coulomb", "offset", "knee", "stribeck", "hysteresis")):
+    elif any(part in name for part in ("coulomb", "offset", "stribeck", "hysteresis")):
         units = ("N m", "N")
-    elif "stiffness" in name:
-        units = ("N m/rad", "N/m")
     return units[joint.motion == "prismatic"]
 
 
@@ -90,12 +92,9 @@ def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:
     of_joints: dict[str, list[int]] = {}
     for number, joint in enumerate(arm.joints, start=1):
         own = ["motor_inertia", "motor_viscous_friction", "motor_coulomb_friction"]
-        own += ["friction_offset", "link_viscous_friction", "gear_stiffness", "gear_damping"]
+        own += ["friction_offset", "link_viscous_friction", STIFFNESS, "gear_damping"]
         own += [name for name, of in inertias if of == number]
-        if joint.spring == "three-slope":
-            own += [f"gear_stiffness_k{k}" for k in (1, 2, 3)]
-            own += [f"gear_knee_t{k}" for k in (1, 2)]
-        for name in own:
+        for name in dict.fromkeys((*own, *joint.law.names)):
             of_joints.setdefault(name, []).append(number)
     for name, numbers in of_joints.items():
         names += [name, *(f"{name} {number}" for number in numbers)]
@@ -106,7 +105,7 @@ def completed(values: Values, arm: ArmDescription) -> Values:
     """What an arm needs for being simulated, made of what an identification found.
 
     A sum stands for its parts where they hardly matter apart: `total_viscous_friction` for the
-    motor's, where that is not known; one `gear_stiffness` for the three slopes of a gear; and
+    motor's, where that is not known; one `gear_stiffness` for all slopes of a gear; and
     where motor and link only ever move together, `inertia` or `rigid_inertia` for both. The links'
     inertias follow as their kind of arm has it.
 
@@ -134,10 +133,8 @@ def _complete_joint(known: Values, number: int, joint: Joint) -> None:
     if total is not None:
         link = known.setdefault(("link_viscous_friction", number), 0.0)
         known.setdefault(("motor_viscous_friction", number), total - n2 * link)
-    if joint.spring == "rigid":
+    if not joint.elastic:
         known.setdefault(("link_viscous_friction", number), 0.0)
-    if joint.spring == "three-slope" and ("gear_stiffness", number) in known:
-        for slope in ("k1", "k2", "k3"):
-            known.setdefault((f"gear_stiffness_{slope}", number), known["gear_stiffness", number])
-        for knee, torque in (("t1", 1.0), ("t2", 2.0)):  # where nothing bends
-            known.setdefault((f"gear_knee_{knee}", number), torque)
+    if (STIFFNESS, number) in known:
+        for name, value in joint.law.straight(known[STIFFNESS, number]).items():
+            known.setdefault((name, number), value)

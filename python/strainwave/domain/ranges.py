@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
-Range = Literal["positive", "non-negative", "any"]
+from strainwave.domain.gear_laws import Range, gear_parameters
 
-PHYSICAL_RANGES: Mapping[str, Range] = {
+_RANGES: Mapping[str, Range] = {
     "alpha": "positive",
     "beta": "positive",
     "gamma": "any",  # of its own; with alpha and beta gamma^2 < alpha beta
@@ -23,12 +22,6 @@ PHYSICAL_RANGES: Mapping[str, Range] = {
     "motor_coulomb_friction": "non-negative",
     "friction_offset": "any",
     "friction_settling_time": "non-negative",
-    "gear_stiffness": "positive",
-    "gear_stiffness_k1": "positive",
-    "gear_stiffness_k2": "positive",
-    "gear_stiffness_k3": "positive",
-    "gear_knee_t1": "positive",
-    "gear_knee_t2": "positive",
     "gear_damping": "non-negative",
     "stribeck_friction": "non-negative",
     "stribeck_velocity": "positive",
@@ -37,7 +30,20 @@ PHYSICAL_RANGES: Mapping[str, Range] = {
     "kinematic_error_cos": "any",
     "kinematic_error_sin": "any",
 }
-"""By parameter name; a name that is not there, as of a sensor's constant, has no range."""
+
+
+def physical_ranges() -> Mapping[str, Range]:
+    """By parameter name, in the order of tables; a sensor's constant has none.
+
+    Returns
+    -------
+    dict
+        Those of gears before their damping.
+    """
+    gears = {name: parameter.range for name, parameter in gear_parameters().items()}
+    at = list(_RANGES).index("gear_damping")
+    ranges = list(_RANGES.items())
+    return dict([*ranges[:at], *gears.items(), *ranges[at:]])
 
 
 def physical_range(name: str) -> Range:
@@ -52,7 +58,8 @@ def physical_range(name: str) -> Range:
     -------
     "positive", "non-negative" or "any"
     """
-    return PHYSICAL_RANGES.get(name, "any")
+    of_gear = gear_parameters().get(name)
+    return of_gear.range if of_gear is not None else _RANGES.get(name, "any")
 
 
 def is_physical(name: str, value: float) -> bool:

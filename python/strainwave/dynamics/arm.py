@@ -50,7 +50,7 @@ class Arm(ArmDescription):
         joints = self.joints
         return _core.Arm(
             self.kind,
-            [joint.spring for joint in joints],
+            [joint.law.core_name for joint in joints],
             [joint.gear_ratio for joint in joints],
             torque_per_volt=self.torque_per_volt.tolist(),
             link_length=self.link_length or 0.0,
@@ -400,9 +400,12 @@ class Arm(ArmDescription):
         """
         known, n = completed(values, self), self.n_joints
         numbers = range(1, n + 1)
+        if not all(joint.elastic for joint in self.joints):
+            return 0.0
         try:
-            own = [(known.get(("gear_stiffness", i)), i) for i in numbers]
-            k = np.diag([one or known["gear_stiffness_k3", i] for one, i in own])
+            own = [joint.law.of_joint(known, i) for i, joint in enumerate(self.joints, start=1)]
+            pairs = zip(self.joints, own, strict=True)
+            k = np.diag([joint.law.stiffness_range(values)[1] for joint, values in pairs])
             motor = np.diag([known["motor_inertia", i] for i in numbers] / self.gear_ratios**2)
             base = [
                 0.0 if pulled else known[key]

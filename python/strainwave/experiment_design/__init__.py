@@ -41,7 +41,6 @@ __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
 _STARTS = 3  # of the search for the motion; the best two of them become records
 _RESTING = 0.3  # of a record; more, and Coulomb friction at standstill hides what is asked
 _POOR = 300.0  # condition number; designs that have room reach 10
-_KNEES = ("gear_knee_t1", "gear_knee_t2")
 
 
 def excite_study_file(
@@ -208,7 +207,7 @@ def _torques_without_limit(
     """What the gears bear where nobody said what they may."""
     found = []
     for i in range(arm.n_joints):
-        if np.isfinite(limits.gear_torque[i]) or arm.joints[i].spring == "rigid":
+        if np.isfinite(limits.gear_torque[i]) or not arm.joints[i].elastic:
             continue
         worst = max(records, key=lambda record: float(record.predicted.gear_torque[i]))
         text = (
@@ -259,11 +258,11 @@ def _warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...
             text = f"the motor of joint {joint} stands for {100.0 * seen.rest_share[i]:.0f} % of "
             text += "the record, where friction hides the rest; allow more voltage or velocity"
             found.append(Diagnostic("standing", name, text))
-        knees = [known[knee, joint] for knee in _KNEES if (knee, joint) in known]
+        law = arm.joints[i].law
+        knees = law.knees(law.of_joint(known, joint))
         beyond = [knee for knee in knees if knee > seen.gear_torque[i]]
         strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
-        excited = strongest and arm.joints[i].spring == "three-slope"
-        if excited and beyond:
+        if strongest and beyond:
             text = f"the gear of joint {joint} sees {seen.gear_torque[i]:.3g} N m, and its knees "
             text += f"are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: its stiffness "
             text += "beyond will not be identifiable; allow more voltage, velocity or angle"

@@ -61,11 +61,7 @@ def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
     """
     known = completed(values, arm)
     drive = arm.joints[joint - 1]
-    slopes = [
-        known["gear_stiffness" if drive.spring == "linear" else f"gear_stiffness_{k}", joint]
-        for k in {"linear": ("",), "three-slope": ("k1", "k2", "k3"), "rigid": ()}[drive.spring]
-    ]
-    if not slopes:
+    if not drive.elastic:
         return None
     soft, stiff = (
         TwoInertia(
@@ -77,7 +73,7 @@ def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
             gear_damping=known["gear_damping", joint],
             gear_ratio=drive.gear_ratio,
         )
-        for stiffness in (min(slopes), max(slopes))
+        for stiffness in drive.law.stiffness_range(drive.law.of_joint(known, joint))
     )
     damping = soft.link_viscous_friction + soft.gear_damping
     return Band(

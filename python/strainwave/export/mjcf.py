@@ -2,13 +2,15 @@
 
 A fixed tendon over motor and link joint with coefficients n and -1 has the length
 delta = n theta_M - theta_L; its stiffness and damping pull at both sides as in (1) and (2). A
-tendon with a slack range pulls beyond it only: three side by side are the three-slope law. Motors
-turn against the world, since (1) leaves out what their links' turning does to them.
+tendon with a slack range pulls beyond it only: several side by side are a law whose slope changes
+at knees. Motors turn against the world, since (1) leaves out what their links' turning does to
+them.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
 from xml.etree import ElementTree as ET
 
 from strainwave.domain import Diagnostic, Joint
@@ -57,9 +59,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     parent = world
     for number, body in enumerate(bodies, start=1):
         parent = _link(parent, arm, number, body)
-    elastic = [
-        i for i, joint in enumerate(arm.study.arm.joints, start=1) if joint.spring != "rigid"
-    ]
+    elastic = [i for i, joint in enumerate(arm.study.arm.joints, start=1) if joint.elastic]
     for number in elastic:
         _motor(world, arm, number)
     if elastic:
@@ -89,7 +89,7 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
     attributes = {"name": f"joint{number}", **_kind(arm, number)}
     viscous = arm.need("link_viscous_friction", number)
     joint = arm.joint(number)
-    if joint.spring == "rigid":
+    if not joint.elastic:
         n2 = joint.gear_ratio**2
         viscous += arm.need("motor_viscous_friction", number) / n2
         friction = arm.need("motor_coulomb_friction", number) / joint.gear_ratio
@@ -166,22 +166,17 @@ def _gear(tendons: ET.Element, arm: IdentifiedArm, number: int) -> None:
         ET.SubElement(fixed, "joint", joint=f"joint{number}", coef="-1")
 
 
-def _springs(arm: IdentifiedArm, number: int) -> list[tuple[float, float]]:
+def _springs(arm: IdentifiedArm, number: int) -> tuple[tuple[float, float], ...]:
     """(stiffness [N m/rad], torsion [rad] from which it acts), to be added up."""
-    if arm.joint(number).spring == "linear":
-        return [(arm.need("gear_stiffness", number), 0.0)]
-    k1, k2, k3 = (arm.need(f"gear_stiffness_k{i}", number) for i in (1, 2, 3))
-    t1, t2 = (arm.need(f"gear_knee_t{i}", number) for i in (1, 2))
-    first = t1 / k1
-    second = first + (t2 - t1) / k2
-    beyond = [(k2 - k1, first), (k3 - k2, second)]
-    return [(k1, 0.0), *(spring for spring in beyond if spring[0] != 0.0)]
+    law = arm.joint(number).law
+    exact = law.parallel_springs(partial(arm.need, joint=number))
+    return ((arm.need(law.linearised_by, number), 0.0),) if exact is None else exact
 
 
 def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int) -> None:
     """Voltage to torque, (1): e u less the friction's constant part, through the current loop."""
     joint = arm.joint(number)
-    rigid = joint.spring == "rigid"
+    rigid = not joint.elastic
     element = ET.SubElement(
         actuators,
         "general",
@@ -217,7 +212,7 @@ def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int) -> None:
     torque is the actuator's, less the friction's constant part.
     """
     link = f"joint{number}"
-    if arm.joint(number).spring != "rigid":
+    if arm.joint(number).elastic:
         motor = f"motor_joint{number}"
         ET.SubElement(sensors, "jointpos", name=f"theta_m{number}", joint=motor)
         ET.SubElement(sensors, "jointvel", name=f"omega_m{number}", joint=motor)
@@ -239,6 +234,8 @@ def _left_out(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """What MuJoCo has no element for."""
     found = []
     for number, joint in enumerate(arm.study.arm.joints, start=1):
+        if joint.elastic and joint.law.parallel_springs(partial(arm.need, joint=number)) is None:
+            found.append(Diagnostic("linearised", f"joint {number}", joint.law.linearised_note))
         if joint.effects:
             message = f"MuJoCo has no {', '.join(joint.effects)}; the model goes without"
             found.append(Diagnostic("left-out", f"joint {number}", message))

@@ -74,7 +74,7 @@ class IdentifiedArm:
             if own and own[0].label in self.rejected:
                 raise self._refuse(name, joint, "rejected by the result's verdict")
             raise self._refuse(name, joint, "null" if own else "not there")
-        merged = joint is not None and self.joint(joint).spring == "rigid"
+        merged = joint is not None and not self.joint(joint).elastic
         if value == 0.0 and merged and name in ("motor_inertia", "link_inertia"):
             return value  # it may be counted with the other side's
         if not is_physical(name, value):
@@ -107,7 +107,7 @@ class IdentifiedArm:
         found = [
             Diagnostic("assumed", f"joint {number}", message)
             for number in self._lumped()
-            if self.joint(number).spring != "rigid"  # motor and link of which are one
+            if self.joint(number).elastic  # motor and link of which are one
         ]
         leads = {("alpha", None), ("link_inertia", 1), ("motor_inertia", 1)}
         identified = self._identified()

@@ -28,7 +28,7 @@ def state_space(
     States: torsion delta = n theta_M - theta_L [rad], motor velocity, link velocity [rad/s].
     Inputs: motor torque less Coulomb friction, interaction torque at the link (13) [N m]. Outputs:
     motor velocity [rad/s], link acceleration [rad/s^2]. The link has the inertia it has at q2 = 0;
-    of a three-slope gear it is the middle slope; gravity is left out.
+    a gear has the stiffness of `GearLaw.linearised_by`; gravity is left out.
 
     Parameters
     ----------
@@ -72,19 +72,18 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
         There is no such joint, its gear is rigid, or a parameter is null or impossible.
     """
     drive = arm.joint(joint)
-    if drive.spring == "rigid":
+    if not drive.elastic:
         raise InvalidInput(
             f"joint {joint} has a rigid gear, and no two inertias with a spring between them",
             where=str(arm.study.path),
             remedy="export to mjcf, urdf, json or c",
         )
-    slope = "gear_stiffness" if drive.spring == "linear" else "gear_stiffness_k2"
     return TwoInertia(
         motor_inertia=arm.need("motor_inertia", joint),
         motor_viscous_friction=arm.need("motor_viscous_friction", joint),
         link_inertia=_link_inertia(arm, joint),
         link_viscous_friction=arm.need("link_viscous_friction", joint),
-        gear_stiffness=arm.need(slope, joint),
+        gear_stiffness=arm.need(drive.law.linearised_by, joint),
         gear_damping=arm.need("gear_damping", joint),
         gear_ratio=drive.gear_ratio,
     )
@@ -101,9 +100,9 @@ def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """What a linear model of a joint leaves out, and whoever uses it must know."""
     found = arm.warnings + arm.assumed()
     for number, joint in enumerate(arm.study.arm.joints, start=1):
-        if joint.spring == "three-slope":
-            message = "its gear has three slopes; the linear model has the middle one"
-            found += (Diagnostic("linearised", f"joint {number}", message),)
+        note = joint.law.linearised_note
+        if note:
+            found += (Diagnostic("linearised", f"joint {number}", note),)
     return found
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Log, Prediction
+from strainwave.domain.gear_laws import known_instead
 from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import as_read
@@ -51,7 +52,7 @@ def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
 
 
 def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
-    """The arm with linear springs where the values know only one stiffness, and known effects.
+    """The arm with simpler springs where the values know no more of them, and known effects.
 
     Parameters
     ----------
@@ -64,9 +65,7 @@ def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
     Arm
     """
     joints = tuple(
-        replace(joint, spring="linear")
-        if joint.spring == "three-slope" and ("gear_stiffness_k1", number) not in values
-        else joint
+        replace(joint, spring=known_instead(joint.law, joint.law.of_joint(values, number)).name)
         for number, joint in enumerate(arm.joints, start=1)
     )
     return with_known_effects(arm.with_joints(joints), values.keys())
@@ -195,7 +194,7 @@ def predict_closed_loop(
     Parameters
     ----------
     values : dict
-        (name, joint) -> value; of a three-slope gear one `gear_stiffness` will do.
+        (name, joint) -> value; of a gear with a curve one `gear_stiffness` will do.
     log : Log
         Of any experiment whose references and open-loop voltages are there.
     arm : Arm

@@ -107,7 +107,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     """
     values = dict(model.values)
     predicted = predict_closed_loop(values, log, arm)
-    elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.spring != "rigid"]
+    elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.elastic]
     effects = {n: _stiffness_effect(predicted, n, values, log, arm) for n in elastic}
     return replace(predicted, stiffness_effect=effects)
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from strainwave.domain import gear_laws
 from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
@@ -24,7 +25,8 @@ def read_parameters(path: Path) -> Values:
 
         {"alpha": 1.6, "joints": [{"motor_inertia": 1.5e-4, "gear_stiffness": [25000.0]}, ...]}
 
-    in which `gear_stiffness` is a number, [K] or [K1, K2, K3] with `gear_knee_torque` [T1, T2].
+    in which `gear_stiffness` is a number, [K] or [K1, K2, K3] with `gear_knee_torque` [T1, T2]; a
+    gear law says which lists it takes.
 
     Parameters
     ----------
@@ -104,16 +106,17 @@ def _names(key: str, value: Any, place: str) -> dict[str, Any]:
     """The parameters one key of the table stands for."""
     if not isinstance(value, list):
         return {key: value}
-    if key == "gear_stiffness" and len(value) == 1:
-        return {key: value[0]}
-    if key == "gear_stiffness" and len(value) == 3:
-        return {f"gear_stiffness_k{i}": entry for i, entry in enumerate(value, start=1)}
-    if key == "gear_knee_torque" and len(value) in (0, 2):
-        return {f"gear_knee_t{i}": entry for i, entry in enumerate(value, start=1)}
+    known = gear_laws.lists()
+    names = known.get(key, {}).get(len(value))
+    if names is not None:
+        return dict(zip(names, value, strict=True))
+    counts = [" or ".join(map(str, sorted(of_length))) for of_length in known.values()]
+    taken = [f"{name} takes {count}" for name, count in zip(known, counts, strict=True)]
+    taken[0] += " values"
     raise InvalidInput(
         f"{key} has {len(value)} values",
         where=place,
-        remedy="gear_stiffness takes 1 or 3 values, gear_knee_torque 0 or 2, all others one number",
+        remedy=f"{', '.join(taken)}, all others one number",
     )
 
 

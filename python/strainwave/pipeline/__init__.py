@@ -138,7 +138,7 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
     for log in all_logs:
         run.warnings.extend(log.warnings)
     input_check = _consistency(run, the_study, all_logs)
-    elastic = "decoupled" in run.stages and any(j.spring != "rigid" for j in run.arm.joints)
+    elastic = "decoupled" in run.stages and any(j.elastic for j in run.arm.joints)
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     model: RigidModel | None = None
     fitted: tuple[Prediction, ...] = ()

@@ -33,7 +33,7 @@ def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
     torques T linear in the base parameters; a delay D of the link's sensor adds D times the slope
     of its share of ddtheta_L, and a scale 1 + e of it takes e times that share away. All
     coefficients are found at once by least squares over the spectral lines in which the link moves.
-    A three-slope spring adds nonlinear functions of T. They do where this joint was excited; a
+    A spring with a curve adds nonlinear functions of T. They do where this joint was excited; a
     neighbour's torque bends otherwise, and would pass for half a sample. D_L makes D too large by
     d_L / k.
 
@@ -47,13 +47,13 @@ def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
     Returns
     -------
     Delay or None
-        None where the link has no sensor of its own, the record has too few lines, or a three-slope
-        spring was wound by another joint's excitation alone.
+        None where the link has no sensor of its own, the record has too few lines, or a spring
+        with a curve was wound by another joint's excitation alone.
     """
-    spring, excited = arm.joints[i].spring, signals.experiment.joint
-    if signals.sources[i] in ("motor", "deflection") or spring == "rigid":
+    law, excited = arm.joints[i].law, signals.experiment.joint
+    if signals.sources[i] in ("motor", "deflection") or not law.elastic:
         return None
-    if spring == "three-slope" and excited not in (None, i + 1):
+    if law.is_curved and excited not in (None, i + 1):
         return None
     T = signals.sample_time
     n = arm.gear_ratios[i]
@@ -66,7 +66,7 @@ def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
     shares = _shares(signals, arm, link, i)
     columns = [_slope(shares, T, 1), shares, _slope(torque, T, 2), _slope(torque, T, 3)]
     found = _regress(target, np.column_stack(columns), T, band, 1.0)
-    if found is not None and spring == "three-slope":
+    if found is not None and law.is_curved:
         wound = torque @ found[0][2 * shares.shape[1] :][: torque.shape[1]]
         wound = wound - wound.mean()
         bent = np.column_stack([np.tanh(wound / (k * (wound.std() + 1e-300))) for k in _KNEES])

@@ -19,6 +19,7 @@ from strainwave.domain import (
     Study,
     Use,
 )
+from strainwave.domain.gear_laws import gear_law
 from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
 
@@ -30,6 +31,9 @@ LINK_INERTIA = (0.12, 0.030)  # [kg m^2] about the centroid
 TIP_MOUNT = (1.0, 5e-4)  # [kg], [kg m^2] about its own axis
 DISK = (1.0, 1.25e-3)  # each
 MOST_DISKS = 5
+
+_SPRING = "three-slope"
+_MIDDLE = "gear_stiffness_k2"  # where another gear law takes one stiffness
 
 _DRIVES: tuple[dict[str, float], ...] = (
     {
@@ -67,7 +71,7 @@ _THREE_SLOPES: tuple[dict[str, float], ...] = (
 )
 
 
-def parameters(disks: int = MOST_DISKS, spring: Spring = "three-slope") -> Values:
+def parameters(disks: int = MOST_DISKS, spring: Spring = _SPRING) -> Values:
     """Parameter values of the rig, base parameters (3) from its masses.
 
     alpha = I1 + m1 lc1^2 + m2 l1^2, beta = I2 about axis 2, gamma = l1 (m2 lc2 + m_tip l2)
@@ -76,8 +80,8 @@ def parameters(disks: int = MOST_DISKS, spring: Spring = "three-slope") -> Value
     ----------
     disks : int
         Payload: brass disks of 1 kg at the tip, 0 to 5.
-    spring : "three-slope", "linear" or "rigid"
-        "linear" takes the middle slope; "rigid" has no spring at all.
+    spring : str
+        Name of a gear law; those but the rig's own take its middle slope for their stiffness.
 
     Returns
     -------
@@ -99,23 +103,20 @@ def parameters(disks: int = MOST_DISKS, spring: Spring = "three-slope") -> Value
     gamma = LINK_LENGTH[0] * (LINK_MASS[1] * CENTROID[1] + tip * LINK_LENGTH[1])
     values: Values = {("alpha", None): alpha, ("beta", None): beta, ("gamma", None): gamma}
     for joint, (drive, slopes) in enumerate(zip(_DRIVES, _THREE_SLOPES, strict=True), start=1):
-        gear = {
-            "three-slope": slopes,
-            "linear": {"gear_stiffness": slopes["gear_stiffness_k2"]},
-            "rigid": {},
-        }[spring]
+        gear = slopes if spring == _SPRING else gear_law(spring).straight(slopes[_MIDDLE])
         values |= {(name, joint): value for name, value in (drive | gear).items()}
     return values
 
 
-def study(folder: Path, spring: Spring = "three-slope") -> Study:
+def study(folder: Path, spring: Spring = _SPRING) -> Study:
     """The rig's study: its sensors, its servo and the experiments that identify it.
 
     Parameters
     ----------
     folder : Path
         Where the study file and its logs are to be.
-    spring : "three-slope", "linear" or "rigid"
+    spring : str
+        Name of a gear law.
 
     Returns
     -------

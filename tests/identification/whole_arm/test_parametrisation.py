@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmDescription, FloatArray, Joint, JointModel, RigidModel, Study
+from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.parametrisation import (
-    CURVE,
-    KNEES,
     SETTLING,
     VISCOUS,
     ParameterSpace,
@@ -42,7 +41,7 @@ def mixed_study() -> Study:
 
 def mixed_values(study: Study) -> Values:
     values = values_of(study, 7)
-    for name in (*CURVE, *KNEES):
+    for name in (*SLOPES, *KNEES):
         del values[name, 2]
     values["gear_stiffness", 2] = 6100.0
     return derived(values, study.arm)
@@ -158,10 +157,10 @@ def test_it_starts_from_what_was_found() -> None:
     start = space.values(np.zeros(len(space.unknowns)))
     # exactly: inertias, friction, damping and gravity are those of the models
     for key in start:
-        if key[0] not in (*CURVE, *KNEES, SETTLING):
+        if key[0] not in (*SLOPES, *KNEES, SETTLING):
             assert start[key] == pytest.approx(known[key], rel=1e-12, abs=1e-15), key
-    one = 0.5 * (known[CURVE[0], 1] + known[CURVE[1], 1])
-    slopes = [start[name, 1] for name in CURVE]
+    one = 0.5 * (known[SLOPES[0], 1] + known[SLOPES[1], 1])
+    slopes = [start[name, 1] for name in SLOPES]
     np.testing.assert_allclose(slopes, one * np.array([0.8, 1.0, 1.15]))
     knees = [start[name, 1] for name in KNEES]
     np.testing.assert_allclose(knees, LARGEST_TORQUE[0] * np.array([0.2, 0.6]))
@@ -169,7 +168,7 @@ def test_it_starts_from_what_was_found() -> None:
     assert {u.joint for u in space.unknowns if u.name == SETTLING} == {1, 2}
     units = {u.key: u.unit for u in space.unknowns}
     assert units[KNEES[1], 1] == "N m"
-    assert units[CURVE[0], 1] == "N m/rad"
+    assert units[SLOPES[0], 1] == "N m/rad"
     assert units["alpha", None] == "kg m^2"
     assert units["gravity_torque_2", None] == "N m"
     assert units[SETTLING, 1] == "s"

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES, ThreeSlope
 from strainwave.domain.parameters import Values
-from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES
 from strainwave.identification.whole_arm.stiffness_restarts import other_starts
 
-LARGEST = 40.0
-NAMES = (*CURVE, *KNEES)
+LAW, LARGEST = ThreeSlope(), 40.0
+NAMES = (*SLOPES, *KNEES)
 
 
 def curve(*numbers: float) -> Values:
@@ -28,7 +28,7 @@ def torque(values: Values, torsion: float) -> float:
 
 
 def test_a_curve_that_bends_twice_is_left_alone() -> None:
-    assert list(other_starts(curve(1e4, 1.5e4, 2e4, 5.0, 20.0), 1, LARGEST)) == []
+    assert list(other_starts(LAW, curve(1e4, 1.5e4, 2e4, 5.0, 20.0), 1, LARGEST)) == []
 
 
 @pytest.mark.parametrize(
@@ -43,11 +43,11 @@ def test_a_curve_that_bends_twice_is_left_alone() -> None:
 )
 def test_one_bend_is_split(lost: Values) -> None:
     """Three curves near the one that was found, of rising knees, each with every bend in reach."""
-    starts = list(other_starts(lost, 1, LARGEST))
+    starts = list(other_starts(LAW, lost, 1, LARGEST))
     assert len(starts) == 3
     for start in starts:
         assert 0.0 < start[KNEES[0], 1] < start[KNEES[1], 1] < LARGEST
-        slopes = [start[name, 1] for name in CURVE]
+        slopes = [start[name, 1] for name in SLOPES]
         assert all(abs(b / a - 1.0) > 0.01 for a, b in pairwise(slopes))
         for torsion in (4e-4, 1.5e-3):
             assert torque(start, torsion) == pytest.approx(torque(lost, torsion), rel=0.1)
@@ -57,6 +57,6 @@ def test_one_bend_is_split(lost: Values) -> None:
 
 
 def test_no_bend_is_sought_low_and_high() -> None:
-    starts = list(other_starts(curve(1e4, 1e4, 1e4, 5.0, 20.0), 1, LARGEST))
+    starts = list(other_starts(LAW, curve(1e4, 1e4, 1e4, 5.0, 20.0), 1, LARGEST))
     assert len(starts) == 2
     assert starts[0][KNEES[1], 1] <= starts[1][KNEES[0], 1]

@@ -20,13 +20,14 @@ from strainwave.domain import (
     Servo,
     Study,
 )
+from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, rigid, validation
 from strainwave.identification import joint_model as physical
 from strainwave.identification.whole_arm import TuningOptions, tune
-from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, SETTLING
+from strainwave.identification.whole_arm.parametrisation import SETTLING
 from strainwave.io import logs
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
@@ -176,7 +177,7 @@ def test_slopes_and_knees_of_gears_that_are_under_large_torque() -> None:
     assert model.status == "converged"
     errors = errors_of(model, truth("three-slope")[1])
     for joint in (1, 2):
-        for name in CURVE:
+        for name in SLOPES:
             assert abs(errors[name, joint][0]) < 0.005, (name, joint)
         for name in KNEES:
             assert abs(errors[name, joint][0]) < 0.02, (name, joint)
@@ -195,7 +196,7 @@ def test_slopes_and_knees_of_gears_that_are_under_large_torque() -> None:
 def test_what_a_small_amplitude_does_not_reach_is_reported() -> None:
     model = curved(1.5)
     vague = {(p.name, p.joint) for p in model.parameters if p.value is None}
-    curve = {key for key in vague if key[0] in (*CURVE, *KNEES)}
+    curve = {key for key in vague if key[0] in (*SLOPES, *KNEES)}
     assert curve
     said = warnings(model, "not-reached")
     assert set(said) == {f"{name} of joint {joint}" for name, joint in curve}
@@ -211,7 +212,7 @@ def test_what_a_small_amplitude_does_not_reach_is_reported() -> None:
 def test_no_slope_is_reported_that_was_not_reached() -> None:
     model = curved(1.5)
     errors = errors_of(model, truth("three-slope")[1])
-    for name in (*CURVE, *KNEES):
+    for name in (*SLOPES, *KNEES):
         for joint in (1, 2):
             assert abs(errors.get((name, joint), (0.0, 0.0))[1]) < 5.0, (name, joint)
 
@@ -536,7 +537,7 @@ def test_a_curve_whose_knee_starts_out_of_reach_is_found() -> None:
     model = from_wrong_starts(records, study, known, start=far)
     errors = errors_of(model, known)
     for joint in (1, 2):
-        for name in (*CURVE[:2], KNEES[0]):
+        for name in (*SLOPES[:2], KNEES[0]):
             assert abs(errors[name, joint][0]) < 0.02, (name, joint)
 
 

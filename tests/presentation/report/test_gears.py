@@ -36,7 +36,7 @@ def test_the_torsion_scatters_as_its_deviation_says() -> None:
     drawn, found = [], curve()
     for _ in range(4000):
         values = [v + s * rng.standard_normal() for v, s in CURVE.values()]
-        one = replace(found, slopes=np.array(values[:3]), knees=np.array(values[3:]))
+        one = replace(found, values=dict(zip(CURVE, values, strict=True)))
         drawn.append(gears.torsion_at(one, torque)[0])
     _, std = gears.torsion_at(found, torque)
     assert std == pytest.approx(np.std(drawn, axis=0), rel=0.05)  # of 4000 draws: 1.1 %
@@ -48,14 +48,19 @@ def test_what_was_not_reported_is_not_drawn() -> None:
     parameters, covariance = curve_parameters(gear_stiffness_k3=None, gear_knee_t2=None)
     two = replace(one, tuned=replace(one.tuned, parameters=parameters, covariance=covariance))
     found = gears.curves(two)[0]
-    assert found.slopes.tolist() == [16000.0, 25000.0]
+    assert found.values == {
+        "gear_stiffness_k1": 16000.0,
+        "gear_stiffness_k2": 25000.0,
+        "gear_knee_t1": 7.0,
+    }
     assert found.knees.tolist() == [7.0]
     assert found.covariance.shape == (3, 3)
 
 
 def test_without_the_whole_arm_the_joint_shows_one_slope() -> None:
     found = gears.curves(replace(elastic_identification(), tuned=None))[0]
-    assert found.slopes.tolist() == [25000.0]
+    assert found.values == {"gear_stiffness": 25000.0}
+    assert found.is_equivalent
     assert found.covariance[0, 0] == pytest.approx(joint_model().covariance[4, 4])
     assert found.gear_loads is None
     assert "One stiffness for the whole" in gears.words(found)

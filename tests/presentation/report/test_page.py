@@ -16,7 +16,7 @@ import pytest
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
 from strainwave.domain import Diagnostic, Identification, Parameter
-from strainwave.domain.parameter_words import PARAMETER_WORDS
+from strainwave.domain.parameter_words import all_words
 from strainwave.presentation.report import figures_of, remedies, render
 from strainwave.presentation.terminal import print_summary
 
@@ -241,7 +241,7 @@ def test_every_parameter_has_its_symbol_and_its_description() -> None:
     outline = Outline(page)
     tips = {own["href"]: own["title"] for own in outline.of("a") if own.get("title")}
     for name in {p.name for p in elastic_identification().parameters}:
-        description = PARAMETER_WORDS[name].description
+        description = all_words()[name].description
         assert tips[f"#parameter-{name}"] == description
         assert f"parameter-{name}" in outline.ids
         assert escape(description) in page

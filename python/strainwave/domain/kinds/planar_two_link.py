@@ -91,7 +91,7 @@ class PlanarTwoLink(Kind):
             known[_ALPHA] = known["link_inertia", 1] - beta - 2.0 * gamma
         elif rigid is not None and motor is not None:
             known[_ALPHA] = rigid - motor / n2
-        elif rigid is not None and arm.joints[0].spring == "rigid":
+        elif rigid is not None and not arm.joints[0].elastic:
             # all of it counted as the motor's but what alpha needs for a proper link
             known[_ALPHA] = min(_CHOSEN * gamma**2 / beta, rigid)
         if motor is None and rigid is not None and _ALPHA in known:

@@ -53,7 +53,7 @@ class SingleJoint(Kind):
 
     def complete(self, known: Values, arm: ArmDescription) -> None:
         """Behind a rigid gear motor and link are one: all of c_1 stands for the motor's."""
-        if arm.joints[0].spring == "rigid" and ("inertia", 1) in known:
+        if not arm.joints[0].elastic and ("inertia", 1) in known:
             known.setdefault(_MOTOR, known["inertia", 1])
             known.setdefault(_LINK, 0.0)
 
@@ -71,7 +71,7 @@ class SingleJoint(Kind):
         """The link; behind a rigid gear the motor is part of it."""
         joint, length = arm.joints[0], arm.link_length or ASSUMED_LENGTH
         inertia = need(*_LINK)
-        if joint.spring == "rigid":
+        if not joint.elastic:
             inertia += need(*_MOTOR) / joint.gear_ratio**2
         if inertia <= 0.0:
             raise InvalidInput(

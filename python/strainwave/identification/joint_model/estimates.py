@@ -87,9 +87,9 @@ def warnings_of(
             if name.endswith("viscous_friction"):
                 text += "; of the viscous frictions only the total is well known"
             yield Diagnostic("not-identifiable", place, text)
-    if joint.spring == "three-slope":
-        text = f"one stiffness for the whole curve, at the torsion reached in {source}: between the"
-        text += " softest and the stiffest of the three"
+    if joint.law.is_curved:
+        text = f"one stiffness for the whole curve, at the torsion reached in {source}: "
+        text += joint.law.equivalent_note
         yield Diagnostic("equivalent-stiffness", f"gear_stiffness of joint {number}", text)
 
 

@@ -385,7 +385,7 @@ def _elastic_remainder(arm: Arm, best: _Trial) -> FloatArray:
     if ratio == 0.0:
         return np.zeros(len(best.covariance))
     here = best.estimate.solution
-    stiff = arm.with_joints(replace(j, spring="rigid", effects=()) for j in arm.joints)
+    stiff = arm.behind_rigid_gears()
     rigid, other = side_by_side(
         [
             partial(_trial, stiff, best.stretches, best.estimate),
@@ -407,7 +407,7 @@ def _choose(trials: Sequence[_Trial], arm: Arm) -> _Trial:
     least = spread.min(axis=0)
     identified = np.isfinite(least)
     regret = np.max(spread[:, identified] - least[identified], axis=1, initial=0.0)
-    if all(joint.spring == "rigid" for joint in arm.joints):
+    if not any(joint.elastic for joint in arm.joints):
         return trials[int(np.argmin(regret))]
     return trials[int(np.argmax(regret <= regret.min() + _GAIN))]
 

@@ -282,7 +282,7 @@ def assemble(
     -------
     Equations
     """
-    elastic = np.array([joint.spring != "rigid" for joint in arm.joints])
+    elastic = np.array([joint.elastic for joint in arm.joints])
     n_elastic = n_compliances(arm) if around is not None else 0
     total = sum(s.duration for s in stretches)
     n_shared, n_of_body = len(arm.rigid_columns), arm.n_body
@@ -334,7 +334,7 @@ def assemble(
 
 def n_compliances(arm: Arm) -> int:
     """How many compliances all rows may have: one per joint if any gear is elastic."""
-    return arm.n_joints if any(joint.spring != "rigid" for joint in arm.joints) else 0
+    return arm.n_joints if any(joint.elastic for joint in arm.joints) else 0
 
 
 def estimate_of(
@@ -364,7 +364,7 @@ def estimate_of(
     compliance = np.zeros(arm.n_joints)
     n = n_compliances(arm)
     if n and len(factor.common):
-        elastic = np.array([joint.spring != "rigid" for joint in arm.joints])
+        elastic = np.array([joint.elastic for joint in arm.joints])
         most = 3.0 * equations.common_deviation[:n]
         compliance = np.clip(factor.common[:n], 0.0, most) * elastic
     standing, at = [], 0

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import JointModel, TuningOptions
+from strainwave.domain.gear_laws import STIFFNESS, gear_parameters, is_slope
 from strainwave.domain.parameters import Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
-from strainwave.identification.whole_arm.parametrisation import CURVE, KNEES, LINEAR
 from strainwave.identification.whole_arm.solver import COARSE_GAIN, search_from
 
 _FEW = 4  # sets that are searched from
@@ -107,9 +107,11 @@ class _Racer:
         """Whether a stiffness is at the end of its range, of a curve all its slopes."""
         space, z = self.fit.objective.space, self.fit.z
         near = np.minimum(z - space.lower, space.upper - z) < _EDGE * (space.upper - space.lower)
-        ended = {key for key, at in zip(space.keys, near, strict=True) if at}
-        numbers = range(1, len(self.joints) + 1)
-        return any({(name, i) for name in own} <= ended for i in numbers for own in (LINEAR, CURVE))
+        ended: dict[int | None, list[bool]] = {}
+        for (name, joint), at in zip(space.keys, near, strict=True):
+            if is_slope(name):
+                ended.setdefault(joint, []).append(bool(at))
+        return any(all(slopes) for slopes in ended.values())
 
     @property
     def done(self) -> bool:
@@ -142,12 +144,11 @@ def _further(
 def _moved(racer: _Racer) -> list[JointModel]:
     """Joints whose stiffness lies where the search has come to, so that ranges lie about that."""
     found = racer.fit.objective.space.values(racer.fit.z)
-    moved = []
+    arm, moved = racer.fit.objective.records[0].arm, []
     for joint in racer.joints:
-        names = (*LINEAR, CURVE[1])
-        own = [found[name, joint.joint] for name in names if (name, joint.joint) in found]
-        stiffness = {"gear_stiffness": own[0]} if own else {}
-        moved.append(replace(joint, values={**joint.values, **stiffness}))
+        own = arm.joints[joint.joint - 1].law.linearised_by
+        values = {**joint.values, STIFFNESS: found[own, joint.joint]}
+        moved.append(replace(joint, values=values))
     return moved
 
 
@@ -155,6 +156,5 @@ def _but_springs(fit: Fit, objective: Objective) -> Values:
     """Where a search has come to, but for springs, which start anew."""
     space = objective.space
     anew = space.values(np.zeros(len(space.unknowns)))
-    springs = (*LINEAR, *CURVE, *KNEES)
-    found = fit.objective.space.values(fit.z)
-    return {**anew, **{key: x for key, x in found.items() if key[0] not in springs}}
+    of_gears, found = gear_parameters(), fit.objective.space.values(fit.z)
+    return {**anew, **{key: x for key, x in found.items() if key[0] not in of_gears}}

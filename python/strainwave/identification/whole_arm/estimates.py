@@ -9,22 +9,19 @@ from functools import cached_property
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter
+from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import is_hidden, is_mounting, reported
 from strainwave.identification.whole_arm.covariance import Confidence, confidence_of, only_together
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import (
-    CURVE,
-    KNEES,
     SETTLING,
     VISCOUS,
     Key,
     combination,
 )
 
-_BENDS = 0.01  # share by which two slopes differ at least
-_EVIDENT = 3.0  # and deviations
 _IDENTIFIED = 0.3  # relative deviation up to which a parameter is worth printing
 _OFF = 1e-6  # by which a mounting's unknowns are varied for slopes
 _REACH = 1.96  # of a 95 % interval, in deviations
@@ -66,7 +63,7 @@ def parameters_of(
     keys = space.keys
     names = list(keys)
     units = [unknown.unit for unknown in space.unknowns]
-    identified = _identified_curves(fit, fit.confidence.combined, largest_torque)
+    identified = _identified_curves(fit, fit.confidence.combined, arm, largest_torque)
     weight = [combination(keys, {identified.get(key) or key: 1.0}) for key in keys]
     held = [0.0] * len(keys)
     for (name, number), parts in arm.reported.items():
@@ -145,43 +142,29 @@ def mountings_of(fit: Fit) -> Mountings:
 
 
 def _identified_curves(
-    fit: Fit, covariance: FloatArray, largest_torque: Sequence[float]
+    fit: Fit, covariance: FloatArray, arm: Arm, largest_torque: Sequence[float]
 ) -> dict[Key, Key | None]:
-    """For each slope and knee the unknown that holds it, or None where no record reaches it.
-
-    A knee between two slopes that are one, or beyond the largest torque, is none: what lies behind
-    it moves up, and the last of its kind is not identified. Of two slopes that are one the better
-    known stands for both.
-    """
+    """For each parameter of a curve the unknown that holds it; None where no record reaches it."""
     space = fit.objective.space
     at = {key: k for k, key in enumerate(space.keys)}
-    values = space.parameters(fit.z)
+    values = space.values(fit.z)
     identified: dict[Key, Key | None] = {}
-    for joint, largest in enumerate(largest_torque, start=1):
-        if (CURVE[0], joint) not in at:
+    pairs = zip(arm.joints, largest_torque, strict=True)
+    for number, (joint, largest) in enumerate(pairs, start=1):
+        own = [at[name, number] for name in joint.law.names if (name, number) in at]
+        if len(own) < len(joint.law.names):
             continue
-        slopes: list[Key] = [(CURVE[0], joint)]
-        knees: list[Key] = []
-        for name, knee in zip(CURVE[1:], KNEES, strict=True):
-            a, b = at[slopes[-1]], at[name, joint]
-            apart = abs(values[b] - values[a])
-            spread = np.sqrt(covariance[a, a] + covariance[b, b] - 2.0 * covariance[a, b])
-            bends = apart > max(_BENDS * values[a], _EVIDENT * spread)
-            if values[at[knee, joint]] >= largest:
-                continue
-            if bends:
-                slopes.append((name, joint))
-                knees.append((knee, joint))
-            elif covariance[b, b] < covariance[a, a]:
-                slopes[-1] = (name, joint)
-        for names, found in ((CURVE, slopes), (KNEES, knees)):
-            for k, name in enumerate(names):
-                identified[name, joint] = found[k] if k < len(found) else None
+        known = joint.law.of_joint(values, number)
+        found = joint.law.identified(known, covariance[np.ix_(own, own)], largest)
+        identified |= {
+            (name, number): None if by is None else (by, number) for name, by in found.items()
+        }
     return identified
 
 
 def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
-    vague = name in (*VISCOUS, *CURVE, *KNEES) and std > _IDENTIFIED * abs(value)
+    may_be_vague = name in VISCOUS or is_by_load(name)
+    vague = may_be_vague and std > _IDENTIFIED * abs(value)
     if vague or not np.isfinite(std):
         return Parameter(name, joint, None, None, unit, "tuned")
     reach = _REACH * std
@@ -214,7 +197,7 @@ def warnings_of(
             yield Diagnostic("at-bounds", str(unknown), text)
         if parameters[k].value is not None:
             continue
-        if unknown.name in (*CURVE, *KNEES):
+        if is_by_load(unknown.name):
             text = "no record loads the gear so far that it shows; use a larger amplitude, or hold"
             text += " the link"
             yield Diagnostic("not-reached", str(unknown), text)

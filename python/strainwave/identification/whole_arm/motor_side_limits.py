@@ -8,9 +8,10 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, Parameter
 from strainwave.domain.combinations import value_of
+from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.parametrisation import CURVE, LINEAR, VISCOUS, Key
+from strainwave.identification.whole_arm.parametrisation import VISCOUS, Key
 from strainwave.numerics.filters import signal_band
 
 _POOR = 0.1  # of a value: half-width of an interval from which a reason is given
@@ -18,7 +19,7 @@ _REACH = 1.96  # of a 95 % interval, in deviations
 _NEAR_END = 0.5  # of the band, from which little is left of a resonance and its surroundings
 _NO_PEAK = 0.5  # damping ratio from which a resonance hardly shows
 _ROUNDING = 0.5  # share of the errors' variance from which they count as rounding
-_GEAR = (*LINEAR, *CURVE, "gear_damping", "motor_inertia", "link_inertia")
+_MAIN = ("gear_damping", "motor_inertia", "link_inertia")
 
 
 def motor_side_limits(
@@ -49,10 +50,10 @@ def motor_side_limits(
         c.joint for r in fit.objective.records for c in r.channels if c.quantity != "motor_angle"
     }
     for number, joint in enumerate(arm.joints, start=1):
-        if number in have or joint.spring == "rigid":
+        if number in have or not joint.elastic:
             continue
         own = [p for p in parameters if p.joint == number]
-        poor = [p for p in own if p.name in _GEAR and _is_poor(p, at_bounds)]
+        poor = [p for p in own if (p.name in _MAIN or is_slope(p.name)) and _is_poor(p, at_bounds)]
         if poor:
             reasons = list(_reasons(fit, arm, number))
             if reasons:
@@ -72,7 +73,7 @@ def _is_poor(p: Parameter, at_bounds: Sequence[Key]) -> bool:
     if (p.name, p.joint) in at_bounds:
         return True
     if p.value is None or p.std is None:
-        return p.name not in CURVE  # a slope that no record reaches has a warning of its own
+        return not is_by_load(p.name)  # a slope that no record reaches has a warning of its own
     return _REACH * p.std > _POOR * abs(p.value)
 
 
@@ -92,8 +93,8 @@ def _named(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
 def _mobility(fit: Fit, arm: Arm, joint: int) -> tuple[float, float, float]:
     """Stiffness, damping and s = 1/m_L + n^2/m_M of a fitted joint, link side."""
     values = fit.objective.space.values(fit.z)
-    stiffness = values.get((LINEAR[0], joint)) or values[CURVE[0], joint]
-    ratio = arm.joints[joint - 1].gear_ratio
+    own, ratio = arm.joints[joint - 1].law, arm.joints[joint - 1].gear_ratio
+    (stiffness,) = own.stiffness(own.of_joint(values, joint), np.zeros(1)).tolist()
     s = 1.0 / value_of(arm.link_inertia(joint), values) + ratio**2 / values["motor_inertia", joint]
     return stiffness, values["gear_damping", joint], s
 

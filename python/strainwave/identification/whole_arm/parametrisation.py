@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, JointModel, RigidModel
+from strainwave.domain import BoolArray, FloatArray, Joint, JointModel, RigidModel
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.kinds import Row
 from strainwave.domain.parameters import Values, unit_of
 from strainwave.dynamics.arm import Arm
@@ -15,9 +16,6 @@ from strainwave.identification.whole_arm.starts import COULOMB, OFFSET, VISCOUS,
 
 __all__ = [
     "COULOMB",
-    "CURVE",
-    "KNEES",
-    "LINEAR",
     "OFFSET",
     "SETTLING",
     "SETTLING_START",
@@ -35,26 +33,21 @@ __all__ = [
 SETTLING = "friction_settling_time"
 SETTLING_START = 1e-4
 """[s] where the search for it starts."""
-LINEAR = ("gear_stiffness",)
-CURVE = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
-KNEES = ("gear_knee_t1", "gear_knee_t2")
 
 _BASE = ("alpha", "beta", "gamma")
 _LEAST_COULOMB = 0.01  # of the torque of the largest voltage, where none was found
-_SPREAD = (0.8, 1.0, 1.15)  # of the one stiffness found: the slopes of a curve to start from
-_KNEES = (0.2, 0.6)  # of the largest gear torque: its knees
 _FAR = np.log(3.0)  # how far an inertia or a slope may go
 _LOWEST, _HIGHEST = -0.8, 1.5  # shares of a value by which one step may change it
 _TO_NOTHING = -0.99  # the same of a settling time, which may well be nothing
-_VERY_FAR = np.log(30.0)  # and a friction, damping or knee
+_VERY_FAR = np.log(30.0)  # and a friction, damping, or what else a gear has
 
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
     """One parameter that is searched for, and its coordinate z, which is zero at the start.
 
-    A positive parameter is scale exp(z); one that may have either sign scale z + start; the second
-    knee lies scale exp(z) above the first.
+    A positive parameter is scale exp(z), counted from the one that it lies above, as a second knee
+    from the first; one that may be zero or have either sign is scale z + start.
     """
 
     name: str
@@ -64,7 +57,8 @@ class Unknown:
     scale: float
     signed: bool
     reach: float  # how far z may go, up and down
-    limits: tuple[float, float] | None = None  # of z, where they are set by hand
+    limits: tuple[float, float] | None = None  # of z, where they are not its reach
+    above: str | None = None  # the parameter of the same joint that it exceeds
 
     @property
     def key(self) -> Key:
@@ -122,11 +116,11 @@ class ParameterSpace:
                 for u, at in zip(self.unknowns, z, strict=True)
             ]
         )
-        for first, second in self._knees():
-            found[second] += found[first]
-        for k, key in enumerate(self.keys):
-            if key[0] == KNEES[1]:
-                found[k] += self.fixed.get((KNEES[0], key[1]), 0.0)
+        for lower, upper in self._stacked:
+            found[upper] += found[lower]
+        for k, unknown in enumerate(self.unknowns):
+            if unknown.above is not None:
+                found[k] += self.fixed.get((unknown.above, unknown.joint), 0.0)
         return found
 
     def slope(self, z: FloatArray) -> FloatArray:
@@ -136,8 +130,8 @@ class ParameterSpace:
             for u, at in zip(self.unknowns, z, strict=True)
         ]
         found = np.diag(np.array(own))
-        for first, second in self._knees():
-            found[second, first] = found[first, first]
+        for lower, upper in self._stacked:
+            found[upper] += found[lower]
         return np.asarray(found)
 
     def moved(self, z: FloatArray, step: FloatArray) -> FloatArray:
@@ -178,8 +172,8 @@ class ParameterSpace:
         z = []
         for unknown in self.unknowns:
             value = values[unknown.key]
-            if unknown.name == KNEES[1]:
-                value -= values[KNEES[0], unknown.joint]
+            if unknown.above is not None:
+                value -= values[unknown.above, unknown.joint]
             if unknown.signed:
                 z.append((value - unknown.start) / unknown.scale)
             else:
@@ -198,11 +192,12 @@ class ParameterSpace:
             replace(self.prior, rows=self.prior.rows[:, kept], target=target),
         )
 
-    def _knees(self) -> list[tuple[int, int]]:
-        """Where pairs of knees stand of which both are searched for."""
+    @property
+    def _stacked(self) -> list[tuple[int, int]]:
+        """Where pairs of unknowns stand of which the second lies above the first."""
         at = {key: k for k, key in enumerate(self.keys)}
-        joints = [key[1] for key in at if key[0] == KNEES[0]]
-        return [(at[KNEES[0], j], at[KNEES[1], j]) for j in joints if (KNEES[1], j) in at]
+        pairs = ((at.get((u.above, u.joint)), k) for k, u in enumerate(self.unknowns) if u.above)
+        return [(lower, upper) for lower, upper in pairs if lower is not None]
 
 
 def combination(names: Sequence[Key], parts: Row) -> FloatArray:
@@ -231,7 +226,7 @@ def space_of(
 ) -> ParameterSpace:
     """Unknowns with their starts from the decoupled models, and what the rigid model knows.
 
-    A three-slope gear starts as a linear one: see `with_curves`.
+    A gear with a curve starts as a linear one: see `with_curves`.
 
     Parameters
     ----------
@@ -267,7 +262,7 @@ def space_of(
         signed = name == OFFSET or name.startswith("gravity")
         if signed and scale == 0.0:
             scale = 1.0
-        far = _FAR if "inertia" in name or name in (*_BASE, *LINEAR) else _VERY_FAR
+        far = _FAR if "inertia" in name or name in (*_BASE, STIFFNESS) else _VERY_FAR
         unit = unit_of_arm(name) if number is None else unit_of(name, arm.joints[number - 1])
         unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
     keys = [unknown.key for unknown in unknowns]
@@ -275,7 +270,7 @@ def space_of(
 
 
 def with_curves(space: ParameterSpace, arm: Arm, largest_torque: Sequence[float]) -> ParameterSpace:
-    """Three slopes and two knees in place of the one stiffness of each three-slope gear.
+    """The parameters of its law in place of the one stiffness of each gear with a curve.
 
     Parameters
     ----------
@@ -293,21 +288,31 @@ def with_curves(space: ParameterSpace, arm: Arm, largest_torque: Sequence[float]
     for k, unknown in enumerate(space.unknowns):
         joint = arm.joints[(unknown.joint or 1) - 1]
         column = space.prior.rows[:, k]
-        if unknown.name not in LINEAR or joint.spring != "three-slope":
+        if unknown.name != STIFFNESS or not joint.law.is_curved:
             unknowns.append(unknown)
             columns.append(column)
             continue
-        for name, share in zip(CURVE, _SPREAD, strict=True):
-            start = share * unknown.start
-            unknowns.append(replace(unknown, name=name, start=start, scale=start))
-            columns.append(np.zeros_like(column))
-        low, high = (share * largest_torque[(unknown.joint or 1) - 1] for share in _KNEES)
-        unit = unit_of(KNEES[0], joint)
-        for name, start, scale in zip(KNEES, (low, high), (low, high - low), strict=True):
-            unknowns.append(Unknown(name, unknown.joint, unit, start, scale, False, _VERY_FAR))
-            columns.append(np.zeros_like(column))
+        curve = _curve(unknown, joint, largest_torque[(unknown.joint or 1) - 1])
+        unknowns += curve
+        columns += [np.zeros_like(column)] * len(curve)
     prior = replace(space.prior, rows=np.column_stack(columns))
     return ParameterSpace(tuple(unknowns), space.fixed, prior)
+
+
+def _curve(stiffness: Unknown, joint: Joint, largest_torque: float) -> list[Unknown]:
+    """The unknowns of a gear's law, near a linear one."""
+    start = joint.law.starts(stiffness.start, largest_torque)
+    found = []
+    for p in joint.law.parameters:
+        value, unit = start[p.name], unit_of(p.name, joint)
+        far = stiffness.reach if p.is_slope else float(_VERY_FAR)
+        positive = p.range == "positive"
+        limits = (-1.0, float(np.exp(far))) if p.range == "non-negative" else None
+        scale = value - (start[p.above] if p.above is not None else 0.0)
+        found.append(
+            Unknown(p.name, stiffness.joint, unit, value, scale, not positive, far, limits, p.above)
+        )
+    return found
 
 
 def with_settling(space: ParameterSpace) -> ParameterSpace:

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, TuningOptions
+from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.options import PUBLISHED_RANGE
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification.whole_arm.parametrisation import (
     COULOMB,
-    CURVE,
-    LINEAR,
     OFFSET,
     Key,
     ParameterSpace,
@@ -138,8 +137,8 @@ def _names(key: Key) -> list[str]:
     """What the options may call a parameter, the most particular first."""
     name, joint = key
     names = [name] if joint is None else [f"{name} {joint}", name]
-    if name in CURVE:  # one word for all slopes of a gear
-        names += [f"{LINEAR[0]} {joint}", LINEAR[0]]
+    if name != STIFFNESS and is_slope(name):  # one word for all slopes of a gear
+        names += [f"{STIFFNESS} {joint}", STIFFNESS]
     return names
 
 

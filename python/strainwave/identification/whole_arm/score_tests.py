@@ -75,7 +75,7 @@ def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
         (number, effect)
         for number, joint in enumerate(arm.joints, start=1)
         for effect, names in EFFECT_PARAMETERS.items()
-        if joint.spring != "rigid" and (names[0], number) not in known
+        if joint.elastic and (names[0], number) not in known
     ]
 
 

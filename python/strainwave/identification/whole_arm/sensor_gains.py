@@ -129,7 +129,7 @@ def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
     """Sensors of the links of elastic joints that have none in any record."""
     have = {c.joint for r in records for c in r.channels if c.quantity != "motor_angle"}
     for number, joint in enumerate(arm.joints, start=1):
-        if number in have or joint.spring == "rigid":
+        if number in have or not joint.elastic:
             continue
         density = SensorNoise().accelerometer_density
         place = ""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, TuningOptions
+from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_optional, nominal
 from strainwave.dynamics.mounting import START
@@ -26,8 +27,6 @@ from strainwave.identification.whole_arm.mountings import (
 )
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import (
-    CURVE,
-    LINEAR,
     Key,
     ParameterSpace,
     space_of,
@@ -142,7 +141,7 @@ def start_of(
         coarse, start = best_placed(coarse, start, arm, chosen)
     starts = starts_of(model, joints, arm)
     for name, joint in starts.rejected:
-        if name in LINEAR:
+        if name == STIFFNESS:
             start = _best_along(coarse, start, joint)
     if best.reached is None or placed:
         initial = start
@@ -164,8 +163,7 @@ def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> Floa
 
     A resonance is a tenth wide, and from further off a search ends beside it.
     """
-    names = {(name, joint) for name in (*LINEAR, *CURVE)}
-    own = [k for k, key in enumerate(coarse.space.keys) if key in names]
+    own = [k for k, key in enumerate(coarse.space.keys) if key[1] == joint and is_slope(key[0])]
     low, high = coarse.space.lower[own], coarse.space.upper[own]
     best, least = start, np.inf
     for share in np.linspace(0.0, 1.0, _LOOKS):
@@ -196,7 +194,7 @@ def _space(
     space = space_of(
         model, joints, arm, largest_voltage=voltage.tolist(), floor=options.least_deviation
     )
-    if any(joint.spring == "three-slope" for joint in arm.joints):
+    if any(joint.law.is_curved for joint in arm.joints):
         values = space.values(np.zeros(len(space.unknowns)))
         try:
             space = with_curves(space, arm, gear_torques(records, values).tolist())

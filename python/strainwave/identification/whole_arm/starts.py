@@ -137,7 +137,7 @@ def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
 def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
     found = {joint.joint: joint for joint in joints}
     for number, joint in enumerate(arm.joints, start=1):
-        if joint.spring == "rigid" or number not in found:
+        if not joint.elastic or number not in found:
             raise NotIdentifiable(
                 f"the whole-arm fit starts from a model of each elastic joint, and joint {number}"
                 ' has none: record it with use = "frequency"'

@@ -66,7 +66,7 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 remedy="map the axis along the joint to the channel a1, and leave the others out",
             )
         of_a_gear = [effect for effect in joint.effects if effect != "stribeck"]
-        if joint.spring == "rigid" and of_a_gear:
+        if of_a_gear and not joint.elastic:
             raise InvalidInput(
                 f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",
                 where=reader.place("joint", index, "effects"),

@@ -22,6 +22,7 @@ from strainwave.domain import (
     Servo,
     Study,
     TopicChannel,
+    gear_laws,
 )
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import nearest
@@ -170,10 +171,22 @@ class Reader:
     ) -> ArmDescription:
         """`[arm]` with its `[[joint]]` tables and `[servo]`."""
         elsewhere = {
-            "joints": tuple(self.record(Joint, own, "joint", i) for i, own in enumerate(joints)),
+            "joints": tuple(self._joint(own, i) for i, own in enumerate(joints)),
             "servo": None if servo is None else self.record(Servo, servo, "servo"),
         }
         return self.record(ArmDescription, arm, "arm", None, **elsewhere)
+
+    def _joint(self, own: Mapping[str, Any], index: int) -> Joint:
+        """One `[[joint]]`, its spring one of the gear laws that there are."""
+        spring, laws = own.get("spring"), [repr(name) for name in gear_laws.names()]
+        if spring is not None and spring not in gear_laws.names():
+            raise InvalidInput(
+                f"'spring' is {_shown(spring)}, but it should be {', '.join(laws[:-1])} or "
+                f"{laws[-1]}",
+                where=self.place("joint", index, "spring"),
+                remedy="mend the value",
+            )
+        return self.record(Joint, own, "joint", index)
 
     def _value(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
         from pydantic import ValidationError

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter, TorqueHistogram
-from strainwave.domain.formatting import plus_minus
+from strainwave.domain.gear_laws import GearLaw, gear_law
 from strainwave.presentation.figures import (
     BRIEF,
     MEASURED,
@@ -23,24 +24,23 @@ from strainwave.presentation.figures import (
     Upright,
 )
 
-_SLOPES = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
-_KNEES = ("gear_knee_t1", "gear_knee_t2")
 _REACH = 1.96  # of a 95 % band, in deviations
 _POINTS = 200  # of the curve
 _BEYOND = 1.5  # times the last knee, where nothing says what torques there were
+_BESIDE = 1e-9  # of a stretch between knees, so far from which its stiffness is drawn
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One gear's slopes and the torques at which they change, as far as they are identified."""
+    """One gear's curve by its law, as far as its parameters are identified."""
 
     joint: int  # from 1
-    slopes: FloatArray  # (n_slopes,) [N m/rad]
-    knees: FloatArray  # (n_slopes - 1,) [N m]
-    covariance: FloatArray  # of slopes, then knees
+    law: GearLaw
+    values: Mapping[str, float]  # of the law's parameters that are identified, in its order
+    covariance: FloatArray  # of these
     largest: float  # [N m] up to which it is drawn
     gear_loads: TorqueHistogram | None  # None: not known
-    equivalent: bool = False  # one slope for the whole of a multi-slope curve
+    is_equivalent: bool = False  # one stiffness for the whole of another law's curve
     straight: bool = False  # whether it is a prismatic joint's: N and m, not N m and rad
 
     @property
@@ -52,6 +52,16 @@ class Curve:
     def slope_unit(self) -> str:
         """Of a slope."""
         return "N/m" if self.straight else "N m/rad"
+
+    @property
+    def knees(self) -> FloatArray:
+        """(n_knees,) torques at which the stiffness changes at once [N m]."""
+        return np.array(self.law.knees(self.values))
+
+    @property
+    def bends(self) -> bool:
+        """Whether it is more than a straight line."""
+        return len(self.values) > 1
 
 
 def curves(identification: Identification) -> list[Curve]:
@@ -68,22 +78,23 @@ def curves(identification: Identification) -> list[Curve]:
     tuned = identification.tuned
     found = []
     for number, joint in enumerate(identification.study.arm.joints, start=1):
-        if joint.spring == "rigid":
+        if not joint.elastic:
             continue
         gear_loads = next(
             (h for h in (tuned.gear_loads if tuned else ()) if h.joint == number), None
         )
         curve = None
         if tuned is not None:
-            curve = _curve(number, tuned.parameters, tuned.covariance, gear_loads)
+            curve = _curve(number, joint.law, tuned.parameters, tuned.covariance, gear_loads)
         for own in identification.joints:
             if curve is None and own.joint == number:
                 size = len(own.parameters)
-                curve = _curve(number, own.parameters, own.covariance[:size, :size], gear_loads)
+                covariance = own.covariance[:size, :size]
+                curve = _curve(number, joint.law, own.parameters, covariance, gear_loads)
         if curve is not None:
-            equivalent = joint.spring == "three-slope" and len(curve.slopes) == 1
+            equivalent = joint.law.is_curved and not curve.bends
             straight = joint.motion == "prismatic"
-            found.append(replace(curve, equivalent=equivalent, straight=straight))
+            found.append(replace(curve, is_equivalent=equivalent, straight=straight))
     return found
 
 
@@ -98,10 +109,9 @@ def slope_figure(curve: Curve) -> Figure:
     -------
     Figure
     """
-    edges = np.concatenate([[0.0], curve.knees, [curve.largest]])
-    torque = np.repeat(edges, 2)[1:-1]
-    slope = np.repeat(curve.slopes, 2)
-    reach = _REACH * np.repeat(_stds(curve)[: len(curve.slopes)], 2)
+    torque, torsion = _stretches(curve)
+    slope = curve.law.stiffness(curve.values, torsion)
+    reach = _REACH * _spread(curve, curve.law.stiffness_jacobian(curve.values, torsion))
     stiffness = Panel(
         Axis(f"slope [{curve.slope_unit}]", range=(0.0, 1.1 * float((slope + reach).max()))),
         (
@@ -129,26 +139,25 @@ def torsion_figure(curve: Curve) -> Figure:
     -------
     Figure
     """
+    law, values = curve.law, curve.values
     torque = np.linspace(0.0, curve.largest, _POINTS)
-    torsion, std = torsion_at(curve, torque)
-    # the band of the torque at a given torsion: that of the torsion times the slope
-    slope = curve.slopes[np.searchsorted(curve.knees, torque)]
-    reach = _REACH * std * slope
-    at, straight = 1e3 * torsion, curve.slopes[0] * torsion
+    torsion = law.torsion(values, torque)
+    reach = _REACH * _spread(curve, law.jacobian(values, torsion))
+    at, straight = 1e3 * torsion, law.stiffness(values, torsion[:1]) * torsion
     marks = (
         Band(at, torque - reach, torque + reach, MODEL, "gear"),
         Line(at, torque, "gear", MODEL, width=2.0),
         Line(at, straight, "its first slope", RESIDUAL, BRIEF, width=1.0),
     )
     axis = Axis(f"torsion of the gear, at the link [{'mm' if curve.straight else 'mrad'}]")
-    knees = 1e3 * torsion_at(curve, curve.knees)[0]
+    knees = 1e3 * law.torsion(values, curve.knees)
     return Figure(axis, (Panel(Axis(f"torque [{curve.unit}]"), marks),), _knees(curve, knees))
 
 
 def torsion_at(curve: Curve, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Torsion under a torque, and its deviation by the delta method.
 
-    delta(T) = sum over the slopes of (length of [0, T] that lies on each) / slope.
+    ddelta/dp = -(dT/dp) / (dT/ddelta) at a torque.
 
     Parameters
     ----------
@@ -159,15 +168,9 @@ def torsion_at(curve: Curve, torque: FloatArray) -> tuple[FloatArray, FloatArray
     -------
     torsion, std : (n,) [rad]
     """
-    edges = np.concatenate([[0.0], curve.knees, [np.inf]])
-    on = np.clip(torque[:, None], edges[:-1], edges[1:]) - edges[:-1]  # (n, n_slopes)
-    torsion = on @ (1.0 / curve.slopes)
-    by_slope = -on / curve.slopes**2
-    past = (torque[:, None] > curve.knees).astype(float)
-    by_knee = past * (1.0 / curve.slopes[:-1] - 1.0 / curve.slopes[1:])
-    J = np.hstack([by_slope, by_knee])
-    variance = np.einsum("ni,ij,nj->n", J, curve.covariance, J)
-    return torsion, np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
+    torsion = curve.law.torsion(curve.values, torque)
+    std = _spread(curve, curve.law.jacobian(curve.values, torsion))
+    return torsion, np.asarray(std / curve.law.stiffness(curve.values, torsion))
 
 
 def words(curve: Curve) -> str:
@@ -181,17 +184,10 @@ def words(curve: Curve) -> str:
     -------
     str
     """
-    stds = _stds(curve)
-    count = len(curve.slopes)
-    slopes = [" ± ".join(plus_minus(v, s)) for v, s in zip(curve.slopes, stds, strict=False)]
-    text = f"Slope {', then '.join(slopes)} {curve.slope_unit}"
-    if count > 1:
-        knees = zip(curve.knees, stds[count:], strict=True)
-        identified = " and ".join(" ± ".join(plus_minus(*knee)) for knee in knees)
-        text += f", with knees at {identified} {curve.unit}"
-    text += "."
-    if curve.equivalent:
-        text += " One stiffness for the whole of a multi-slope curve."
+    std = np.sqrt(np.clip(np.diag(curve.covariance), 0.0, None)).tolist()
+    text = f"{curve.law.sentence(curve.values, std, is_straight=curve.straight)}."
+    if curve.is_equivalent:
+        text += " One stiffness for the whole of a curve."
     if curve.gear_loads is not None:
         reach = f"{curve.largest:.3g} {curve.unit}"
         text += f" The records load the gear up to {reach}, and nothing is identifiable beyond."
@@ -200,36 +196,46 @@ def words(curve: Curve) -> str:
 
 def _curve(
     number: int,
+    law: GearLaw,
     parameters: Sequence[Parameter],
     covariance: FloatArray,
     gear_loads: TorqueHistogram | None,
 ) -> Curve | None:
     """From parameters in the order of their covariance; None where no slope is identified."""
     at = {p.name: k for k, p in enumerate(parameters) if p.joint == number and p.value is not None}
-    slopes = [at[name] for name in _SLOPES if name in at] or [
-        at[name] for name in ("gear_stiffness",) if name in at
-    ]
-    if not slopes:
+    names = law.drawn(at)
+    if not names and law.simpler is not None:
+        return _curve(number, gear_law(law.simpler), parameters, covariance, gear_loads)
+    if not names:
         return None
-    knees = [at[name] for name in _KNEES if name in at][: len(slopes) - 1]
-    slopes = slopes[: len(knees) + 1]  # beyond a knee that is not identified a slope has no place
-    order = slopes + knees
-    values = np.array([parameters[k].value for k in order], dtype=float)
-    bends = values[len(slopes) :]
-    largest = float(gear_loads.edges[-1]) if gear_loads is not None else 0.0
-    largest = max(largest, _BEYOND * float(bends.max(initial=0.0)) if gear_loads is None else 0.0)
-    return Curve(
-        number,
-        values[: len(slopes)],
-        bends,
-        np.nan_to_num(covariance[np.ix_(order, order)]),
-        largest or 1.0,
-        gear_loads,
-    )
+    order = [at[name] for name in names]
+    values = {name: float(parameters[k].value or 0.0) for name, k in zip(names, order, strict=True)}
+    largest = _BEYOND * max(law.knees(values), default=0.0)
+    if gear_loads is not None:
+        largest = float(gear_loads.edges[-1])
+    known = np.nan_to_num(covariance[np.ix_(order, order)])
+    return Curve(number, law, values, known, largest or 1.0, gear_loads)
 
 
-def _stds(curve: Curve) -> FloatArray:
-    return np.asarray(np.sqrt(np.clip(np.diag(curve.covariance), 0.0, None)))
+def _stretches(curve: Curve) -> tuple[FloatArray, FloatArray]:
+    """Torques from knee to knee, and their torsions: (n,); where nothing bends, the ends only."""
+    shares = np.linspace(_BESIDE, 1.0 - _BESIDE, _POINTS)
+    edges = [0.0, *curve.knees, curve.largest]
+    torque, torsion = list[FloatArray](), list[FloatArray]()
+    for low, high in pairwise(edges):
+        on = low + (high - low) * shares
+        at = curve.law.torsion(curve.values, on)
+        if np.ptp(curve.law.stiffness(curve.values, at)) == 0.0:
+            on, at = np.array([low, high]), at[[0, -1]]
+        torque.append(on)
+        torsion.append(at)
+    return np.concatenate(torque), np.concatenate(torsion)
+
+
+def _spread(curve: Curve, J: FloatArray) -> FloatArray:
+    """Deviation of what the parameters' errors move by J: (n,)."""
+    variance = np.einsum("ni,ij,nj->n", J, curve.covariance, J)
+    return np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
 
 
 def _bars(gear_loads: TorqueHistogram) -> Bars:

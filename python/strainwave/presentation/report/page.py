@@ -249,7 +249,7 @@ def _gears(found: Identification) -> Iterator[Block]:
         label = f"Gear {curve.joint}: slope over torque, and the torques in the records"
         name = f"gear joint {curve.joint}"
         yield Plot(f"{name} slope", label, gears.slope_figure(curve), gears.words(curve))
-        if len(curve.knees):
+        if curve.bends:
             label = f"Gear {curve.joint}: torque over torsion"
             yield Plot(f"{name} torsion", label, gears.torsion_figure(curve))
 

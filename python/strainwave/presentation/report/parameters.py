@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from strainwave.domain import Decision
 from strainwave.domain.formatting import plus_minus
-from strainwave.domain.parameter_words import PARAMETER_WORDS, ParameterWords
+from strainwave.domain.parameter_words import ParameterWords, all_words
 from strainwave.presentation.report.blocks import Cell, Group, Row, Table, number, prose, table
 
 _HEADS: tuple[str | Cell, ...] = (
@@ -32,7 +32,8 @@ def meanings_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     iterator of Table
     """
     names = dict.fromkeys(decision.parameter.name for decision in decisions)
-    known = ((name, PARAMETER_WORDS[name]) for name in names if name in PARAMETER_WORDS)
+    words_of = all_words()
+    known = ((name, words_of[name]) for name in names if name in words_of)
     rows = [
         (Cell(name, "name", key=_key(name)), Cell(words.symbol, "symbol"), prose(words.description))
         for name, words in known
@@ -75,7 +76,7 @@ def _row(decision: Decision) -> Row:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
         half = _share(0.5 * (high - low), p.value)
-    words = PARAMETER_WORDS.get(p.name, _NO_WORDS)
+    words = all_words().get(p.name, _NO_WORDS)
     link = f"#{_key(p.name)}" if words.description else ""
     return (
         Cell(p.name, href=link, tip=words.description),

@@ -110,7 +110,7 @@ REMEDIES = {
     "pole-near-nyquist": "Lower the order, or sample faster.",
     # what the answer covers
     "not-reached": "Use a larger amplitude, or hold the link, if the arm will be loaded that far.",
-    "equivalent-stiffness": "Use the three slopes of the whole-arm fit; this one is an average.",
+    "equivalent-stiffness": "Use the curve of the whole-arm fit; this one is an average.",
     "effect-left-out": "Take it out of the joint's effects, or record slow motions and reversals.",
     "friction-settles": "Nothing: the fit allows for it, and a simulation may leave it out.",
     "nothing-to-predict": (

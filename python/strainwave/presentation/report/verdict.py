@@ -157,7 +157,7 @@ def _on_new_data(identification: Identification) -> Iterator[Paragraph]:
     fits, validated = _fits(identification), identification.verdict.validated
     if fits["rigid"]:
         yield _graded("The rigid model predicts the torques of validation data", fits["rigid"])
-    elastic = any(joint.spring != "rigid" for joint in identification.study.arm.joints)
+    elastic = any(joint.elastic for joint in identification.study.arm.joints)
     if elastic and validated.elastic:
         yield _graded("The elastic model predicts the motion of validation data", fits["elastic"])
     elif elastic:

@@ -1,0 +1,252 @@
+"""What each gear law says of itself agrees with itself, with the core and with its entries."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from strainwave.domain import ArmDescription, FloatArray, Joint, gear_laws, is_physical
+from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter, gear_law
+from strainwave.domain.gear_laws.linear import Linear
+from strainwave.domain.parameter_words import all_words
+from strainwave.domain.parameters import unit_of, whole_arm_parameters
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput
+from strainwave.io.parameters import read_parameters
+from strainwave.io.study import read_study
+from strainwave.presentation.report.gears import Curve, slope_figure, torsion_figure, words
+
+LAWS = [gear_law(name) for name in gear_laws.names()]
+ELASTIC = [law for law in LAWS if law.elastic]
+LARGEST = 60.0
+STUDY = """
+[arm]
+kind = "single-joint"
+
+[[joint]]
+spring = "{spring}"
+gear_ratio = 0.01
+
+[[experiment]]
+name = "prbs"
+file = "prbs.csv"
+use = "frequency"
+joint = 1
+"""
+
+
+def drawn(law: GearLaw, seed: int) -> dict[str, float]:
+    """Parameters about those that a fit starts from."""
+    rng = np.random.default_rng(seed)
+    values: dict[str, float] = {}
+    starts = law.starts(float(10.0 ** rng.uniform(3.0, 5.0)), LARGEST)
+    for p in law.parameters:
+        below = 0.0 if p.above is None else starts[p.above]
+        own = (starts[p.name] - below) * float(rng.uniform(0.6, 1.5))
+        values[p.name] = own if p.above is None else values[p.above] + own
+    return values
+
+
+def torsions(law: GearLaw, values: dict[str, float]) -> FloatArray:
+    """On both sides of zero, and not on a knee."""
+    torque = np.linspace(-1.1 * LARGEST, 1.1 * LARGEST, 97)
+    for knee in law.knees(values):
+        torque = torque[np.abs(np.abs(torque) - knee) > 0.05]
+    return law.torsion(values, torque)
+
+
+def joint_of(law: GearLaw) -> Joint:
+    return Joint(law.name, 0.01)
+
+
+@pytest.fixture
+def registered() -> Iterator[GearLaw]:
+    law = Toy()
+    gear_laws.register(law)
+    yield law
+    gear_laws.unregister(law.name)
+
+
+class Toy(Linear):
+    """A linear law of another name."""
+
+    name = "toy"
+
+    @property
+    def core_name(self) -> str:
+        return "linear"
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+@given(seed=st.integers(0, 2**31))
+def test_a_curve_is_odd(law: GearLaw, seed: int) -> None:
+    values, at = drawn(law, seed), np.linspace(0.0, 3e-3, 20)
+    np.testing.assert_array_equal(law.torque(values, -at), -law.torque(values, at))
+    np.testing.assert_array_equal(law.stiffness(values, -at), law.stiffness(values, at))
+    np.testing.assert_array_equal(law.jacobian(values, -at), -law.jacobian(values, at))
+
+
+@pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
+@given(seed=st.integers(0, 2**31))
+def test_the_stiffness_is_the_torque_s_derivative(law: GearLaw, seed: int) -> None:
+    values = drawn(law, seed)
+    at, off = torsions(law, values), 1e-9
+    slope = (law.torque(values, at + off) - law.torque(values, at - off)) / (2.0 * off)
+    np.testing.assert_allclose(law.stiffness(values, at), slope, rtol=1e-4)  # of rounding
+    low, high = law.stiffness_range(values)
+    assert 0.0 < low <= high
+    assert np.all(law.stiffness(values, at) >= 0.999 * low)
+
+
+@pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
+@given(seed=st.integers(0, 2**31))
+def test_derivatives_by_the_parameters_are_those_of_differences(law: GearLaw, seed: int) -> None:
+    values = drawn(law, seed)
+    at = torsions(law, values)
+    J, K = law.jacobian(values, at), law.stiffness_jacobian(values, at)
+    assert J.shape == K.shape == (len(at), len(values))
+    for k, name in enumerate(values):
+        off = 1e-6 * values[name]  # no knee comes as near as this moves it
+        ends = [{**values, name: values[name] + side * off} for side in (1.0, -1.0)]
+        torque = np.subtract(*(law.torque(end, at) for end in ends)) / (2.0 * off)
+        stiffness = np.subtract(*(law.stiffness(end, at) for end in ends)) / (2.0 * off)
+        # differences of numbers that agree in six digits, or have hardly any part in the torque
+        np.testing.assert_allclose(J[:, k], torque, rtol=1e-6, atol=1e-7 * LARGEST / values[name])
+        scale = float(np.max(law.stiffness(values, at))) / values[name]
+        np.testing.assert_allclose(K[:, k], stiffness, rtol=1e-6, atol=1e-7 * scale)
+
+
+@pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
+@given(seed=st.integers(0, 2**31))
+def test_the_torsion_is_where_the_torque_is(law: GearLaw, seed: int) -> None:
+    values, torque = drawn(law, seed), np.linspace(-LARGEST, LARGEST, 41)
+    found = law.torque(values, law.torsion(values, torque))
+    np.testing.assert_allclose(found, torque, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_names_are_the_core_s_in_its_order(law: GearLaw) -> None:
+    assert len(set(law.names)) == len(law.names)
+    core = Arm.of(ArmDescription("single-joint", (joint_of(law),))).core.parameter_names
+    own = [name for name, _ in core if name in gear_laws.gear_parameters()]
+    assert own == list(law.names)
+    assert (("gear_damping", 1) in core) == law.elastic
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_parameters_have_units_words_and_a_place_in_options(law: GearLaw) -> None:
+    arm = ArmDescription("single-joint", (joint_of(law),))
+    listed = whole_arm_parameters(arm)
+    assert len(set(listed)) == len(listed)
+    for p in law.parameters:
+        assert unit_of(p.name, joint_of(law)) == p.units[0]
+        assert unit_of(p.name, Joint(law.name, 0.01, motion="prismatic")) == p.units[1]
+        assert all_words()[p.name].symbol == p.symbol
+        assert {p.name, f"{p.name} 1"} <= set(listed)
+        assert p.above is None or p.above in law.names
+
+
+@pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
+def test_a_fit_starts_within_the_ranges(law: GearLaw) -> None:
+    starts = law.starts(2e4, LARGEST)
+    assert tuple(starts) == law.names
+    assert all(is_physical(name, value) and value != 0.0 for name, value in starts.items())
+    assert all(starts[p.above] < starts[p.name] for p in law.parameters if p.above is not None)
+    # and not far from the one stiffness
+    low, high = law.stiffness_range(starts)
+    assert 0.5 * 2e4 < low <= high < 2.0 * 2e4
+    assert {law.linearised_by, *law.slopes} <= set(law.names)
+
+
+@pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
+def test_one_stiffness_makes_a_straight_curve(law: GearLaw) -> None:
+    values, at = law.straight(2e4), np.linspace(-3e-3, 3e-3, 31)
+    np.testing.assert_allclose(law.torque(values, at), 2e4 * at, rtol=1e-12)
+    assert tuple(values) == law.names
+    assert law.is_curved == (law.simpler is not None)
+    assert gear_laws.known_instead(law, {STIFFNESS: 2e4}).name == (law.simpler or law.name)
+    assert gear_laws.known_instead(law, values) is law
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_lists_of_a_parameter_file_are_read(law: GearLaw, tmp_path: Path) -> None:
+    numbers = {key: [float(k) for k, _ in enumerate(own)] for key, own in law.lists.items()}
+    path = tmp_path / "p.json"
+    path.write_text(json.dumps({"joints": [numbers]}), encoding="utf-8")
+    expected = {(name, 1): float(k) for own in law.lists.values() for k, name in enumerate(own)}
+    assert read_parameters(path) == expected
+    assert {name for name, _ in expected} <= set(law.names)
+
+
+@pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
+def test_parallel_springs_add_up_to_the_curve(law: GearLaw) -> None:
+    values = law.starts(2e4, LARGEST)
+    springs = law.parallel_springs(values.__getitem__)
+    if springs is None:
+        assert law.linearised_note
+        return
+    at: FloatArray = np.linspace(0.0, 5e-3, 101)
+    total = sum(stiffness * np.maximum(at - slack, 0.0) for stiffness, slack in springs)
+    np.testing.assert_allclose(total, law.torque(values, at), rtol=1e-9)
+
+
+@pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
+@pytest.mark.parametrize("count", [None, 1])
+def test_a_curve_is_drawn_as_far_as_it_is_known(law: GearLaw, count: int | None) -> None:
+    values = law.starts(2e4, LARGEST)
+    known = law.drawn(tuple(values)[:count])
+    assert set(known) <= set(tuple(values)[:count])
+    if not known:
+        assert law.simpler is not None
+        return
+    shown = {name: values[name] for name in known}
+    curve = Curve(1, law, shown, np.diag([(0.01 * v) ** 2 for v in shown.values()]), 50.0, None)
+    slope = slope_figure(curve).panels[0].marks[-1]
+    assert np.all(np.diff(slope.x) >= 0.0)  # type: ignore[union-attr]
+    assert torsion_figure(curve).panels
+    assert " ± " in words(curve)
+
+
+def test_a_law_from_elsewhere_is_a_law(registered: GearLaw, tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY.format(spring="toy"), encoding="utf-8")
+    arm = read_study(path, logs_exist=False).arm
+    assert arm.joints[0].law is registered
+    assert arm.joints[0].elastic
+    assert (STIFFNESS, 1) in Arm.of(arm).parameter_names
+    assert f"{STIFFNESS} 1" in whole_arm_parameters(arm)
+    curve = Curve(1, registered, {STIFFNESS: 2e4}, np.array([[1e4]]), 50.0, None)
+    assert "Slope 20000 ± 100 N m/rad" in words(curve)
+    assert torsion_figure(curve).panels
+
+
+def test_a_law_that_is_gone_is_refused(registered: GearLaw, tmp_path: Path) -> None:
+    gear_laws.unregister("toy")
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY.format(spring="toy"), encoding="utf-8")
+    with pytest.raises(InvalidInput, match="'spring' is 'toy', but it should be 'linear', ") as why:
+        read_study(path, logs_exist=False)
+    assert f" or {gear_laws.names()[-1]!r}" in why.value.problem
+    assert "line 6" in str(why.value)
+    with pytest.raises(InvalidInput, match="no gear law 'toy'"):
+        gear_law("toy")
+    gear_laws.register(registered)
+
+
+def test_a_law_must_not_change_what_is_known(registered: GearLaw) -> None:
+    with pytest.raises(InvalidInput, match="already"):
+        gear_laws.register(registered)
+
+    class Other(Linear):
+        name = "other"
+        parameters = (GearParameter(STIFFNESS, "k", "compliance", ("rad/N m", "m/N")),)
+
+    with pytest.raises(InvalidInput, match="another unit"):
+        gear_laws.register(Other())
+    assert "other" not in gear_laws.names()
