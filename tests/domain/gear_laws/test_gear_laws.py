@@ -17,14 +17,17 @@ from strainwave.domain.gear_laws.linear import Linear
 from strainwave.domain.parameter_words import all_words
 from strainwave.domain.parameters import unit_of, whole_arm_parameters
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
 from strainwave.presentation.report.gears import Curve, slope_figure, torsion_figure, words
+from virtual_arms import ELASTIC_JOINT
 
 LAWS = [gear_law(name) for name in gear_laws.names()]
 ELASTIC = [law for law in LAWS if law.elastic]
 LARGEST = 60.0
+CORNER = 5e-6  # [rad] over which the core rounds knees to either side
 STUDY = """
 [arm]
 kind = "single-joint"
@@ -137,6 +140,27 @@ def test_names_are_the_core_s_in_its_order(law: GearLaw) -> None:
     own = [name for name, _ in core if name in gear_laws.gear_parameters()]
     assert own == list(law.names)
     assert (("gear_damping", 1) in core) == law.elastic
+
+
+@pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
+def test_the_core_s_gear_has_the_curve(law: GearLaw) -> None:
+    """A motor that turns to and fro by its torque, and what its gear bears."""
+    own = law.starts(2.5e4, 30.0)
+    values = {key: value for key, value in ELASTIC_JOINT.items() if key[0] != STIFFNESS}
+    values |= {(name, 1): value for name, value in own.items()}
+    arm = Arm.of(ArmDescription("single-joint", (joint_of(law),)))
+    torque = 2.0 * np.sign(np.sin(np.arange(400) / 20.0))[:, None]
+    drive = Drive(1e-3, torque, np.zeros_like(torque), (False,), (0.0,), (0.0,))
+    record: list[Quantity] = ["motor_angle", "link_angle", "motor_velocity", "link_velocity"]
+    record.append("gear_torque")
+    run = simulate(arm, values, drive, sample_time=1e-3, samples=400, record=record)
+    torsion = 0.01 * run["motor_angle"] - run["link_angle"]
+    rate = 0.01 * run["motor_velocity"] - run["link_velocity"]
+    elastic = run["gear_torque"] - values["gear_damping", 1] * rate
+    assert np.max(np.abs(elastic)) > 20.0  # beyond every knee
+    # by a quarter of what the slope changes by, times the corner's width
+    rounded = 0.25 * CORNER * sum(own[name] for name in law.slopes)
+    np.testing.assert_allclose(law.torque(own, torsion[:, 0]), elastic[:, 0], atol=rounded)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
