@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use crate::arm::Arm;
 use crate::experiment::simulate::SideBySide;
 use crate::experiment::{Diverged, Member, Record, Source, Task, values};
+use crate::joint::gear::{AllLaws, Gears, Slopes};
 #[cfg(target_arch = "x86_64")]
 use crate::scalar::lanes::{F64x4, F64x8, Fused};
 use crate::scalar::{Lanes, Real};
@@ -76,23 +77,27 @@ pub fn simulate<A: Arm<N>, const N: usize>(
     members: &[Member<'_, N>],
     width: Width,
 ) -> Results<N> {
-    assert!(width <= Width::detect(), "this processor has no {width:?}");
     if A::COMPACT || task.config.has_effects() {
         one_by_one(task, members, width)
-    } else if task.config.is_elastic() {
-        simulate_arms::<A, N, true>(task, members, width)
+    } else if task.config.has_gears::<Slopes>() {
+        simulate_with::<A, Slopes, N>(task, members, width)
     } else {
-        simulate_arms::<A, N, false>(task, members, width)
+        simulate_with::<A, AllLaws, N>(task, members, width)
     }
 }
 
-fn simulate_arms<A: Arm<N>, const N: usize, const ELASTIC: bool>(
+/// [`simulate`] of an arm without effects whose gears are of a given set of laws.
+///
+/// # Panics
+/// `width` is more than the processor has, or a gear is of another law.
+pub fn simulate_with<A: Arm<N>, G: Gears, const N: usize>(
     task: &Task<A, N>,
     members: &[Member<'_, N>],
     width: Width,
 ) -> Results<N> {
+    assert!(width <= Width::detect(), "this processor has no {width:?}");
     if let [only] = members {
-        return single::<A, N, ELASTIC, false>(task, std::slice::from_ref(only), width);
+        return single::<A, G, N, false>(task, std::slice::from_ref(only), width);
     }
     let lanes = width.lanes();
     members
@@ -102,7 +107,7 @@ fn simulate_arms<A: Arm<N>, const N: usize, const ELASTIC: bool>(
             let filled: Vec<Member<'_, N>> = (0..lanes)
                 .map(|lane| chunk[lane.min(chunk.len() - 1)])
                 .collect();
-            group::<A, N, ELASTIC>(task, &filled, width)
+            group::<A, G, N>(task, &filled, width)
                 .into_iter()
                 .take(chunk.len())
         })
@@ -116,50 +121,51 @@ fn one_by_one<A: Arm<N>, const N: usize>(
     members: &[Member<'_, N>],
     width: Width,
 ) -> Results<N> {
+    assert!(width <= Width::detect(), "this processor has no {width:?}");
     members
         .par_iter()
         .flat_map_iter(|member| {
-            single::<A, N, false, true>(task, std::slice::from_ref(member), width)
+            single::<A, AllLaws, N, true>(task, std::slice::from_ref(member), width)
         })
         .collect()
 }
 
-fn single<A: Arm<N>, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+fn single<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     task: &Task<A, N>,
     member: &[Member<'_, N>],
     width: Width,
 ) -> Results<N> {
     match width {
-        Width::Portable => side_by_side::<A, f64, N, ELASTIC, EFFECTS>(task, member),
+        Width::Portable => side_by_side::<A, f64, G, N, EFFECTS>(task, member),
         #[cfg(target_arch = "x86_64")]
-        _ => side_by_side::<A, Fused, N, ELASTIC, EFFECTS>(task, member),
+        _ => side_by_side::<A, Fused, G, N, EFFECTS>(task, member),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }
 }
 
-fn group<A: Arm<N>, const N: usize, const ELASTIC: bool>(
+fn group<A: Arm<N>, G: Gears, const N: usize>(
     task: &Task<A, N>,
     members: &[Member<'_, N>],
     width: Width,
 ) -> Results<N> {
     match width {
-        Width::Portable => side_by_side::<A, f64, N, ELASTIC, false>(task, members),
+        Width::Portable => side_by_side::<A, f64, G, N, false>(task, members),
         #[cfg(target_arch = "x86_64")]
-        Width::Avx2 => side_by_side::<A, F64x4, N, ELASTIC, false>(task, members),
+        Width::Avx2 => side_by_side::<A, F64x4, G, N, false>(task, members),
         #[cfg(target_arch = "x86_64")]
-        Width::Avx512 => side_by_side::<A, F64x8, N, ELASTIC, false>(task, members),
+        Width::Avx512 => side_by_side::<A, F64x8, G, N, false>(task, members),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }
 }
 
-fn side_by_side<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
+fn side_by_side<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     task: &Task<A, N>,
     members: &[Member<'_, N>],
 ) -> Results<N> {
     let given = |_, value| R::One::splat(value);
-    R::scope(SideBySide::<A, R, _, N, ELASTIC, EFFECTS>::new(
+    R::scope(SideBySide::<A, R, _, G, N, EFFECTS>::new(
         task, members, given,
     ))
     .into_iter()
@@ -189,15 +195,22 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
         task.record.len(),
         "a low-pass for each quantity"
     );
+    if !task.config.is_elastic() || (A::COMPACT && width == Width::Portable) {
+        let found = by_duals_at(task, member, directions, width)?;
+        return Ok(found.decimated(decimation, directions.len()));
+    }
     let asked = (task, member);
-    if A::COMPACT {
-        return compact(task, member, directions, decimation, width);
+    let slopes = task.config.has_gears::<Slopes>() && !A::COMPACT;
+    if !task.config.has_effects() {
+        return match slopes {
+            true => forward_at::<A, Slopes, N, false>(
+                task, member, asked, directions, decimation, width,
+            ),
+            false => forward_any(task, member, asked, directions, decimation, width),
+        };
     }
-    if task.config.is_elastic() && !task.config.has_effects() {
-        return forward_at::<A, N, false>(task, member, asked, directions, decimation, width);
-    }
-    if task.config.is_elastic()
-        && let Some((config, parameters)) = without_effects(&task.config, member.parameters)
+    if let Some((config, parameters)) = without_effects(&task.config, member.parameters)
+        && !A::COMPACT
     {
         let plain = Task {
             config,
@@ -208,29 +221,33 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
             parameters: &parameters,
             ..*member
         };
-        return forward_at::<A, N, true>(&plain, &member, asked, directions, decimation, width);
+        return match slopes {
+            true => forward_at::<A, Slopes, N, true>(
+                &plain, &member, asked, directions, decimation, width,
+            ),
+            false => forward_any(&plain, &member, asked, directions, decimation, width),
+        };
     }
     let found = by_duals_at(task, member, directions, width)?;
     Ok(found.decimated(decimation, directions.len()))
 }
 
-/// [`sensitivities`] of an arm of which few programs have to do.
-fn compact<A: Arm<N>, const N: usize>(
+/// [`sensitivities`] of an arm without effects whose gears are elastic and of a given set of laws.
+///
+/// # Errors
+/// The motion diverged.
+///
+/// # Panics
+/// `width` is more than the processor has, or a gear is of another law.
+pub fn sensitivities_with<A: Arm<N>, G: Gears, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     directions: &[Source],
-    decimation: Option<&Decimation>,
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
-    #[cfg(target_arch = "x86_64")]
-    if width > Width::Portable && task.config.is_elastic() && !task.config.has_effects() {
-        let asked = (task, member);
-        return forward::<A, Fused, F64x4, F64x4, N, false>(
-            task, member, asked, directions, decimation,
-        );
-    }
-    let found = by_duals_at(task, member, directions, width)?;
-    Ok(found.decimated(decimation, directions.len()))
+    assert!(width <= Width::detect(), "this processor has no {width:?}");
+    let asked = (task, member);
+    forward_at::<A, G, N, false>(task, member, asked, directions, None, width)
 }
 
 /// What [`sensitivities`] gives of all samples, by the chain over numbers with derivatives alone:
@@ -246,28 +263,42 @@ pub fn by_duals_at<A: Arm<N>, const N: usize>(
 ) -> Result<Sensitivities<N>, Diverged> {
     assert!(width <= Width::detect(), "this processor has no {width:?}");
     if A::COMPACT || task.config.has_effects() {
-        duals::<A, N, true>(task, member, directions, width)
+        duals::<A, AllLaws, N, true>(task, member, directions, width)
     } else {
-        duals::<A, N, false>(task, member, directions, width)
+        duals::<A, AllLaws, N, false>(task, member, directions, width)
     }
 }
 
-fn duals<A: Arm<N>, const N: usize, const EFFECTS: bool>(
+/// [`by_duals_at`] of an arm without effects whose gears are of a given set of laws.
+///
+/// # Errors
+/// The motion diverged.
+pub fn by_duals_with<A: Arm<N>, G: Gears, const N: usize>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    directions: &[Source],
+    width: Width,
+) -> Result<Sensitivities<N>, Diverged> {
+    assert!(width <= Width::detect(), "this processor has no {width:?}");
+    duals::<A, G, N, false>(task, member, directions, width)
+}
+
+fn duals<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     directions: &[Source],
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     match width {
-        Width::Portable => by_duals::<A, f64, f64, N, false, EFFECTS>(task, member, directions),
+        Width::Portable => by_duals::<A, f64, f64, G, N, EFFECTS>(task, member, directions),
         #[cfg(target_arch = "x86_64")]
-        _ => by_duals::<A, Fused, F64x4, N, false, EFFECTS>(task, member, directions),
+        _ => by_duals::<A, Fused, F64x4, G, N, EFFECTS>(task, member, directions),
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     }
 }
 
-fn forward_at<A: Arm<N>, const N: usize, const EFFECTS: bool>(
+fn forward_at<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     asked: (&Task<A, N>, &Member<'_, N>),
@@ -276,11 +307,30 @@ fn forward_at<A: Arm<N>, const N: usize, const EFFECTS: bool>(
     width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
     let run = match width {
-        Width::Portable => forward::<A, f64, f64, f64, N, EFFECTS>,
+        Width::Portable => forward::<A, f64, f64, f64, G, N, EFFECTS>,
         #[cfg(target_arch = "x86_64")]
-        Width::Avx2 => forward::<A, Fused, F64x4, F64x4, N, EFFECTS>,
+        Width::Avx2 => forward::<A, Fused, F64x4, F64x4, G, N, EFFECTS>,
         #[cfg(target_arch = "x86_64")]
-        Width::Avx512 => forward::<A, Fused, F64x8, F64x4, N, EFFECTS>,
+        Width::Avx512 => forward::<A, Fused, F64x8, F64x4, G, N, EFFECTS>,
+        #[cfg(not(target_arch = "x86_64"))]
+        _ => unreachable!("only x86-64 detects vectors"),
+    };
+    run(task, member, asked, directions, decimation)
+}
+
+/// Of gears of any law, and of arms of which few programs have to do: one program for all of these.
+fn forward_any<A: Arm<N>, const N: usize>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    asked: (&Task<A, N>, &Member<'_, N>),
+    directions: &[Source],
+    decimation: Option<&Decimation>,
+    width: Width,
+) -> Result<Sensitivities<N>, Diverged> {
+    let run = match width {
+        Width::Portable => forward::<A, f64, f64, f64, AllLaws, N, true>,
+        #[cfg(target_arch = "x86_64")]
+        _ => forward::<A, Fused, F64x4, F64x4, AllLaws, N, true>,
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("only x86-64 detects vectors"),
     };
@@ -292,6 +342,7 @@ fn forward<
     S: Lanes<One = S>,
     V: Lanes,
     L: Lanes,
+    G: Gears,
     const N: usize,
     const EFFECTS: bool,
 >(
@@ -301,7 +352,7 @@ fn forward<
     directions: &[Source],
     decimation: Option<&Decimation>,
 ) -> Result<Sensitivities<N>, Diverged> {
-    V::scope(ForwardSensitivity::<A, S, V, L, N, EFFECTS> {
+    V::scope(ForwardSensitivity::<A, S, V, L, G, N, EFFECTS> {
         task,
         member,
         asked,

@@ -9,6 +9,7 @@
 //! |---|---|
 //! | [`scalar`] | what the equations are written over: a number, lanes of numbers, numbers with derivatives |
 //! | [`arm`] | the links' equations of motion, one file per arm |
+//! | [`parameter`] | what describes a parameter |
 //! | [`joint`] | springs, dampers and effects of a gear, and a joint's drive train |
 //! | [`actuation`] | current loops and the servo |
 //! | [`plant`] | arm and joints together, the Runge-Kutta step, Coulomb friction's events, known constants |
@@ -22,6 +23,7 @@ pub mod arm;
 pub mod dispatch;
 pub mod experiment;
 pub mod joint;
+pub mod parameter;
 pub mod plant;
 pub mod scalar;
 pub mod sensitivity;

@@ -2,13 +2,14 @@
 
 mod common;
 
-use common::{Draw, Run, at_rest, config, scara, with_effects};
+use common::{Draw, LINEAR, RIGID, Run, at_rest, config, scara, with_effects};
 use proptest::prelude::*;
 use strainwave_core::arm::{OneLink, TwoLink};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Task};
 use strainwave_core::joint::effects::EffectKinds;
-use strainwave_core::plant::config::{Config, GearKind};
+use strainwave_core::joint::gear::Law;
+use strainwave_core::plant::config::Config;
 
 const N: f64 = 0.01;
 const NONE: EffectKinds = EffectKinds {
@@ -22,7 +23,7 @@ const ALL: EffectKinds = EffectKinds {
     kinematic_error: true,
 };
 
-fn one_link(gear: GearKind, effects: EffectKinds) -> Config<OneLink<false>, 1> {
+fn one_link(gear: Law, effects: EffectKinds) -> Config<OneLink<false>, 1> {
     let mut config = config([gear]);
     config.joints[0].effects = effects;
     config
@@ -39,11 +40,8 @@ fn against_a_wall(effect: [f64; 2]) -> Vec<f64> {
 }
 
 /// The first torque [N m] that breaks a motor away, raised by tenths of a percent.
-fn break_away(gear: GearKind, effects: EffectKinds, friction: [f64; 2]) -> f64 {
-    let spring: &[f64] = match gear {
-        GearKind::Rigid => &[],
-        _ => &[20e3, 5.0, 0.0],
-    };
+fn break_away(gear: Law, effects: EffectKinds, friction: [f64; 2]) -> f64 {
+    let spring: &[f64] = if gear.elastic { &[20e3, 5.0, 0.0] } else { &[] };
     let extra: &[f64] = if effects.stribeck {
         &[friction[1], 3.0]
     } else {
@@ -75,7 +73,7 @@ fn a_motor_breaks_away_beyond_both_frictions_together() {
         stribeck: true,
         ..NONE
     };
-    for gear in [GearKind::Linear, GearKind::Rigid] {
+    for gear in [LINEAR, RIGID] {
         let found = break_away(gear, stribeck, [0.06, 0.02]);
         assert!((found - 0.08).abs() < 1.1e-3 * 0.08, "{gear:?} {found}");
         let plain = break_away(gear, NONE, [0.06, 0.0]);
@@ -97,7 +95,7 @@ fn a_sliding_motor_feels_what_its_speed_leaves_of_stribecks_friction() {
     let parameters = [1.5, 0.0, 1.5e-4, viscous, coulomb, 0.0, 0.0, more, speed];
     for torque in [0.085, 0.09, 0.12] {
         let run = Run {
-            config: one_link(GearKind::Rigid, effects),
+            config: one_link(RIGID, effects),
             parameters: &parameters,
             voltage: &[[torque / 0.1]],
             steps_per_tick: 1,
@@ -127,7 +125,7 @@ proptest! {
         let effects = EffectKinds { hysteresis: true, ..NONE };
         let parameters = against_a_wall([largest, width]);
         let run = Run {
-            config: one_link(GearKind::Linear, effects),
+            config: one_link(LINEAR, effects),
             parameters: &parameters,
             voltage: &[[0.0]],
             steps_per_tick: 1,
@@ -170,7 +168,7 @@ proptest! {
         let twist = 1e-3;
         let start = |link: Option<[f64; 1]>| {
             let run = Run {
-                config: one_link(GearKind::Linear, effects),
+                config: one_link(LINEAR, effects),
                 parameters: &parameters,
                 voltage: &[[0.0]],
                 steps_per_tick: 1,
@@ -193,7 +191,7 @@ proptest! {
 }
 
 fn two_links(effects: EffectKinds) -> (Config<TwoLink<false>, 2>, Vec<f64>) {
-    let mut config = config([GearKind::Linear; 2]);
+    let mut config = config([LINEAR; 2]);
     config
         .joints
         .iter_mut()
@@ -203,7 +201,7 @@ fn two_links(effects: EffectKinds) -> (Config<TwoLink<false>, 2>, Vec<f64>) {
 }
 
 fn telegraph(seed: u64, ticks: usize) -> Vec<[f64; 2]> {
-    let mut draw = Draw(seed);
+    let mut draw = Draw::new(seed);
     (0..ticks)
         .map(|_| std::array::from_fn(|_| 8.0 * draw.next().signum()))
         .collect()

@@ -2,13 +2,14 @@
 
 mod common;
 
-use common::{BuiltIn, Draw, Run, at_rest, config, scara, with_effects};
+use common::{BuiltIn, Draw, LINEAR, RIGID, Run, at_rest, config, scara, with_effects};
 use proptest::prelude::*;
 use strainwave_core::arm::{Arm, OneLink, TwoLink};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::experiment::{Clock, Member, Quantity, Task};
 use strainwave_core::joint::effects::EffectKinds;
-use strainwave_core::plant::config::{Config, GearKind};
+use strainwave_core::joint::gear::AllLaws;
+use strainwave_core::plant::config::Config;
 use strainwave_core::plant::rigid::{base_regressor, inverse_dynamics};
 use strainwave_core::plant::{Modes, Plant, State};
 
@@ -20,7 +21,7 @@ const STATE: [Quantity; 4] = [
 ];
 
 fn telegraph<const N: usize>(seed: u64, ticks: usize, volts: f64) -> Vec<[f64; N]> {
-    let mut draw = Draw(seed);
+    let mut draw = Draw::new(seed);
     (0..ticks)
         .map(|_| std::array::from_fn(|_| if draw.next() < 0.0 { -volts } else { volts }))
         .collect()
@@ -76,20 +77,14 @@ fn order<A: Arm<2>>(config: Config<A, 2>, parameters: &[f64]) -> f64 {
 
 #[test]
 fn the_order_is_four_where_nothing_sticks() {
-    let level = order(
-        config::<TwoLink<false>, 2>([GearKind::Linear; 2]),
-        &scara(0.0, 0.0),
-    );
-    let upright = order(
-        config::<TwoLink<true>, 2>([GearKind::Linear; 2]),
-        &scara(0.0, 1.0),
-    );
+    let level = order(config::<TwoLink<false>, 2>([LINEAR; 2]), &scara(0.0, 0.0));
+    let upright = order(config::<TwoLink<true>, 2>([LINEAR; 2]), &scara(0.0, 1.0));
     assert!(level > 3.8 && upright > 3.8, "{level} {upright}");
 }
 
 #[test]
 fn the_order_is_four_through_sticking_and_slipping() {
-    let config = config::<TwoLink<false>, 2>([GearKind::Linear; 2]);
+    let config = config::<TwoLink<false>, 2>([LINEAR; 2]);
     let parameters = scara(1.0, 0.0);
     let found = order(config, &parameters);
     assert!(found > 3.7, "{found}");
@@ -127,7 +122,7 @@ fn a_motor_that_settles_faster_and_faster_stops_at_once() {
         let mut parameters = scara(1.0, 0.0);
         (parameters[12], parameters[20]) = (time, time);
         let run = Run {
-            config: config::<TwoLink<false>, 2>([GearKind::Linear; 2]),
+            config: config::<TwoLink<false>, 2>([LINEAR; 2]),
             parameters: &parameters,
             voltage: &telegraph::<2>(7, 40, 8.0),
             steps_per_tick: 16,
@@ -149,7 +144,7 @@ fn torques_that_jump_turn_settling_motors_within_the_step() {
     // Without a current loop a voltage's change is a jump: a motor that slides one way is pushed the
     // other, past all that friction holds, at the very beginning of a step. No torque here makes
     // more than 3000 rad/s^2 at motor 1 and 9000 at motor 2.
-    let mut config = config::<TwoLink<false>, 2>([GearKind::Linear; 2]);
+    let mut config = config::<TwoLink<false>, 2>([LINEAR; 2]);
     config.joints[0].torque_per_volt = 0.08;
     config.joints[1].torque_per_volt = 0.03;
     for seed in 0..40 {
@@ -180,7 +175,7 @@ fn energy_error<A: Arm<N>, const N: usize>(run: &Run<'_, A, N>) -> f64 {
         Quantity::GearTorque,
     ]);
     let record = run.record(&quantities);
-    let plant: Plant<A, f64, N, false, true> = run.config.plant(&[run.parameters]);
+    let plant: Plant<A, f64, AllLaws, N, true> = run.config.plant(&[run.parameters]);
     let state = |k: usize| {
         let mut x = State {
             motor_angle: record[0][k],
@@ -245,7 +240,7 @@ proptest! {
         }
         let voltage = telegraph::<2>(seed, 1, 6.0);
         let run = Run {
-            config: config::<TwoLink<true>, 2>([GearKind::Linear; 2]),
+            config: config::<TwoLink<true>, 2>([LINEAR; 2]),
             parameters: &values, voltage: &voltage, steps_per_tick: 1,
             initial: at_rest([10.0, 20.0]), step: 1.25e-4, steps: 1600,
         };
@@ -256,10 +251,10 @@ proptest! {
     #[test]
     fn energy_is_kept_through_sticking_and_slipping((values, seed) in drawn_two_link()) {
         let voltage = telegraph::<2>(seed, 100, 6.0);
-        for gears in [[GearKind::Linear; 2], [GearKind::Rigid, GearKind::Linear]] {
-            let values = match gears[0] {
-                GearKind::Rigid => [&values[..10], &values[13..]].concat(),
-                _ => values.clone(),
+        for gears in [[LINEAR; 2], [RIGID, LINEAR]] {
+            let values = match gears[0].elastic {
+                false => [&values[..10], &values[13..]].concat(),
+                true => values.clone(),
             };
             let run = Run {
                 config: config::<TwoLink<true>, 2>(gears),
@@ -277,7 +272,7 @@ proptest! {
     fn energy_is_kept_by_arms_with_every_effect((mut values, seed) in drawn_two_link(), few in any::<bool>()) {
         // Hysteresis kept out, the power is smooth but for friction's jumps; the kinematic error
         // must then neither give nor take.
-        let mut config = config::<TwoLink<true>, 2>([GearKind::Linear; 2]);
+        let mut config = config::<TwoLink<true>, 2>([LINEAR; 2]);
         for (i, joint) in config.joints.iter_mut().enumerate() {
             joint.effects = EffectKinds { stribeck: !few, hysteresis: !few, kinematic_error: true };
             values[5 + 8 * i + 2] *= f64::from(u8::from(!few));
@@ -307,7 +302,7 @@ proptest! {
         dq in prop::array::uniform2(-3.0..3.0f64),
         ddq in prop::array::uniform2(-9.0..9.0f64),
     ) {
-        let config = config::<TwoLink<true>, 2>([GearKind::Linear; 2]);
+        let config = config::<TwoLink<true>, 2>([LINEAR; 2]);
         let torque = inverse_dynamics(&config.plant(&[&values]), &q, &dq, &ddq);
         let columns = base_regressor(&config.arm, &q, &dq, &ddq);
         for i in 0..2 {
@@ -322,14 +317,14 @@ proptest! {
 
     #[test]
     fn every_width_gives_one_result(seed in any::<u64>(), count in 2usize..13) {
-        let mut draw = Draw(seed);
+        let mut draw = Draw::new(seed);
         let all: Vec<Vec<f64>> = (0..count)
             .map(|_| scara(1.0, 0.0).iter().map(|v| v * (1.0 + 0.1 * draw.next())).collect())
             .collect();
         let voltage = telegraph::<2>(seed, 101, 8.0);
         let reference = vec![[0.0; 2]; 101];
         let task = Task {
-            config: config::<TwoLink<false>, 2>([GearKind::Linear; 2]),
+            config: config::<TwoLink<false>, 2>([LINEAR; 2]),
             clock: Clock { step: 1.25e-4, steps_per_tick: 8, steps_per_servo: 8, steps_per_sample: 8, samples: 101 },
             servo: None,
             record: STATE.to_vec(),
@@ -367,11 +362,11 @@ proptest! {
             values[joint + 3] = 0.02 * factors[joint + 3];
             values[joint + 7] = (1e-3 * factors[joint + 7]).max(0.0);
         }
-        let gears = kinds.map(|kind| [GearKind::Linear, GearKind::Rigid][kind]);
+        let gears = kinds.map(|kind| [LINEAR, RIGID][kind]);
         let mut chosen = values[..5].to_vec();
         for (i, gear) in gears.iter().enumerate() {
             let own = &values[5 + 8 * i..13 + 8 * i];
-            chosen.extend(if *gear == GearKind::Rigid { &own[..5] } else { own });
+            chosen.extend(if *gear == RIGID { &own[..5] } else { own });
         }
         let voltage = telegraph::<2>(seed, 60, volts);
         let run = Run {
@@ -388,7 +383,7 @@ fn a_rigid_arm_moves_as_its_inverse_dynamics_says() {
     let linear = scara(1.0, 1.0);
     let parameters = [&linear[..10], &linear[13..18]].concat();
     let voltage = telegraph::<2>(3, 50, 9.0);
-    let config = config::<TwoLink<true>, 2>([GearKind::Rigid; 2]);
+    let config = config::<TwoLink<true>, 2>([RIGID; 2]);
     let run = Run {
         config,
         parameters: &parameters,
@@ -420,7 +415,7 @@ fn friction_holds_an_arm_up_for_good() {
     // A single vertical link whose gravity torque, 0.3 N m at the motor's side, is below friction.
     let parameters = [1.0, 30.0, 1.5e-4, 1e-4, 0.5, 0.0, 0.1, 20e3, 5.0, 0.0];
     let run = Run {
-        config: config::<OneLink<true>, 1>([GearKind::Linear]),
+        config: config::<OneLink<true>, 1>([LINEAR]),
         parameters: &parameters,
         voltage: &[[0.0]],
         steps_per_tick: 1,

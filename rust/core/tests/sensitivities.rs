@@ -4,15 +4,15 @@ mod common;
 
 use std::iter::zip;
 
-use common::{BuiltIn, Draw, config};
+use common::{BuiltIn, Draw, LINEAR, RIGID, THREE_SLOPE, config};
 use proptest::prelude::*;
-use strainwave_core::actuation::servo::Servo;
+use strainwave_core::actuation::{PiVelocity, Servo};
 use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
 use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::joint::gear::Law;
 use strainwave_core::plant::config::Config;
-use strainwave_core::plant::config::GearKind::{self, Linear, Rigid, ThreeSlope};
 use strainwave_core::sensitivity::Sensitivities;
 
 const RECORDED: [Quantity; 17] = [
@@ -50,22 +50,22 @@ struct Case<A, const N: usize> {
 impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
     /// A drawn arm: a two-link or one-link arm of the built-in one's size, off by some tens of
     /// percent, under random telegraph voltages or a servo.
-    fn drawn(gears: [GearKind; N], seed: u64, servo: bool, steps: usize) -> Self {
+    fn drawn(gears: [Law; N], seed: u64, servo: bool, steps: usize) -> Self {
         Self::drawn_with(EffectKinds::default(), gears, seed, servo, steps)
     }
 
     /// The same with effects, but for those that a rigid gear cannot have.
     fn drawn_with(
         effects: EffectKinds,
-        gears: [GearKind; N],
+        gears: [Law; N],
         seed: u64,
         servo: bool,
         steps: usize,
     ) -> Self {
-        let mut draw = Draw(seed);
+        let mut draw = Draw::new(seed);
         let mut config: Config<A, N> = config(gears);
         for joint in &mut config.joints {
-            let elastic = joint.gear != Rigid;
+            let elastic = joint.gear != RIGID;
             joint.effects = EffectKinds {
                 stribeck: effects.stribeck,
                 hysteresis: effects.hysteresis && elastic,
@@ -85,13 +85,13 @@ impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
             steps_per_sample: 1,
             samples: steps + 1,
         };
-        let servo = servo.then_some(Servo {
+        let servo = servo.then_some(Servo::PiVelocity(PiVelocity {
             kp: [0.6; N],
             ki: [9.0; N],
             limit: 12.0,
             period: 2e-3,
             active: [true; N],
-        });
+        }));
         let volts = if servo.is_some() { 0.3 } else { 6.0 };
         let mut telegraph = |size: f64| -> Vec<[f64; N]> {
             (0..=steps / 8)
@@ -223,6 +223,7 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "friction_offset" => 0.01,
                 "link_viscous_friction" => either(0.5, 0.15),
                 "gear_stiffness" => either(25e3, 6e3),
+                "gear_stiffness_cubic" => either(5e9, 2e9),
                 "gear_stiffness_k1" => either(16e3, 4.7e3),
                 "gear_stiffness_k2" => either(25e3, 6.1e3),
                 "gear_stiffness_k3" => either(29e3, 7.1e3),
@@ -458,7 +459,7 @@ fn check_ways<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
 #[test]
 fn where_a_servo_amplifies_rounding() {
     check(&Case::<TwoLink<true>, 2>::drawn(
-        [Linear, ThreeSlope],
+        [LINEAR, THREE_SLOPE],
         3_105_188_054_994_044_978,
         true,
         240,
@@ -470,7 +471,7 @@ fn where_a_servo_amplifies_rounding() {
 /// With masses m, first moments h and inertias I of the links, alpha = I_1 + m_2 l^2, beta = I_2,
 /// gamma = l h_2, G_1 = g (h_1 + m_2 l) and G_2 = g h_2.
 fn check_planar_chain(seed: u64, servo: bool) {
-    let mut planar = Case::<TwoLink<true>, 2>::drawn([ThreeSlope, Linear], seed, servo, 240);
+    let mut planar = Case::<TwoLink<true>, 2>::drawn([THREE_SLOPE, LINEAR], seed, servo, 240);
     let (l, g) = (0.35, 9.81);
     let links = [[6.0, 0.9, 0.5], [3.0, 0.4, 0.3]]; // m, h, I
     let [[_, h_1, i_1], [m_2, h_2, i_2]] = links;
@@ -576,11 +577,11 @@ proptest! {
     #[test]
     fn derivatives_are_those_of_the_simulation(seed in any::<u64>(), servo in any::<bool>()) {
         let mut shares = Vec::new();
-        let gears = [ThreeSlope, Linear, Rigid];
+        let gears = [THREE_SLOPE, LINEAR, RIGID];
         let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
         shares.push(check(&Case::<TwoLink<false>, 2>::drawn([one, other], seed, servo, 240)));
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn([other, one], seed, servo, 240)));
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, Rigid], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, RIGID], seed, servo, 240)));
         shares.push(check(&Case::<OneLink<true>, 1>::drawn([one], seed, servo, 240)));
         // Most draws leave the events where they are.
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
@@ -589,11 +590,11 @@ proptest! {
     #[test]
     fn so_are_those_of_arms_with_effects(seed in any::<u64>(), servo in any::<bool>()) {
         let mut shares = Vec::new();
-        let gears = [ThreeSlope, Linear, Rigid];
+        let gears = [THREE_SLOPE, LINEAR, RIGID];
         let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
         let some = EffectKinds { hysteresis: seed % 3 == 0, ..ALL };
         shares.push(check(&Case::<TwoLink<false>, 2>::drawn_with(ALL, [one, other], seed, servo, 240)));
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(ALL, [other, Rigid], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(ALL, [other, RIGID], seed, servo, 240)));
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(some, [other, one], seed, servo, 240)));
         shares.push(check(&Case::<OneLink<true>, 1>::drawn_with(ALL, [one], seed, servo, 240)));
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
@@ -603,19 +604,19 @@ proptest! {
     fn so_are_those_of_chains(seed in any::<u64>(), servo in any::<bool>()) {
         let some = EffectKinds { hysteresis: seed % 3 == 0, ..ALL };
         let shares = [
-            check(&Case::<SerialChain<1>, 1>::drawn([ThreeSlope], seed, servo, 160)),
-            check(&Case::<SerialChain<2>, 2>::drawn_with(some, [Linear, Rigid], seed, servo, 160)),
-            check(&Case::<SerialChain<3>, 3>::drawn([Linear, ThreeSlope, Linear], seed, servo, 80)),
+            check(&Case::<SerialChain<1>, 1>::drawn([THREE_SLOPE], seed, servo, 160)),
+            check(&Case::<SerialChain<2>, 2>::drawn_with(some, [LINEAR, RIGID], seed, servo, 160)),
+            check(&Case::<SerialChain<3>, 3>::drawn([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 80)),
         ];
         prop_assert!(shares.iter().sum::<f64>() > 1.0, "{:?}", shares);
     }
 
     #[test]
     fn both_ways_agree_on_chains(seed in any::<u64>(), servo in any::<bool>()) {
-        check_ways(&Case::<SerialChain<1>, 1>::drawn([Linear], seed, servo, 240));
-        check_ways(&Case::<SerialChain<2>, 2>::drawn([ThreeSlope, Linear], seed, servo, 240));
-        check_ways(&Case::<SerialChain<3>, 3>::drawn([Linear, ThreeSlope, Linear], seed, servo, 240));
-        check_ways(&Case::<SerialChain<6>, 6>::drawn([Linear; 6], seed, servo, 80));
+        check_ways(&Case::<SerialChain<1>, 1>::drawn([LINEAR], seed, servo, 240));
+        check_ways(&Case::<SerialChain<2>, 2>::drawn([THREE_SLOPE, LINEAR], seed, servo, 240));
+        check_ways(&Case::<SerialChain<3>, 3>::drawn([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240));
+        check_ways(&Case::<SerialChain<6>, 6>::drawn([LINEAR; 6], seed, servo, 80));
     }
 
     #[test]
@@ -625,17 +626,17 @@ proptest! {
 
     #[test]
     fn both_ways_and_all_widths_agree(seed in any::<u64>(), servo in any::<bool>()) {
-        check_ways(&Case::<TwoLink<false>, 2>::drawn([ThreeSlope, Linear], seed, servo, 400));
-        check_ways(&Case::<TwoLink<true>, 2>::drawn([Linear, ThreeSlope], seed, servo, 400));
-        check_ways(&Case::<OneLink<false>, 1>::drawn([ThreeSlope], seed, servo, 400));
-        check_ways(&Case::<OneLink<true>, 1>::drawn([Linear], seed, servo, 400));
+        check_ways(&Case::<TwoLink<false>, 2>::drawn([THREE_SLOPE, LINEAR], seed, servo, 400));
+        check_ways(&Case::<TwoLink<true>, 2>::drawn([LINEAR, THREE_SLOPE], seed, servo, 400));
+        check_ways(&Case::<OneLink<false>, 1>::drawn([THREE_SLOPE], seed, servo, 400));
+        check_ways(&Case::<OneLink<true>, 1>::drawn([LINEAR], seed, servo, 400));
     }
 
     #[test]
     fn effects_that_an_arm_lacks_are_followed(seed in any::<u64>(), servo in any::<bool>()) {
         let some = EffectKinds { hysteresis: seed % 3 == 0, stribeck: seed % 3 == 1, ..ALL };
-        check_ways(&Case::<TwoLink<false>, 2>::drawn_with(ALL, [ThreeSlope, Linear], seed, servo, 400).without_effects());
-        check_ways(&Case::<TwoLink<true>, 2>::drawn_with(some, [Linear, ThreeSlope], seed, servo, 400).without_effects());
-        check_ways(&Case::<OneLink<true>, 1>::drawn_with(ALL, [ThreeSlope], seed, servo, 400).without_effects());
+        check_ways(&Case::<TwoLink<false>, 2>::drawn_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).without_effects());
+        check_ways(&Case::<TwoLink<true>, 2>::drawn_with(some, [LINEAR, THREE_SLOPE], seed, servo, 400).without_effects());
+        check_ways(&Case::<OneLink<true>, 1>::drawn_with(ALL, [THREE_SLOPE], seed, servo, 400).without_effects());
     }
 }

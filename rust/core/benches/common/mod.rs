@@ -1,12 +1,14 @@
 //! The arm and the run that the benches share: the built-in SCARA-type arm with 5 kg at its tip,
 //! joint 1 under a random telegraph voltage, joint 2 swinging free.
 
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
 use strainwave_core::arm::TwoLink;
 use strainwave_core::dispatch::Width;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Task};
 use strainwave_core::joint::effects::EffectKinds;
-use strainwave_core::joint::gear::CORNER;
-use strainwave_core::plant::config::{Config, GearKind, JointConfig};
+use strainwave_core::joint::gear::{CORNER, GearLaw, ThreeSlope};
+use strainwave_core::plant::config::{Config, JointConfig};
 
 /// Integrator steps from one sample, and from one voltage, to the next.
 const STEPS_PER_TICK: usize = 8;
@@ -21,7 +23,7 @@ const PARAMETERS: [f64; 29] = [
 /// So many steps of 0.125 ms, recorded at every eighth.
 pub fn task(steps: usize, record: Vec<Quantity>) -> Task<TwoLink<false>, 2> {
     let joint = |torque_per_volt| JointConfig {
-        gear: GearKind::ThreeSlope,
+        gear: ThreeSlope::LAW,
         ratio: 0.01,
         torque_per_volt,
         current_loop_hz: Some(1000.0),
@@ -56,14 +58,9 @@ pub fn task(steps: usize, record: Vec<Quantity>) -> Task<TwoLink<false>, 2> {
 
 /// Random telegraph voltage of +-10 V on joint 1, for so many steps.
 pub fn telegraph(steps: usize) -> Vec<[f64; 2]> {
-    let mut state = 0x9E37_79B9_7F4A_7C15_u64;
+    let mut draw = SmallRng::seed_from_u64(1);
     (0..=steps / STEPS_PER_TICK)
-        .map(|_| {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
-            [if state >> 63 == 0 { 10.0 } else { -10.0 }, 0.0]
-        })
+        .map(|_| [if draw.random() { 10.0 } else { -10.0 }, 0.0])
         .collect()
 }
 

@@ -1,4 +1,10 @@
-//! From commands to motor torques: current loops and the servo.
+//! From commands to motor torques: current loops and controllers.
 
+pub mod controller;
 pub mod current_loop;
-pub mod servo;
+pub mod pi_position;
+pub mod pi_velocity;
+
+pub use controller::{Controller, Servo};
+pub use pi_position::PiPosition;
+pub use pi_velocity::PiVelocity;

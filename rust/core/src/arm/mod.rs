@@ -17,6 +17,7 @@ pub use one_link::OneLink;
 pub use serial_chain::{ChainJoint, JointType, SerialChain};
 pub use two_link::TwoLink;
 
+use crate::parameter::Parameter;
 use crate::scalar::Real;
 use link_signals::{LINK_SIGNALS, LinkSignalSlopes};
 
@@ -40,6 +41,9 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// Whether one compiled program per kind of processor has to do: arms then run one at a time,
     /// and rigid gears and effects cost their branches also where there are none.
     const COMPACT: bool = false;
+
+    /// The base parameters, each once: of a chain those of one link.
+    const PARAMETERS: &'static [Parameter];
 
     /// Names of the base parameters, as docs/notation.md has them; the joint, from 1, where one
     /// belongs to a joint.

@@ -3,6 +3,7 @@
 use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes, Turns, planar, planar_slopes};
 use super::turn::Turn;
 use super::{Arm, Name, Slopes};
+use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
 /// One link on one joint, revolute or prismatic, with or without gravity in the plane of motion.
@@ -30,8 +31,28 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
     const FELT: [bool; 1] = [VERTICAL];
     const PLANAR: bool = true;
 
+    const PARAMETERS: &'static [Parameter] = &[
+        Parameter::new(
+            "link_inertia",
+            "m_L",
+            "inertia that the gear moves with the arm stretched, at the link",
+            INERTIA,
+            Sign::Positive,
+        ),
+        Parameter::new(
+            "gravity_torque_1",
+            "G1",
+            "largest gravity torque of link 1, link 2's mass at axis 2",
+            TORQUE,
+            Sign::Any,
+        ),
+    ];
+
     fn names(&self) -> Vec<Name> {
-        vec![("link_inertia", Some(1)), ("gravity_torque_1", None)]
+        let of_joint = [Some(1), None];
+        let own = Self::PARAMETERS.iter().zip(of_joint);
+        own.map(|(parameter, joint)| (parameter.name, joint))
+            .collect()
     }
 
     fn check(

@@ -3,6 +3,7 @@
 use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes, Turns, planar, planar_slopes};
 use super::turn::Turn;
 use super::{Arm, Name, Slopes};
+use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
 /// A planar arm of two links whose second angle is relative to the first, (3) and (4), with or
@@ -43,15 +44,47 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     const FELT: [bool; 2] = [VERTICAL, true];
     const PLANAR: bool = true;
 
-    fn names(&self) -> Vec<Name> {
-        let own = [
+    const PARAMETERS: &'static [Parameter] = &[
+        Parameter::new(
             "alpha",
+            "alpha",
+            "inertia of link 1 and of link 2's mass at axis 2, about axis 1",
+            INERTIA,
+            Sign::Positive,
+        ),
+        Parameter::new(
             "beta",
+            "beta",
+            "inertia of link 2 about axis 2",
+            INERTIA,
+            Sign::Positive,
+        ),
+        Parameter::new(
             "gamma",
+            "gamma",
+            "coupling of the links: link length times first moment of link 2",
+            INERTIA,
+            Sign::Any,
+        ),
+        Parameter::new(
             "gravity_torque_1",
+            "G1",
+            "largest gravity torque of link 1, link 2's mass at axis 2",
+            TORQUE,
+            Sign::Any,
+        ),
+        Parameter::new(
             "gravity_torque_2",
-        ];
-        own.map(|name| (name, None)).to_vec()
+            "G2",
+            "largest gravity torque of link 2",
+            TORQUE,
+            Sign::Any,
+        ),
+    ];
+
+    fn names(&self) -> Vec<Name> {
+        let own = Self::PARAMETERS.iter();
+        own.map(|parameter| (parameter.name, None)).collect()
     }
 
     fn check(

@@ -3,7 +3,7 @@
 pub mod simulate;
 mod start;
 
-use crate::actuation::servo::Servo;
+use crate::actuation::Servo;
 use crate::plant::config::Config;
 use crate::scalar::Real;
 

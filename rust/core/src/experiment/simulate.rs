@@ -2,11 +2,13 @@
 
 use std::marker::PhantomData;
 
+use crate::actuation::Controller;
+use crate::actuation::controller::ServoMemory;
 use crate::actuation::current_loop::CurrentLoop;
-use crate::actuation::servo::ServoState;
 use crate::arm::Arm;
 use crate::experiment::start::start;
 use crate::experiment::{Diverged, Event, Member, Quantity, RecordOf, Source, Task};
+use crate::joint::gear::Gears;
 use crate::plant::friction::{Motion, Stretch, sign};
 use crate::plant::{Instant, Plant, State, Watch};
 use crate::scalar::{Real, Work, gather};
@@ -19,22 +21,21 @@ use crate::sensors::low_pass::LowPass;
 ///
 /// Groups of `R::LANES` take turns at every step: while one waits for its own last result, the
 /// processor is already at the next one's operations.
-pub struct SideBySide<'a, A, R, G, const N: usize, const ELASTIC: bool, const EFFECTS: bool = false>
-{
+pub struct SideBySide<'a, A, R, F, G: Gears, const N: usize, const EFFECTS: bool = false> {
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
-    given: G,
-    scalar: PhantomData<R>,
+    given: F,
+    scalar: PhantomData<(R, G)>,
 }
 
-impl<'a, A: Arm<N>, R: Real, G, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
-    SideBySide<'a, A, R, G, N, ELASTIC, EFFECTS>
+impl<'a, A: Arm<N>, R: Real, F, G: Gears, const N: usize, const EFFECTS: bool>
+    SideBySide<'a, A, R, F, G, N, EFFECTS>
 where
-    G: Fn(Source, f64) -> R::One,
+    F: Fn(Source, f64) -> R::One,
 {
     /// A multiple of `R::LANES` members, and how a number that a motion depends on is to be had
     /// from its value.
-    pub fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>], given: G) -> Self {
+    pub fn new(task: &'a Task<A, N>, members: &'a [Member<'a, N>], given: F) -> Self {
         Self {
             task,
             members,
@@ -44,16 +45,16 @@ where
     }
 }
 
-impl<A: Arm<N>, R: Real, G, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
-    for SideBySide<'_, A, R, G, N, ELASTIC, EFFECTS>
+impl<A: Arm<N>, R: Real, F, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for SideBySide<'_, A, R, F, G, N, EFFECTS>
 where
-    G: Fn(Source, f64) -> R::One,
+    F: Fn(Source, f64) -> R::One,
 {
     type Output = Vec<Result<RecordOf<R::One, N>, Diverged>>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut groups: Vec<Group<'_, A, R, N, ELASTIC, EFFECTS>> = self
+        let mut groups: Vec<Group<'_, A, R, G, N, EFFECTS>> = self
             .members
             .chunks(R::LANES)
             .map(|members| Group::new(self.task, members, &self.given))
@@ -72,21 +73,22 @@ pub(crate) struct Group<
     'a,
     A: Arm<N>,
     R: Real,
+    G: Gears,
     const N: usize,
-    const ELASTIC: bool,
     const EFFECTS: bool = false,
 > {
     task: &'a Task<A, N>,
     members: &'a [Member<'a, N>],
-    pub(crate) plant: Plant<A, R, N, ELASTIC, EFFECTS>,
+    pub(crate) plant: Plant<A, R, G, N, EFFECTS>,
     current: CurrentLoop<R, N>,
-    pub(crate) single: Vec<Plant<A, R::One, N, ELASTIC, EFFECTS>>,
+    pub(crate) single: Vec<Plant<A, R::One, G, N, EFFECTS>>,
     pub(crate) single_current: CurrentLoop<R::One, N>,
     pub(crate) motion: Motion<R, N>,
     standing: bool,
     pub(crate) target: [R; N],
     pub(crate) voltage: Vec<[R::One; N]>,
-    servo: Vec<ServoState<R::One, N>>,
+    /// What each lane's controller remembers; nothing where there is none.
+    servo: Vec<ServoMemory<R::One, N>>,
     pub(crate) sensors: Option<Sensors<R, N>>,
     /// What friction's events cut the last step into, for the last lane that had any.
     pub(crate) stretches: Vec<Stretch<R::One, N>>,
@@ -103,8 +105,8 @@ pub(crate) struct Sensors<R, const N: usize> {
     readings: [[R; N]; 2],
 }
 
-impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
-    Group<'a, A, R, N, ELASTIC, EFFECTS>
+impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
+    Group<'a, A, R, G, N, EFFECTS>
 {
     pub(crate) fn new(
         task: &'a Task<A, N>,
@@ -114,7 +116,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
         assert_eq!(members.len(), R::LANES);
         let step = task.clock.step;
         let parameter = |lane: usize, k| given(Source::Parameter(k), members[lane].parameters[k]);
-        let single: Vec<Plant<A, R::One, N, ELASTIC, EFFECTS>> = (0..R::LANES)
+        let single: Vec<Plant<A, R::One, G, N, EFFECTS>> = (0..R::LANES)
             .map(|lane| task.config.plant_of(|k| parameter(lane, k)))
             .collect();
         let single_current = task.config.current_loop(step);
@@ -138,11 +140,7 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
                 .iter()
                 .map(|member| member.initial.voltage.map(R::One::splat))
                 .collect(),
-            servo: members
-                .iter()
-                .zip(&starts)
-                .map(|(member, start)| member.servo_at_rest(task, &start.state.motor_angle))
-                .collect(),
+            servo: Vec::new(),
             sensors: None,
             stretches: Vec::new(),
             records: vec![
@@ -151,6 +149,12 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
             ],
             diverged: vec![None; R::LANES],
         };
+        if let Some(servo) = &task.servo {
+            let at_rest = |(lane, member): (usize, &Member<'a, N>)| {
+                servo.at_rest(&member.initial.voltage, &group.encoder(lane))
+            };
+            group.servo = members.iter().enumerate().map(at_rest).collect();
+        }
         let senses = |quantity| task.record.contains(&quantity);
         let mounted = task.record.iter().any(|one| one.mounted().is_some());
         if senses(Quantity::Accelerometer) || senses(Quantity::Gyro) || mounted {
@@ -182,26 +186,31 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
             .instant(&motion.state, &motion.torque, &motion.modes)
     }
 
+    /// What one lane's encoders read [rad].
+    fn encoder(&self, lane: usize) -> [R::One; N] {
+        std::array::from_fn(|i| {
+            let angle = self.motion.state.motor_angle[i].one(lane);
+            encoder_angle(angle, self.task.config.joints[i].encoder_counts)
+        })
+    }
+
     /// Takes in the voltages of this instant: the tick's feed-forward, and the servo where it reads.
     pub(crate) fn command(&mut self, step: usize, servo_reads: bool) {
         let tick = step / self.task.clock.steps_per_tick;
         for lane in 0..R::LANES {
             let member = &self.members[lane];
             let feed_forward = &member.feed_forward[tick];
+            let encoder = self.encoder(lane);
             let voltage = &mut self.voltage[lane];
             match &self.task.servo {
                 Some(servo) if servo_reads => {
-                    let encoder = std::array::from_fn(|i| {
-                        let angle = self.motion.state.motor_angle[i].one(lane);
-                        encoder_angle(angle, self.task.config.joints[i].encoder_counts)
-                    });
                     let reference = &member.reference[tick];
                     *voltage =
                         servo.command(&mut self.servo[lane], reference, &encoder, feed_forward);
                 }
                 Some(servo) => {
                     for i in 0..N {
-                        if !servo.active[i] {
+                        if !servo.drives(i) {
                             voltage[i] = R::One::splat(feed_forward[i]);
                         }
                     }
@@ -470,22 +479,14 @@ impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS:
 }
 
 /// [`Group::record`]: what the compiler takes out of its loop, asked for or not, must not be calls.
-struct Recording<
-    'g,
-    'a,
-    A: Arm<N>,
-    R: Real,
-    const N: usize,
-    const ELASTIC: bool,
-    const EFFECTS: bool,
->(
-    &'g mut Group<'a, A, R, N, ELASTIC, EFFECTS>,
+struct Recording<'g, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'g mut Group<'a, A, R, G, N, EFFECTS>,
     usize,
     &'g Instant<A, R, N>,
 );
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
-    for Recording<'_, '_, A, R, N, ELASTIC, EFFECTS>
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for Recording<'_, '_, A, R, G, N, EFFECTS>
 {
     type Output = ();
     #[inline(always)]

@@ -1,48 +1,16 @@
-//! How an experiment begins: the arm's motion, and a servo that already holds it.
+//! The motion an experiment begins with.
 
 use crate::actuation::current_loop::CurrentLoop;
-use crate::actuation::servo::ServoState;
 use crate::arm::Arm;
-use crate::experiment::{Initial, Member, Source, Task};
+use crate::experiment::{Initial, Source};
+use crate::joint::gear::{Gears, Spring};
 use crate::plant::friction::Motion;
 use crate::plant::{Plant, State};
 use crate::scalar::Real;
-use crate::sensors::encoder::encoder_angle;
-
-impl<const N: usize> Member<'_, N> {
-    /// A servo whose integral already commands the initial voltage.
-    pub(crate) fn servo_at_rest<A: Arm<N>, S: Real>(
-        &self,
-        task: &Task<A, N>,
-        motor_angle: &[S; N],
-    ) -> ServoState<S, N> {
-        let mut state = ServoState {
-            integral: [S::splat(0.0); N],
-            last_angle: *motor_angle,
-        };
-        for i in 0..N {
-            let counts = task.config.joints[i].encoder_counts;
-            state.last_angle[i] = encoder_angle(motor_angle[i], counts);
-            if let Some(servo) = &task.servo
-                && servo.active[i]
-                && servo.ki[i] > 0.0
-            {
-                state.integral[i] = S::splat(self.initial.voltage[i] / servo.ki[i]);
-            }
-        }
-        state
-    }
-}
 
 /// The motion an experiment begins with.
-pub(crate) fn start<
-    A: Arm<N>,
-    S: Real,
-    const N: usize,
-    const ELASTIC: bool,
-    const EFFECTS: bool,
->(
-    plant: &Plant<A, S, N, ELASTIC, EFFECTS>,
+pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    plant: &Plant<A, S, G, N, EFFECTS>,
     current: &CurrentLoop<S, N>,
     initial: &Initial<N>,
     given: &impl Fn(Source, f64) -> S,
@@ -89,8 +57,8 @@ pub(crate) fn start<
 /// Each round takes gravity at the last angles and twists the gears by what holds it. Gravity's own
 /// stiffness is some thousandth of theirs, so a round gains three digits. Once the angles have
 /// settled it goes on as long again: a derivative that they carry settles as fast, but begins late.
-fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
-    plant: &Plant<A, S, N, ELASTIC, EFFECTS>,
+fn hanging<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    plant: &Plant<A, S, G, N, EFFECTS>,
     motor_angle: &[S; N],
 ) -> [S; N] {
     let untwisted: [S; N] = std::array::from_fn(|i| plant.untwisted(motor_angle[i], i));
@@ -102,7 +70,7 @@ fn hanging<A: Arm<N>, S: Real, const N: usize, const ELASTIC: bool, const EFFECT
         let mut change = 0.0f64;
         for i in 0..N {
             if !plant.is_rigid(i) {
-                let next = untwisted[i] - plant.joints[i].spring.twist(gravity[i]);
+                let next = untwisted[i] - plant.joints[i].spring.torsion(gravity[i]);
                 change = change.max((next - angle[i]).lane(0).abs());
                 angle[i] = next;
             }

@@ -3,6 +3,7 @@
 //! All of it costs exponentials and sines in the innermost loop, so a [`crate::plant::Plant`] says at
 //! compile time whether it has any.
 
+use crate::parameter::{ANGLE, Parameter, Sign, TORQUE, VELOCITY};
 use crate::scalar::Real;
 
 /// Which of the effects a joint has.
@@ -16,14 +17,75 @@ pub struct EffectKinds {
     pub kinematic_error: bool,
 }
 
+/// Of [`Stribeck`], its size first.
+const STRIBECK: [Parameter; 2] = [
+    Parameter::new(
+        "stribeck_friction",
+        "f_S",
+        "excess of the friction at standstill over Coulomb friction",
+        TORQUE,
+        Sign::NonNegative,
+    ),
+    Parameter::new(
+        "stribeck_velocity",
+        "w_s",
+        "motor velocity at which 1/e of the Stribeck friction is left",
+        VELOCITY,
+        Sign::Positive,
+    ),
+];
+/// Of [`Hysteresis`], its size first.
+const HYSTERESIS: [Parameter; 2] = [
+    Parameter::new(
+        "hysteresis_torque",
+        "T_h",
+        "largest torque of the gear's hysteresis, at the link",
+        TORQUE,
+        Sign::NonNegative,
+    ),
+    Parameter::new(
+        "hysteresis_twist",
+        "delta_h",
+        "torsion in which the hysteresis reverses, at the link",
+        ANGLE,
+        Sign::Positive,
+    ),
+];
+/// Of [`KinematicError`], both sizes.
+const KINEMATIC_ERROR: [Parameter; 2] = [
+    Parameter::new(
+        "kinematic_error_cos",
+        "a",
+        "cosine part of the gear's kinematic error, at the link",
+        ANGLE,
+        Sign::Any,
+    ),
+    Parameter::new(
+        "kinematic_error_sin",
+        "b",
+        "sine part of the gear's kinematic error, at the link",
+        ANGLE,
+        Sign::Any,
+    ),
+];
+
 impl EffectKinds {
     /// The parameters that say how large an effect is.
     const SIZES: [&'static str; 4] = [
-        "stribeck_friction",
-        "hysteresis_torque",
-        "kinematic_error_cos",
-        "kinematic_error_sin",
+        STRIBECK[0].name,
+        HYSTERESIS[0].name,
+        KINEMATIC_ERROR[0].name,
+        KINEMATIC_ERROR[1].name,
     ];
+
+    /// The effects by name, with their parameters.
+    pub(crate) fn declared() -> [(&'static str, &'static [Parameter]); 3] {
+        [
+            ("stribeck", &STRIBECK),
+            ("hysteresis", &HYSTERESIS),
+            ("kinematic-error", &KINEMATIC_ERROR),
+        ]
+    }
 
     /// Whether there is any.
     pub fn any(self) -> bool {
@@ -33,23 +95,22 @@ impl EffectKinds {
     /// Where the `k`-th of all sizes that effects have stands among these effects' parameters.
     pub(crate) fn place(self, k: usize) -> Option<usize> {
         let size = Self::SIZES[k];
-        self.names().position(|&name| name == size)
+        self.parameters().iter().position(|own| own.name == size)
     }
 
-    /// Names of the effects' parameters.
-    pub(crate) fn names(self) -> impl Iterator<Item = &'static &'static str> {
-        let pairs: [(bool, &[&str]); 3] = [
-            (self.stribeck, &["stribeck_friction", "stribeck_velocity"]),
-            (self.hysteresis, &["hysteresis_torque", "hysteresis_twist"]),
-            (
-                self.kinematic_error,
-                &["kinematic_error_cos", "kinematic_error_sin"],
-            ),
-        ];
-        pairs
-            .into_iter()
-            .filter(|(has, _)| *has)
-            .flat_map(|(_, names)| names)
+    /// Which of all sizes that effects have a parameter is; none of a velocity or a torsion.
+    pub(crate) fn size(self, place: usize) -> Option<usize> {
+        let name = self.parameters()[place].name;
+        Self::SIZES.iter().position(|&size| size == name)
+    }
+
+    /// The effects' parameters.
+    pub(crate) fn parameters(self) -> Vec<Parameter> {
+        let has = [self.stribeck, self.hysteresis, self.kinematic_error];
+        let own = Self::declared().into_iter().zip(has);
+        own.filter(|(_, has)| *has)
+            .flat_map(|((_, own), _)| own.to_vec())
+            .collect()
     }
 }
 

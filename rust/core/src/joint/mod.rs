@@ -2,7 +2,7 @@
 
 pub mod effects;
 pub mod gear;
-mod transmission;
+pub(crate) mod transmission;
 
 pub(crate) use transmission::Gear;
 pub use transmission::Joint;

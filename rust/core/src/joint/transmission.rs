@@ -1,12 +1,70 @@
 //! One joint's drive train, and what its motor's friction and its gear do at one instant.
 
 use crate::joint::effects::{Effects, Twist};
-use crate::joint::gear::Spring;
+use crate::joint::gear::{Gears, Spring};
+use crate::parameter::{DAMPING, INERTIA, Parameter, Sign, TIME, TORQUE};
 use crate::scalar::Real;
 
+/// Parameters of motor and bearings, in the order of a flat list of values.
+pub(crate) const DRIVE: [Parameter; 5] = [
+    Parameter::new(
+        "motor_inertia",
+        "m_M",
+        "inertia of motor and wave generator, at the motor",
+        INERTIA,
+        Sign::Positive,
+    ),
+    Parameter::new(
+        "motor_viscous_friction",
+        "d_M",
+        "viscous friction of the motor, at the motor",
+        DAMPING,
+        Sign::NonNegative,
+    ),
+    Parameter::new(
+        "motor_coulomb_friction",
+        "f_M",
+        "Coulomb friction of the motor, at the motor",
+        TORQUE,
+        Sign::NonNegative,
+    ),
+    Parameter::new(
+        "friction_offset",
+        "f_0",
+        "constant part of the friction, at the motor",
+        TORQUE,
+        Sign::Any,
+    ),
+    Parameter::new(
+        "link_viscous_friction",
+        "d_L",
+        "viscous friction of the link, at the link",
+        DAMPING,
+        Sign::NonNegative,
+    ),
+];
+
+/// Damping beside an elastic gear's spring.
+pub(crate) const GEAR_DAMPING: Parameter = Parameter::new(
+    "gear_damping",
+    "d_G",
+    "damping of the gear, at the link",
+    DAMPING,
+    Sign::NonNegative,
+);
+
+/// How fast friction brings a motor to rest; an elastic gear's motor alone has it.
+pub(crate) const SETTLING: Parameter = Parameter::new(
+    "friction_settling_time",
+    "tau",
+    "time constant in which friction brings the motor to rest",
+    TIME,
+    Sign::NonNegative,
+);
+
 /// One joint's drive train.
-#[derive(Clone, Copy, Debug)]
-pub struct Joint<R> {
+#[derive(Clone, Copy)]
+pub struct Joint<R: Real, G: Gears> {
     /// n, link turns per motor turn.
     pub ratio: R,
     /// m_M [kg m^2] at the motor.
@@ -28,7 +86,7 @@ pub struct Joint<R> {
     /// Whether the gear is rigid; its spring and damping then mean nothing.
     pub rigid: bool,
     /// T(delta).
-    pub spring: Spring<R>,
+    pub spring: G::Spring<R>,
     /// d_G [N m s/rad].
     pub gear_damping: R,
     /// What it has beyond these.
@@ -44,7 +102,7 @@ pub(crate) struct Gear<R> {
 }
 
 /// `EFFECTS` says at compile time whether the joint may have any.
-impl<R: Real> Joint<R> {
+impl<R: Real, G: Gears> Joint<R, G> {
     /// What dry friction can take up at most [N m] at a velocity of the motor [rad/s], and does
     /// take up while the motor slides: f_M + f_S exp(-(dtheta_M/w_s)^2).
     #[inline(always)]

@@ -7,26 +7,17 @@ pub use crate::arm::Name;
 use crate::arm::Arm;
 use crate::joint::Joint;
 use crate::joint::effects::{EffectKinds, Effects};
-use crate::joint::gear::Spring;
+use crate::joint::gear::{self, Gears, Law, MOST_OF_A_LAW};
+use crate::joint::transmission::{DRIVE, GEAR_DAMPING, SETTLING};
+use crate::parameter::Parameter;
 use crate::plant::Plant;
 use crate::scalar::{Real, gather};
-
-/// How a gear gives way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GearKind {
-    /// One stiffness.
-    Linear,
-    /// Three stiffnesses and two knees.
-    ThreeSlope,
-    /// Not at all.
-    Rigid,
-}
 
 /// One joint's known constants.
 #[derive(Clone, Copy, Debug)]
 pub struct JointConfig {
     /// How the gear gives way.
-    pub gear: GearKind,
+    pub gear: Law,
     /// n, link turns per motor turn.
     pub ratio: f64,
     /// e [N m/V] at the motor.
@@ -67,7 +58,7 @@ pub struct InvalidParameter {
     /// Its value.
     pub value: f64,
     /// What it must be.
-    pub must: &'static str,
+    pub must: String,
 }
 
 impl std::fmt::Display for InvalidParameter {
@@ -78,33 +69,57 @@ impl std::fmt::Display for InvalidParameter {
     }
 }
 
-const DRIVE: [&str; 5] = [
-    "motor_inertia",
-    "motor_viscous_friction",
-    "motor_coulomb_friction",
-    "friction_offset",
-    "link_viscous_friction",
-];
+/// What a parameter is in the equations; the places are among its kind's own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    /// A base parameter of the arm.
+    Base(usize),
+    /// One of [`DRIVE`].
+    Drive(usize),
+    /// One of the gear's law.
+    Gear(usize),
+    /// d_G.
+    Damping,
+    /// tau.
+    Settling,
+    /// One of the joint's effects.
+    Effect(usize),
+}
 
-/// How fast friction brings a motor to rest; an elastic gear's motor alone has it.
-pub(crate) const SETTLING: &str = "friction_settling_time";
+/// Who declares a parameter, and the parameter.
+pub type Declared = (&'static str, Parameter);
 
-impl GearKind {
-    fn names(self) -> &'static [&'static str] {
-        match self {
-            GearKind::Linear => &["gear_stiffness", "gear_damping", SETTLING],
-            GearKind::ThreeSlope => &[
-                "gear_stiffness_k1",
-                "gear_stiffness_k2",
-                "gear_stiffness_k3",
-                "gear_knee_t1",
-                "gear_knee_t2",
-                "gear_damping",
-                SETTLING,
-            ],
-            GearKind::Rigid => &[],
-        }
+/// Parameters that joints have whatever their arm, each once for every owner: the drive, the gears'
+/// laws by name, the effects by name.
+pub fn joint_parameters() -> Vec<Declared> {
+    let of = |owner, own: &[Parameter]| own.iter().map(|&one| (owner, one)).collect::<Vec<_>>();
+    let mut all = of("drive", &DRIVE);
+    all.extend(of("gear", &[GEAR_DAMPING, SETTLING]));
+    for law in gear::known() {
+        all.extend(of(law.name, law.parameters));
     }
+    for (name, own) in EffectKinds::declared() {
+        all.extend(of(name, own));
+    }
+    all
+}
+
+impl JointConfig {
+    /// The joint's parameters, in the order of a flat list of values.
+    pub(crate) fn parameters(&self) -> Vec<(Role, Parameter)> {
+        let mut all = numbered(&DRIVE, Role::Drive);
+        if self.gear.elastic {
+            all.extend(numbered(self.gear.parameters, Role::Gear));
+            all.extend([(Role::Damping, GEAR_DAMPING), (Role::Settling, SETTLING)]);
+        }
+        all.extend(numbered(&self.effects.parameters(), Role::Effect));
+        all
+    }
+}
+
+fn numbered(parameters: &[Parameter], role: fn(usize) -> Role) -> Vec<(Role, Parameter)> {
+    let each = |(place, &parameter)| (role(place), parameter);
+    parameters.iter().enumerate().map(each).collect()
 }
 
 impl<A: Arm<N>, const N: usize> Config<A, N> {
@@ -112,13 +127,21 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     pub fn parameter_names(&self) -> Vec<Name> {
         let mut names = self.arm.names();
         for (i, joint) in self.joints.iter().enumerate() {
-            let own = DRIVE
-                .iter()
-                .chain(joint.gear.names())
-                .chain(joint.effects.names());
-            names.extend(own.map(|name| (*name, Some(i + 1))));
+            let own = joint.parameters().into_iter();
+            names.extend(own.map(|(_, parameter)| (parameter.name, Some(i + 1))));
         }
         names
+    }
+
+    /// What each parameter is, and of which joint, from 0, if it is of one; in that order.
+    pub(crate) fn roles(&self) -> Vec<(Role, usize)> {
+        let mut roles: Vec<_> = (0..self.arm.names().len())
+            .map(|k| (Role::Base(k), 0))
+            .collect();
+        for (i, joint) in self.joints.iter().enumerate() {
+            roles.extend(joint.parameters().into_iter().map(|(role, _)| (role, i)));
+        }
+        roles
     }
 
     /// Checks one flat list of values.
@@ -128,49 +151,40 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     pub fn check(&self, values: &[f64]) -> Result<(), InvalidParameter> {
         let names = self.parameter_names();
         assert_eq!(values.len(), names.len());
-        let of_the_arm = self.arm.names().len();
-        for (k, (&name, &value)) in names.iter().zip(values).enumerate() {
-            let (ok, must) = match name.0 {
-                _ if k < of_the_arm => (true, "finite"),
-                "friction_offset" | "kinematic_error_cos" | "kinematic_error_sin" => {
-                    (true, "finite")
-                }
-                "motor_viscous_friction"
-                | "motor_coulomb_friction"
-                | "link_viscous_friction"
-                | "gear_damping"
-                | "stribeck_friction"
-                | "hysteresis_torque"
-                | SETTLING => (value >= 0.0, "zero or positive"),
-                _ => (value > 0.0, "positive"),
-            };
-            if !value.is_finite() || !ok {
-                return Err(InvalidParameter { name, value, must });
+        let invalid = |k: usize, must: &str| InvalidParameter {
+            name: names[k],
+            value: values[k],
+            must: must.to_owned(),
+        };
+        let bases = self.arm.names().len();
+        if let Some(k) = values[..bases].iter().position(|value| !value.is_finite()) {
+            return Err(invalid(k, "finite"));
+        }
+        let own = self.joints.iter().flat_map(JointConfig::parameters);
+        for (k, (_, parameter)) in (bases..).zip(own) {
+            if !values[k].is_finite() || !parameter.sign.allows(values[k]) {
+                return Err(invalid(k, parameter.sign.words()));
             }
         }
-        self.check_knees(&names, values)?;
+        let rises = |k: &usize| values[*k] <= values[k - 1];
+        if let Some(k) = self.rising().into_iter().find(rises) {
+            return Err(invalid(k, &format!("above {}", names[k - 1].0)));
+        }
         self.check_arm(&names, values)
     }
 
-    fn check_knees(&self, names: &[Name], values: &[f64]) -> Result<(), InvalidParameter> {
-        for k in 1..names.len() {
-            if names[k].0 == "gear_knee_t2" && values[k] <= values[k - 1] {
-                return Err(InvalidParameter {
-                    name: names[k],
-                    value: values[k],
-                    must: "above gear_knee_t1",
-                });
-            }
-        }
-        Ok(())
+    /// Places of the values that must be above the one before.
+    fn rising(&self) -> Vec<usize> {
+        let roles = self.roles();
+        let rises = |&(role, i): &(Role, usize)| matches!(role, Role::Gear(place) if self.joints[i].gear.rising.contains(&place));
+        (0..roles.len()).filter(|&k| rises(&roles[k])).collect()
     }
 
     fn check_arm(&self, names: &[Name], values: &[f64]) -> Result<(), InvalidParameter> {
         let value = |name: Name| names.iter().position(|&n| n == name).map(|k| values[k]);
         let reflected = std::array::from_fn(|i| {
             let joint = &self.joints[i];
-            let rigid = joint.gear == GearKind::Rigid;
-            let motor = value(("motor_inertia", Some(i + 1))).filter(|_| rigid)?;
+            let motor = value((DRIVE[0].name, Some(i + 1))).filter(|_| !joint.gear.elastic)?;
             Some(motor / joint.ratio.powi(2))
         });
         let base = &values[..self.arm.names().len()];
@@ -179,25 +193,25 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
             .map_err(|(k, must)| InvalidParameter {
                 name: names[k],
                 value: values[k],
-                must,
+                must: must.to_owned(),
             })
     }
 
     /// The arm with given parameter values: lane `l` gets those of `values[l]`.
-    pub fn plant<R: Real, const ELASTIC: bool, const EFFECTS: bool>(
+    pub fn plant<R: Real, G: Gears, const EFFECTS: bool>(
         &self,
         values: &[&[f64]],
-    ) -> Plant<A, R, N, ELASTIC, EFFECTS> {
+    ) -> Plant<A, R, G, N, EFFECTS> {
         assert_eq!(values.len(), R::LANES);
         self.plant_of(|k| gather(|lane| R::One::splat(values[lane][k])))
     }
 
     /// The arm whose `k`-th parameter is `value(k)`.
-    pub fn plant_of<R: Real, const ELASTIC: bool, const EFFECTS: bool>(
+    pub fn plant_of<R: Real, G: Gears, const EFFECTS: bool>(
         &self,
         value: impl Fn(usize) -> R,
-    ) -> Plant<A, R, N, ELASTIC, EFFECTS> {
-        assert!(!ELASTIC || self.is_elastic());
+    ) -> Plant<A, R, G, N, EFFECTS> {
+        assert!(self.has_gears::<G>());
         assert!(EFFECTS || !self.has_effects());
         assert!(!EFFECTS || R::LANES == 1);
         let mut next = 0;
@@ -210,15 +224,14 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
             let [motor_inertia, motor_viscous, coulomb, offset, link_viscous] =
                 DRIVE.map(|_| take());
             let zero = R::splat(0.0);
-            let (spring, gear_damping, settling_time) = match joint.gear {
-                GearKind::Rigid => (Spring::linear(R::splat(1.0)), zero, zero),
-                GearKind::Linear => (Spring::linear(take()), take(), take()),
-                GearKind::ThreeSlope => {
-                    let slopes = [take(), take(), take()];
-                    let knees = [take(), take()];
-                    let spring = Spring::three_slope(slopes, knees, self.corner);
-                    (spring, take(), take())
-                }
+            let mut of_law = [zero; MOST_OF_A_LAW];
+            for value in &mut of_law[..joint.gear.parameters.len()] {
+                *value = take();
+            }
+            let spring = G::spring(&joint.gear, &of_law, self.corner);
+            let [gear_damping, settling_time] = match joint.gear.elastic {
+                true => [take(), take()],
+                false => [zero; 2],
             };
             Joint {
                 ratio: R::splat(joint.ratio),
@@ -230,13 +243,13 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 settling_rate: R::splat(1.0) / settling_time.max(R::splat(AT_ONCE)),
                 offset,
                 link_viscous,
-                rigid: joint.gear == GearKind::Rigid,
+                rigid: !joint.gear.elastic,
                 spring,
                 gear_damping,
                 effects: Effects::of(joint.effects, &mut take),
             }
         });
-        let settles = |joint: &Joint<R>| (-joint.settling_time).any_negative();
+        let settles = |joint: &Joint<R, G>| (-joint.settling_time).any_negative();
         Plant {
             base: self.arm.base(&base),
             arm: self.arm,
@@ -247,9 +260,13 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
 
     /// Whether no gear is rigid.
     pub fn is_elastic(&self) -> bool {
-        self.joints
-            .iter()
-            .all(|joint| joint.gear != GearKind::Rigid)
+        self.joints.iter().all(|joint| joint.gear.elastic)
+    }
+
+    /// Whether all gears are of a set.
+    pub fn has_gears<G: Gears>(&self) -> bool {
+        let has = |joint: &JointConfig| G::have(&joint.gear) && (G::RIGID || joint.gear.elastic);
+        self.joints.iter().all(has)
     }
 
     /// Whether any joint has one of [`crate::joint::effects`].

@@ -24,6 +24,7 @@
 
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
+use crate::joint::gear::Gears;
 use crate::plant::{Instant, Modes, Plant, State, Watch};
 use crate::scalar::{Real, Work};
 
@@ -47,9 +48,7 @@ pub struct Motion<R, const N: usize> {
     pub modes: Modes<R, N>,
 }
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
-    Plant<A, R, N, ELASTIC, EFFECTS>
-{
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A, R, G, N, EFFECTS> {
     /// Modes that fit a state: moving motors slide, resting ones stand if friction can hold them.
     pub fn modes_at(&self, x: &State<R, N>, torque: &[R; N]) -> Modes<R, N> {
         const { assert!(R::LANES == 1) };
@@ -230,8 +229,8 @@ impl<R: Real, const N: usize> Stretch<R, N> {
 }
 
 /// A stretch of time with fixed modes, and the integrator's step over any part of it.
-struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> {
-    plant: &'a Plant<A, R, N, ELASTIC, EFFECTS>,
+struct Leg<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> {
+    plant: &'a Plant<A, R, G, N, EFFECTS>,
     from: &'a Motion<R, N>,
     target: &'a [R; N],
     current: &'a CurrentLoop<R, N>,
@@ -240,13 +239,13 @@ struct Leg<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EF
     standing: bool,
 }
 
-struct BeginOf<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
-    &'a Plant<A, R, N, ELASTIC, EFFECTS>,
+struct BeginOf<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'a Plant<A, R, G, N, EFFECTS>,
     &'a Motion<R, N>,
 );
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
-    for BeginOf<'_, A, R, N, ELASTIC, EFFECTS>
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for BeginOf<'_, A, R, G, N, EFFECTS>
 {
     type Output = Instant<A, R, N>;
     #[inline(always)]
@@ -255,13 +254,13 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
     }
 }
 
-struct EndOf<'l, 'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
-    &'l Leg<'a, A, R, N, ELASTIC, EFFECTS>,
+struct EndOf<'l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'l Leg<'a, A, R, G, N, EFFECTS>,
     R,
 );
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
-    for EndOf<'_, '_, A, R, N, ELASTIC, EFFECTS>
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for EndOf<'_, '_, A, R, G, N, EFFECTS>
 {
     type Output = (Motion<R, N>, [R; N]);
     #[inline(always)]
@@ -270,11 +269,11 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
     }
 }
 
-impl<'a, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
-    Leg<'a, A, R, N, ELASTIC, EFFECTS>
+impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
+    Leg<'a, A, R, G, N, EFFECTS>
 {
     fn new(
-        plant: &'a Plant<A, R, N, ELASTIC, EFFECTS>,
+        plant: &'a Plant<A, R, G, N, EFFECTS>,
         from: &'a Motion<R, N>,
         target: &'a [R; N],
         current: &'a CurrentLoop<R, N>,

@@ -7,6 +7,7 @@ pub mod rigid;
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
 use crate::joint::effects::Twist;
+use crate::joint::gear::{Gears, Spring};
 use crate::joint::{Gear, Joint};
 use crate::scalar::{Real, Work, apart, solve};
 
@@ -77,34 +78,26 @@ pub struct Instant<A: Arm<N>, R: Real, const N: usize> {
     pub acceleration: Acceleration<R, N>,
 }
 
-/// An arm with its joints. `ELASTIC` says at compile time that no gear is rigid, which takes a
-/// branch out of the innermost loop; `EFFECTS` says whether any joint has one of
+/// An arm with its joints. `G` says at compile time which laws its gears may have, which keeps
+/// branches out of the innermost loop; `EFFECTS` says whether any joint has one of
 /// [`crate::joint::effects`], which takes a scalar of one lane.
 #[derive(Clone, Copy)]
-pub struct Plant<
-    A: Arm<N>,
-    R: Real,
-    const N: usize,
-    const ELASTIC: bool,
-    const EFFECTS: bool = false,
-> {
+pub struct Plant<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool = false> {
     /// Its geometry.
     pub arm: A,
     /// Its inertial and gravity parameters.
     pub base: A::Base<R>,
     /// Its drive trains.
-    pub joints: [Joint<R>; N],
+    pub joints: [Joint<R, G>; N],
     /// Whether any motor takes its time to come to rest.
     pub settles: bool,
 }
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>
-    Plant<A, R, N, ELASTIC, EFFECTS>
-{
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A, R, G, N, EFFECTS> {
     /// Whether a joint's gear is rigid.
     #[inline(always)]
     pub fn is_rigid(&self, joint: usize) -> bool {
-        !ELASTIC && self.joints[joint].rigid
+        G::RIGID && self.joints[joint].rigid
     }
 
     /// [`Joint::dry_friction`] of one joint.
@@ -252,7 +245,7 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
                 holding[i] = brake.mul_add(x.motor_velocity[i], holding[i]);
             }
         }
-        if !ELASTIC {
+        if G::RIGID {
             self.subtract_rigid_loads(x, torque, modes, &mut holding);
         }
         holding
@@ -427,23 +420,16 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
 }
 
 /// [`Plant::accelerations`].
-struct Accelerating<
-    'p,
-    A: Arm<N>,
-    R: Real,
-    const N: usize,
-    const ELASTIC: bool,
-    const EFFECTS: bool,
->(
-    &'p Plant<A, R, N, ELASTIC, EFFECTS>,
+struct Accelerating<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'p Plant<A, R, G, N, EFFECTS>,
     &'p State<R, N>,
     &'p A::Posture<R>,
     &'p [R; N],
     &'p Modes<R, N>,
 );
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
-    for Accelerating<'_, A, R, N, ELASTIC, EFFECTS>
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for Accelerating<'_, A, R, G, N, EFFECTS>
 {
     type Output = Acceleration<R, N>;
     #[inline(always)]
@@ -453,15 +439,15 @@ impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: boo
 }
 
 /// [`Plant::twisted`].
-struct Twisting<'p, A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool>(
-    &'p Plant<A, R, N, ELASTIC, EFFECTS>,
+struct Twisting<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'p Plant<A, R, G, N, EFFECTS>,
     &'p State<R, N>,
     &'p State<R, N>,
     R,
 );
 
-impl<A: Arm<N>, R: Real, const N: usize, const ELASTIC: bool, const EFFECTS: bool> Work
-    for Twisting<'_, A, R, N, ELASTIC, EFFECTS>
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for Twisting<'_, A, R, G, N, EFFECTS>
 {
     type Output = [R; N];
     #[inline(always)]

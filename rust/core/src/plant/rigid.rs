@@ -1,6 +1,7 @@
 //! The arm behind rigid gears, (5)-(7): torques from motion, linear in the base parameters.
 
 use crate::arm::Arm;
+use crate::joint::gear::AllLaws;
 use crate::plant::Plant;
 
 /// Link-side torques [N m] per base parameter, in the order of [`Arm::names`].
@@ -28,7 +29,7 @@ pub fn base_regressor<A: Arm<N>, const N: usize>(
 ///
 /// A resting joint is taken to need no Coulomb torque: anything within +-f_M would do.
 pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
-    plant: &Plant<A, f64, N, false, true>,
+    plant: &Plant<A, f64, AllLaws, N, true>,
     q: &[f64; N],
     dq: &[f64; N],
     ddq: &[f64; N],

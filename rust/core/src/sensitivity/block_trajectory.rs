@@ -7,6 +7,7 @@ use crate::actuation::current_loop::{CurrentLoop, StepTorque};
 use crate::arm::Arm;
 use crate::experiment::simulate::Group;
 use crate::experiment::{Member, Quantity, Source, Task};
+use crate::joint::gear::Gears;
 use crate::plant::config::Config;
 use crate::plant::friction::Motion;
 use crate::plant::{Modes, State};
@@ -45,12 +46,13 @@ pub(crate) struct BlockTrajectory<
     A: Arm<N>,
     S: Real<One = S>,
     V: Lanes,
+    G: Gears,
     const N: usize,
     const EFFECTS: bool,
 > {
     pub(crate) block: TangentBlock<V, N>,
     /// The chain over numbers with derivatives, for what is not smooth.
-    dual: Group<'a, A, Dual<S, V>, N, true, EFFECTS>,
+    dual: Group<'a, A, Dual<S, V>, G, N, EFFECTS>,
     /// Whether the torques depend on anything: they do where a servo closes the loop.
     pub(crate) driven: bool,
     pub(crate) torque: [V; N],
@@ -67,8 +69,8 @@ pub(crate) struct BlockTrajectory<
     own: Vec<Option<(usize, usize)>>,
 }
 
-impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: bool>
-    BlockTrajectory<'a, A, S, V, N, EFFECTS>
+impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool>
+    BlockTrajectory<'a, A, S, V, G, N, EFFECTS>
 {
     pub(crate) fn new(
         task: &'a Task<A, N>,
@@ -77,7 +79,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
         sensing: Option<&Sensing<V, N>>,
     ) -> Self {
         let given = |source, value| seeded(source, value, directions);
-        let dual: Group<'a, A, Dual<S, V>, N, true, EFFECTS> =
+        let dual: Group<'a, A, Dual<S, V>, G, N, EFFECTS> =
             Group::new(task, std::slice::from_ref(member), &given);
         let zero = [V::splat(0.0); N];
         let ratio = task.config.joints.map(|joint| joint.ratio);
@@ -137,7 +139,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
     #[inline(always)]
     pub(crate) fn advance<L: Lanes>(
         &mut self,
-        linear: &Linearised<A, L, N>,
+        linear: &Linearised<A, L, G, N>,
         first: &Response<V, N>,
     ) {
         if self.driven {
@@ -154,7 +156,11 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
     /// With its length fixed it is a step like any other. The event's instant moves by what holds
     /// its margin at zero; what was left of the step, by the opposite.
     #[inline(always)]
-    pub(crate) fn pass<L: Lanes>(&mut self, linear: &Linearised<A, L, N>, through: &Through<S, N>) {
+    pub(crate) fn pass<L: Lanes>(
+        &mut self,
+        linear: &Linearised<A, L, G, N>,
+        through: &Through<S, N>,
+    ) {
         for i in 0..N {
             if through.rests[i] {
                 self.rest(i);
@@ -165,7 +171,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, const N: usize, const EFFECTS: b
         let first = self.block.respond(linear, 0, &x, Some(&torque.begin));
         let part = 0.5 * through.duration / self.half;
         self.block
-            .advance_part::<A, L, false>(linear, &first, Some(&torque), part);
+            .advance_part::<A, L, G, false>(linear, &first, Some(&torque), part);
         self.torque = torque.end;
         let mut later = self.left;
         if let Some(event) = &through.event {

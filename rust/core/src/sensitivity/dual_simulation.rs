@@ -3,6 +3,7 @@
 use crate::arm::Arm;
 use crate::experiment::simulate::SideBySide;
 use crate::experiment::{Diverged, Member, Record, Source, Task};
+use crate::joint::gear::Gears;
 use crate::scalar::{Dual, Real};
 use crate::sensitivity::Sensitivities;
 
@@ -15,8 +16,8 @@ pub(crate) fn by_duals<
     A: Arm<N>,
     S: Real,
     V: Real,
+    G: Gears,
     const N: usize,
-    const ELASTIC: bool,
     const EFFECTS: bool,
 >(
     task: &Task<A, N>,
@@ -30,7 +31,7 @@ pub(crate) fn by_duals<
     let members = std::slice::from_ref(member);
     for first in (0..directions.len().max(1)).step_by(V::LANES) {
         let given = |source, value| seeded(source, value, &directions[first..]);
-        let chain = SideBySide::<A, Dual<S, V>, _, N, ELASTIC, EFFECTS>::new(task, members, given);
+        let chain = SideBySide::<A, Dual<S, V>, _, G, N, EFFECTS>::new(task, members, given);
         for record in Dual::<S, V>::scope(chain) {
             all.take(&record?, first, directions.len());
         }

@@ -12,6 +12,7 @@
 
 use crate::arm::Arm;
 use crate::joint::effects::{EffectKinds, Hysteresis};
+use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::Config;
 use crate::plant::{Modes, Plant, State};
 use crate::scalar::Real;
@@ -52,10 +53,10 @@ impl<const N: usize> EffectSensitivity<N> {
     /// What the effects would add at the stages of a step of length `h`; `push` is what one newton
     /// metre less at each motor makes of its acceleration.
     #[inline(always)]
-    pub(crate) fn enter<A: Arm<N>, S: Real, L: Real>(
+    pub(crate) fn enter<A: Arm<N>, S: Real, L: Real, G: Gears>(
         &self,
         quads: &mut Quads<N>,
-        plant: &Plant<A, L, N, true>,
+        plant: &Plant<A, L, G, N>,
         (trace, h): (&Trace<N>, f64),
         modes: &Modes<S, N>,
         push: &[f64; N],

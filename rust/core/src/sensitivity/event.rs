@@ -1,17 +1,19 @@
 //! How the margin of an event of friction moves with the motion and with its joint's parameters.
 
 use crate::arm::Arm;
-use crate::joint::gear::Spring;
+use crate::joint::gear::{Gears, MOST_OF_A_LAW, Spring};
+use crate::joint::transmission::DRIVE;
 use crate::plant::Plant;
-use crate::plant::config::{GearKind, JointConfig};
+use crate::plant::config::JointConfig;
 use crate::plant::friction::Motion;
 use crate::scalar::Real;
 use crate::sensitivity::effect::EffectSensitivity;
 use crate::sensitivity::holding::Holding;
 use crate::sensitivity::tangent::Tangent;
 
-/// Most parameters that a joint has: five of motor and link, seven of its gear, six of effects.
-const MOST_OF_A_JOINT: usize = 18;
+/// Most parameters that a joint has: those of its drive, its gear's law with damping and settling
+/// time, and six of effects.
+const MOST_OF_A_JOINT: usize = DRIVE.len() + MOST_OF_A_LAW + 2 + 6;
 
 /// The linear form that [`Plant::margins`] is where an event ends a stretch.
 pub(crate) struct EventSensitivity {
@@ -34,8 +36,8 @@ impl EventSensitivity {
     /// beside the torque that holds the motor; of a sliding motor that will settle, times
     /// -tau/m_M.
     #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, S: Real<One = S>, const N: usize>(
-        plant: &Plant<A, S, N, true>,
+    pub(crate) fn new<A: Arm<N>, S: Real<One = S>, G: Gears, const N: usize>(
+        plant: &Plant<A, S, G, N>,
         asked: &JointConfig,
         effects: Option<&EffectSensitivity<N>>,
         end: &Motion<S, N>,
@@ -102,7 +104,7 @@ impl EventSensitivity {
 /// the holding torque by `by_torque` and against what friction can take up by `scale`.
 #[inline(always)]
 fn by_parameters<S: Real<One = S>, const N: usize>(
-    spring: &Spring<S>,
+    spring: &impl Spring<S>,
     asked: &JointConfig,
     effects: Option<&EffectSensitivity<N>>,
     held: &Holding<S>,
@@ -112,14 +114,10 @@ fn by_parameters<S: Real<One = S>, const N: usize>(
     let (speed, by_gear) = (by_torque * held.speed, -by_torque * held.ratio);
     by[..4].copy_from_slice(&[speed * held.settling, -speed, -scale, -by_torque]);
     // the link's friction does not hold the motor
-    let mut next = 5;
-    if asked.gear == GearKind::ThreeSlope {
-        for slope in spring.by_parameters(held.twist, &spring.per_slope()) {
-            by[next] = by_gear * slope.lane(0);
-            next += 1;
-        }
-    } else {
-        by[next] = by_gear * held.twist.lane(0);
+    let mut next = DRIVE.len();
+    let of_law = spring.by_parameters(held.twist, &spring.shared());
+    for slope in &of_law[..asked.gear.parameters.len()] {
+        by[next] = by_gear * slope.lane(0);
         next += 1;
     }
     by[next] = by_gear * held.rate;

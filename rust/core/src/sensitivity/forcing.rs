@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 
 use crate::arm::Arm;
 use crate::experiment::Source;
-use crate::plant::config::{Config, GearKind, SETTLING};
+use crate::joint::transmission::DRIVE;
+use crate::plant::config::{Config, Role};
 use crate::scalar::{Lanes, MOST_LANES};
 
 /// The row of the equations that a parameter enters.
@@ -28,7 +29,7 @@ pub(crate) struct Quad(pub(crate) [[f64; 4]; 4]);
 
 /// By motor inertia, viscous and Coulomb friction, offset.
 pub(crate) const MOTOR: usize = 0;
-/// By the stiffnesses and knees of the spring, then by the damping: two quads.
+/// By the damping, then by the parameters of the gear's law: two quads.
 pub(crate) const GEAR: usize = 1;
 /// By the sizes of Stribeck's friction and, at [`KINEMATIC`], the kinematic error.
 pub(crate) const MOTOR_EFFECTS: usize = 3;
@@ -89,44 +90,30 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
         quad: quad + slot / 4,
         slot: slot % 4,
     };
-    let bases = config.arm.names().len();
-    let place = |(k, (name, joint)): (usize, (&str, Option<usize>))| {
-        if k < bases {
-            return (0..N).map(|j| at(j, LINK, 1 + k)).collect();
-        }
-        let i = joint.map_or(0, |joint| joint - 1);
-        match name {
-            "motor_inertia" => vec![at(i, MOTOR, 0)],
-            "motor_viscous_friction" => vec![at(i, MOTOR, 1)],
-            "motor_coulomb_friction" => vec![at(i, MOTOR, 2)],
-            "friction_offset" => vec![at(i, MOTOR, 3)],
-            "link_viscous_friction" => vec![at(i, LINK, 0)],
-            "gear_stiffness" | "gear_stiffness_k1" => vec![at(i, GEAR, 0)],
-            "gear_stiffness_k2" => vec![at(i, GEAR, 1)],
-            "gear_stiffness_k3" => vec![at(i, GEAR, 2)],
-            "gear_knee_t1" => vec![at(i, GEAR, 3)],
-            "gear_knee_t2" => vec![at(i, GEAR, 4)],
-            "gear_damping" => vec![at(i, GEAR, damping_slot(config.joints[i].gear))],
-            "stribeck_friction" => vec![at(i, MOTOR_EFFECTS, 0)],
-            "hysteresis_torque" => vec![at(i, GEAR_EFFECTS, 0)],
-            "kinematic_error_cos" | "kinematic_error_sin" => {
-                let slot = KINEMATIC + usize::from(name.ends_with("sin"));
+    let place = |(role, i): (Role, usize)| match role {
+        Role::Base(k) => (0..N).map(|j| at(j, LINK, 1 + k)).collect(),
+        Role::Drive(LINK_VISCOUS) => vec![at(i, LINK, 0)],
+        Role::Drive(k) => vec![at(i, MOTOR, k)],
+        Role::Damping => vec![at(i, GEAR, 0)],
+        Role::Gear(k) => vec![at(i, GEAR, 1 + k)],
+        // it acts on held motors alone
+        Role::Settling => Vec::new(),
+        // a velocity or a torsion does nothing where the effect itself is nothing
+        Role::Effect(k) => match config.joints[i].effects.size(k) {
+            Some(0) => vec![at(i, MOTOR_EFFECTS, 0)],
+            Some(1) => vec![at(i, GEAR_EFFECTS, 0)],
+            Some(size) => {
+                let slot = KINEMATIC + size - 2;
                 vec![at(i, GEAR_EFFECTS, slot), at(i, MOTOR_EFFECTS, slot)]
             }
-            // the first acts on held motors alone, the others not at all where the effect itself
-            // is nothing
-            SETTLING | "stribeck_velocity" | "hysteresis_twist" => Vec::new(),
-            _ => unreachable!("{name} is no joint's parameter"),
-        }
+            None => Vec::new(),
+        },
     };
-    let names = config.parameter_names();
-    names.into_iter().enumerate().map(place).collect()
+    config.roles().into_iter().map(place).collect()
 }
 
-/// Where the damping stands behind the spring's own parameters.
-fn damping_slot(gear: GearKind) -> usize {
-    if gear == GearKind::ThreeSlope { 5 } else { 1 }
-}
+/// The place of the link's viscous friction in a joint's drive: all before it act on the motor.
+const LINK_VISCOUS: usize = DRIVE.len() - 1;
 
 /// Most quads that one row takes numbers from: each lane takes one at most.
 const MOST_QUADS: usize = MOST_LANES;

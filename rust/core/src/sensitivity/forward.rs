@@ -9,6 +9,7 @@ use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::experiment::simulate::Group;
 use crate::experiment::{Diverged, Event, Member, Quantity, Source, Task, values};
+use crate::joint::gear::Gears;
 use crate::plant::friction::{Motion, Stretch};
 use crate::plant::{Instant, Watch};
 use crate::scalar::{Dual, Lanes, Work};
@@ -29,24 +30,31 @@ use crate::sensors::decimation::Decimation;
 ///
 /// With `EFFECTS` the directions may be by the sizes of effects that the arm does not have:
 /// `asked` is the arm with them at nothing, and is the arm itself otherwise.
-pub(crate) struct ForwardSensitivity<'a, A, S, V, L, const N: usize, const EFFECTS: bool> {
+pub(crate) struct ForwardSensitivity<'a, A, S, V, L, G, const N: usize, const EFFECTS: bool> {
     pub(crate) task: &'a Task<A, N>,
     pub(crate) member: &'a Member<'a, N>,
     pub(crate) asked: (&'a Task<A, N>, &'a Member<'a, N>),
     pub(crate) directions: &'a [Source],
     /// What becomes of the samples.
     pub(crate) decimation: Option<&'a Decimation>,
-    pub(crate) scalars: PhantomData<(S, V, L)>,
+    pub(crate) scalars: PhantomData<(S, V, L, G)>,
 }
 
-impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const EFFECTS: bool> Work
-    for ForwardSensitivity<'_, A, S, V, L, N, EFFECTS>
+impl<
+    A: Arm<N>,
+    S: Lanes<One = S>,
+    V: Lanes,
+    L: Lanes,
+    G: Gears,
+    const N: usize,
+    const EFFECTS: bool,
+> Work for ForwardSensitivity<'_, A, S, V, L, G, N, EFFECTS>
 {
     type Output = Result<Sensitivities<N>, Diverged>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut chain = Chain::<'_, A, S, V, L, N, EFFECTS>::new(&self);
+        let mut chain = Chain::<'_, A, S, V, L, G, N, EFFECTS>::new(&self);
         for (step, event) in self.task.clock.instants() {
             chain.step(step, &event);
         }
@@ -70,28 +78,37 @@ struct Chain<
     S: Lanes<One = S>,
     V: Lanes,
     L: Lanes,
+    G: Gears,
     const N: usize,
     const EFFECTS: bool,
 > {
     task: &'a Task<A, N>,
     asked: &'a Task<A, N>,
-    nominal: Group<'a, A, S, N, true>,
+    nominal: Group<'a, A, S, G, N>,
     /// What no parameter forces.
     unforced: TangentBlock<S, N>,
     /// Current loops over times that get longer.
     longer: CurrentLoop<Dual<S, S>, N>,
     trace: Trace<N>,
-    linear: Linearised<A, L, N>,
-    blocks: Vec<BlockTrajectory<'a, A, S, V, N, EFFECTS>>,
+    linear: Linearised<A, L, G, N>,
+    blocks: Vec<BlockTrajectory<'a, A, S, V, G, N, EFFECTS>>,
     /// The sensors that are recorded, if any.
     sensing: Option<Sensing<V, N>>,
     buffer: SampleBuffer<N>,
 }
 
-impl<'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const EFFECTS: bool>
-    Chain<'a, A, S, V, L, N, EFFECTS>
+impl<
+    'a,
+    A: Arm<N>,
+    S: Lanes<One = S>,
+    V: Lanes,
+    L: Lanes,
+    G: Gears,
+    const N: usize,
+    const EFFECTS: bool,
+> Chain<'a, A, S, V, L, G, N, EFFECTS>
 {
-    fn new(of: &ForwardSensitivity<'a, A, S, V, L, N, EFFECTS>) -> Self {
+    fn new(of: &ForwardSensitivity<'a, A, S, V, L, G, N, EFFECTS>) -> Self {
         let (task, width) = (of.task, of.directions.len());
         let sizes = [task.record.len(), task.clock.samples, width, V::LANES];
         let (asked, member) = of.asked;
@@ -273,12 +290,20 @@ struct Redo<
     S: Lanes<One = S>,
     V: Lanes,
     L: Lanes,
+    G: Gears,
     const N: usize,
     const EFFECTS: bool,
->(&'c mut Chain<'a, A, S, V, L, N, EFFECTS>);
+>(&'c mut Chain<'a, A, S, V, L, G, N, EFFECTS>);
 
-impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const EFFECTS: bool> Work
-    for Redo<'_, '_, A, S, V, L, N, EFFECTS>
+impl<
+    A: Arm<N>,
+    S: Lanes<One = S>,
+    V: Lanes,
+    L: Lanes,
+    G: Gears,
+    const N: usize,
+    const EFFECTS: bool,
+> Work for Redo<'_, '_, A, S, V, L, G, N, EFFECTS>
 {
     type Output = ();
     #[inline(always)]
@@ -288,8 +313,17 @@ impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, L: Lanes, const N: usize, const EFF
 }
 
 /// [`BlockTrajectory::record`] in a scope of its own: where few steps are sampled, it is not in their way.
-struct Put<'c, 'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, const N: usize, const EFFECTS: bool> {
-    trajectory: &'c BlockTrajectory<'a, A, S, V, N, EFFECTS>,
+struct Put<
+    'c,
+    'a,
+    A: Arm<N>,
+    S: Lanes<One = S>,
+    V: Lanes,
+    G: Gears,
+    const N: usize,
+    const EFFECTS: bool,
+> {
+    trajectory: &'c BlockTrajectory<'a, A, S, V, G, N, EFFECTS>,
     quantities: &'c [Quantity],
     buffer: &'c mut SampleBuffer<N>,
     /// Of the block's directions.
@@ -297,8 +331,8 @@ struct Put<'c, 'a, A: Arm<N>, S: Lanes<One = S>, V: Lanes, const N: usize, const
     response: &'c Response<V, N>,
 }
 
-impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, const N: usize, const EFFECTS: bool> Work
-    for Put<'_, '_, A, S, V, N, EFFECTS>
+impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for Put<'_, '_, A, S, V, G, N, EFFECTS>
 {
     type Output = ();
     #[inline(always)]

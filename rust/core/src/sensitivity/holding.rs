@@ -1,6 +1,7 @@
 //! A joint at an event of friction.
 
 use crate::arm::Arm;
+use crate::joint::gear::{Gears, Spring};
 use crate::plant::Plant;
 use crate::plant::friction::Motion;
 use crate::scalar::Real;
@@ -31,8 +32,8 @@ pub(crate) struct Holding<S> {
 
 impl<S: Real<One = S>> Holding<S> {
     #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, const N: usize>(
-        plant: &Plant<A, S, N, true>,
+    pub(crate) fn new<A: Arm<N>, G: Gears, const N: usize>(
+        plant: &Plant<A, S, G, N>,
         end: &Motion<S, N>,
         i: usize,
     ) -> Self {

@@ -4,6 +4,7 @@
 //! follows from that goes through the variational equations like any other direction.
 
 use crate::arm::Arm;
+use crate::joint::gear::Gears;
 use crate::scalar::{Lanes, Real};
 use crate::sensitivity::tangent::Tangent;
 use crate::sensitivity::trace::{Stages, Trace};
@@ -21,9 +22,9 @@ pub(crate) struct StepLengthSensitivity<S, const N: usize> {
 impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
     /// Of the step of length `h` that left a trace.
     #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, L: Lanes>(
+    pub(crate) fn new<A: Arm<N>, L: Lanes, G: Gears>(
         trace: &Trace<N>,
-        step: &Linearised<A, L, N>,
+        step: &Linearised<A, L, G, N>,
         torque: [[S; N]; 2],
         h: f64,
     ) -> Self {

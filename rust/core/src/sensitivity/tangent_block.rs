@@ -3,7 +3,8 @@
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
 use crate::experiment::Source;
-use crate::plant::config::{Config, SETTLING};
+use crate::joint::gear::Gears;
+use crate::plant::config::{Config, Role};
 use crate::scalar::{Lanes, Work, apart};
 use crate::sensitivity::forcing::{Forcing, Row};
 use crate::sensitivity::step_length::StepLengthSensitivity;
@@ -24,13 +25,13 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         directions: &[Source],
         tangent: Tangent<V, N>,
     ) -> Self {
-        let names = config.parameter_names();
+        let roles = config.roles();
         let mut settling = [V::splat(0.0); N];
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
             if let &Source::Parameter(k) = direction
-                && let (SETTLING, Some(joint)) = names[k]
+                && let (Role::Settling, joint) = roles[k]
             {
-                settling[joint - 1].set_lane(lane, 1.0);
+                settling[joint].set_lane(lane, 1.0);
             }
         }
         Self {
@@ -43,9 +44,9 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     /// The equations of stage `k`; of an arm of which few programs have to do, in a function of their
     /// own.
     #[inline(always)]
-    pub(crate) fn respond<A: Arm<N>, L: Lanes>(
+    pub(crate) fn respond<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
-        step: &Linearised<A, L, N>,
+        step: &Linearised<A, L, G, N>,
         k: usize,
         x: &Tangent<V, N>,
         torque: Option<&[V; N]>,
@@ -58,9 +59,9 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     }
 
     #[inline(always)]
-    fn response<A: Arm<N>, L: Lanes>(
+    fn response<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
-        step: &Linearised<A, L, N>,
+        step: &Linearised<A, L, G, N>,
         k: usize,
         x: &Tangent<V, N>,
         torque: Option<&[V; N]>,
@@ -108,13 +109,13 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
 
     /// The rest of a whole step after its first stage.
     #[inline(always)]
-    pub(crate) fn advance<A: Arm<N>, L: Lanes>(
+    pub(crate) fn advance<A: Arm<N>, L: Lanes, G: Gears>(
         &mut self,
-        step: &Linearised<A, L, N>,
+        step: &Linearised<A, L, G, N>,
         first: &Response<V, N>,
         torque: Option<&StepTorque<V, N>>,
     ) {
-        self.advance_part::<A, L, true>(step, first, torque, 1.0);
+        self.advance_part::<A, L, G, true>(step, first, torque, 1.0);
     }
 
     /// The rest of a part of a step after its first stage.
@@ -122,9 +123,9 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     /// The classical Runge-Kutta step, its stages half the part and the part on. `WHOLE` says that
     /// the part is all, and takes a factor of one out of most sums.
     #[inline(always)]
-    pub(crate) fn advance_part<A: Arm<N>, L: Lanes, const WHOLE: bool>(
+    pub(crate) fn advance_part<A: Arm<N>, L: Lanes, G: Gears, const WHOLE: bool>(
         &mut self,
-        step: &Linearised<A, L, N>,
+        step: &Linearised<A, L, G, N>,
         first: &Response<V, N>,
         torque: Option<&StepTorque<V, N>>,
         part: f64,
@@ -166,9 +167,9 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     /// How fast the end of a step of length `h` moves as it gets longer; for a block that no
     /// parameter forces.
     #[inline(always)]
-    pub(crate) fn by_step_length<A: Arm<N>, L: Lanes>(
+    pub(crate) fn by_step_length<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
-        step: &Linearised<A, L, N>,
+        step: &Linearised<A, L, G, N>,
         by: &StepLengthSensitivity<V, N>,
         h: f64,
     ) -> Tangent<V, N> {
@@ -194,9 +195,9 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     /// A later stage, half of a step on or, with `end` at one, the whole, in which held motors have
     /// settled. It was reached with the velocities of the stage `before`, over so many half steps.
     #[inline(always)]
-    fn held<A: Arm<N>, L: Lanes>(
+    fn held<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
-        step: &Linearised<A, L, N>,
+        step: &Linearised<A, L, G, N>,
         mut stage: Tangent<V, N>,
         before: &Tangent<V, N>,
         (moved, end): (f64, usize),
@@ -221,15 +222,17 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
 }
 
 /// [`TangentBlock::response`].
-struct Responding<'b, A: Arm<N>, L: Lanes, V: Lanes, const N: usize>(
+struct Responding<'b, A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize>(
     &'b TangentBlock<V, N>,
-    &'b Linearised<A, L, N>,
+    &'b Linearised<A, L, G, N>,
     usize,
     &'b Tangent<V, N>,
     Option<&'b [V; N]>,
 );
 
-impl<A: Arm<N>, L: Lanes, V: Lanes, const N: usize> Work for Responding<'_, A, L, V, N> {
+impl<A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize> Work
+    for Responding<'_, A, L, V, G, N>
+{
     type Output = Response<V, N>;
     #[inline(always)]
     fn run(self) -> Self::Output {

@@ -13,8 +13,8 @@
 //! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L')
 
 use crate::arm::Arm;
-use crate::joint::gear::PerSlope;
-use crate::plant::config::{Config, GearKind};
+use crate::joint::gear::{Gears, Spring};
+use crate::plant::config::Config;
 use crate::plant::{Modes, Plant};
 use crate::scalar::{Lanes, Real, inverse};
 use crate::sensitivity::effect::EffectSensitivity;
@@ -23,10 +23,11 @@ use crate::sensitivity::trace::{Stages, Trace};
 
 /// Coefficients of the linear equations at the four stages, in the units of
 /// [`crate::sensitivity::tangent_block::Tangent`].
-pub(crate) struct Linearised<A: Arm<N>, L: Lanes, const N: usize> {
-    plant: Plant<A, L, N, true>,
-    per_slope: [PerSlope<L>; N],
-    gears: [GearKind; N],
+pub(crate) struct Linearised<A: Arm<N>, L: Lanes, G: Gears, const N: usize> {
+    plant: Plant<A, L, G, N>,
+    shared: [Shared<L, G>; N],
+    /// How many parameters each gear's law has.
+    of_law: [usize; N],
     /// Half of the integrator's step [s].
     pub(crate) half: f64,
     pub(crate) stiffness: [Stages; N],
@@ -43,6 +44,9 @@ pub(crate) struct Linearised<A: Arm<N>, L: Lanes, const N: usize> {
     pub(crate) effects: Option<EffectSensitivity<N>>,
     pub(crate) settling: [Option<Settling>; N],
 }
+
+/// What a gear's derivatives share.
+type Shared<L, G> = <<G as Gears>::Spring<L> as Spring<L>>::Shared;
 
 /// How a held motor that settles moves over half a step and over the whole, beside a steady one:
 /// its angle by v tau (1 - exp(-t/tau)) instead of v t, its velocity by v exp(-t/tau) instead of v.
@@ -73,7 +77,7 @@ impl Settling {
     }
 }
 
-impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
+impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
     /// Of an arm without effects, for steps of length `step` [s]. Directions are by the parameters
     /// of `asked`, which may have effects whose sizes are nothing.
     pub(crate) fn new(
@@ -82,11 +86,11 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
         (asked, all): (&Config<A, N>, &[f64]),
         step: f64,
     ) -> Self {
-        let plant: Plant<A, L, N, true> = config.plant_of(|k| L::splat(parameters[k]));
+        let plant: Plant<A, L, G, N> = config.plant_of(|k| L::splat(parameters[k]));
         let half = 0.5 * step;
         Self {
-            per_slope: plant.joints.map(|joint| joint.spring.per_slope()),
-            gears: config.joints.map(|joint| joint.gear),
+            shared: plant.joints.map(|joint| joint.spring.shared()),
+            of_law: config.joints.map(|joint| joint.gear.parameters.len()),
             half,
             stiffness: [[0.0; 4]; N],
             inverse: [[[0.0; 4]; N]; N],
@@ -208,18 +212,18 @@ impl<A: Arm<N>, L: Lanes, const N: usize> Linearised<A, L, N> {
     #[inline(always)]
     fn gear(&mut self, trace: &Trace<N>, i: usize, first: usize) {
         let (joint, quads) = (&self.plant.joints[i], &mut self.quads.own[i]);
-        let zero = L::splat(0.0);
         let twist = trace.across::<L>(first, |stage| stage.twist[i]);
         let rate = trace.across::<L>(first, |stage| stage.rate[i]);
         let stiffness = joint.spring.stiffness(twist);
         stiffness.store(&mut self.stiffness[i][first..]);
-        let mut four = [twist, rate, zero, zero];
-        if self.gears[i] == GearKind::ThreeSlope {
-            let [k1, k2, k3, t1, t2] = joint.spring.by_parameters(twist, &self.per_slope[i]);
-            four = [k1, k2, k3, t1];
-            L::store_rows(&[t2, rate, zero, zero], &mut quads[GEAR + 1].0[first..]);
+        let by = joint.spring.by_parameters(twist, &self.shared[i]);
+        L::store_rows(&[rate, by[0], by[1], by[2]], &mut quads[GEAR].0[first..]);
+        if self.of_law[i] > 3 {
+            L::store_rows(
+                &[by[3], by[4], by[5], by[6]],
+                &mut quads[GEAR + 1].0[first..],
+            );
         }
-        L::store_rows(&four, &mut quads[GEAR].0[first..]);
     }
 }
 

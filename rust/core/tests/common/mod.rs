@@ -1,15 +1,22 @@
 //! Arms and runs that the tests share.
 #![allow(dead_code)] // each test file uses its own part
 
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
 use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Task};
 use strainwave_core::joint::effects::EffectKinds;
-use strainwave_core::joint::gear::CORNER;
-use strainwave_core::plant::config::{Config, GearKind, JointConfig};
+use strainwave_core::joint::gear::{self, CORNER, Cubic, GearLaw, Law, Linear, ThreeSlope};
+use strainwave_core::plant::config::{Config, JointConfig};
+
+pub const LINEAR: Law = Linear::LAW;
+pub const THREE_SLOPE: Law = ThreeSlope::LAW;
+pub const CUBIC: Law = Cubic::LAW;
+pub const RIGID: Law = gear::RIGID;
 
 /// A joint with ideal electronics and sensors.
-pub fn joint(gear: GearKind) -> JointConfig {
+pub fn joint(gear: Law) -> JointConfig {
     JointConfig {
         gear,
         ratio: 0.01,
@@ -69,7 +76,7 @@ impl<const N: usize> BuiltIn for SerialChain<N> {
     }
 }
 
-pub fn config<A: Arm<N> + BuiltIn, const N: usize>(gears: [GearKind; N]) -> Config<A, N> {
+pub fn config<A: Arm<N> + BuiltIn, const N: usize>(gears: [Law; N]) -> Config<A, N> {
     Config {
         arm: A::built_in(),
         corner: CORNER,
@@ -133,15 +140,15 @@ impl<A: Arm<N>, const N: usize> Run<'_, A, N> {
 }
 
 /// Reproducible numbers in [-1, 1).
-pub struct Draw(pub u64);
+pub struct Draw(SmallRng);
 
 impl Draw {
+    pub fn new(seed: u64) -> Self {
+        Self(SmallRng::seed_from_u64(seed))
+    }
+
     pub fn next(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+        self.0.random_range(-1.0..1.0)
     }
 }
 

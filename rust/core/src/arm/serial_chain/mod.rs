@@ -9,6 +9,7 @@ pub use placement::{ChainJoint, JointType};
 use super::link_signals::LINK_SIGNALS;
 use super::turn::Turn;
 use super::{Arm, Name};
+use crate::parameter::{Parameter, Sign};
 use crate::scalar::{Real, Work, apart};
 use placement::Placement;
 use vector::{Matrix, cross, dot, plus, scaled, splat, times};
@@ -18,18 +19,79 @@ const PER_LINK: usize = 10;
 
 /// Their names: mass m [kg], first moments m c [kg m] and the inertia [kg m^2] about the origin of the
 /// link's frame, in its axes.
-const NAMES: [&str; PER_LINK] = [
-    "link_mass",
-    "link_first_moment_x",
-    "link_first_moment_y",
-    "link_first_moment_z",
-    "link_inertia_xx",
-    "link_inertia_xy",
-    "link_inertia_yy",
-    "link_inertia_xz",
-    "link_inertia_yz",
-    "link_inertia_zz",
+const OF_A_LINK: [Parameter; PER_LINK] = [
+    Parameter::new("link_mass", "m", "mass of the link", MASS, Sign::Positive),
+    Parameter::new(
+        "link_first_moment_x",
+        "m c",
+        "mass of the link times its centre's x in the link's frame",
+        FIRST_MOMENT,
+        Sign::Any,
+    ),
+    Parameter::new(
+        "link_first_moment_y",
+        "m c",
+        "mass of the link times its centre's y in the link's frame",
+        FIRST_MOMENT,
+        Sign::Any,
+    ),
+    Parameter::new(
+        "link_first_moment_z",
+        "m c",
+        "mass of the link times its centre's z in the link's frame",
+        FIRST_MOMENT,
+        Sign::Any,
+    ),
+    Parameter::new(
+        "link_inertia_xx",
+        "I",
+        "xx entry of the link's inertia about its frame's origin",
+        LINK_INERTIA,
+        Sign::Positive,
+    ),
+    Parameter::new(
+        "link_inertia_xy",
+        "I",
+        "xy entry of the link's inertia about its frame's origin",
+        LINK_INERTIA,
+        Sign::Any,
+    ),
+    Parameter::new(
+        "link_inertia_yy",
+        "I",
+        "yy entry of the link's inertia about its frame's origin",
+        LINK_INERTIA,
+        Sign::Positive,
+    ),
+    Parameter::new(
+        "link_inertia_xz",
+        "I",
+        "xz entry of the link's inertia about its frame's origin",
+        LINK_INERTIA,
+        Sign::Any,
+    ),
+    Parameter::new(
+        "link_inertia_yz",
+        "I",
+        "yz entry of the link's inertia about its frame's origin",
+        LINK_INERTIA,
+        Sign::Any,
+    ),
+    Parameter::new(
+        "link_inertia_zz",
+        "I",
+        "zz entry of the link's inertia about its frame's origin",
+        LINK_INERTIA,
+        Sign::Positive,
+    ),
 ];
+
+/// kg, whatever the joint.
+const MASS: [&str; 2] = ["kg"; 2];
+/// kg m, whatever the joint.
+const FIRST_MOMENT: [&str; 2] = ["kg m"; 2];
+/// kg m^2, whatever the joint.
+const LINK_INERTIA: [&str; 2] = ["kg m^2"; 2];
 
 /// A chain of `N` links, the first on a fixed base.
 ///
@@ -128,10 +190,11 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
 
     const FELT: [bool; N] = [true; N];
     const PLANAR: bool = false;
+    const PARAMETERS: &'static [Parameter] = &OF_A_LINK;
     const COMPACT: bool = true;
 
     fn names(&self) -> Vec<Name> {
-        let of = |i: usize| NAMES.map(|name| (name, Some(i + 1)));
+        let of = |i: usize| OF_A_LINK.map(|parameter| (parameter.name, Some(i + 1)));
         (0..N).flat_map(of).collect()
     }
 

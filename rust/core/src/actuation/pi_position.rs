@@ -1,0 +1,61 @@
+//! A position loop around a PI velocity loop.
+
+use super::pi_velocity::PiVelocityMemory;
+use super::{Controller, PiVelocity};
+use crate::scalar::Real;
+
+/// A proportional position loop whose output is added to the reference of a PI velocity loop:
+/// e = reference + position_gain (theta_M(0) + integral(reference) - encoder) - encoder difference /
+/// period.
+///
+/// The integral of the reference is that up to the reading: the loop holds the path that the
+/// velocities describe.
+#[derive(Clone, Copy, Debug)]
+pub struct PiPosition<const N: usize> {
+    /// The loop inside.
+    pub velocity: PiVelocity<N>,
+    /// Of the loop outside [1/s].
+    pub position_gain: [f64; N],
+}
+
+/// What a position loop remembers.
+#[derive(Clone, Copy, Debug)]
+pub struct PiPositionMemory<R, const N: usize> {
+    /// Of the loop inside.
+    pub velocity: PiVelocityMemory<R, N>,
+    /// theta_M(0) + integral(reference) [rad].
+    pub path: [R; N],
+}
+
+impl<const N: usize> Controller<N> for PiPosition<N> {
+    type Memory<R: Real> = PiPositionMemory<R, N>;
+
+    fn at_rest<R: Real>(&self, voltage: &[f64; N], encoder: &[R; N]) -> PiPositionMemory<R, N> {
+        PiPositionMemory {
+            velocity: self.velocity.at_rest(voltage, encoder),
+            path: *encoder,
+        }
+    }
+
+    /// `reference` is the motors' velocities [rad/s].
+    fn command<R: Real>(
+        &self,
+        memory: &mut PiPositionMemory<R, N>,
+        reference: &[f64; N],
+        encoder: &[R; N],
+        feed_forward: &[f64; N],
+    ) -> [R; N] {
+        let mut wanted = reference.map(R::splat);
+        for i in 0..N {
+            let off = memory.path[i] - encoder[i];
+            wanted[i] = wanted[i] + R::splat(self.position_gain[i]) * off;
+            memory.path[i] = memory.path[i] + R::splat(reference[i] * self.velocity.period);
+        }
+        self.velocity
+            .follow(&mut memory.velocity, &wanted, encoder, feed_forward)
+    }
+
+    fn drives(&self, joint: usize) -> bool {
+        self.velocity.drives(joint)
+    }
+}

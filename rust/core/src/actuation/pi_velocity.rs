@@ -1,0 +1,93 @@
+//! A PI velocity loop.
+
+use super::Controller;
+use crate::scalar::Real;
+
+/// A PI velocity loop on encoder differences, one a joint: u = kp e + ki integral(e) +
+/// feed-forward, limited, with e = reference - encoder difference / period.
+///
+/// The integral takes in a reading's error before it is used (backward Euler).
+#[derive(Clone, Copy, Debug)]
+pub struct PiVelocity<const N: usize> {
+    /// kp [V s/rad].
+    pub kp: [f64; N],
+    /// ki [V/rad].
+    pub ki: [f64; N],
+    /// Largest voltage [V]; the integrator stands still while the output is limited.
+    pub limit: f64,
+    /// Time between two readings [s].
+    pub period: f64,
+    /// Which joints it drives.
+    pub active: [bool; N],
+}
+
+/// What a PI velocity loop remembers.
+#[derive(Clone, Copy, Debug)]
+pub struct PiVelocityMemory<R, const N: usize> {
+    /// Integral of the velocity error [rad].
+    pub integral: [R; N],
+    /// Last reading of the encoder [rad].
+    pub last_angle: [R; N],
+}
+
+impl<const N: usize> PiVelocity<N> {
+    /// The loop with a reference [rad/s] that may itself depend on the motion.
+    pub(super) fn follow<R: Real>(
+        &self,
+        memory: &mut PiVelocityMemory<R, N>,
+        reference: &[R; N],
+        encoder: &[R; N],
+        feed_forward: &[f64; N],
+    ) -> [R; N] {
+        const { assert!(R::LANES == 1) };
+        let c = R::splat;
+        let mut voltage = feed_forward.map(c);
+        for i in 0..N {
+            if self.active[i] {
+                let error = reference[i] - (encoder[i] - memory.last_angle[i]) / c(self.period);
+                let integral = memory.integral[i] + error * c(self.period);
+                let wanted = voltage[i] + c(self.kp[i]) * error + c(self.ki[i]) * integral;
+                if wanted.lane(0).abs() <= self.limit {
+                    voltage[i] = wanted;
+                    memory.integral[i] = integral;
+                } else {
+                    voltage[i] = c(self.limit).copysign(wanted);
+                }
+            }
+            memory.last_angle[i] = encoder[i];
+        }
+        voltage
+    }
+}
+
+impl<const N: usize> Controller<N> for PiVelocity<N> {
+    type Memory<R: Real> = PiVelocityMemory<R, N>;
+
+    fn at_rest<R: Real>(&self, voltage: &[f64; N], encoder: &[R; N]) -> PiVelocityMemory<R, N> {
+        let mut integral = [R::splat(0.0); N];
+        for i in 0..N {
+            if self.active[i] && self.ki[i] > 0.0 {
+                integral[i] = R::splat(voltage[i] / self.ki[i]);
+            }
+        }
+        PiVelocityMemory {
+            integral,
+            last_angle: *encoder,
+        }
+    }
+
+    /// `reference` is the motors' velocities [rad/s].
+    fn command<R: Real>(
+        &self,
+        memory: &mut PiVelocityMemory<R, N>,
+        reference: &[f64; N],
+        encoder: &[R; N],
+        feed_forward: &[f64; N],
+    ) -> [R; N] {
+        self.follow(memory, &reference.map(R::splat), encoder, feed_forward)
+    }
+
+    fn drives(&self, joint: usize) -> bool {
+        self.active[joint]
+    }
+}

@@ -1,0 +1,84 @@
+//! A stiffness that grows with the square of the torsion: T = k_G delta + k_3 delta^3.
+
+use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
+use crate::parameter::{Parameter, STIFFNESS, Sign};
+use crate::scalar::Real;
+
+/// The cubic law, the first two terms of any odd smooth one (Tuttle and Seering, IEEE Transactions
+/// on Robotics and Automation 12(3), 1996).
+#[derive(Clone, Copy, Debug)]
+pub struct Cubic;
+
+/// A gear of the cubic law.
+#[derive(Clone, Copy, Debug)]
+pub struct CubicSpring<R> {
+    stiffness: R,
+    cubic: R,
+}
+
+impl GearLaw for Cubic {
+    const LAW: Law = Law {
+        name: "cubic",
+        parameters: &[
+            Parameter::new(
+                "gear_stiffness",
+                "k_G",
+                "stiffness of the gear, at the link",
+                STIFFNESS,
+                Sign::Positive,
+            ),
+            Parameter::new(
+                "gear_stiffness_cubic",
+                "k_3",
+                "torque of the gear per cube of its torsion, at the link",
+                ["N m/rad^3", "N/m^3"],
+                Sign::NonNegative,
+            ),
+        ],
+        rising: &[],
+        elastic: true,
+    };
+    type Spring<R: Real> = CubicSpring<R>;
+
+    fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], _: f64) -> CubicSpring<R> {
+        CubicSpring {
+            stiffness: values[0],
+            cubic: values[1],
+        }
+    }
+}
+
+impl<R: Real> Spring<R> for CubicSpring<R> {
+    type Shared = ();
+
+    #[inline(always)]
+    fn torque(&self, delta: R) -> R {
+        (self.cubic * delta * delta).mul_add(delta, self.stiffness * delta)
+    }
+
+    #[inline(always)]
+    fn stiffness(&self, delta: R) -> R {
+        (R::splat(3.0) * self.cubic * delta).mul_add(delta, self.stiffness)
+    }
+
+    #[inline(always)]
+    fn energy(&self, delta: R) -> R {
+        let square = delta * delta;
+        let half = R::splat(0.5) * self.stiffness;
+        (R::splat(0.25) * self.cubic).mul_add(square, half) * square
+    }
+
+    fn least_stiffness(&self, _: R) -> R {
+        self.stiffness
+    }
+
+    fn shared(&self) {}
+
+    #[inline(always)]
+    fn by_parameters(&self, delta: R, (): &()) -> [R; MOST_OF_A_LAW] {
+        let mut by = [R::splat(0.0); MOST_OF_A_LAW];
+        by[0] = delta;
+        by[1] = delta * delta * delta;
+        by
+    }
+}

@@ -1,0 +1,182 @@
+//! The list of laws, and the sets of them that programs are compiled for.
+
+use super::three_slope::PerSlope;
+use super::{
+    Cubic, GearLaw, Gears, Law, Linear, MOST_OF_A_LAW, Spring, ThreeSlope, ThreeSlopeSpring,
+};
+use crate::scalar::Real;
+
+/// Gears of one or three slopes, without a branch: one slope is three that are the same, exactly,
+/// since knees change nothing there.
+#[derive(Clone, Copy, Debug)]
+pub struct Slopes;
+
+/// A gear of one slope or of three.
+#[derive(Clone, Copy, Debug)]
+pub struct SlopesSpring<R> {
+    slopes: ThreeSlopeSpring<R>,
+    linear: bool,
+}
+
+impl Gears for Slopes {
+    type Spring<R: Real> = SlopesSpring<R>;
+    const RIGID: bool = false;
+
+    fn have(law: &Law) -> bool {
+        [Linear::LAW, ThreeSlope::LAW].contains(law)
+    }
+
+    #[inline(always)]
+    fn spring<R: Real>(law: &Law, values: &[R; MOST_OF_A_LAW], corner: f64) -> SlopesSpring<R> {
+        let linear = *law != ThreeSlope::LAW;
+        let mut values = *values;
+        if linear {
+            let (stiffness, one) = (values[0], R::splat(1.0));
+            values[..5].copy_from_slice(&[stiffness, stiffness, stiffness, one, one + one]);
+        }
+        let slopes = ThreeSlope::spring(&values, corner);
+        SlopesSpring { slopes, linear }
+    }
+}
+
+impl<R: Real> Spring<R> for SlopesSpring<R> {
+    type Shared = PerSlope<R>;
+
+    #[inline(always)]
+    fn torque(&self, delta: R) -> R {
+        self.slopes.torque(delta)
+    }
+
+    #[inline(always)]
+    fn stiffness(&self, delta: R) -> R {
+        self.slopes.stiffness(delta)
+    }
+
+    #[inline(always)]
+    fn energy(&self, delta: R) -> R {
+        self.slopes.energy(delta)
+    }
+
+    fn least_stiffness(&self, torque: R) -> R {
+        self.slopes.least_stiffness(torque)
+    }
+
+    #[inline(always)]
+    fn shared(&self) -> PerSlope<R> {
+        self.slopes.shared()
+    }
+
+    #[inline(always)]
+    fn by_parameters(&self, delta: R, shared: &PerSlope<R>) -> [R; MOST_OF_A_LAW] {
+        if self.linear {
+            let mut by = [R::splat(0.0); MOST_OF_A_LAW];
+            by[0] = delta;
+            by
+        } else {
+            self.slopes.by_parameters(delta, shared)
+        }
+    }
+}
+
+/// Gears of one law alone, which may be one that this crate does not know.
+#[derive(Clone, Copy, Debug)]
+pub struct Only<L>(std::marker::PhantomData<L>);
+
+impl<L: GearLaw> Gears for Only<L> {
+    type Spring<R: Real> = L::Spring<R>;
+    const RIGID: bool = false;
+
+    fn have(law: &Law) -> bool {
+        *law == L::LAW
+    }
+
+    #[inline(always)]
+    fn spring<R: Real>(_: &Law, values: &[R; MOST_OF_A_LAW], corner: f64) -> L::Spring<R> {
+        L::spring(values, corner)
+    }
+}
+
+/// [`ELASTIC`], [`AllLaws`] and its gear, and `of_law!`, which runs the same code on whichever law a
+/// gear is of; `$` is what stands before the latter's own variables.
+macro_rules! laws {
+    ($dollar:tt $($law:ident)*) => {
+        /// The elastic laws.
+        pub(super) const ELASTIC: &[Law] = &[$($law::LAW),*];
+
+        /// Gears of all laws that the core knows, and rigid ones.
+        #[derive(Clone, Copy, Debug)]
+        pub struct AllLaws;
+
+        /// A gear of any of these laws.
+        #[derive(Clone, Copy)]
+        pub enum AnySpring<R: Real> {
+            $(
+                #[doc = concat!("Of [`", stringify!($law), "`].")]
+                $law(<$law as GearLaw>::Spring<R>),
+            )*
+        }
+
+        impl Gears for AllLaws {
+            type Spring<R: Real> = AnySpring<R>;
+            const RIGID: bool = true;
+
+            fn have(_: &Law) -> bool {
+                true
+            }
+
+            #[inline(always)]
+            fn spring<R: Real>(
+                law: &Law,
+                values: &[R; MOST_OF_A_LAW],
+                corner: f64,
+            ) -> AnySpring<R> {
+                $(
+                    if *law == $law::LAW {
+                        return AnySpring::$law($law::spring(values, corner));
+                    }
+                )*
+                AnySpring::Linear(Linear::spring(&[R::splat(1.0); MOST_OF_A_LAW], corner))
+            }
+        }
+
+        macro_rules! of_law {
+            ($dollar any:expr, $dollar spring:ident => $dollar code:expr) => {
+                match $dollar any {
+                    $(AnySpring::$law($dollar spring) => $dollar code,)*
+                }
+            };
+        }
+    };
+}
+
+laws! { $ Linear ThreeSlope Cubic }
+
+impl<R: Real> Spring<R> for AnySpring<R> {
+    type Shared = ();
+
+    #[inline(always)]
+    fn torque(&self, delta: R) -> R {
+        of_law!(self, spring => spring.torque(delta))
+    }
+
+    #[inline(always)]
+    fn stiffness(&self, delta: R) -> R {
+        of_law!(self, spring => spring.stiffness(delta))
+    }
+
+    #[inline(always)]
+    fn energy(&self, delta: R) -> R {
+        of_law!(self, spring => spring.energy(delta))
+    }
+
+    fn least_stiffness(&self, torque: R) -> R {
+        of_law!(self, spring => spring.least_stiffness(torque))
+    }
+
+    fn shared(&self) {}
+
+    #[inline(always)]
+    fn by_parameters(&self, delta: R, (): &()) -> [R; MOST_OF_A_LAW] {
+        of_law!(self, spring => spring.by_parameters(delta, &spring.shared()))
+    }
+}

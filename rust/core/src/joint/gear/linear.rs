@@ -1,0 +1,69 @@
+//! One stiffness: T = k_G delta.
+
+use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
+use crate::parameter::{Parameter, STIFFNESS, Sign};
+use crate::scalar::Real;
+
+/// The law of one stiffness, (2).
+#[derive(Clone, Copy, Debug)]
+pub struct Linear;
+
+/// A gear of one stiffness.
+#[derive(Clone, Copy, Debug)]
+pub struct LinearSpring<R> {
+    stiffness: R,
+}
+
+impl GearLaw for Linear {
+    const LAW: Law = Law {
+        name: "linear",
+        parameters: &[Parameter::new(
+            "gear_stiffness",
+            "k_G",
+            "stiffness of the gear, at the link",
+            STIFFNESS,
+            Sign::Positive,
+        )],
+        rising: &[],
+        elastic: true,
+    };
+    type Spring<R: Real> = LinearSpring<R>;
+
+    fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], _: f64) -> LinearSpring<R> {
+        LinearSpring {
+            stiffness: values[0],
+        }
+    }
+}
+
+impl<R: Real> Spring<R> for LinearSpring<R> {
+    type Shared = ();
+
+    #[inline(always)]
+    fn torque(&self, delta: R) -> R {
+        self.stiffness * delta
+    }
+
+    #[inline(always)]
+    fn stiffness(&self, _: R) -> R {
+        self.stiffness
+    }
+
+    #[inline(always)]
+    fn energy(&self, delta: R) -> R {
+        R::splat(0.5) * self.stiffness * delta * delta
+    }
+
+    fn least_stiffness(&self, _: R) -> R {
+        self.stiffness
+    }
+
+    fn shared(&self) {}
+
+    #[inline(always)]
+    fn by_parameters(&self, delta: R, (): &()) -> [R; MOST_OF_A_LAW] {
+        let mut by = [R::splat(0.0); MOST_OF_A_LAW];
+        by[0] = delta;
+        by
+    }
+}

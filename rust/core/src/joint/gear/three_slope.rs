@@ -1,0 +1,263 @@
+//! Three stiffnesses and two knees, as catalogues give a strain-wave gear.
+
+use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
+use crate::parameter::{Parameter, STIFFNESS, Sign, TORQUE};
+use crate::scalar::Real;
+
+/// Half width [rad] over which a knee of the three-slope spring is rounded.
+///
+/// A corner that is rounded over +-w by a parabola departs from the sharp one by at most
+/// `(K2 - K1) w / 4`: 0.01 N m for the stiffest knee of a size 20 gear and this width, a four
+/// hundredth of its first knee's torque.
+pub const CORNER: f64 = 5e-6;
+
+/// The elastic law T(delta) of Fig. 2: slope K1 up to the torque T1, K2 up to T2, K3 beyond, odd in
+/// delta.
+#[derive(Clone, Copy, Debug)]
+pub struct ThreeSlope;
+
+/// A gear of three slopes.
+#[derive(Clone, Copy, Debug)]
+pub struct ThreeSlopeSpring<R> {
+    k1: R,
+    knees: [Knee<R>; 2],
+}
+
+/// Where the slope changes, and by how much.
+#[derive(Clone, Copy, Debug)]
+struct Knee<R> {
+    shift: R,        // w - d: moves the beginning of the rounded corner to zero
+    width: R,        // 2 w
+    half_rise: R,    // (slope change) / (4 w)
+    slope_change: R, // K_{j+1} - K_j
+    per_width: R,    // 1 / (4 w)
+}
+
+/// 1/K1 and 1/K2, and how fast the knees come in as K1 and K2 rise.
+#[derive(Clone, Copy, Debug)]
+pub struct PerSlope<R> {
+    k1: R,
+    k2: R,
+    first_knee_by_k1: R,
+    second_knee_by_k2: R,
+}
+
+impl GearLaw for ThreeSlope {
+    const LAW: Law = Law {
+        name: "three-slope",
+        parameters: &[
+            Parameter::new(
+                "gear_stiffness_k1",
+                "K1",
+                "stiffness of the gear below its first knee, at the link",
+                STIFFNESS,
+                Sign::Positive,
+            ),
+            Parameter::new(
+                "gear_stiffness_k2",
+                "K2",
+                "stiffness of the gear between its knees, at the link",
+                STIFFNESS,
+                Sign::Positive,
+            ),
+            Parameter::new(
+                "gear_stiffness_k3",
+                "K3",
+                "stiffness of the gear beyond its second knee, at the link",
+                STIFFNESS,
+                Sign::Positive,
+            ),
+            Parameter::new(
+                "gear_knee_t1",
+                "T1",
+                "gear torque at the first knee, at the link",
+                TORQUE,
+                Sign::Positive,
+            ),
+            Parameter::new(
+                "gear_knee_t2",
+                "T2",
+                "gear torque at the second knee, at the link",
+                TORQUE,
+                Sign::Positive,
+            ),
+        ],
+        rising: &[4],
+        elastic: true,
+    };
+    type Spring<R: Real> = ThreeSlopeSpring<R>;
+
+    #[inline(always)]
+    fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], corner: f64) -> ThreeSlopeSpring<R> {
+        let slopes = [values[0], values[1], values[2]];
+        let knee_torques = [values[3], values[4]];
+        let first = knee_torques[0] / slopes[0];
+        let second = first + (knee_torques[1] - knee_torques[0]) / slopes[1];
+        let knee = |at: R, change: R| Knee {
+            shift: R::splat(corner) - at,
+            width: R::splat(2.0 * corner),
+            half_rise: change * R::splat(0.25 / corner),
+            slope_change: change,
+            per_width: R::splat(0.25 / corner),
+        };
+        ThreeSlopeSpring {
+            k1: slopes[0],
+            knees: [
+                knee(first, slopes[1] - slopes[0]),
+                knee(second, slopes[2] - slopes[1]),
+            ],
+        }
+    }
+}
+
+impl<R: Real> Spring<R> for ThreeSlopeSpring<R> {
+    type Shared = PerSlope<R>;
+
+    #[inline(always)]
+    fn torque(&self, delta: R) -> R {
+        let torsion = delta.abs();
+        let mut torque = self.k1 * torsion;
+        for knee in &self.knees {
+            torque = knee.add_to(torque, torsion);
+        }
+        torque.copysign(delta)
+    }
+
+    #[inline(always)]
+    fn energy(&self, delta: R) -> R {
+        let torsion = delta.abs();
+        let mut energy = R::splat(0.5) * self.k1 * torsion * torsion;
+        for knee in &self.knees {
+            energy = energy + knee.energy(torsion);
+        }
+        energy
+    }
+
+    #[inline(always)]
+    fn stiffness(&self, delta: R) -> R {
+        let torsion = delta.abs();
+        let mut slope = self.k1;
+        for knee in &self.knees {
+            slope = slope + knee.slope(torsion);
+        }
+        slope
+    }
+
+    #[inline(always)]
+    fn by_parameters(&self, delta: R, per: &PerSlope<R>) -> [R; MOST_OF_A_LAW] {
+        let zero = R::splat(0.0);
+        let one = R::splat(1.0).copysign(delta);
+        let torsion = delta.abs();
+        let (first, second) = (self.knees[0].ramp(torsion), self.knees[1].ramp(torsion));
+        // How the torque falls where a knee moves out.
+        let two_out = one * self.knees[1].slope(torsion);
+        let both_out = one.mul_add(self.knees[0].slope(torsion), two_out);
+        let k1 = one.mul_add(torsion - first, both_out * per.first_knee_by_k1);
+        let k2 = one.mul_add(first - second, two_out * per.second_knee_by_k2);
+        let t1 = two_out.mul_add(per.k2, -(both_out * per.k1));
+        [k1, k2, one * second, t1, -(two_out * per.k2), zero, zero]
+    }
+
+    #[inline(always)]
+    fn shared(&self) -> PerSlope<R> {
+        let one = R::splat(1.0);
+        let k2 = one / (self.k1 + self.knees[0].slope_change);
+        let at = |knee: &Knee<R>| R::splat(0.5) * knee.width - knee.shift;
+        let (first, second) = (at(&self.knees[0]), at(&self.knees[1]));
+        PerSlope {
+            k1: one / self.k1,
+            k2,
+            first_knee_by_k1: first / self.k1,
+            second_knee_by_k2: (second - first) * k2,
+        }
+    }
+
+    fn least_stiffness(&self, _: R) -> R {
+        let second = self.k1 + self.knees[0].slope_change;
+        self.k1.min(second).min(second + self.knees[1].slope_change)
+    }
+}
+
+impl<R: Real> Knee<R> {
+    /// Adds `change * ramp(torsion - d)`: zero before the corner, a parabola in it, straight beyond.
+    #[inline(always)]
+    fn add_to(&self, torque: R, torsion: R) -> R {
+        let into = (torsion + self.shift).max(R::splat(0.0));
+        let inside = into.min(self.width);
+        let torque = (self.half_rise * inside).mul_add(inside, torque);
+        self.slope_change.mul_add(into - inside, torque)
+    }
+
+    /// What `add_to` adds per change of slope.
+    #[inline(always)]
+    fn ramp(&self, torsion: R) -> R {
+        let into = (torsion + self.shift).max(R::splat(0.0));
+        let inside = into.min(self.width);
+        (self.per_width * inside).mul_add(inside, into - inside)
+    }
+
+    /// Slope of what `add_to` adds.
+    #[inline(always)]
+    fn slope(&self, torsion: R) -> R {
+        let inside = (torsion + self.shift).max(R::splat(0.0)).min(self.width);
+        R::splat(2.0) * self.half_rise * inside
+    }
+
+    /// Integral of what `add_to` adds, from no torsion.
+    #[inline(always)]
+    fn energy(&self, torsion: R) -> R {
+        let into = (torsion + self.shift).max(R::splat(0.0));
+        let inside = into.min(self.width);
+        let beyond = into - inside;
+        let corner = self.half_rise * inside * inside;
+        let third = R::splat(1.0 / 3.0);
+        let half = R::splat(0.5);
+        corner * inside * third + beyond * (corner + half * self.slope_change * beyond)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn three_slope(k: [f64; 3], t: [f64; 2]) -> ThreeSlopeSpring<f64> {
+        ThreeSlope::spring(&[k[0], k[1], k[2], t[0], t[1], 0.0, 0.0], CORNER)
+    }
+
+    fn sharp(k: [f64; 3], t: [f64; 2], delta: f64) -> f64 {
+        let d1 = t[0] / k[0];
+        let d2 = d1 + (t[1] - t[0]) / k[1];
+        let x = delta.abs();
+        let torque = if x < d1 {
+            k[0] * x
+        } else if x < d2 {
+            t[0] + k[1] * (x - d1)
+        } else {
+            t[1] + k[2] * (x - d2)
+        };
+        torque.copysign(delta)
+    }
+
+    proptest! {
+        #[test]
+        fn follows_the_sharp_law_but_for_its_corners(
+            k1 in 1e3..3e4, ratio2 in 0.7..2.0, ratio3 in 0.7..2.0,
+            t1 in 1.0..20.0, more in 1.0..30.0, delta in -5e-3..5e-3,
+        ) {
+            let k = [k1, k1 * ratio2, k1 * ratio2 * ratio3];
+            let t = [t1, t1 + more];
+            let spring = three_slope(k, t);
+            let bound = 0.25 * CORNER * (f64::abs(k[1] - k[0]) + f64::abs(k[2] - k[1]));
+            prop_assert!((spring.torque(delta) - sharp(k, t, delta)).abs() <= bound + 1e-10);
+            prop_assert_eq!(spring.torque(-delta), -spring.torque(delta));
+        }
+    }
+
+    #[test]
+    fn the_torsion_is_found_where_the_bare_iteration_goes_round() {
+        let spring = three_slope([1e3, 8.1e3, 0.81e3], [10.5, 32.9]);
+        let torsion: f64 = spring.torsion(23.2);
+        assert!((spring.torque(torsion) - 23.2).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,81 @@
+//! What describes a parameter, declared beside the equations that it belongs to.
+
+/// The values that a parameter can have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sign {
+    /// Any finite value.
+    Any,
+    /// Zero or more.
+    NonNegative,
+    /// More than zero.
+    Positive,
+}
+
+impl Sign {
+    /// Whether a finite value has this sign.
+    pub fn allows(self, value: f64) -> bool {
+        match self {
+            Self::Any => true,
+            Self::NonNegative => value >= 0.0,
+            Self::Positive => value > 0.0,
+        }
+    }
+
+    /// What a value must be, in words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Any => "finite",
+            Self::NonNegative => "zero or positive",
+            Self::Positive => "positive",
+        }
+    }
+}
+
+/// A parameter as every part of the program knows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Parameter {
+    /// As in docs/notation.md and in results.
+    pub name: &'static str,
+    /// In equations, as plain text: `m_M` is m with the index M.
+    pub symbol: &'static str,
+    /// What it is, in one line.
+    pub meaning: &'static str,
+    /// Of a revolute joint, and of a prismatic one.
+    pub units: [&'static str; 2],
+    /// Which values it can have.
+    pub sign: Sign,
+}
+
+impl Parameter {
+    /// A parameter, all its facts in the order of the fields.
+    pub const fn new(
+        name: &'static str,
+        symbol: &'static str,
+        meaning: &'static str,
+        units: [&'static str; 2],
+        sign: Sign,
+    ) -> Self {
+        Self {
+            name,
+            symbol,
+            meaning,
+            units,
+            sign,
+        }
+    }
+}
+
+/// kg m^2, or kg.
+pub const INERTIA: [&str; 2] = ["kg m^2", "kg"];
+/// N m, or N.
+pub const TORQUE: [&str; 2] = ["N m", "N"];
+/// N m s/rad, or N s/m.
+pub const DAMPING: [&str; 2] = ["N m s/rad", "N s/m"];
+/// N m/rad, or N/m.
+pub const STIFFNESS: [&str; 2] = ["N m/rad", "N/m"];
+/// rad, or m.
+pub const ANGLE: [&str; 2] = ["rad", "m"];
+/// rad/s, or m/s.
+pub const VELOCITY: [&str; 2] = ["rad/s", "m/s"];
+/// s.
+pub const TIME: [&str; 2] = ["s", "s"];

@@ -1,0 +1,229 @@
+//! Every controller: its law against what it should be in closed form, and derivatives of whole
+//! experiments in its loop.
+
+mod common;
+
+use std::iter::zip;
+
+use common::{LINEAR, RIGID, config, scara};
+use strainwave_core::actuation::{Controller, PiPosition, PiVelocity, Servo};
+use strainwave_core::arm::{OneLink, TwoLink};
+use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
+use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
+use strainwave_core::joint::gear::Law;
+
+const PERIOD: f64 = 1e-3;
+
+fn pi_velocity<const N: usize>(kp: f64, ki: f64) -> PiVelocity<N> {
+    PiVelocity {
+        kp: [kp; N],
+        ki: [ki; N],
+        limit: 12.0,
+        period: PERIOD,
+        active: [true; N],
+    }
+}
+
+/// Both kinds.
+fn servos<const N: usize>() -> [Servo<N>; 2] {
+    let velocity = pi_velocity(0.6, 9.0);
+    let position_gain = [8.0; N];
+    [
+        Servo::PiVelocity(velocity),
+        Servo::PiPosition(PiPosition {
+            velocity,
+            position_gain,
+        }),
+    ]
+}
+
+#[test]
+fn a_position_loop_is_a_velocity_loop_with_a_corrected_reference() {
+    let velocity = pi_velocity::<1>(0.4, 3.0);
+    let position = PiPosition {
+        velocity,
+        position_gain: [5.0],
+    };
+    let (mut outer, mut inner) = (
+        position.at_rest(&[0.7], &[2.0]),
+        velocity.at_rest(&[0.7], &[2.0]),
+    );
+    let mut path = 2.0;
+    for (k, angle) in [2.0, 2.01, 2.03, 2.02, 2.05, 9.0, 2.0]
+        .into_iter()
+        .enumerate()
+    {
+        let reference = 3.0 - k as f64;
+        let corrected = reference + 5.0 * (path - angle);
+        path += PERIOD * reference;
+        let one = position.command(&mut outer, &[reference], &[angle], &[0.1]);
+        let other = velocity.command(&mut inner, &[corrected], &[angle], &[0.1]);
+        assert_eq!(one, other);
+    }
+}
+
+#[test]
+fn a_limited_output_leaves_the_integral_as_it_is() {
+    let velocity = pi_velocity::<1>(1.0, 100.0);
+    let mut memory = velocity.at_rest(&[5.0], &[0.0]);
+    assert_eq!(
+        velocity.command(&mut memory, &[1e6], &[0.0], &[0.0]),
+        [12.0]
+    );
+    // as if that reading had not been: what held the arm before still does
+    assert_eq!(velocity.command(&mut memory, &[0.0], &[0.0], &[0.0]), [5.0]);
+}
+
+fn experiment<const N: usize>(
+    gears: [Law; N],
+    servo: Servo<N>,
+    samples: usize,
+) -> Task<OneLink<false>, N>
+where
+    OneLink<false>: strainwave_core::arm::Arm<N> + common::BuiltIn,
+{
+    Task {
+        config: config(gears),
+        clock: clock(samples),
+        servo: Some(servo),
+        record: vec![
+            Quantity::MotorAngle,
+            Quantity::MotorVelocity,
+            Quantity::Voltage,
+        ],
+    }
+}
+
+fn clock(samples: usize) -> Clock {
+    Clock {
+        step: 1.25e-4,
+        steps_per_tick: 8,
+        steps_per_servo: 8,
+        steps_per_sample: 8,
+        samples,
+    }
+}
+
+fn at_rest<const N: usize>() -> Initial<N> {
+    Initial {
+        motor_angle: [1.0; N],
+        motor_velocity: [0.0; N],
+        link_angle: None,
+        link_velocity: [0.0; N],
+        voltage: [0.0; N],
+    }
+}
+
+/// A rigid joint with inertia J and viscous friction d under a constant reference r: the velocity
+/// loop ends at the velocity r; the position loop also ends on the path, with no lag but the one
+/// period that the encoder difference and the path differ by.
+#[test]
+fn loops_end_where_they_should() {
+    let samples = 4000;
+    let reference = vec![[20.0]; samples];
+    let still = vec![[0.0]; samples];
+    let parameters = [0.5, 0.0, 1e-4, 3e-4, 0.0, 0.0, 0.0];
+    let mut lags = Vec::new();
+    for servo in servos::<1>() {
+        let task = experiment([RIGID], servo, samples);
+        let member = Member {
+            parameters: &parameters,
+            feed_forward: &still,
+            reference: &reference,
+            initial: at_rest(),
+        };
+        let record = simulate(&task, &[member], Width::detect())
+            .remove(0)
+            .expect("finite");
+        let last = samples - 1;
+        assert!((record[1][last][0] - 20.0).abs() < 1e-6);
+        lags.push(1.0 + 20.0 * PERIOD * last as f64 - record[0][last][0]);
+    }
+    assert!(lags[0] > 1e-3, "{lags:?}"); // a velocity loop does not catch up
+    assert!(lags[1].abs() < 1e-5, "{lags:?}");
+}
+
+/// Derivatives through the loop, by the variational equations and by numbers with derivatives.
+#[test]
+fn derivatives_go_through_the_loop() {
+    let samples = 300;
+    let parameters = scara(1.0, 1.0);
+    for servo in servos::<2>() {
+        let task = Task {
+            config: config::<TwoLink<true>, 2>([LINEAR; 2]),
+            clock: clock(samples),
+            servo: Some(servo),
+            record: vec![
+                Quantity::MotorAngle,
+                Quantity::LinkVelocity,
+                Quantity::Voltage,
+            ],
+        };
+        let reference: Vec<[f64; 2]> = (0..samples)
+            .map(|k| [0.02, 0.05].map(|w| 15.0 * (w * k as f64).sin()))
+            .collect();
+        let still = vec![[0.0; 2]; samples];
+        let member = Member {
+            parameters: &parameters,
+            feed_forward: &still,
+            reference: &reference,
+            initial: Initial {
+                voltage: [1.0, 0.5],
+                ..at_rest()
+            },
+        };
+        let directions = [
+            Source::Parameter(0),
+            Source::Parameter(5),
+            Source::Parameter(10),
+            Source::Parameter(15),
+            Source::MotorAngle(0),
+            Source::MotorVelocity(1),
+        ];
+        let width = Width::detect();
+        let fast = sensitivities(&task, &member, &directions, None, width).expect("finite");
+        let slow = by_duals_at(&task, &member, &directions, width).expect("finite");
+        for (fast, slow) in zip(&fast.tangents, &slow.tangents) {
+            for d in 0..directions.len() {
+                let column = slow.iter().skip(d).step_by(directions.len());
+                let most = column.fold(0.0f64, |most, one| most.max(one.abs()));
+                for (one, other) in zip(&fast[d..], &slow[d..]).step_by(directions.len()) {
+                    assert!(
+                        (one - other).abs() <= 1e-7 * most,
+                        "{:?}: {one} {other}",
+                        directions[d]
+                    );
+                }
+            }
+        }
+        by_differences(&task, &member, &slow.tangents);
+    }
+}
+
+/// By joint 1's stiffness, which no event of friction comes near at this step: a central difference
+/// of the plain experiment.
+fn by_differences(task: &Task<TwoLink<true>, 2>, member: &Member<'_, 2>, tangents: &[Vec<f64>]) {
+    let size = 1e-4 * member.parameters[10];
+    let [up, down] = [size, -size].map(|by| {
+        let mut parameters = member.parameters.to_vec();
+        parameters[10] += by;
+        let moved = Member {
+            parameters: &parameters,
+            ..*member
+        };
+        simulate(task, &[moved], Width::detect())
+            .remove(0)
+            .expect("finite")
+    });
+    for quantity in 0..tangents.len() {
+        let most = tangents[quantity].iter().skip(2).step_by(6);
+        let most = most.fold(0.0f64, |most, one| most.max(one.abs()));
+        for (k, (up, down)) in zip(&up[quantity], &down[quantity]).enumerate() {
+            for i in 0..2 {
+                let slope = (up[i] - down[i]) / (2.0 * size);
+                let own = tangents[quantity][(2 * k + i) * 6 + 2];
+                assert!((slope - own).abs() <= 1e-3 * most, "{k} {i}: {slope} {own}");
+            }
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! Every law of gears: its torque against its energy, its derivatives and its inverse, and whole
+//! experiments with it.
+
+mod common;
+
+use std::iter::zip;
+
+use common::{Draw, config};
+use proptest::prelude::*;
+use strainwave_core::arm::TwoLink;
+use strainwave_core::dispatch::{Width, by_duals_at, sensitivities};
+use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
+use strainwave_core::joint::gear::{
+    self, AllLaws, AnySpring, CORNER, Gears, Law, MOST_OF_A_LAW, Spring,
+};
+use strainwave_core::scalar::{Dual, Real};
+
+type Number = Dual<f64, f64>;
+
+fn elastic() -> impl Iterator<Item = Law> {
+    gear::known().into_iter().filter(|law| law.elastic)
+}
+
+/// Values that a size 20 gear might have, off by some tens of percent.
+fn drawn(law: &Law, draw: &mut Draw) -> [f64; MOST_OF_A_LAW] {
+    let mut values = [0.0; MOST_OF_A_LAW];
+    for (value, parameter) in zip(&mut values, law.parameters) {
+        let usual = match (parameter.units[0], parameter.name) {
+            ("N m/rad", _) => 16e3,
+            ("N m/rad^3", _) => 5e9,
+            (_, "gear_knee_t2") => 25.0,
+            ("N m", _) => 7.0,
+            (unit, name) => panic!("no usual value of {name} [{unit}]: add one here"),
+        };
+        *value = usual * (1.0 + 0.4 * draw.next());
+    }
+    values
+}
+
+fn spring<R: Real>(law: &Law, values: &[R; MOST_OF_A_LAW]) -> AnySpring<R> {
+    AllLaws::spring(law, values, CORNER)
+}
+
+fn moving(value: f64) -> Number {
+    Dual {
+        value,
+        tangent: 1.0,
+    }
+}
+
+fn close(one: f64, other: f64, scale: f64) -> Result<(), TestCaseError> {
+    prop_assert!((one - other).abs() <= 1e-12 * scale, "{one} {other}");
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn torque_is_odd_and_the_slope_of_its_energy(seed: u64, delta in -3e-3..3e-3f64) {
+        for law in elastic() {
+            let values = drawn(&law, &mut Draw::new(seed));
+            let (own, moved) = (spring(&law, &values), spring(&law, &values.map(Number::constant)));
+            let torque = own.torque(delta);
+            prop_assert_eq!(own.torque(-delta), -torque);
+            prop_assert_eq!(own.torque(0.0), 0.0);
+            close(torque, moved.energy(moving(delta)).tangent, 100.0)?;
+        }
+    }
+
+    #[test]
+    fn derivatives_are_those_of_the_torque(seed: u64, delta in -3e-3..3e-3f64) {
+        for law in elastic() {
+            let values = drawn(&law, &mut Draw::new(seed));
+            let own = spring(&law, &values);
+            let by_delta = spring(&law, &values.map(Number::constant)).torque(moving(delta));
+            close(own.stiffness(delta), by_delta.tangent, 1e5)?;
+            let found = own.by_parameters(delta, &own.shared());
+            for k in 0..MOST_OF_A_LAW {
+                let mut moved = values.map(Number::constant);
+                if k < law.parameters.len() {
+                    moved[k] = moving(values[k]);
+                }
+                let by_one = spring(&law, &moved).torque(Number::constant(delta)).tangent;
+                close(found[k] * values[k], by_one * values[k], 100.0)?;
+            }
+        }
+    }
+
+    #[test]
+    fn torsion_is_where_the_torque_is(seed: u64, torque in -80.0..80.0f64) {
+        for law in elastic() {
+            let own = spring(&law, &drawn(&law, &mut Draw::new(seed)));
+            let torsion = own.torsion(torque);
+            prop_assert!((own.torque(torsion) - torque).abs() < 1e-12 * (1.0 + torque.abs()));
+            prop_assert!(own.least_stiffness(torque) * torsion.abs() <= torque.abs() * (1.0 + 1e-12));
+        }
+    }
+}
+
+/// An arm with every pair of laws, rigid gears among them: derivatives of what is recorded by the
+/// variational equations, where there are any, against numbers with derivatives all along.
+#[test]
+fn arms_of_every_pair_of_laws_have_their_derivatives() {
+    for first in gear::known() {
+        for second in gear::known() {
+            let config = config::<TwoLink<true>, 2>([first, second]);
+            let mut draw = Draw::new(7);
+            let laws = [first, second].map(|law| (law, drawn(&law, &mut draw)));
+            let mut parameters = vec![1.6, 0.65, 0.5, 31.0, 7.4];
+            for (law, values) in laws {
+                parameters.extend([1e-4, 2e-4, 0.05, 0.0, 0.3]);
+                if law.elastic {
+                    parameters.extend(&values[..law.parameters.len()]);
+                    parameters.extend([10.0, 0.0]);
+                }
+            }
+            config.check(&parameters).expect("a possible arm");
+            let names = config.parameter_names();
+            let directions: Vec<Source> = (0..names.len())
+                .filter(|&k| names[k].0 != "friction_settling_time")
+                .map(Source::Parameter)
+                .collect();
+            let task = Task {
+                config,
+                clock: Clock {
+                    step: 1.25e-4,
+                    steps_per_tick: 8,
+                    steps_per_servo: 8,
+                    steps_per_sample: 8,
+                    samples: 60,
+                },
+                servo: None,
+                record: vec![Quantity::MotorVelocity, Quantity::LinkAcceleration],
+            };
+            let volts: Vec<[f64; 2]> = (0..60)
+                .map(|_| [8.0, 5.0].map(|size| size * draw.next().signum()))
+                .collect();
+            let member = Member {
+                parameters: &parameters,
+                feed_forward: &volts,
+                reference: &volts,
+                initial: Initial {
+                    motor_angle: [20.0, -10.0],
+                    motor_velocity: [5.0, -5.0],
+                    link_angle: None,
+                    link_velocity: [0.05, -0.05],
+                    voltage: [0.0; 2],
+                },
+            };
+            for width in [Width::Portable, Width::detect()] {
+                let fast = sensitivities(&task, &member, &directions, None, width).expect("finite");
+                let slow = by_duals_at(&task, &member, &directions, width).expect("finite");
+                assert_eq!(fast.values, slow.values);
+                for (fast, slow) in zip(&fast.tangents, &slow.tangents) {
+                    for d in 0..directions.len() {
+                        let column = |all: &[f64]| -> Vec<f64> {
+                            all.iter()
+                                .skip(d)
+                                .step_by(directions.len())
+                                .copied()
+                                .collect()
+                        };
+                        let (fast, slow) = (column(fast), column(slow));
+                        let scale = slow.iter().fold(0.0f64, |most, one| most.max(one.abs()));
+                        for (one, other) in zip(fast, slow) {
+                            assert!(
+                                (one - other).abs() <= 1e-7 * scale,
+                                "{:?} of {} and {}: {one} {other}",
+                                names[d],
+                                first.name,
+                                second.name,
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
