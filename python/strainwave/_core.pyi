@@ -12,8 +12,10 @@ __all__ = [
     "Innovations",
     "InnovationsFit",
     "eliminate",
+    "gear_laws",
     "hankel_gram",
     "leave_out",
+    "parameter_table",
 ]
 
 GEAR_CORNER: float
@@ -88,7 +90,10 @@ class Arm:
         samples: int,
         record: Sequence[str],
         reference: NDArray[np.float64] | None = None,
-        servo: tuple[Sequence[float], Sequence[float], float, Sequence[bool]] | None = None,
+        servo: tuple[
+            Sequence[float], Sequence[float], float, Sequence[bool], Sequence[float] | None
+        ]
+        | None = None,
         steps_per_servo: int = 1,
         motor_velocity: Sequence[float] | None = None,
         link_angle: Sequence[float] | None = None,
@@ -97,7 +102,7 @@ class Arm:
     ) -> dict[str, NDArray[np.float64]]:
         """Arms in one experiment, a row of `parameters` each: (n_arms, samples, n_joints) arrays.
 
-        `servo` is (kp, ki, limit, active joints). Raises ValueError for sizes that do not fit and
+        `servo` is (kp, ki, limit, active joints, gains of a position loop around it). Raises ValueError for sizes that do not fit and
         values no arm can have, FloatingPointError where a motion leaves the finite numbers.
         """
     def sensitivities(
@@ -113,7 +118,10 @@ class Arm:
         samples: int,
         record: Sequence[str],
         reference: NDArray[np.float64] | None = None,
-        servo: tuple[Sequence[float], Sequence[float], float, Sequence[bool]] | None = None,
+        servo: tuple[
+            Sequence[float], Sequence[float], float, Sequence[bool], Sequence[float] | None
+        ]
+        | None = None,
         steps_per_servo: int = 1,
         motor_velocity: Sequence[float] | None = None,
         link_angle: Sequence[float] | None = None,
@@ -256,3 +264,18 @@ class InnovationsFit:
     def evaluations(self) -> int: ...
     @property
     def status(self) -> Literal["converged", "iteration-limit", "stalled"]: ...
+
+def parameter_table() -> list[
+    tuple[
+        str, str, str, str, tuple[str, str], Literal["any", "non-negative", "positive"]
+    ]
+]:
+    """Every parameter that the core knows: owner, name, symbol, meaning, units, range.
+
+    The owner is a kind of arm, "drive", "gear" (what every elastic gear has), a law of gears or an
+    effect; a name that two laws share is there for each. The units are those of a revolute and of a
+    prismatic joint.
+    """
+
+def gear_laws() -> list[tuple[str, list[str], bool]]:
+    """The laws of gears: name, names of its parameters in their order, whether it gives way."""

@@ -360,6 +360,40 @@ def test_the_servo_is_the_one_that_made_the_logs(shared_data: Path) -> None:
         np.testing.assert_allclose(log.channels[f"u{i}"], expected, atol=2e-5)
 
 
+def test_a_position_loop_corrects_the_reference(tmp_path: Path) -> None:
+    """Its law on the simulated encoder and reference gives the simulated voltage."""
+    study = scara.study(tmp_path)
+    servo = study.arm.servo
+    assert servo is not None
+    arm = replace(study.arm, servo=replace(servo, position_gain=(8.0, 5.0)))
+    ticks = 400
+    time = servo.period * np.arange(ticks)
+    reference = np.column_stack([20.0 * np.sin(9.0 * time), 30.0 * np.sin(14.0 * time)])
+    moved = Drive(
+        tick=servo.period,
+        voltage=np.zeros((ticks, 2)),
+        reference=reference,
+        servo=(True, True),
+        motor_angle=(0.3, -0.2),
+        initial_voltage=(0.0, 0.0),
+    )
+    ran = simulate(
+        Arm.of(arm),
+        scara.parameters(),
+        moved,
+        sample_time=servo.period,
+        samples=ticks,
+        record=["encoder", "voltage"],
+    )
+    for i, gain in enumerate((8.0, 5.0)):
+        angle, r = ran["encoder"][:, i], reference[:, i]
+        path = angle[0] + servo.period * (np.cumsum(r) - r)
+        error = r + gain * (path - angle) - np.diff(angle, prepend=angle[0]) / servo.period
+        expected = servo.kp[i] * error + servo.ki[i] * np.cumsum(error) * servo.period
+        assert np.abs(expected).max() < servo.limit
+        np.testing.assert_allclose(ran["voltage"][:, i], expected, atol=1e-9)
+
+
 def test_a_prbs_rides_on_the_servo(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     prbs = Prbs(order=8, clock=1e-3, periods=2, amplitude=8.0)

@@ -95,6 +95,12 @@ FAULTS = {
         r"'limit' is -10.0, but it should be greater than 0",
     ),
     "not finite": ("limit = 10.0", "limit = nan", 1, r"'limit' is nan"),
+    "too few gains of a position loop": (
+        "limit = 10.0",
+        "limit = 10.0\nposition_gain = [8.0]",
+        2,
+        r"'position_gain' has 1 value.*2 joint",
+    ),
     "too few gains": ("kp = [0.12, 0.1]", "kp = [0.12]", 1, r"'kp' has 1 value.*2 joint"),
     "joint out of range": ("joint = 1", "joint = 3", 1, r"there is no joint 3: the arm has 2"),
     "joint zero": (

@@ -58,13 +58,18 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class Servo:
-    """PI velocity servo: u = kp e + ki integral(e), e = reference - encoder difference / period."""
+    """PI velocity servo: u = kp e + ki integral(e), e = reference - encoder difference / period.
+
+    With gains of a position loop around it e has position_gain (theta_M(0) + integral(reference) -
+    encoder) as well.
+    """
 
     kind: Literal["pi-velocity"]
     period: Positive  # [s]
     kp: tuple[NonNegative, ...]  # [V s/rad], one per joint
     ki: tuple[NonNegative, ...]  # [V/rad], one per joint
     limit: Positive  # [V]
+    position_gain: tuple[NonNegative, ...] | None = None  # [1/s], one per joint
 
 
 @dataclass(frozen=True, slots=True)

@@ -257,7 +257,8 @@ def _experiment(
     return {
         "voltage": np.ascontiguousarray(drive.voltage, dtype=float),
         "reference": np.ascontiguousarray(drive.reference, dtype=float),
-        "servo": (servo.kp, servo.ki, servo.limit, drive.servo) if servo else None,
+        "servo": servo
+        and (servo.kp, servo.ki, servo.limit, drive.servo, servo.position_gain),
         "step": step,
         "steps_per_tick": counts[0],
         "steps_per_sample": counts[1],

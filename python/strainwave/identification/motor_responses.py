@@ -152,7 +152,9 @@ def modes_of_motor(
             moving[i] = False
         else:
             dampers[i, i] += per_volt * arm.servo.kp[i]
-            springs[i, i] += per_volt * arm.servo.ki[i]
+            # a position loop's own integral is slower than any mode
+            outer = 0.0 if arm.servo.position_gain is None else arm.servo.position_gain[i]
+            springs[i, i] += per_volt * (arm.servo.ki[i] + outer * arm.servo.kp[i])
     without = moving.copy()
     without[joint - 1] = False
     return (

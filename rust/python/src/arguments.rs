@@ -6,7 +6,8 @@ use pyo3::prelude::*;
 use strainwave_core::arm::{ChainJoint, JointType, OneLink, SerialChain, TwoLink};
 use strainwave_core::experiment::{Clock, Quantity};
 use strainwave_core::joint::effects::EffectKinds;
-use strainwave_core::plant::config::{GearKind, JointConfig};
+use strainwave_core::joint::gear::{self, Law};
+use strainwave_core::plant::config::JointConfig;
 
 pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 /// A joint of a chain: its type, position, roll, pitch and yaw, and axis.
@@ -43,7 +44,7 @@ impl Joints {
         let imu_gyro_hz = each(self.imu_gyro_hz, "imu_gyro_hz")?;
         let effects = given(self.effects, Vec::new(), count, "effects")?;
         let joint = |i: usize| {
-            let gear = gear_kind(&self.springs[i])?;
+            let gear = gear_law(&self.springs[i])?;
             Ok(JointConfig {
                 gear,
                 ratio: ratio[i],
@@ -131,16 +132,11 @@ pub fn check_clock(clock: &Clock) -> PyResult<()> {
     Ok(())
 }
 
-fn gear_kind(name: &str) -> PyResult<GearKind> {
-    match name {
-        "linear" => Ok(GearKind::Linear),
-        "three-slope" => Ok(GearKind::ThreeSlope),
-        "rigid" => Ok(GearKind::Rigid),
-        _ => Err(PyValueError::new_err(format!("no gear spring {name:?}"))),
-    }
+fn gear_law(name: &str) -> PyResult<Law> {
+    gear::law(name).ok_or_else(|| PyValueError::new_err(format!("no gear spring {name:?}")))
 }
 
-fn effect_kinds(names: &[String], gear: GearKind) -> PyResult<EffectKinds> {
+fn effect_kinds(names: &[String], gear: Law) -> PyResult<EffectKinds> {
     let mut kinds = EffectKinds::default();
     for name in names {
         match name.as_str() {
@@ -150,7 +146,7 @@ fn effect_kinds(names: &[String], gear: GearKind) -> PyResult<EffectKinds> {
             _ => return Err(PyValueError::new_err(format!("no effect {name:?}"))),
         }
     }
-    if gear == GearKind::Rigid && (kinds.hysteresis || kinds.kinematic_error) {
+    if !gear.elastic && (kinds.hysteresis || kinds.kinematic_error) {
         let text = "a rigid gear has neither hysteresis nor a kinematic error";
         return Err(PyValueError::new_err(text));
     }

@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1};
 use pyo3::exceptions::{PyFloatingPointError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use strainwave_core::actuation::servo::Servo;
+use strainwave_core::actuation::{PiPosition, PiVelocity, Servo};
 use strainwave_core::arm::{self, OneLink, SerialChain, TwoLink};
 use strainwave_core::dispatch::{self, Width};
 use strainwave_core::experiment::{
@@ -22,8 +22,8 @@ use crate::arguments::{
 };
 
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
-/// kp, ki, limit and which joints.
-type ServoGiven = (Vec<f64>, Vec<f64>, f64, Vec<bool>);
+/// kp, ki, limit, which joints, and the position loop's gains if there is one.
+type ServoGiven = (Vec<f64>, Vec<f64>, f64, Vec<bool>, Option<Vec<f64>>);
 /// A parameter's or an initial state's name, and its joint from 1 where it belongs to one.
 type Direction = (String, Option<usize>);
 const TAPS: &str =
@@ -390,21 +390,31 @@ fn configure<A: arm::Arm<N>, const N: usize>(
 
 impl Experiment<'_> {
     fn task<A: arm::Arm<N>, const N: usize>(&self, config: &Config<A, N>) -> PyResult<Task<A, N>> {
-        let servo = match &self.servo {
-            Some((kp, ki, limit, active)) => Some(Servo {
-                kp: fixed(kp, "kp")?,
-                ki: fixed(ki, "ki")?,
-                limit: *limit,
-                period: self.clock.step * self.clock.steps_per_servo as f64,
-                active: fixed(active, "active")?,
-            }),
-            None => None,
-        };
         Ok(Task {
             config: *config,
             clock: self.clock,
-            servo,
+            servo: self.servo.as_ref().map(|own| self.servo(own)).transpose()?,
             record: self.record.clone(),
+        })
+    }
+
+    fn servo<const N: usize>(
+        &self,
+        (kp, ki, limit, active, position_gain): &ServoGiven,
+    ) -> PyResult<Servo<N>> {
+        let velocity = PiVelocity {
+            kp: fixed(kp, "kp")?,
+            ki: fixed(ki, "ki")?,
+            limit: *limit,
+            period: self.clock.step * self.clock.steps_per_servo as f64,
+            active: fixed(active, "active")?,
+        };
+        Ok(match position_gain {
+            None => Servo::PiVelocity(velocity),
+            Some(gain) => Servo::PiPosition(PiPosition {
+                velocity,
+                position_gain: fixed(gain, "position_gain")?,
+            }),
         })
     }
 

@@ -3,6 +3,7 @@
 mod arguments;
 mod arm;
 mod least_squares;
+mod parameters;
 mod statespace;
 
 use pyo3::prelude::*;
@@ -13,6 +14,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<arm::Arm>()?;
     statespace::register(module)?;
     least_squares::register(module)?;
+    parameters::register(module)?;
     module.add("GEAR_CORNER", strainwave_core::joint::gear::CORNER)?;
     Ok(())
 }

@@ -73,9 +73,10 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 remedy=f"leave '{of_a_gear[0]}' out, or give the gear a spring",
             )
     if arm.servo is not None:
-        for key in ("kp", "ki"):
+        for key in ("kp", "ki", "position_gain"):
             own = getattr(arm.servo, key)
-            _check_count(own, arm.n_joints, reader.place("servo", None, key), key)
+            if own is not None:
+                _check_count(own, arm.n_joints, reader.place("servo", None, key), key)
 
 
 def check_options(study: Study, reader: Reader) -> None:

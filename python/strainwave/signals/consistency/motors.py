@@ -94,6 +94,10 @@ def servo_outputs(seen: Evidence) -> list[Ratio]:
         angle, reference = record.channels[f"theta_m{i}"], record.channels[f"ref{i}"]
         error = reference - differentiate(angle, record.sample_time)
         whole = np.cumsum(reference) * record.sample_time - angle
+        if servo.position_gain is not None:
+            correction = servo.position_gain[i - 1] * (whole - whole[0])
+            error = error + correction
+            whole = whole + np.cumsum(correction) * record.sample_time
         expected = servo.kp[i - 1] * error + servo.ki[i - 1] * whole
         found.extend(_ratio(record, name, record.channels[name], expected[record.inside, None]))
     return found

@@ -1,0 +1,61 @@
+//! What the core declares of parameters and of the laws of gears.
+
+use pyo3::prelude::*;
+use pyo3::wrap_pyfunction;
+use strainwave_core::arm::{Arm, OneLink, SerialChain, TwoLink};
+use strainwave_core::joint::gear;
+use strainwave_core::parameter::{Parameter, Sign};
+use strainwave_core::plant::config::{Declared, joint_parameters};
+
+/// Owner, name, symbol, meaning, units of a revolute and of a prismatic joint, range.
+type Row = (
+    &'static str,
+    &'static str,
+    &'static str,
+    &'static str,
+    (&'static str, &'static str),
+    &'static str,
+);
+
+fn row((owner, parameter): Declared) -> Row {
+    let [revolute, prismatic] = parameter.units;
+    let range = match parameter.sign {
+        Sign::Any => "any",
+        Sign::NonNegative => "non-negative",
+        Sign::Positive => "positive",
+    };
+    let Parameter {
+        name,
+        symbol,
+        meaning,
+        ..
+    } = parameter;
+    (owner, name, symbol, meaning, (revolute, prismatic), range)
+}
+
+/// Every parameter that the core knows, once for each owner; see _core.pyi.
+#[pyfunction]
+fn parameter_table() -> Vec<Row> {
+    let of = |owner, own: &'static [Parameter]| own.iter().map(move |&one| (owner, one));
+    of("planar-two-link", TwoLink::<true>::PARAMETERS)
+        .chain(of("single-joint", OneLink::<true>::PARAMETERS))
+        .chain(of("serial", SerialChain::<1>::PARAMETERS))
+        .chain(joint_parameters())
+        .map(row)
+        .collect()
+}
+
+/// The laws of gears: name, parameters, whether it gives way; see _core.pyi.
+#[pyfunction]
+fn gear_laws() -> Vec<(&'static str, Vec<&'static str>, bool)> {
+    let names = |law: &gear::Law| law.parameters.iter().map(|one| one.name).collect();
+    gear::known()
+        .iter()
+        .map(|law| (law.name, names(law), law.elastic))
+        .collect()
+}
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(parameter_table, module)?)?;
+    module.add_function(wrap_pyfunction!(gear_laws, module)?)
+}
