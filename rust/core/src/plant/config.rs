@@ -89,15 +89,15 @@ pub(crate) enum Role {
 /// Who declares a parameter, and the parameter.
 pub type Declared = (&'static str, Parameter);
 
-/// Parameters that joints have whatever their arm, each once for every owner: the drive, the gears'
-/// laws by name, the effects by name.
+/// Parameters that joints have whatever their arm, each once for every owner: the drive, the laws of
+/// gears by name, what every elastic gear has, the effects by name.
 pub fn joint_parameters() -> Vec<Declared> {
     let of = |owner, own: &[Parameter]| own.iter().map(|&one| (owner, one)).collect::<Vec<_>>();
     let mut all = of("drive", &DRIVE);
-    all.extend(of("gear", &[GEAR_DAMPING, SETTLING]));
     for law in gear::known() {
         all.extend(of(law.name, law.parameters));
     }
+    all.extend(of("gear", &[GEAR_DAMPING, SETTLING]));
     for (name, own) in EffectKinds::declared() {
         all.extend(of(name, own));
     }
