@@ -102,8 +102,9 @@ class Arm:
     ) -> dict[str, NDArray[np.float64]]:
         """Arms in one experiment, a row of `parameters` each: (n_arms, samples, n_joints) arrays.
 
-        `servo` is (kp, ki, limit, active joints, gains of a position loop around it). Raises ValueError for sizes that do not fit and
-        values no arm can have, FloatingPointError where a motion leaves the finite numbers.
+        `servo` is (kp, ki, limit, active joints, gains of a position loop around it). Raises
+        ValueError for sizes that do not fit and values no arm can have, FloatingPointError where a
+        motion leaves the finite numbers.
         """
     def sensitivities(
         self,
@@ -266,9 +267,7 @@ class InnovationsFit:
     def status(self) -> Literal["converged", "iteration-limit", "stalled"]: ...
 
 def parameter_table() -> list[
-    tuple[
-        str, str, str, str, tuple[str, str], Literal["any", "non-negative", "positive"]
-    ]
+    tuple[str, str, str, str, tuple[str, str], Literal["any", "non-negative", "positive"]]
 ]:
     """Every parameter that the core knows: owner, name, symbol, meaning, units, range.
 

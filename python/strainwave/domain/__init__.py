@@ -76,6 +76,7 @@ from strainwave.domain.options import (
     RigidOptions,
     TuningOptions,
 )
+from strainwave.domain.parameter_table import ParameterDescription, parameter_table
 from strainwave.domain.parameter_words import ParameterWords, all_words
 from strainwave.domain.progress import Progress, ProgressEvent
 from strainwave.domain.ranges import is_physical, physical_range
@@ -161,6 +162,7 @@ __all__ = [
     "OrderSelection",
     "Outcome",
     "Parameter",
+    "ParameterDescription",
     "ParameterWords",
     "PhysicalOptions",
     "Positive",
@@ -198,5 +200,6 @@ __all__ = [
     "half_width",
     "is_physical",
     "outcomes_text",
+    "parameter_table",
     "physical_range",
 ]

@@ -18,7 +18,8 @@ from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.kinds import Key, Row, kind_of
-from strainwave.domain.ranges import is_physical, physical_range, physical_ranges
+from strainwave.domain.parameter_table import parameter_table
+from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity
 from strainwave.domain.study import Study
@@ -43,6 +44,19 @@ _FAULT = "it rests on channels that contradict one another or the study"
 _CONTRADICTED = "the rigid and the whole-arm fit contradict each other"
 _WRONG_MODEL = "the decoupled fit of the joint holds an impossible value"
 _SPLIT = ("motor_viscous_friction", "link_viscous_friction")
+_FIRST_OF_A_JOINT = (
+    "rigid_inertia",
+    "inertia",
+    "motor_inertia",
+    "link_inertia",
+    "motor_viscous_friction",
+    "link_viscous_friction",
+    "total_viscous_friction",
+    "motor_coulomb_friction",
+    "friction_offset",
+    "friction_settling_time",
+)
+"""The order of a table's rows; all others follow as the core has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +122,11 @@ def decide(
     _check_body(table)
     levels = {one.joint: one for one in activity}
     rows = [_decision(entry, study, levels) for entry in table.values()]
-    order = {name: place for place, name in enumerate(physical_ranges())}
+    names = dict.fromkeys([*_FIRST_OF_A_JOINT, *parameter_table()])
+    order = {name: place for place, name in enumerate(names)}
 
     def place(row: Decision) -> tuple[int, int]:
-        """The arm's own first, then joint by joint; the names as their ranges are listed."""
+        """The arm's own first, then joint by joint."""
         return row.parameter.joint or 0, order.get(row.parameter.name, len(order))
 
     return tuple(sorted(rows, key=place))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from strainwave.domain.arm import ArmDescription, Effect, Joint
 from strainwave.domain.gear_laws import STIFFNESS, gear_parameters
 from strainwave.domain.kinds import Values, kind_of
+from strainwave.domain.parameter_table import parameter_table
 
 __all__ = [
     "EFFECT_PARAMETERS",
@@ -43,34 +44,27 @@ SENSOR_PARAMETERS = (
 """Constants of link sensors that the whole-arm fit estimates where the records show them."""
 
 
-def unit_of(name: str, joint: Joint) -> str:
-    """The SI unit of a joint's parameter.
+def unit_of(name: str, joint: Joint | None = None) -> str:
+    """The SI unit of a parameter.
 
     Parameters
     ----------
     name : str
         As in docs/notation.md.
-    joint : Joint
+    joint : Joint, optional
+        Whose it is; None: the arm's.
 
     Returns
     -------
     str
+
+    Raises
+    ------
+    KeyError
+        There is no parameter of that name.
     """
-    if name.endswith("time"):
-        return "s"
-    of_gear = gear_parameters().get(name)
-    units = ("N m s/rad", "N s/m")
-    if of_gear is not None:
-        units = of_gear.units
-    elif "inertia" in name:
-        units = ("kg m^2", "kg")
-    elif name == "stribeck_velocity":
-        units = ("rad/s", "m/s")
-    elif name == "hysteresis_twist" or name.startswith("kinematic_error"):
-        units = ("rad", "m")
-    elif any(part in name for part in ("coulomb", "offset", "stribeck", "hysteresis")):
-        units = ("N m", "N")
-    return units[joint.motion == "prismatic"]
+    known = gear_parameters().get(name) or parameter_table()[name]
+    return known.units[joint is not None and joint.motion == "prismatic"]
 
 
 def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:

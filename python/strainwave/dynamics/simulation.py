@@ -257,8 +257,7 @@ def _experiment(
     return {
         "voltage": np.ascontiguousarray(drive.voltage, dtype=float),
         "reference": np.ascontiguousarray(drive.reference, dtype=float),
-        "servo": servo
-        and (servo.kp, servo.ki, servo.limit, drive.servo, servo.position_gain),
+        "servo": servo and (servo.kp, servo.ki, servo.limit, drive.servo, servo.position_gain),
         "step": step,
         "steps_per_tick": counts[0],
         "steps_per_sample": counts[1],

@@ -12,7 +12,7 @@ from strainwave.domain import AgreementTest, Diagnostic, FloatArray, StageDiffer
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.parametrisation import COULOMB, OFFSET, Key, unit_of_arm
+from strainwave.identification.whole_arm.parametrisation import COULOMB, OFFSET, Key
 from strainwave.numerics.distributions import chi_square_tail
 
 Scope = Literal["all", "inertias", "friction"]
@@ -53,7 +53,7 @@ def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
     for k, (name, joint) in enumerate(prior.names):
         if std[k] <= _NOTHING_NEW * rigid_std[k]:
             continue
-        unit = unit_of_arm(name) if joint is None else unit_of(name, arm.joints[joint - 1])
+        unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
         rigid = float(prior.mean[k])
         whole = rigid + float(difference[k])
         found.append(StageDifference(name, joint, rigid, whole, float(std[k]), unit))

@@ -263,7 +263,7 @@ def space_of(
         if signed and scale == 0.0:
             scale = 1.0
         far = _FAR if "inertia" in name or name in (*_BASE, STIFFNESS) else _VERY_FAR
-        unit = unit_of_arm(name) if number is None else unit_of(name, arm.joints[number - 1])
+        unit = unit_of(name, None if number is None else arm.joints[number - 1])
         unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
     keys = [unknown.key for unknown in unknowns]
     return ParameterSpace(tuple(unknowns), {}, _prior(model, keys, arm, floor))
@@ -332,11 +332,6 @@ def with_settling(space: ParameterSpace) -> ParameterSpace:
     ]
     rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
     return ParameterSpace((*space.unknowns, *more), space.fixed, replace(space.prior, rows=rows))
-
-
-def unit_of_arm(name: str) -> str:
-    """The unit of a parameter of the arm as a whole."""
-    return "N m" if name.startswith("gravity") else "kg m^2"
 
 
 def _prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float) -> Prior:

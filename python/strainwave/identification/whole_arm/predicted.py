@@ -26,7 +26,6 @@ from strainwave.identification.whole_arm.parametrisation import (
     SETTLING,
     Key,
     combination,
-    unit_of_arm,
 )
 from strainwave.identification.whole_arm.preparation import dataset_of, usable
 from strainwave.numerics.linalg import triangular_factor
@@ -150,6 +149,6 @@ def _parameters(
         weights = combination(keys, parts)
         value = float(weights @ np.array([values[key] for key in keys]))
         std = float(np.sqrt(np.maximum(0.0, weights @ covariance @ weights)))
-        unit = unit_of_arm(name) if joint is None else unit_of(name, arm.joints[joint - 1])
+        unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
         interval = (value - _REACH * std, value + _REACH * std)
         yield Parameter(name, joint, value, std, unit, "tuned", interval)

@@ -103,7 +103,7 @@ def rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
     """
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
-        unit = "kg m^2" if joint is None else unit_of(name, arm.joints[joint - 1])
+        unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
         text = f"the steps before found {value:.3g} {unit}, which is impossible; the whole-arm fit"
         text += f" started from {starts.values[name, joint]:.3g}, which is usual for such arms"
         yield Diagnostic("start-rejected", place, text)
