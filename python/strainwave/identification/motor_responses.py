@@ -20,6 +20,7 @@ from strainwave.domain import (
     Log,
     MotorResponse,
 )
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate_arms
 from strainwave.identification.closed_loop import as_known, velocity_band
@@ -87,7 +88,7 @@ def motor_response(
     posture = arm.gear_ratios * np.array(
         [np.mean(log.channels[f"theta_m{i}"]) for i in range(1, arm.n_joints + 1)]
     )
-    values, servoed = _one_stiffness(model.values, joints), condition == "others-servoed"
+    values, servoed = _one_stiffness(model.values, joints, arm), condition == "others-servoed"
     zeros, poles = modes_of_motor(values, arm, posture, number, servoed=servoed)
     return MotorResponse(
         experiment=log.name,
@@ -190,10 +191,12 @@ def _condition(log: Log, arm: Arm) -> Condition:
 
 
 def _one_stiffness(
-    values: Mapping[tuple[str, int | None], float], joints: Sequence[JointModel]
+    values: Mapping[tuple[str, int | None], float], joints: Sequence[JointModel], arm: Arm
 ) -> dict[tuple[str, int | None], float]:
     """Of gears with curves the stiffness that stands for them at the records' amplitude."""
     found = dict(values)
     for joint in joints:
-        found.setdefault(("gear_stiffness", joint.joint), joint.values["gear_stiffness"])
+        key = (STIFFNESS, joint.joint)
+        if key not in found or arm.joints[joint.joint - 1].law.is_curved:
+            found[key] = joint.values[STIFFNESS]
     return found

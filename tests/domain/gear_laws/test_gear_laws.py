@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from strainwave import _core
 from strainwave.domain import ArmDescription, FloatArray, Joint, gear_laws, is_physical
 from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter, gear_law
 from strainwave.domain.gear_laws.linear import Linear
@@ -27,7 +28,6 @@ from virtual_arms import ELASTIC_JOINT
 LAWS = [gear_law(name) for name in gear_laws.names()]
 ELASTIC = [law for law in LAWS if law.elastic]
 LARGEST = 60.0
-CORNER = 5e-6  # [rad] over which the core rounds knees to either side
 STUDY = """
 [arm]
 kind = "single-joint"
@@ -142,6 +142,15 @@ def test_names_are_the_core_s_in_its_order(law: GearLaw) -> None:
     assert (("gear_damping", 1) in core) == law.elastic
 
 
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_the_core_has_the_same_table(law: GearLaw) -> None:
+    core = [row for owner, *row in _core.parameter_table() if owner == law.name]
+    own = [[p.name, p.symbol, p.description, p.units, p.range] for p in law.parameters]
+    assert own == core
+    assert (law.name, list(law.names), law.elastic) in _core.gear_laws()
+    assert {name for name, *_ in _core.gear_laws()} == set(gear_laws.names())
+
+
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
 def test_the_core_s_gear_has_the_curve(law: GearLaw) -> None:
     """A motor that turns to and fro by its torque, and what its gear bears."""
@@ -159,7 +168,7 @@ def test_the_core_s_gear_has_the_curve(law: GearLaw) -> None:
     elastic = run["gear_torque"] - values["gear_damping", 1] * rate
     assert np.max(np.abs(elastic)) > 20.0  # beyond every knee
     # by a quarter of what the slope changes by, times the corner's width
-    rounded = 0.25 * CORNER * sum(own[name] for name in law.slopes)
+    rounded = 0.25 * _core.GEAR_CORNER * sum(own[name] for name in law.slopes)
     np.testing.assert_allclose(law.torque(own, torsion[:, 0]), elastic[:, 0], atol=rounded)
 
 

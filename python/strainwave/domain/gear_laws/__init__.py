@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
 
+from strainwave.domain.gear_laws.cubic import Cubic
 from strainwave.domain.gear_laws.interface import STIFFNESS, GearLaw, GearParameter, Range
 from strainwave.domain.gear_laws.linear import Linear
 from strainwave.domain.gear_laws.rigid import Rigid
@@ -36,7 +37,7 @@ __all__ = [
 RIGID = Rigid.name
 """The law of the rigid stage."""
 
-_LAWS: dict[str, GearLaw] = {law.name: law for law in (Linear(), ThreeSlope(), Rigid())}
+_LAWS: dict[str, GearLaw] = {law.name: law for law in (Linear(), ThreeSlope(), Cubic(), Rigid())}
 
 
 def gear_law(name: str) -> GearLaw:

@@ -86,6 +86,11 @@ class GearLaw(ABC):
         return tuple(parameter.name for parameter in self.parameters if parameter.is_slope)
 
     @property
+    def may_vanish(self) -> tuple[str, ...]:
+        """Of those that are zero where the gear is of the simpler law."""
+        return tuple(p.name for p in self.parameters if p.range == "non-negative")
+
+    @property
     def is_curved(self) -> bool:
         """Whether it takes more than one stiffness to describe."""
         return self.elastic and self.names != (STIFFNESS,)

@@ -25,6 +25,9 @@ from strainwave.identification.whole_arm.parametrisation import (
 _IDENTIFIED = 0.3  # relative deviation up to which a parameter is worth printing
 _OFF = 1e-6  # by which a mounting's unknowns are varied for slopes
 _REACH = 1.96  # of a 95 % interval, in deviations
+_NOT_REACHED = (
+    "no record loads the gear so far that it shows; use a larger amplitude, or hold the link"
+)
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,12 @@ def parameters_of(
         units.append(unit_of(name, arm.joints[number - 1]))
         weight.append(combination(keys, parts))
         held.append(sum(w * space.fixed.get(key, 0.0) for key, w in parts.items()))
+    for name, number in _vanished(fit, arm):
+        names.append((name, number))
+        units.append(unit_of(name, arm.joints[number - 1]))
+        weight.append(combination(keys, {}))
+        held.append(0.0)
+        identified[name, number] = None
     W = np.array(weight)
     values = W @ space.parameters(fit.z) + np.array(held)
     mounted = mountings_of(fit)
@@ -141,6 +150,14 @@ def mountings_of(fit: Fit) -> Mountings:
     return found
 
 
+def _vanished(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
+    """Parameters of gears that a fit does without."""
+    for number, joint in enumerate(arm.joints, start=1):
+        for name in joint.law.may_vanish:
+            if fit.objective.space.fixed.get((name, number)) == 0.0:
+                yield name, number
+
+
 def _identified_curves(
     fit: Fit, covariance: FloatArray, arm: Arm, largest_torque: Sequence[float]
 ) -> dict[Key, Key | None]:
@@ -198,9 +215,7 @@ def warnings_of(
         if parameters[k].value is not None:
             continue
         if is_by_load(unknown.name):
-            text = "no record loads the gear so far that it shows; use a larger amplitude, or hold"
-            text += " the link"
-            yield Diagnostic("not-reached", str(unknown), text)
+            yield Diagnostic("not-reached", str(unknown), _NOT_REACHED)
             continue
         said = (
             f"the records identify it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
@@ -208,6 +223,11 @@ def warnings_of(
         if unknown.name in VISCOUS:
             said += "; of the viscous frictions only the total is well known"
         yield Diagnostic("not-identifiable", str(unknown), said)
+    arm = fit.objective.records[0].arm
+    for name, number in _vanished(fit, arm):
+        simpler = arm.joints[number - 1].law.simpler
+        text = f"in every record the gear is as good as {simpler}; use a larger amplitude, or give"
+        yield Diagnostic("not-reached", f"{name} of joint {number}", f'{text} spring = "{simpler}"')
     for unknown, value in zip(space.unknowns, values, strict=True):
         if unknown.name == SETTLING:
             text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"

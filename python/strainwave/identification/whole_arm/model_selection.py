@@ -14,6 +14,7 @@ from strainwave.identification.whole_arm.effect_candidates import (
     without_idle_effects,
 )
 from strainwave.identification.whole_arm.estimates import Fit
+from strainwave.identification.whole_arm.idle_curves import without_idle_curves
 from strainwave.identification.whole_arm.initial_motion import with_evident_initial_motion
 from strainwave.identification.whole_arm.mountings import with_better_mountings, with_evident_tilts
 from strainwave.identification.whole_arm.selection import Candidate, Selection
@@ -44,6 +45,7 @@ COARSE: tuple[Candidate, ...] = (
 
 FINE: tuple[Candidate, ...] = (
     with_fine_stiffness_restarts,
+    without_idle_curves,
     without_idle_effects,
     partial(with_evident_sensors, coarse=False),
     partial(with_bandwidths_apart, coarse=False),

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from strainwave.domain import CONDITIONS, ArmModel, Identification, JointModel, Prediction
 from strainwave.domain.combinations import value_of
 from strainwave.domain.formatting import percent
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import chosen_options
 from strainwave.presentation.figures import MOST_POINTS, Figure
@@ -161,7 +162,8 @@ def _by_whole_arm(found: Identification, joint: JointModel) -> dict[str, float] 
         return None
     values = dict(found.tuned.values)
     own = {name: value for (name, of), value in values.items() if of == joint.joint}
-    own.setdefault("gear_stiffness", joint.values["gear_stiffness"])  # of a curve: its equivalent
+    if STIFFNESS not in own or found.study.arm.joints[joint.joint - 1].law.is_curved:
+        own[STIFFNESS] = joint.values[STIFFNESS]  # its equivalent
     kind = kind_of(found.study.arm)
     if all(key in values for key in kind.inertias):
         own["link_inertia"] = value_of(kind.link_inertia(joint.joint), values)

@@ -82,7 +82,7 @@ def _row(decision: Decision) -> Row:
         Cell(p.name, href=link, tip=words.description),
         Cell(words.symbol, "symbol"),
         *map(number, (value, spread)),
-        p.unit.replace("^2", "²").replace(" ", "\N{NO-BREAK SPACE}"),
+        p.unit.replace("^2", "²").replace("^3", "³").replace(" ", "\N{NO-BREAK SPACE}"),
         *map(number, (interval, half)),
         p.stage,
     )

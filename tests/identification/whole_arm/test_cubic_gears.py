@@ -1,0 +1,71 @@
+"""Gears of the cubic law: found where the records show it, and linear ones where they do not."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from strainwave.domain import ArmModel, Log, Study
+from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.gear_laws.cubic import CUBIC
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import SensorNoise
+from strainwave.identification.whole_arm import tune
+from strainwave.virtual import scara
+from strainwave.virtual.experiments import derived
+from tuning_runs import joint_models, rigid_model, shaken_study, written_logs
+
+STIFFENING = {1: 6e8, 2: 2e8}
+"""k_3 [N m/rad^3]: a sixth of the linear torque at the largest torsion of the records, and more."""
+FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
+
+
+@cache
+def run(cubic: bool) -> tuple[Values, ArmModel]:
+    study, known, records = shaken(cubic)
+    joints = joint_models(study, known, 0.05, FACTORS)
+    return known, tune(records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
+
+
+def shaken(cubic: bool) -> tuple[Study, Values, tuple[Log, ...]]:
+    """Half a second of either joint in open loop."""
+    study = scara.study(Path("nowhere"), "cubic")
+    values = scara.parameters(5, "cubic")
+    values |= {(CUBIC, joint): k if cubic else 0.0 for joint, k in STIFFENING.items()}
+    written, logs = written_logs(shaken_study(study, 10.0), values, noise=SensorNoise())
+    return written, derived(values, study.arm), logs
+
+
+def test_a_gear_that_stiffens_is_found() -> None:
+    known, model = run(True)
+    assert model.status == "converged"
+    found = {(p.name, p.joint): p for p in model.parameters}
+    for joint in (1, 2):
+        for name, share in ((STIFFNESS, 0.005), (CUBIC, 0.1)):
+            p, true = found[name, joint], known[name, joint]
+            assert p.value is not None
+            assert p.std is not None
+            assert abs(p.value / true - 1.0) < share, (name, joint)
+            assert abs(p.value - true) < 4.0 * p.std, (name, joint)
+        assert found[CUBIC, joint].unit == "N m/rad^3"
+    assert not [w for w in model.warnings if w.code == "not-reached"]
+
+
+def test_a_gear_that_does_not_stiffen_is_linear() -> None:
+    known, model = run(False)
+    assert model.status == "converged"
+    found = {(p.name, p.joint): p for p in model.parameters}
+    for joint in (1, 2):
+        assert found[CUBIC, joint].value is None
+        assert model.values[CUBIC, joint] == 0.0
+        p, true = found[STIFFNESS, joint], known[STIFFNESS, joint]
+        assert p.value is not None
+        assert p.std is not None
+        assert abs(p.value - true) < 4.0 * p.std
+        assert p.std < 0.002 * true  # as if the law had never been another
+    said = [w.where for w in model.warnings if w.code == "not-reached"]
+    assert said == [f"{CUBIC} of joint {joint}" for joint in (1, 2)]
+    assert model.covariance.shape == (len(model.parameters),) * 2
