@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from strainwave.domain.gear_laws import gear_parameters
 from strainwave.domain.parameter_table import parameter_table
 
 
@@ -50,5 +49,4 @@ _OF_SENSORS = {
 def all_words() -> Mapping[str, ParameterWords]:
     """Of every parameter, those of all gear laws included, by the name that it has in results."""
     words = {p.name: (p.symbol, p.description) for p in parameter_table().values()}
-    words |= {p.name: (p.symbol, p.description) for p in gear_parameters().values()}
     return {name: ParameterWords(*own) for name, own in (words | _OF_SENSORS).items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from strainwave.domain.arm import ArmDescription, Effect, Joint
-from strainwave.domain.gear_laws import STIFFNESS, gear_parameters
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.kinds import Values, kind_of
 from strainwave.domain.parameter_table import parameter_table
 
@@ -63,8 +63,7 @@ def unit_of(name: str, joint: Joint | None = None) -> str:
     KeyError
         There is no parameter of that name.
     """
-    known = gear_parameters().get(name) or parameter_table()[name]
-    return known.units[joint is not None and joint.motion == "prismatic"]
+    return parameter_table()[name].units[joint is not None and joint.motion == "prismatic"]
 
 
 def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from strainwave.domain.gear_laws import gear_parameters
 from strainwave.domain.parameter_table import Range, parameter_table
 
 
@@ -18,7 +17,7 @@ def physical_range(name: str) -> Range:
     -------
     "positive", "non-negative" or "any"
     """
-    known = gear_parameters().get(name) or parameter_table().get(name)
+    known = parameter_table().get(name)
     return "any" if known is None else known.range
 
 

@@ -11,10 +11,11 @@ from functools import cache
 from types import MappingProxyType
 
 from strainwave.domain.gear_laws.cubic import Cubic
-from strainwave.domain.gear_laws.interface import STIFFNESS, GearLaw, GearParameter, Range
+from strainwave.domain.gear_laws.interface import STIFFNESS, GearLaw, GearParameter
 from strainwave.domain.gear_laws.linear import Linear
 from strainwave.domain.gear_laws.rigid import Rigid
 from strainwave.domain.gear_laws.three_slope import ThreeSlope
+from strainwave.domain.parameter_table import parameter_table
 from strainwave.errors import InvalidInput
 
 __all__ = [
@@ -22,7 +23,6 @@ __all__ = [
     "STIFFNESS",
     "GearLaw",
     "GearParameter",
-    "Range",
     "gear_law",
     "gear_parameters",
     "is_by_load",
@@ -81,7 +81,8 @@ def register(law: GearLaw) -> None:
     Raises
     ------
     InvalidInput
-        There is one of that name, or one of its parameters means something else in another law.
+        There is one of that name, or one of its parameters is none of the core's or means something
+        else in another law.
     """
     if law.name in _LAWS:
         raise InvalidInput(
@@ -90,10 +91,10 @@ def register(law: GearLaw) -> None:
     known = gear_parameters()
     for own in law.parameters:
         other = known.get(own.name, own)
-        if (own.units, own.range) != (other.units, other.range):
+        if own.name not in parameter_table() or own != other:
+            problem = "is none of the core's" if own == other else "is another in another law"
             raise InvalidInput(
-                f"the parameter {own.name!r} of the gear law {law.name!r} has another unit or "
-                "range in another law",
+                f"the parameter {own.name!r} of the gear law {law.name!r} {problem}",
                 remedy="give it another name",
             )
     _LAWS[law.name] = law

@@ -24,17 +24,7 @@ class Cubic(GearLaw):
     """A gear that stiffens without knees."""
 
     name = "cubic"
-    parameters = (
-        *Linear.parameters,
-        GearParameter(
-            CUBIC,
-            "k_3",
-            "torque of the gear per cube of its torsion, at the link",
-            ("N m/rad^3", "N/m^3"),
-            range="non-negative",
-            by_load=True,
-        ),
-    )
+    parameters = (*Linear.parameters, GearParameter(CUBIC, by_load=True))
     simpler = Linear.name
     linearised_note = "its gear stiffens; the linear model has the stiffness without torsion"
     equivalent_note = "above the stiffness without torsion"

@@ -5,15 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.formatting import plus_minus
-
-Range = Literal["positive", "non-negative", "any"]
-"""Values that a parameter of an arm can have."""
+from strainwave.domain.parameter_table import ParameterDescription, parameter_table
 
 STIFFNESS = "gear_stiffness"
 """The one stiffness [N m/rad] by which the joint models describe any elastic gear."""
@@ -30,14 +27,15 @@ _DOUBLINGS = 200
 class GearParameter:
     """One parameter of a law. The same name means the same in every law."""
 
-    name: str
-    symbol: str
-    description: str
-    units: tuple[str, str]  # of a revolute joint, of a prismatic one
-    range: Range = "positive"
+    name: str  # one of the core's
     is_slope: bool = False  # a stiffness, of the size of the joint model's
     by_load: bool = False  # shows only where a record loads the gear far enough
     above: str | None = None  # a parameter of the same law that it exceeds
+
+    @property
+    def described(self) -> ParameterDescription:
+        """Its symbol, units and range."""
+        return parameter_table()[self.name]
 
 
 class GearLaw(ABC):
@@ -88,7 +86,7 @@ class GearLaw(ABC):
     @property
     def may_vanish(self) -> tuple[str, ...]:
         """Of those that are zero where the gear is of the simpler law."""
-        return tuple(p.name for p in self.parameters if p.range == "non-negative")
+        return tuple(p.name for p in self.parameters if p.described.range == "non-negative")
 
     @property
     def is_curved(self) -> bool:
@@ -358,7 +356,7 @@ class GearLaw(ABC):
         str
             Without a full stop.
         """
-        units = {p.name: p.units[is_straight] for p in self.parameters}
+        units = {p.name: p.described.units[is_straight] for p in self.parameters}
         said = {
             name: " ± ".join(plus_minus(value, s))
             for (name, value), s in zip(values.items(), std, strict=True)
@@ -366,4 +364,6 @@ class GearLaw(ABC):
         slopes = [said[name] for name in self.slopes if name in said]
         text = f"Slope {', then '.join(slopes)} {units[self.slopes[0]]}"
         others = [p for p in self.parameters if p.name in said and not p.is_slope]
-        return ", ".join([text, *(f"{p.symbol} {said[p.name]} {units[p.name]}" for p in others)])
+        return ", ".join(
+            [text, *(f"{p.described.symbol} {said[p.name]} {units[p.name]}" for p in others)]
+        )

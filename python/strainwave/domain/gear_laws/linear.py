@@ -14,15 +14,7 @@ class Linear(GearLaw):
     """One stiffness for all torsions."""
 
     name = "linear"
-    parameters = (
-        GearParameter(
-            STIFFNESS,
-            "k_G",
-            "stiffness of the gear, at the link",
-            ("N m/rad", "N/m"),
-            is_slope=True,
-        ),
-    )
+    parameters = (GearParameter(STIFFNESS, is_slope=True),)
     lists: Mapping[str, tuple[str, ...]] = {STIFFNESS: (STIFFNESS,)}
 
     def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:

@@ -28,26 +28,14 @@ _RISE = 1.05  # of slopes to start from that are one
 _EVIDENT = 3.0  # deviations by which two slopes differ at least
 
 
-def _slope(name: str, symbol: str, where: str) -> GearParameter:
-    text = f"stiffness of the gear {where}, at the link"
-    return GearParameter(name, symbol, text, ("N m/rad", "N/m"), is_slope=True, by_load=True)
-
-
-def _knee(name: str, symbol: str, which: str, above: str | None = None) -> GearParameter:
-    text = f"gear torque at the {which} knee, at the link"
-    return GearParameter(name, symbol, text, ("N m", "N"), by_load=True, above=above)
-
-
 class ThreeSlope(GearLaw):
     """Strain-wave gears stiffen with the torque, as their data sheets have it."""
 
     name = "three-slope"
     parameters = (
-        _slope(SLOPES[0], "K1", "below its first knee"),
-        _slope(SLOPES[1], "K2", "between its knees"),
-        _slope(SLOPES[2], "K3", "beyond its second knee"),
-        _knee(KNEES[0], "T1", "first"),
-        _knee(KNEES[1], "T2", "second", above=KNEES[0]),
+        *(GearParameter(name, is_slope=True, by_load=True) for name in SLOPES),
+        GearParameter(KNEES[0], by_load=True),
+        GearParameter(KNEES[1], by_load=True, above=KNEES[0]),
     )
     simpler = "linear"
     linearised_by = SLOPES[1]
@@ -179,13 +167,12 @@ class ThreeSlope(GearLaw):
     ) -> str:
         """The slopes in turn, and the knees between."""
         k, t = _curve(values)
+        units = [p.described.units[is_straight] for p in self.parameters]
         slopes = [" ± ".join(plus_minus(*pair)) for pair in zip(k, std, strict=False)]
-        text = f"Slope {', then '.join(slopes)} {self.parameters[0].units[is_straight]}"
+        text = f"Slope {', then '.join(slopes)} {units[0]}"
         if len(t):
             knees = [" ± ".join(plus_minus(*p)) for p in zip(t, std[len(k) :], strict=True)]
-            text += (
-                f", with knees at {' and '.join(knees)} {self.parameters[-1].units[is_straight]}"
-            )
+            text += f", with knees at {' and '.join(knees)} {units[-1]}"
         return text
 
 

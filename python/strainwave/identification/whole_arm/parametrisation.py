@@ -306,8 +306,8 @@ def _curve(stiffness: Unknown, joint: Joint, largest_torque: float) -> list[Unkn
     for p in joint.law.parameters:
         value, unit = start[p.name], unit_of(p.name, joint)
         far = stiffness.reach if p.is_slope else float(_VERY_FAR)
-        positive = p.range == "positive"
-        limits = (-1.0, float(np.exp(far))) if p.range == "non-negative" else None
+        positive = p.described.range == "positive"
+        limits = (-1.0, float(np.exp(far))) if p.described.range == "non-negative" else None
         scale = value - (start[p.above] if p.above is not None else 0.0)
         found.append(
             Unknown(p.name, stiffness.joint, unit, value, scale, not positive, far, limits, p.above)
