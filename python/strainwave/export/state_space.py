@@ -100,8 +100,8 @@ def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """What a linear model of a joint leaves out, and whoever uses it must know."""
     found = arm.warnings + arm.assumed()
     for number, joint in enumerate(arm.study.arm.joints, start=1):
-        note = joint.law.linearised_note
-        if note:
+        if joint.law.is_curved:
+            note = joint.law.linearised_note
             found += (Diagnostic("linearised", f"joint {number}", note),)
     return found
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import ArmModel, Log, Study
-from strainwave.domain.gear_laws import STIFFNESS
+from elastic_results import elastic_identification
+from strainwave.domain import ArmModel, FloatArray, Log, Study, gear_laws
+from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter
 from strainwave.domain.gear_laws.cubic import CUBIC
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
+from strainwave.presentation.report import gears
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
 from tuning_runs import joint_models, rigid_model, shaken_study, written_logs
@@ -24,16 +28,16 @@ FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 
 
 @cache
-def run(cubic: bool) -> tuple[Values, ArmModel]:
-    study, known, records = shaken(cubic)
+def run(cubic: bool, spring: str = "cubic") -> tuple[Values, ArmModel]:
+    study, known, records = shaken(cubic, spring)
     joints = joint_models(study, known, 0.05, FACTORS)
     return known, tune(records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
 
 
-def shaken(cubic: bool) -> tuple[Study, Values, tuple[Log, ...]]:
+def shaken(cubic: bool, spring: str) -> tuple[Study, Values, tuple[Log, ...]]:
     """Half a second of either joint in open loop."""
-    study = scara.study(Path("nowhere"), "cubic")
-    values = scara.parameters(5, "cubic")
+    study = scara.study(Path("nowhere"), spring)
+    values = scara.parameters(5, spring)
     values |= {(CUBIC, joint): k if cubic else 0.0 for joint, k in STIFFENING.items()}
     written, logs = written_logs(shaken_study(study, 10.0), values, noise=SensorNoise())
     return written, derived(values, study.arm), logs
@@ -69,3 +73,46 @@ def test_a_gear_that_does_not_stiffen_is_linear() -> None:
     said = [w.where for w in model.warnings if w.code == "not-reached"]
     assert said == [f"{CUBIC} of joint {joint}" for joint in (1, 2)]
     assert model.covariance.shape == (len(model.parameters),) * 2
+
+
+class Hardening(GearLaw):
+    """A law that the package does not know, with as little said of it as will do."""
+
+    name = "hardening"
+    core_name = "cubic"
+    parameters = (GearParameter(STIFFNESS, is_slope=True), GearParameter(CUBIC, by_load=True))
+    simpler = "linear"
+
+    def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        return values[STIFFNESS] * torsion + values[CUBIC] * torsion**3
+
+    def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        return values[STIFFNESS] + 3.0 * values[CUBIC] * torsion**2
+
+    def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
+        return np.column_stack([torsion, torsion**3])
+
+    def starts(self, stiffness: float, largest_torque: float) -> dict[str, float]:
+        return {STIFFNESS: stiffness, CUBIC: 0.2 * stiffness**3 / largest_torque**2}
+
+
+def test_a_law_from_elsewhere_is_fitted_and_drawn() -> None:
+    gear_laws.register(Hardening())
+    try:
+        known, model = run(True, "hardening")
+        study = scara.study(Path("nowhere"), "hardening")
+        found = replace(elastic_identification(), study=study, tuned=model)
+        drawn = gears.curves(found)
+        decided = {p.label: p for p in found.parameters}
+    finally:
+        gear_laws.unregister("hardening")
+    assert model.status == "converged"
+    assert [curve.law.name for curve in drawn] == ["hardening"] * 2
+    for joint, curve in enumerate(drawn, start=1):
+        assert tuple(curve.values) == (STIFFNESS, CUBIC)
+        for name in curve.values:
+            p = decided[f"{name} {joint}"]
+            assert p.stage == "tuned"
+            assert p.value is not None
+            assert p.std is not None
+            assert abs(p.value - known[name, joint]) < 4.0 * p.std

@@ -59,10 +59,10 @@ class GearLaw(ABC):
     linearised_by: str = STIFFNESS
     """Parameter that a linear model of the joint takes for its stiffness."""
 
-    linearised_note: str = ""
-    """What a linear model of the joint leaves out; empty: nothing."""
+    linearised_note: str = "its gear has a curve; the linear model has one stiffness"
+    """What a linear model of the joint leaves out of a curve."""
 
-    equivalent_note: str = ""
+    equivalent_note: str = "between its lowest and its highest"
     """Where the joint model's one stiffness lies, which stands for a curve."""
 
     lists: Mapping[str, tuple[str, ...]] = {}
@@ -336,7 +336,7 @@ class GearLaw(ABC):
         tuple of (stiffness [N m/rad], torsion [rad]), or None
             To be added up; None: the law is no such sum.
         """
-        return None if self.linearised_note else ((need(self.linearised_by), 0.0),)
+        return None if self.is_curved else ((need(self.linearised_by), 0.0),)
 
     def sentence(
         self, values: Mapping[str, float], std: Sequence[float], *, is_straight: bool
