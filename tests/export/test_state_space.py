@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, coefficients, joint_of
 from strainwave.errors import InvalidInput
 from strainwave.export import state_space
+from strainwave.export.mjcf import to_mjcf
+from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.state_space import to_state_space
 
 OMEGA: FloatArray = np.geomspace(1.0, 1e3, 40)
@@ -123,6 +126,22 @@ def test_three_slopes_become_the_middle_one(tmp_path: Path) -> None:
         ("linearised", "joint 1"),
         ("linearised", "joint 2"),
     ]
+
+
+@pytest.mark.parametrize("render", [to_state_space, to_mjcf])
+def test_a_cubic_gear_is_linearised_without_torsion(
+    render: Callable[[IdentifiedArm], Export], tmp_path: Path
+) -> None:
+    study = exports.two_links(tmp_path, "cubic")
+    values = exports.values_of(study) | {("gear_stiffness_cubic", j): 1e8 for j in (1, 2)}
+    arm = exports.arm_of(study, values)
+    warnings = render(arm).warnings
+    assert [(c.code, c.where) for c in warnings] == [
+        ("linearised", "joint 1"),
+        ("linearised", "joint 2"),
+    ]
+    A = state_space(arm, 1)[0]
+    assert A[1, 0] == -0.01 * values["gear_stiffness", 1] / values["motor_inertia", 1]
 
 
 def test_a_link_inertia_that_was_reported_is_taken(tmp_path: Path) -> None:
