@@ -195,18 +195,18 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
         task.record.len(),
         "a low-pass for each quantity"
     );
-    if !task.config.is_elastic() || (A::COMPACT && width == Width::Portable) {
+    let slopes = task.config.has_gears::<Slopes>() && !A::COMPACT;
+    if !task.config.is_elastic() || (width == Width::Portable && !slopes) {
         let found = by_duals_at(task, member, directions, width)?;
         return Ok(found.decimated(decimation, directions.len()));
     }
     let asked = (task, member);
-    let slopes = task.config.has_gears::<Slopes>() && !A::COMPACT;
     if !task.config.has_effects() {
         return match slopes {
             true => forward_at::<A, Slopes, N, false>(
                 task, member, asked, directions, decimation, width,
             ),
-            false => forward_any(task, member, asked, directions, decimation, width),
+            false => forward_any(task, member, asked, directions, decimation),
         };
     }
     if let Some((config, parameters)) = without_effects(&task.config, member.parameters)
@@ -225,7 +225,7 @@ pub fn sensitivities<A: Arm<N>, const N: usize>(
             true => forward_at::<A, Slopes, N, true>(
                 &plain, &member, asked, directions, decimation, width,
             ),
-            false => forward_any(&plain, &member, asked, directions, decimation, width),
+            false => forward_any(&plain, &member, asked, directions, decimation),
         };
     }
     let found = by_duals_at(task, member, directions, width)?;
@@ -318,23 +318,24 @@ fn forward_at<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     run(task, member, asked, directions, decimation)
 }
 
-/// Of gears of any law, and of arms of which few programs have to do: one program for all of these.
+/// Of gears of any law, and of arms of which few programs have to do: one program for all of these,
+/// where there are vectors.
 fn forward_any<A: Arm<N>, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     asked: (&Task<A, N>, &Member<'_, N>),
     directions: &[Source],
     decimation: Option<&Decimation>,
-    width: Width,
 ) -> Result<Sensitivities<N>, Diverged> {
-    let run = match width {
-        Width::Portable => forward::<A, f64, f64, f64, AllLaws, N, true>,
-        #[cfg(target_arch = "x86_64")]
-        _ => forward::<A, Fused, F64x4, F64x4, AllLaws, N, true>,
-        #[cfg(not(target_arch = "x86_64"))]
-        _ => unreachable!("only x86-64 detects vectors"),
-    };
-    run(task, member, asked, directions, decimation)
+    #[cfg(target_arch = "x86_64")]
+    return forward::<A, Fused, F64x4, F64x4, AllLaws, N, true>(
+        task, member, asked, directions, decimation,
+    );
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        let _ = (task, member, asked, directions, decimation);
+        unreachable!("only x86-64 detects vectors")
+    }
 }
 
 fn forward<
