@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from strainwave.domain import ArmModel, Effect, Log, Study
+from strainwave.domain import ArmModel, EffectName, Log, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
@@ -15,7 +15,7 @@ from strainwave.identification.whole_arm import TuningOptions, tune
 from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
-ALL: tuple[Effect, ...] = ("stribeck", "hysteresis", "kinematic-error")
+ALL: tuple[EffectName, ...] = ("stribeck", "hysteresis", "kinematic-error")
 SIZES: Values = {
     ("stribeck_friction", 1): 0.02,
     ("stribeck_velocity", 1): 3.0,
@@ -26,7 +26,7 @@ SIZES: Values = {
 }
 
 
-def rig(effects: tuple[Effect, ...]) -> Study:
+def rig(effects: tuple[EffectName, ...]) -> Study:
     """The rig, whose first joint has effects."""
     study = truth()[0]
     return replace(
@@ -38,7 +38,7 @@ def rig(effects: tuple[Effect, ...]) -> Study:
 
 
 @cache
-def records(effects: tuple[Effect, ...]) -> tuple[Study, Values, tuple[Log, ...]]:
+def records(effects: tuple[EffectName, ...]) -> tuple[Study, Values, tuple[Log, ...]]:
     """Half a second of either joint in open loop, with noise."""
     known = truth()[1] | SIZES
     study, logs = written_logs(shaken_study(rig(effects), 8.0), known, noise=SensorNoise())
@@ -46,7 +46,7 @@ def records(effects: tuple[Effect, ...]) -> tuple[Study, Values, tuple[Log, ...]
 
 
 @cache
-def tuned(has: tuple[Effect, ...], asked: tuple[Effect, ...], most: int = 60) -> ArmModel:
+def tuned(has: tuple[EffectName, ...], asked: tuple[EffectName, ...], most: int = 60) -> ArmModel:
     """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
     study, known, logs = records(has)
     asks = replace(study, arm=replace(study.arm, joints=rig(asked).arm.joints))

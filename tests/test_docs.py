@@ -14,12 +14,11 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from strainwave import cli
-from strainwave import domain as records
+from strainwave.domain.effects import all_effects
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
 from strainwave.virtual import experiments as virtual
@@ -207,8 +206,8 @@ def constants(function: str) -> set[str]:
 def codes_of_warnings() -> set[str]:
     """Every code a warning can have: written out, or made from a check, a step or an effect."""
     made = [node for node in first_arguments("Diagnostic") if not isinstance(node, ast.Constant)]
-    assert {ast.unparse(node) for node in made} == {"check.name", "code", "f'{one.effect}-likely'"}
-    likely = {f"{effect}-likely" for effect in get_args(records.Effect)}
+    assert {ast.unparse(node) for node in made} == {"check.name", "code", "effect.warning_code"}
+    likely = {effect.warning_code for effect in all_effects()}
     return constants("Diagnostic") | constants("Check") | constants("tried") | likely
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from strainwave.domain.effects import all_effects
 from strainwave.domain.parameter_words import all_words
-from strainwave.domain.parameters import EFFECT_PARAMETERS, SENSOR_PARAMETERS
+from strainwave.domain.parameters import SENSOR_PARAMETERS
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 
@@ -47,7 +48,7 @@ def test_the_page_has_every_parameter() -> None:
 
 
 def test_every_parameter_that_is_listed_elsewhere_has_words() -> None:
-    listed = {*SENSOR_PARAMETERS, *(name for pair in EFFECT_PARAMETERS.values() for name in pair)}
+    listed = {*SENSOR_PARAMETERS, *(name for effect in all_effects() for name in effect.names)}
     assert listed <= set(all_words())
 
 

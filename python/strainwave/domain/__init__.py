@@ -9,7 +9,7 @@ from __future__ import annotations
 from strainwave.domain.arm import (
     ArmDescription,
     ArmKind,
-    Effect,
+    EffectName,
     Imu,
     Joint,
     Motion,
@@ -129,7 +129,7 @@ __all__ = [
     "Decoupled",
     "Delay",
     "Diagnostic",
-    "Effect",
+    "EffectName",
     "Evidence",
     "Experiment",
     "FloatArray",

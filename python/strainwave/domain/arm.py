@@ -16,7 +16,7 @@ NonNegative = Annotated[float, Ge(0.0)]
 ArmKind = Literal["planar-two-link", "single-joint"]
 Motion = Literal["revolute", "prismatic"]
 Spring = str  # name of a gear law
-Effect = Literal["stribeck", "hysteresis", "kinematic-error"]
+EffectName = str  # of one of `domain.effects`
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Joint:
     accelerometer_hz: Positive | None = None  # second-order Butterworth
     gyro_hz: Positive | None = None  # first order
     imu: Imu | None = None
-    effects: tuple[Effect, ...] = ()  # that its friction and gear may have
+    effects: tuple[EffectName, ...] = ()  # that its friction and gear may have
 
     @property
     def law(self) -> GearLaw:

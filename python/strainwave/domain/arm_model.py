@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from strainwave.display import Displayed
-from strainwave.domain.arm import Effect
+from strainwave.domain.arm import EffectName
 from strainwave.domain.arrays import ComplexArray, FloatArray
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 
@@ -37,7 +37,7 @@ class ScoreTest:
     """What an effect that is not in the model would explain of a fit's residuals."""
 
     joint: int  # from 1
-    effect: Effect
+    effect: EffectName
     sizes: Mapping[str, float]  # parameter -> value, by one linear step
     stds: Mapping[str, float]
     gain: float  # of the cost, given the effects before it in the list: 9 is three deviations

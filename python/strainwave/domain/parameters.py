@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from strainwave.domain.arm import ArmDescription, Effect, Joint
+from strainwave.domain.arm import ArmDescription, Joint
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.kinds import Values, kind_of
 from strainwave.domain.parameter_table import parameter_table
 
 __all__ = [
-    "EFFECT_PARAMETERS",
     "SENSOR_PARAMETERS",
     "Values",
     "completed",
     "unit_of",
     "whole_arm_parameters",
 ]
-
-EFFECT_PARAMETERS: Mapping[Effect, tuple[str, str]] = {
-    "stribeck": ("stribeck_friction", "stribeck_velocity"),
-    "hysteresis": ("hysteresis_torque", "hysteresis_twist"),
-    "kinematic-error": ("kinematic_error_cos", "kinematic_error_sin"),
-}
-"""The two parameters of each effect, its size first."""
-
 
 SENSOR_PARAMETERS = (
     "accelerometer_delay",

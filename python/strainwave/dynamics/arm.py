@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from strainwave import _core
-from strainwave.domain import ArmDescription, FloatArray
+from strainwave.domain import ArmDescription, FloatArray, Joint
 from strainwave.domain.combinations import (
     lumped_inertias,
     reported,
     rigid_body_columns,
     rigid_columns,
 )
+from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import Key, RigidColumn, Row, Values, kind_of
 from strainwave.domain.parameters import completed
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -60,7 +61,7 @@ class Arm(ArmDescription):
             accelerometer_distance=[joint.accelerometer_distance or 1.0 for joint in joints],
             accelerometer_hz=[joint.accelerometer_hz for joint in joints],
             gyro_hz=[joint.gyro_hz for joint in joints],
-            effects=[joint.effects for joint in joints],
+            effects=[_core_effects(joint) for joint in joints],
             **self._imu_bandwidths(),
         )
 
@@ -426,6 +427,11 @@ class Arm(ArmDescription):
             squared = float(np.linalg.eigvalsh(root @ stiffness @ root.T)[-1])
             fastest = max(fastest, float(np.sqrt(max(squared, 0.0)) / (2.0 * np.pi)))
         return fastest
+
+
+def _core_effects(joint: Joint) -> list[str]:
+    """The core's names of a joint's effects, each once."""
+    return list(dict.fromkeys(effect_named(name).core_name for name in joint.effects))
 
 
 def _constant(values: list[float]) -> FloatArray:

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Log, Prediction
+from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import known_instead
-from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
+from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import as_read
 from strainwave.dynamics.rigid_prediction import fit_percent
@@ -43,7 +44,7 @@ def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
             effects=tuple(
                 effect
                 for effect in joint.effects
-                if all((name, number) in known for name in EFFECT_PARAMETERS[effect])
+                if all((name, number) in known for name in effect_named(effect).names)
             ),
         )
         for number, joint in enumerate(arm.joints, start=1)

@@ -11,7 +11,9 @@ import pytest
 
 from effect_runs import ALL, SIZES, records, rig, tuned
 from strainwave.domain import ArmModel
-from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
+from strainwave.domain.effects import effect_named
+from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import as_known, with_known_effects
 from strainwave.identification.whole_arm.effects import (
@@ -73,7 +75,7 @@ def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
 def test_only_what_is_there_stays() -> None:
     model = tuned(("hysteresis",), ALL)
     assert reported_out(model) == ["stribeck", "kinematic-error"]
-    for name in EFFECT_PARAMETERS["hysteresis"]:
+    for name in effect_named("hysteresis").names:
         assert model.values[name, 1] == pytest.approx(SIZES[name, 1], rel=0.05)
     assert ("stribeck_friction", 1) not in model.values
 
@@ -81,7 +83,7 @@ def test_only_what_is_there_stays() -> None:
 def test_the_unknowns_of_effects_start_small() -> None:
     study = rig(ALL)
     base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
-    values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05}
+    values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
     space, begin = with_effects(base, Arm.of(study.arm), values, [30.0, 8.0])
     assert space.keys[2:] == list(SIZES)
     np.testing.assert_allclose(
@@ -98,7 +100,9 @@ def test_the_unknowns_of_effects_start_small() -> None:
 
 def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
-    space, z = with_effects(empty, Arm.of(rig(ALL).arm), {(COULOMB, 1): 0.05}, [30.0, 8.0])
+    space, z = with_effects(
+        empty, Arm.of(rig(ALL).arm), {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}, [30.0, 8.0]
+    )
     z[-2:] = 2.0  # both parts of the kinematic error at 2e-4 rad
     values = space.parameters(z)
     sure = np.diag((values / 5.0) ** 2)

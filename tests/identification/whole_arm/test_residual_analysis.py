@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from effect_runs import SIZES, tuned
-from strainwave.domain import Effect, FloatArray, ResidualTest
-from strainwave.domain.parameters import EFFECT_PARAMETERS
+from effect_runs import ALL, SIZES, tuned
+from strainwave.domain import EffectName, FloatArray, ResidualTest
+from strainwave.domain.effects import names
 from strainwave.identification.whole_arm.effects import sizes_of
 from strainwave.identification.whole_arm.low_pass import low_pass_kernels
 from strainwave.identification.whole_arm.residual_analysis import (
@@ -19,6 +19,7 @@ from strainwave.identification.whole_arm.residual_analysis import (
     residual_warnings,
     spectral_density,
 )
+from strainwave.identification.whole_arm.score_tests import least_squares
 
 T = 1e-3
 KERNELS = low_pass_kernels(60.0, T)
@@ -103,8 +104,8 @@ def test_only_what_is_of_high_variance_is_worth_a_word() -> None:
     assert "without linear dependence on an input" in unforeseen.message
 
 
-@pytest.mark.parametrize("effect", list(EFFECT_PARAMETERS))
-def test_an_effect_that_is_not_in_the_model_is_named(effect: Effect) -> None:
+@pytest.mark.parametrize("effect", ALL)
+def test_an_effect_that_is_not_in_the_model_is_named(effect: EffectName) -> None:
     """It comes first, by about its size, and the warning says what to do."""
     model = tuned((effect,), ())
     assert model.criticism is not None
@@ -121,10 +122,28 @@ def test_an_effect_that_is_not_in_the_model_is_named(effect: Effect) -> None:
     assert f'effects = ["{effect}"]' in said.message
 
 
+@pytest.mark.parametrize(
+    ("signed", "true", "expected"),
+    [
+        ((True, True), (-2.0, 3.0), (-2.0, 3.0)),
+        ((False, True), (2.0, -3.0), (2.0, -3.0)),
+        ((False, True), (-2.0, 3.0), (0.0, 1.0)),
+        ((False, False), (-2.0, 3.0), (0.0, 1.0)),
+        ((False,), (-2.0,), (0.0,)),
+    ],
+)
+def test_sizes_without_sign_are_not_below_nothing(
+    signed: tuple[bool, ...], true: tuple[float, ...], expected: tuple[float, ...]
+) -> None:
+    columns = np.array([[1.0, 1.0], [1.0, 0.0]])[:, : len(signed)]
+    target = -columns @ true
+    np.testing.assert_allclose(least_squares(columns, target, np.array(signed)), expected)
+
+
 def test_an_arm_without_effects_gives_no_evidence_of_any() -> None:
     model = tuned((), ())
     assert model.criticism is not None
-    assert len(model.criticism.score_tests) == 6
+    assert len(model.criticism.score_tests) == 2 * len(names())
     assert not any(one.evident for one in model.criticism.score_tests)
     assert max(one.gain for one in model.criticism.score_tests) < 16.0
     assert not any(c.code.endswith("-likely") for c in model.warnings)
@@ -135,5 +154,5 @@ def test_what_is_fitted_is_no_longer_a_candidate() -> None:
     assert model.criticism is not None
     tested = {(one.joint, one.effect) for one in model.criticism.score_tests}
     assert (1, "hysteresis") not in tested
-    assert len(tested) == 5
+    assert len(tested) == 2 * len(names()) - 1
     assert not any(one.evident for one in model.criticism.score_tests)

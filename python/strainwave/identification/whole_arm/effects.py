@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Effect, FloatArray
-from strainwave.domain.parameters import EFFECT_PARAMETERS, Values, unit_of
+from strainwave.domain import Diagnostic, EffectName, FloatArray
+from strainwave.domain.effects import KnownJoint, all_effects, effect_named
+from strainwave.domain.parameters import Values, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import with_known_effects
 from strainwave.identification.whole_arm.dataset import Dataset
@@ -19,18 +20,11 @@ from strainwave.identification.whole_arm.parametrisation import (
     Unknown,
 )
 
-NamedEffect = tuple[int, Effect]
+NamedEffect = tuple[int, EffectName]
 """A joint, from 1, and an effect that it may have."""
 
 _EVIDENT = 3.0  # deviations from nothing that an effect must have
 _FAR = float(np.log(30.0))  # how far a parameter may go from its start
-_STRIBECK_SHARE = 0.2  # of Coulomb's friction, to start from
-STRIBECK_VELOCITY = 3.0
-"""[rad/s] at the motor, to start from."""
-_HYSTERESIS_SHARE = 0.02  # of the largest gear torque
-HYSTERESIS_TORSION = 1.5e-4
-"""[rad] to start from."""
-_KINEMATIC_ERROR = 1e-4  # [rad] that count as much as a factor e elsewhere
 
 
 def named_effects(arm: Arm) -> list[NamedEffect]:
@@ -59,8 +53,7 @@ def sizes_of(one: NamedEffect) -> list[Key]:
     list of (name, joint)
     """
     joint, effect = one
-    names = EFFECT_PARAMETERS[effect]
-    return [(name, joint) for name in (names if effect == "kinematic-error" else names[:1])]
+    return [(name, joint) for name in effect_named(effect).sizes]
 
 
 def with_effects(
@@ -83,27 +76,35 @@ def with_effects(
     (n_unknowns,)
         Where to start.
     """
-    starts: Values = {}
-    for number, effect in named_effects(arm):
-        sizes = {
-            "stribeck": (_STRIBECK_SHARE * values[COULOMB, number], STRIBECK_VELOCITY),
-            "hysteresis": (_HYSTERESIS_SHARE * largest_torque[number - 1], HYSTERESIS_TORSION),
-            "kinematic-error": (0.0, 0.0),
-        }[effect]
-        starts |= {
-            (name, number): size
-            for name, size in zip(EFFECT_PARAMETERS[effect], sizes, strict=True)
-        }
-    more = []
-    for (name, own), start in starts.items():
-        signed = name in EFFECT_PARAMETERS["kinematic-error"]
-        unit = unit_of(name, arm.joints[(own or 1) - 1])
-        scale = _KINEMATIC_ERROR if signed else start
-        more.append(Unknown(name, own, unit, start, scale, signed, _FAR))
+    more: dict[Key, Unknown] = {}
+    for one in named_effects(arm):
+        for unknown in _unknowns(one, arm, values, largest_torque[one[0] - 1]):
+            more.setdefault(unknown.key, unknown)
     rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
-    unknowns = (*space.unknowns, *more)
+    unknowns = (*space.unknowns, *more.values())
     found = ParameterSpace(unknowns, space.fixed, replace(space.prior, rows=rows))
+    starts: Values = {key: unknown.start for key, unknown in more.items()}
     return found, found.coordinates(values | starts)
+
+
+def _unknowns(
+    one: NamedEffect, arm: Arm, values: Values, largest_torque: float
+) -> Iterator[Unknown]:
+    """An effect's parameters: signed ones about zero, all others by their logarithm."""
+    number, effect = one[0], effect_named(one[1])
+    joint = arm.joints[number - 1]
+    stiffness = joint.law.stiffness(joint.law.of_joint(values, number), np.zeros(1))
+    known = KnownJoint(
+        gear_ratio=joint.gear_ratio,
+        coulomb_friction=values[COULOMB, number],
+        stiffness=float(stiffness[0]),
+        largest_torque=largest_torque,
+    )
+    typical, starts = effect.typical_sizes(known), effect.starts(known)
+    for name, start in starts.items():
+        signed = effect.is_signed(name)
+        scale = typical.get(name, start) if signed else start
+        yield Unknown(name, number, unit_of(name, joint), start, scale, signed, _FAR)
 
 
 def without(space: ParameterSpace, effects: Collection[NamedEffect]) -> ParameterSpace:
@@ -118,7 +119,7 @@ def without(space: ParameterSpace, effects: Collection[NamedEffect]) -> Paramete
     -------
     ParameterSpace
     """
-    gone = {(name, j) for j, effect in effects for name in EFFECT_PARAMETERS[effect]}
+    gone = {(name, j) for j, effect in effects for name in effect_named(effect).names}
     kept = [k for k, key in enumerate(space.keys) if key not in gone]
     prior = replace(space.prior, rows=space.prior.rows[:, kept])
     return ParameterSpace(tuple(space.unknowns[k] for k in kept), space.fixed, prior)
@@ -140,13 +141,13 @@ def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterat
     """
     values = space.parameters(z)
     at: dict[Key, int] = {key: k for k, key in enumerate(space.keys)}
-    for effect, names in EFFECT_PARAMETERS.items():
+    for effect in all_effects():
         for name, joint in list(at):
-            if name == names[0] and joint is not None:
-                own = [at[key] for key in sizes_of((joint, effect))]
+            if name == effect.sizes[0] and joint is not None:
+                own = [at[key] for key in sizes_of((joint, effect.name))]
                 size = values[own]
                 if size @ np.linalg.solve(covariance[np.ix_(own, own)], size) < _EVIDENT**2:
-                    yield joint, effect
+                    yield joint, effect.name
 
 
 def left_out(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic]:

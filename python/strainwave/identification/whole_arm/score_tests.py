@@ -6,18 +6,17 @@ own derivatives as one more column. What it takes off the cost in one linear ste
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Effect, FloatArray, ScoreTest
-from strainwave.domain.parameters import EFFECT_PARAMETERS, Values
+from strainwave.domain import BoolArray, Diagnostic, FloatArray, ScoreTest
+from strainwave.domain.effects import all_effects, effect_named, names
+from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.effects import (
-    HYSTERESIS_TORSION,
-    STRIBECK_VELOCITY,
     NamedEffect,
     named_effects,
     records_with,
@@ -29,20 +28,6 @@ from strainwave.identification.whole_arm.parametrisation import Key
 
 _EVIDENT = 5.0  # deviations from nothing
 _MATTERS = 0.1  # and share of the cost: below, an error of another kind explains as much
-_AT_NOTHING = {
-    "stribeck_friction": 0.0,
-    "stribeck_velocity": STRIBECK_VELOCITY,
-    "hysteresis_torque": 0.0,
-    "hysteresis_twist": HYSTERESIS_TORSION,
-    "kinematic_error_cos": 0.0,
-    "kinematic_error_sin": 0.0,
-}
-_EXPERIMENTS: Mapping[Effect, str] = {
-    "stribeck": "turn the motor slowly, at several constant speeds of either sign",
-    "hysteresis": "hold the link and turn the motor slowly to and fro, to several torques",
-    "kinematic-error": "turn the motor at a constant speed through many turns, and look for lines"
-    " at two per turn in the accelerometers",
-}
 
 
 def score_tests_of(fit: Fit, arm: Arm) -> list[ScoreTest]:
@@ -72,10 +57,10 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[ScoreTest]:
 def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
     known = fit.objective.space.keys
     return [
-        (number, effect)
+        (number, effect.name)
         for number, joint in enumerate(arm.joints, start=1)
-        for effect, names in EFFECT_PARAMETERS.items()
-        if joint.elastic and (names[0], number) not in known
+        for effect in all_effects()
+        if joint.elastic and (effect.sizes[0], number) not in known
     ]
 
 
@@ -83,9 +68,10 @@ def _bordered(fit: Fit, arm: Arm, keys: Sequence[Key]) -> FloatArray:
     """R of [effects residual] in what the fit's unknowns cannot imitate: (n_keys + 1,) squared."""
     objective = fit.objective
     numbers = range(1, arm.n_joints + 1)
-    nothing = {(name, j): value for name, value in _AT_NOTHING.items() for j in numbers}
+    absent = {name: value for effect in all_effects() for name, value in effect.absent.items()}
+    nothing = {(name, j): value for name, value in absent.items() for j in numbers}
     values: Values = nothing | objective.space.values(fit.z)
-    joints = tuple(replace(joint, effects=tuple(EFFECT_PARAMETERS)) for joint in arm.joints)
+    joints = tuple(replace(joint, effects=names()) for joint in arm.joints)
     rich = records_with(objective.records, arm.with_joints(joints), values)
 
     def tangent(k: int, _: Evaluated) -> FloatArray:
@@ -147,12 +133,35 @@ def _step(
     basis = np.linalg.qr(taken)[0]
     columns = columns - basis @ (basis.T @ columns)
     target = target - basis @ (basis.T @ target)
-    size = np.asarray(np.linalg.lstsq(columns, -target)[0], dtype=float)
+    effect = effect_named(candidate[1])
+    signed = np.array([effect.is_signed(name) for name in effect.sizes])
+    size = least_squares(columns, target, signed)
     gain = float(np.sum(target**2) - np.sum((target + columns @ size) ** 2))
     std = np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)))
-    if candidate[1] != "kinematic-error" and size[0] < 0.0:
-        size, gain = np.zeros_like(size), 0.0
     return _Step(candidate, gain, size, std)
+
+
+def least_squares(columns: FloatArray, target: FloatArray, signed: BoolArray) -> FloatArray:
+    """Sizes that take most off the target; those without sign that come out negative are zero.
+
+    Parameters
+    ----------
+    columns : (n_rows, n_sizes)
+    target : (n_rows,)
+    signed : (n_sizes,)
+
+    Returns
+    -------
+    (n_sizes,)
+    """
+    free, size = np.ones(len(signed), dtype=bool), np.zeros(len(signed))
+    while free.any():
+        size[free] = np.linalg.lstsq(columns[:, free], -target)[0]
+        negative = ~signed & (size < 0.0)
+        if not negative.any():
+            break
+        size[:], free = 0.0, free & ~negative
+    return size
 
 
 def effect_warnings(score_tests: Sequence[ScoreTest], arm: Arm) -> Iterator[Diagnostic]:
@@ -175,11 +184,12 @@ def effect_warnings(score_tests: Sequence[ScoreTest], arm: Arm) -> Iterator[Diag
     for one in score_tests:
         if not one.evident or (one.joint, one.effect) in named:
             continue
+        effect = effect_named(one.effect)
         sizes = ", ".join(
             f"{name} {size:.2g} +- {one.stds[name]:.1g}" for name, size in one.sizes.items()
         )
         text = f"{one.effect} would explain {100.0 * one.share:.2g} % of the residuals ({sizes}),"
         text += f' more than any other effect; give the joint effects = ["{one.effect}"] to fit it;'
-        text += f" to be sure, {_EXPERIMENTS[one.effect]}"
-        yield Diagnostic(f"{one.effect}-likely", f"joint {one.joint}", text)
+        text += f" to be sure, {effect.experiment}"
+        yield Diagnostic(effect.warning_code, f"joint {one.joint}", text)
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from strainwave.domain import ArmDescription, Study, channel_names
+from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import KINDS, kind_of
 from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameters
 from strainwave.errors import InvalidInput
@@ -65,7 +66,7 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 where=reader.place("joint", index, "imu"),
                 remedy="map the axis along the joint to the channel a1, and leave the others out",
             )
-        of_a_gear = [effect for effect in joint.effects if effect != "stribeck"]
+        of_a_gear = [name for name in joint.effects if effect_named(name).needs_elastic_gear]
         if of_a_gear and not joint.elastic:
             raise InvalidInput(
                 f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",

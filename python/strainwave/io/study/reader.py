@@ -22,6 +22,7 @@ from strainwave.domain import (
     Servo,
     Study,
     TopicChannel,
+    effects,
     gear_laws,
 )
 from strainwave.errors import InvalidInput
@@ -177,16 +178,26 @@ class Reader:
         return self.record(ArmDescription, arm, "arm", None, **elsewhere)
 
     def _joint(self, own: Mapping[str, Any], index: int) -> Joint:
-        """One `[[joint]]`, its spring one of the gear laws that there are."""
-        spring, laws = own.get("spring"), [repr(name) for name in gear_laws.names()]
-        if spring is not None and spring not in gear_laws.names():
-            raise InvalidInput(
-                f"'spring' is {_shown(spring)}, but it should be {', '.join(laws[:-1])} or "
-                f"{laws[-1]}",
-                where=self.place("joint", index, "spring"),
-                remedy="mend the value",
-            )
+        """One `[[joint]]`, its spring a gear law and its effects effects that there are."""
+        spring, further = own.get("spring"), own.get("effects")
+        if spring is not None:
+            self._registered([spring], gear_laws.names(), spring, index, "spring")
+        if isinstance(further, list):
+            self._registered(further, effects.names(), further, index, "effects")
         return self.record(Joint, own, "joint", index)
+
+    def _registered(
+        self, named: Sequence[Any], known: Sequence[str], value: Any, index: int, key: str
+    ) -> None:
+        """Complain of a joint's value that names what there is not."""
+        if all(name in known for name in named):
+            return
+        *others, last = [repr(name) for name in known]
+        raise InvalidInput(
+            f"'{key}' is {_shown(value)}, but it should be {', '.join(others)} or {last}",
+            where=self.place("joint", index, key),
+            remedy="mend the value",
+        )
 
     def _value(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
         from pydantic import ValidationError

@@ -7,9 +7,21 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strainwave.domain import Criticism, ResidualTest, ScoreTest
+from strainwave.domain.effects import Effect, all_effects
 from strainwave.domain.formatting import plus_minus
 from strainwave.presentation.figures import BRIEF, MEASURED, RESIDUAL, Axis, Figure, Line, Panel
-from strainwave.presentation.report.blocks import Block, Fold, Plot, Row, Table, number, table
+from strainwave.presentation.report.blocks import (
+    Block,
+    Fold,
+    Paragraph,
+    Plot,
+    Row,
+    Span,
+    Table,
+    number,
+    paragraph,
+    table,
+)
 from strainwave.presentation.report.predictions import unit_of
 
 _CHANCE = 1e-3  # probabilities below are not separated
@@ -37,6 +49,7 @@ def criticised(criticism: Criticism) -> Iterator[Block]:
     heads = ("effect", "joint", "of the size", *sizes, "in the data")
     rows = map(_further, criticism.score_tests)
     yield from table("What further effects would explain of them", heads, rows)
+    yield from map(_in_words, _evident(criticism.score_tests))
     for test in worst:
         label = f"{test.experiment}, {test.channel}: residuals over frequency"
         words = f"The residuals are {_loudness(test):.2g} times the sensor's noise, and exceed it"
@@ -98,6 +111,19 @@ def _further(one: ScoreTest) -> Row:
         number(f"{np.sqrt(max(one.gain, 0.0)):.2g}"),
         number(f"{100.0 * one.share:.2g} %"),
         "likely" if one.evident else "no sign of it",
+    )
+
+
+def _evident(score_tests: Sequence[ScoreTest]) -> list[Effect]:
+    """The effects that some joint likely has."""
+    likely = {one.effect for one in score_tests if one.evident}
+    return [effect for effect in all_effects() if effect.name in likely]
+
+
+def _in_words(effect: Effect) -> Paragraph:
+    return paragraph(
+        Span(effect.name, kind="code"),
+        f" is {effect.description}; in a model without it {effect.consequence}.",
     )
 
 

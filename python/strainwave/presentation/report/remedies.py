@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import PurePath
 
 from strainwave.domain import Diagnostic
+from strainwave.domain.effects import all_effects
 from strainwave.presentation.report.blocks import Block, Cell, Span, paragraph, prose, table
 
 PAGE = "docs/troubleshooting.md"
 """Has a section of every code, under the code's name."""
 
-REMEDIES = {
-    # the answer itself is in doubt
+_IN_DOUBT = {
     "implausible": (
         "Do not use the value. Check gear_ratio, torque_per_volt, the signs of the channels, "
         "and what else acts on the joint."
@@ -59,12 +59,9 @@ REMEDIES = {
         "Read the tests of what the fit leaves: they name the frequency and what might explain it."
     ),
     "no-rigid-model": 'Add a record with use = "motion": slow, smooth, over the whole workspace.',
-    "stribeck-likely": 'Give the joint effects = ["stribeck"], and a record of slow motion.',
-    "hysteresis-likely": 'Give the joint effects = ["hysteresis"], and a record of slow reversals.',
-    "kinematic-error-likely": (
-        'Give the joint effects = ["kinematic-error"], and a record of slow, even turning.'
-    ),
-    # the data are in doubt
+}
+"""Where the answer itself is in doubt, the most serious first."""
+_OF_DATA = {
     "saturated": "Lower the amplitude, or raise the drive's limit; those stretches were left out.",
     "misaligned": (
         "Check the logger's time stamps and the bandwidths of sensor and drive in the study."
@@ -108,7 +105,9 @@ REMEDIES = {
     "pem-not-determined": "Lower the order, or excite every input.",
     "subspace-not-determined": "Take off means and drifts, or change the order.",
     "pole-near-nyquist": "Lower the order, or sample faster.",
-    # what the answer covers
+}
+"""Where the data are."""
+_OF_COVERAGE = {
     "not-reached": "Use a larger amplitude, or hold the link, if the arm will be loaded that far.",
     "equivalent-stiffness": "Use the curve of the whole-arm fit; this one is an average.",
     "effect-left-out": "Take it out of the joint's effects, or record slow motions and reversals.",
@@ -119,7 +118,7 @@ REMEDIES = {
     "reordered": "Nothing: the messages were put in the order of their stamps.",
     "resampled": "Nothing, if the motion is slow; else log at even steps.",
 }
-"""By code, the most serious first."""
+"""Of what the answer covers."""
 MILD = frozenset(
     {
         "equivalent-stiffness",
@@ -133,6 +132,12 @@ MILD = frozenset(
 )
 """Of the codes those that take nothing from the answer."""
 _UNHEARD = "See the message."
+
+
+def remedies() -> Mapping[str, str]:
+    """By code, the most serious first."""
+    likely = {effect.warning_code: effect.remedy for effect in all_effects()}
+    return _IN_DOUBT | likely | _OF_DATA | _OF_COVERAGE
 
 
 def most_serious(warnings: Iterable[Diagnostic]) -> Diagnostic:
@@ -175,11 +180,12 @@ def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
     ------
     Block
     """
+    known = remedies()
     rows = [
         (
             prose(place_of(w)),
             prose(w.message),
-            prose(REMEDIES.get(w.code, _UNHEARD)),
+            prose(known.get(w.code, _UNHEARD)),
             Cell(w.code, "code"),
         )
         for w in by_weight(warnings)
@@ -204,5 +210,5 @@ def place_of(warning: Diagnostic) -> str:
 
 
 def _weight(warning: Diagnostic) -> int:
-    order = list(REMEDIES)
-    return order.index(warning.code) if warning.code in REMEDIES else -1
+    order = list(remedies())
+    return order.index(warning.code) if warning.code in order else -1

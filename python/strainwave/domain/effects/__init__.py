@@ -1,0 +1,118 @@
+"""Effects beside spring and dry friction: `effects` of a study's `[[joint]]`, one file each.
+
+A new effect is a file beside these, a line below, and its equations in `rust/core/src/joint`. All
+others loop over the effects and name none.
+"""
+
+from __future__ import annotations
+
+from strainwave.domain.effects.hysteresis import Hysteresis
+from strainwave.domain.effects.interface import Effect, KnownJoint
+from strainwave.domain.effects.kinematic_error import KinematicError
+from strainwave.domain.effects.stribeck import Stribeck
+from strainwave.domain.parameter_table import parameter_table
+from strainwave.errors import InvalidInput
+
+__all__ = [
+    "Effect",
+    "KnownJoint",
+    "all_effects",
+    "effect_named",
+    "names",
+    "register",
+    "unregister",
+]
+
+_EFFECTS: dict[str, Effect] = {
+    effect.name: effect for effect in (Stribeck(), Hysteresis(), KinematicError())
+}
+
+
+def effect_named(name: str) -> Effect:
+    """An effect by its name.
+
+    Parameters
+    ----------
+    name : str
+        As in `effects` of a study file.
+
+    Returns
+    -------
+    Effect
+
+    Raises
+    ------
+    InvalidInput
+        There is none of that name.
+    """
+    if name not in _EFFECTS:
+        raise InvalidInput(
+            f"there is no effect {name!r}",
+            where="effects",
+            remedy=f"use one of {', '.join(_EFFECTS)}",
+        )
+    return _EFFECTS[name]
+
+
+def names() -> tuple[str, ...]:
+    """Of all effects, in the order in which they were registered."""
+    return tuple(_EFFECTS)
+
+
+def all_effects() -> tuple[Effect, ...]:
+    """In the order in which they were registered."""
+    return tuple(_EFFECTS.values())
+
+
+def register(effect: Effect) -> None:
+    """Make an effect known, so that studies can name it and fits test for it.
+
+    Parameters
+    ----------
+    effect : Effect
+
+    Raises
+    ------
+    InvalidInput
+        There is one of that name, one of its parameters is none of the core's or is a size here and
+        a shape in another effect, or a size cannot be zero.
+    """
+    if effect.name in _EFFECTS:
+        raise InvalidInput(
+            f"there is an effect {effect.name!r} already", remedy="give it another name"
+        )
+    for name in effect.names:
+        problem = _fault(effect, name)
+        if problem:
+            raise InvalidInput(
+                f"the parameter {name!r} of the effect {effect.name!r} {problem}",
+                remedy="give it another name",
+            )
+    _EFFECTS[effect.name] = effect
+
+
+def _fault(effect: Effect, name: str) -> str | None:
+    """What keeps a parameter from being one of an effect's."""
+    if name not in parameter_table():
+        return "is none of the core's"
+    if name in effect.sizes and effect.described(name).range == "positive":
+        return "is a size, but cannot be zero"
+    others = [other for other in _EFFECTS.values() if name in other.names]
+    if any((name in other.sizes) != (name in effect.sizes) for other in others):
+        return "is another in another effect"
+    return None
+
+
+def unregister(name: str) -> None:
+    """Forget an effect.
+
+    Parameters
+    ----------
+    name : str
+
+    Raises
+    ------
+    InvalidInput
+        There is none of that name.
+    """
+    del _EFFECTS[effect_named(name).name]

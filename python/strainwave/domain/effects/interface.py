@@ -1,0 +1,138 @@
+"""What a further effect of a joint has to say of itself; its simulation is the core's."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from strainwave.domain.parameter_table import ParameterDescription, parameter_table
+
+Values = dict[str, float]
+"""An effect's parameters: name -> value."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnownJoint:
+    """What is known of a joint before its effects are fitted."""
+
+    gear_ratio: float  # n, link turns per motor turn
+    coulomb_friction: float  # [N m] at the motor
+    stiffness: float  # [N m/rad] of the gear without torsion, at the link; infinite if rigid
+    largest_torque: float  # [N m] that the gear bears in the records, at the link
+
+
+class Effect(ABC):
+    """What a joint may have beside its spring and dry friction.
+
+    Effects hold no state. Their values come by name, without the joint's number.
+    """
+
+    name: str
+    """As in `effects` of a study."""
+
+    sizes: tuple[str, ...]
+    """Parameters that are zero where the effect is absent; the first of the core's."""
+
+    shapes: Mapping[str, float] = {}
+    """The core's other parameters -> value to start from, and at which a size of zero is tested."""
+
+    needs_elastic_gear: bool = False
+    """Whether a rigid gear cannot have it."""
+
+    description: str
+    """What it is, in one line without a full stop."""
+
+    consequence: str
+    """What it does to the estimates of a model without it: a clause without a full stop."""
+
+    experiment: str
+    """What would confirm it: an order, without a full stop."""
+
+    record: str
+    """The record that its fit needs: a noun."""
+
+    @property
+    def core_name(self) -> str:
+        """Name of the effect in the core that simulates it."""
+        return self.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters, in the core's order."""
+        return (*self.sizes, *self.shapes)
+
+    @property
+    def warning_code(self) -> str:
+        """Of the warning that the residuals speak for it."""
+        return f"{self.name}-likely"
+
+    @property
+    def remedy(self) -> str:
+        """What to do about that warning."""
+        return f'Give the joint effects = ["{self.name}"], and {self.record}.'
+
+    @property
+    def absent(self) -> Values:
+        """Sizes of zero, at the shapes to start from."""
+        return dict.fromkeys(self.sizes, 0.0) | dict(self.shapes)
+
+    def described(self, name: str) -> ParameterDescription:
+        """Symbol, units and range of a parameter.
+
+        Parameters
+        ----------
+        name : str
+            One of the effect's.
+
+        Returns
+        -------
+        ParameterDescription
+        """
+        return parameter_table()[name]
+
+    def is_signed(self, name: str) -> bool:
+        """Whether a parameter may have either sign.
+
+        Parameters
+        ----------
+        name : str
+            One of the effect's.
+
+        Returns
+        -------
+        bool
+        """
+        return self.described(name).range == "any"
+
+    @abstractmethod
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        """Sizes that the effect has in such a joint, by order of magnitude.
+
+        Sizes without sign start from here, signed ones from zero in steps of this.
+
+        Parameters
+        ----------
+        joint : KnownJoint
+
+        Returns
+        -------
+        dict
+            Size -> value above zero.
+        """
+
+    def starts(self, joint: KnownJoint) -> Values:
+        """Where a fit starts.
+
+        Parameters
+        ----------
+        joint : KnownJoint
+
+        Returns
+        -------
+        dict
+            Name -> value, of every parameter.
+        """
+        typical = self.typical_sizes(joint)
+        sizes = {name: 0.0 if self.is_signed(name) else typical[name] for name in self.sizes}
+        return sizes | dict(self.shapes)

@@ -1,0 +1,257 @@
+"""What each effect says of itself agrees with itself, with the core and with the documentation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from effect_runs import records, tuned
+from strainwave import _core
+from strainwave.domain import ArmDescription, FloatArray, Joint, ScoreTest, effects, is_physical
+from strainwave.domain.effects import Effect, KnownJoint, effect_named
+from strainwave.domain.effects.interface import Values
+from strainwave.domain.effects.stribeck import Stribeck
+from strainwave.domain.gear_laws import RIGID
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive, simulate
+from strainwave.errors import InvalidInput
+from strainwave.identification.whole_arm.score_tests import effect_warnings
+from strainwave.io.study import read_study
+from strainwave.presentation.report.remedies import remedies
+from virtual_arms import ELASTIC_JOINT
+
+EFFECTS = effects.all_effects()
+EACH = pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+KNOWN = KnownJoint(gear_ratio=0.01, coulomb_friction=0.05, stiffness=2e4, largest_torque=30.0)
+DOCS = Path(__file__).parents[3] / "docs"
+STUDY = """
+[arm]
+kind = "single-joint"
+
+[[joint]]
+spring = "{spring}"
+gear_ratio = 0.01
+effects = {effects}
+
+[[experiment]]
+name = "prbs"
+file = "prbs.csv"
+use = "frequency"
+joint = 1
+"""
+
+
+def arm(*names: str, spring: str = "linear") -> Arm:
+    return Arm.of(ArmDescription("single-joint", (Joint(spring, 0.01, effects=names),)))
+
+
+def motion(names: tuple[str, ...], own: Values) -> FloatArray:
+    """Motor and link of one joint whose motor turns to and fro by its torque, and stands."""
+    values = ELASTIC_JOINT | {(name, 1): value for name, value in own.items()}
+    torque = np.repeat([1.0, -1.5, 0.04, 2.0, 0.0], 60)[:, None]
+    drive = Drive(1e-3, torque, np.zeros_like(torque), (False,), (0.0,), (0.0,))
+    run = simulate(
+        arm(*names),
+        values,
+        drive,
+        sample_time=1e-3,
+        samples=len(torque),
+        record=["motor_angle", "link_angle"],
+    )
+    return np.hstack([run["motor_angle"], run["link_angle"]])
+
+
+def study(path: Path, named: str, spring: str = "linear") -> Path:
+    path = path / "study.toml"
+    path.write_text(STUDY.format(spring=spring, effects=named), encoding="utf-8")
+    return path
+
+
+@EACH
+def test_names_are_the_core_s_in_its_order_sizes_first(effect: Effect) -> None:
+    own = [name for owner, name, *_ in _core.parameter_table() if owner == effect.core_name]
+    assert list(effect.names) == own
+    assert list(effect.names[: len(effect.sizes)]) == list(effect.sizes)
+    assert effect.sizes
+    assert [name for name, _ in arm(effect.name).parameter_names][-len(own) :] == own
+
+
+@EACH
+def test_a_size_may_be_zero_and_is_signed_where_the_core_says_so(effect: Effect) -> None:
+    for name in effect.sizes:
+        assert is_physical(name, 0.0)
+        assert effect.is_signed(name) == is_physical(name, -1.0)
+    for name, value in effect.absent.items():
+        assert is_physical(name, value)
+
+
+@EACH
+@pytest.mark.parametrize(
+    "known",
+    [KNOWN, replace(KNOWN, stiffness=math.inf, largest_torque=0.1)],
+    ids=["elastic", "stiff"],
+)
+def test_starts_are_finite_and_inside_their_ranges(effect: Effect, known: KnownJoint) -> None:
+    if effect.needs_elastic_gear and math.isinf(known.stiffness):
+        return
+    typical, starts = effect.typical_sizes(known), effect.starts(known)
+    assert list(typical) == list(effect.sizes)
+    assert list(starts) == list(effect.names)
+    for name in effect.sizes:
+        assert 0.0 < typical[name] < math.inf
+        assert starts[name] == (0.0 if effect.is_signed(name) else typical[name])
+    for name, value in starts.items():
+        assert is_physical(name, value)
+        # the search goes by the logarithm of what has no sign
+        assert value > 0.0 or effect.is_signed(name)
+
+
+@EACH
+def test_of_size_zero_it_moves_nothing(effect: Effect) -> None:
+    np.testing.assert_array_equal(motion((effect.name,), effect.absent), motion((), {}))
+
+
+@EACH
+def test_of_its_typical_size_it_changes_the_motion(effect: Effect) -> None:
+    own = effect.typical_sizes(KNOWN) | dict(effect.shapes)
+    assert np.max(np.abs(motion((effect.name,), own) - motion((), {}))) > 1e-6
+
+
+@EACH
+def test_a_rigid_gear_has_it_or_is_refused_it(effect: Effect, tmp_path: Path) -> None:
+    path = study(tmp_path, f'["{effect.name}"]', RIGID)
+    if effect.needs_elastic_gear:
+        with pytest.raises(InvalidInput, match=f"a rigid gear has no {effect.name.split('-')[0]}"):
+            read_study(path, logs_exist=False)
+    else:
+        found = read_study(path, logs_exist=False).arm
+        assert (effect.sizes[0], 1) in Arm.of(found).parameter_names
+
+
+@EACH
+def test_it_is_documented(effect: Effect) -> None:
+    trouble = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    (section,) = (s for s in trouble.split("\n### ") if s.startswith(f"`{effect.warning_code}`"))
+    assert f'effects = ["{effect.name}"]' in " ".join(section.split())
+    assert f'`"{effect.name}"`' in (DOCS / "study.md").read_text(encoding="utf-8")
+    parameters = (DOCS / "parameters.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in parameters for name in effect.names)
+
+
+@EACH
+def test_its_warning_names_the_experiment_and_the_remedy(effect: Effect) -> None:
+    sizes = dict.fromkeys(effect.sizes, 1.0)
+    evident = ScoreTest(1, effect.name, sizes, sizes, 100.0, 0.5, True)
+    (found,) = effect_warnings([evident], arm())
+    assert found.code == effect.warning_code
+    assert effect.experiment in found.message
+    assert remedies()[found.code] == effect.remedy
+    assert not list(effect_warnings([evident], arm(effect.name)))
+    for words in (effect.description, effect.consequence, effect.experiment, effect.record):
+        assert words
+        assert not words.endswith(".")
+
+
+@pytest.mark.parametrize("named", ['["creep"]', '["stribeck", 3]', "[[]]"])
+def test_a_study_must_name_effects_that_there_are(named: str, tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidInput, match=r"'effects' is .*, but it should be 'stribeck', "
+    ) as why:
+        read_study(study(tmp_path, named), logs_exist=False)
+    assert why.value.problem.endswith(f" or {effects.names()[-1]!r}")
+    assert "line 8" in str(why.value)
+
+
+def test_effects_are_a_list(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="'effects' is 'stribeck', but it should be a valid"):
+        read_study(study(tmp_path, '"stribeck"'), logs_exist=False)
+
+
+class Breakaway(Stribeck):
+    """The same friction, which begins larger and falls sooner."""
+
+    name = "breakaway"
+    shapes: Mapping[str, float] = {"stribeck_velocity": 2.0}
+    description = "friction that a motor at standstill has"
+
+    @property
+    def core_name(self) -> str:
+        return "stribeck"
+
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        return {"stribeck_friction": 0.5 * joint.coulomb_friction}
+
+
+@pytest.fixture
+def registered() -> Iterator[Effect]:
+    effect = Breakaway()
+    effects.register(effect)
+    yield effect
+    effects.unregister(effect.name)
+
+
+def test_an_effect_from_elsewhere_is_an_effect(registered: Effect, tmp_path: Path) -> None:
+    found = Arm.of(read_study(study(tmp_path, '["breakaway"]'), logs_exist=False).arm)
+    assert found.joints[0].effects == ("breakaway",)
+    assert ("stribeck_friction", 1) in found.parameter_names
+    assert remedies()["breakaway-likely"].startswith('Give the joint effects = ["breakaway"]')
+    own = registered.starts(KNOWN)
+    np.testing.assert_array_equal(motion(("breakaway",), own), motion(("stribeck",), own))
+    both = motion(("stribeck", "breakaway"), own)  # one effect of the core by two names
+    np.testing.assert_array_equal(both, motion(("stribeck",), own))
+
+
+@pytest.mark.usefixtures("registered")
+def test_an_effect_from_elsewhere_is_fitted() -> None:
+    _, true, _ = records(("stribeck",))
+    model = tuned.__wrapped__(("stribeck",), ("breakaway",))
+    assert model.status == "converged"
+    for name in ("stribeck_friction", "stribeck_velocity"):
+        assert model.values[name, 1] == pytest.approx(true[name, 1], rel=0.05)
+    assert model.criticism is not None
+    tested = {(one.joint, one.effect) for one in model.criticism.score_tests}
+    assert (1, "breakaway") not in tested
+    assert (2, "breakaway") in tested
+
+
+def test_an_effect_that_is_gone_is_refused(registered: Effect, tmp_path: Path) -> None:
+    effects.unregister("breakaway")
+    with pytest.raises(InvalidInput, match="should be 'stribeck', "):
+        read_study(study(tmp_path, '["breakaway"]'), logs_exist=False)
+    with pytest.raises(InvalidInput, match="no effect 'breakaway'"):
+        effect_named("breakaway")
+    assert "breakaway-likely" not in remedies()
+    effects.register(registered)
+
+
+def test_an_effect_must_not_change_what_is_known(registered: Effect) -> None:
+    with pytest.raises(InvalidInput, match="already"):
+        effects.register(registered)
+
+    class Unknown(Stribeck):
+        name = "unknown"
+        sizes = ("creep_torque",)
+
+    class Other(Stribeck):
+        name = "other"
+        sizes = ("hysteresis_torque",)
+        shapes: Mapping[str, float] = {"stribeck_friction": 0.1}
+
+    class NeverZero(Stribeck):
+        name = "never-zero"
+        sizes = ("hysteresis_twist",)
+        shapes: Mapping[str, float] = {}
+
+    for effect, problem in (
+        (Unknown(), "none of the core's"),
+        (Other(), "another in another effect"),
+        (NeverZero(), "cannot be zero"),
+    ):
+        with pytest.raises(InvalidInput, match=problem):
+            effects.register(effect)
+        assert effect.name not in effects.names()
