@@ -14,6 +14,7 @@ __all__ = [
     "eliminate",
     "gear_laws",
     "hankel_gram",
+    "joint_effects",
     "leave_out",
     "parameter_table",
 ]
@@ -278,3 +279,9 @@ def parameter_table() -> list[
 
 def gear_laws() -> list[tuple[str, list[str], bool]]:
     """The laws of gears: name, names of its parameters in their order, whether it gives way."""
+
+def joint_effects() -> list[tuple[str, list[str], int, bool]]:
+    """The effects: name, parameters in their order, how many of these, the first, are sizes, of_gear.
+
+    An effect whose sizes are all zero is not there. One `of_gear` takes an elastic gear.
+    """

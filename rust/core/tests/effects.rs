@@ -2,26 +2,21 @@
 
 mod common;
 
-use common::{Draw, LINEAR, RIGID, Run, at_rest, config, scara, with_effects};
+use common::{Draw, LINEAR, RIGID, Run, at_rest, config, is_size, scara, with_effects};
 use proptest::prelude::*;
 use strainwave_core::arm::{OneLink, TwoLink};
-use strainwave_core::dispatch::{Width, simulate};
-use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Task};
-use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::dispatch::{Width, by_duals_at, simulate};
+use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
+use strainwave_core::joint::effects::{self, EffectKinds};
 use strainwave_core::joint::gear::Law;
 use strainwave_core::plant::config::Config;
 
 const N: f64 = 0.01;
-const NONE: EffectKinds = EffectKinds {
-    stribeck: false,
-    hysteresis: false,
-    kinematic_error: false,
-};
-const ALL: EffectKinds = EffectKinds {
-    stribeck: true,
-    hysteresis: true,
-    kinematic_error: true,
-};
+const ALL: EffectKinds = EffectKinds::ALL;
+
+fn none() -> EffectKinds {
+    EffectKinds::default()
+}
 
 fn one_link(gear: Law, effects: EffectKinds) -> Config<OneLink<false>, 1> {
     let mut config = config([gear]);
@@ -71,12 +66,12 @@ fn break_away(gear: Law, effects: EffectKinds, friction: [f64; 2]) -> f64 {
 fn a_motor_breaks_away_beyond_both_frictions_together() {
     let stribeck = EffectKinds {
         stribeck: true,
-        ..NONE
+        ..none()
     };
     for gear in [LINEAR, RIGID] {
         let found = break_away(gear, stribeck, [0.06, 0.02]);
         assert!((found - 0.08).abs() < 1.1e-3 * 0.08, "{gear:?} {found}");
-        let plain = break_away(gear, NONE, [0.06, 0.0]);
+        let plain = break_away(gear, none(), [0.06, 0.0]);
         assert!((plain - 0.06).abs() < 1.1e-3 * 0.06, "{gear:?} {plain}");
         // with no Coulomb friction at all it is the motor's only hold
         let alone = break_away(gear, stribeck, [0.0, 0.02]);
@@ -88,7 +83,7 @@ fn a_motor_breaks_away_beyond_both_frictions_together() {
 fn a_sliding_motor_feels_what_its_speed_leaves_of_stribecks_friction() {
     let effects = EffectKinds {
         stribeck: true,
-        ..NONE
+        ..none()
     };
     let (viscous, coulomb, more, speed) = (1e-2, 0.06, 0.02, 3.0);
     // enough viscous friction for the whole to rise with speed, so that one speed balances
@@ -122,7 +117,7 @@ proptest! {
     /// Between two reversals z(delta) = s - (s - z0) exp(-|delta - delta0| / delta_h).
     #[test]
     fn the_gear_draws_dahls_loop(largest in 0.5..4.0f64, width in 0.3e-4..5e-4f64, twist in 0.5e-3..2e-3f64) {
-        let effects = EffectKinds { hysteresis: true, ..NONE };
+        let effects = EffectKinds { hysteresis: true, ..none() };
         let parameters = against_a_wall([largest, width]);
         let run = Run {
             config: one_link(LINEAR, effects),
@@ -159,7 +154,7 @@ proptest! {
 
     #[test]
     fn the_kinematic_error_pulls_at_link_and_motor(theta in -30.0..30.0f64, cos in -2e-4..2e-4f64, sin in -2e-4..2e-4f64) {
-        let effects = EffectKinds { kinematic_error: true, ..NONE };
+        let effects = EffectKinds { kinematic_error: true, ..none() };
         let parameters = against_a_wall([cos, sin]);
         let (off, slope) = (
             cos * (2.0 * theta).cos() + sin * (2.0 * theta).sin(),
@@ -238,11 +233,17 @@ fn order(effects: EffectKinds) -> f64 {
 fn the_order_stays_four_but_for_the_hysteresis_reversals() {
     let smooth = EffectKinds {
         hysteresis: false,
+        load_friction: false,
+        backlash: false,
         ..ALL
     };
     assert!(order(smooth) > 3.7, "{}", order(smooth));
     // The stages within a step see a reversal at the accuracy of a stage: order three.
-    assert!(order(ALL) > 2.7, "{}", order(ALL));
+    let reversals = EffectKinds {
+        hysteresis: true,
+        ..smooth
+    };
+    assert!(order(reversals) > 2.7, "{}", order(reversals));
 }
 
 #[test]
@@ -251,7 +252,7 @@ fn effects_of_no_size_change_nothing() {
     let (config, with) = two_links(ALL);
     let mut without = with.clone();
     for (k, (name, _)) in config.parameter_names().iter().enumerate() {
-        if ["stribeck_friction", "hysteresis_torque"].contains(name) || name.starts_with("kin") {
+        if is_size(name) {
             without[k] = 0.0;
         }
     }
@@ -267,7 +268,7 @@ fn effects_of_no_size_change_nothing() {
         };
         run.record(&[Quantity::MotorVelocity, Quantity::GearTorque])
     };
-    let expected = run(two_links(NONE).0, &plain);
+    let expected = run(two_links(none()).0, &plain);
     assert_eq!(run(config, &without), expected);
     assert_ne!(run(config, &with), expected);
 }
@@ -323,6 +324,9 @@ fn impossible_effects_are_refused() {
         ("hysteresis_torque", -1.0),
         ("hysteresis_twist", 0.0),
         ("kinematic_error_cos", f64::NAN),
+        ("load_friction", -1e-3),
+        ("power_exponent", 0.0),
+        ("backlash", -1e-9),
     ] {
         let mut broken = values.clone();
         let names = config.parameter_names();
@@ -331,4 +335,150 @@ fn impossible_effects_are_refused() {
         let said = config.check(&broken).expect_err("an impossible arm");
         assert_eq!(said.name, (name, Some(2)));
     }
+}
+
+/// Every effect alone: derivatives by its parameters, by numbers with derivatives, against central
+/// differences of the plain simulation.
+#[test]
+fn derivatives_by_every_effects_parameters_are_differences() {
+    for effect in effects::DECLARED {
+        let mut kinds = none();
+        assert!(kinds.add(effect.name));
+        let (config, parameters) = two_links(kinds);
+        let voltage = telegraph(11, 60);
+        let task = Task {
+            config,
+            clock: Clock {
+                step: 1.25e-4,
+                steps_per_tick: 8,
+                steps_per_servo: 8,
+                steps_per_sample: 8,
+                samples: 60,
+            },
+            servo: None,
+            record: vec![Quantity::MotorVelocity, Quantity::LinkVelocity],
+        };
+        let member = Member {
+            parameters: &parameters,
+            feed_forward: &voltage,
+            reference: &voltage,
+            initial: at_rest([3.0, -5.0]),
+        };
+        let names = config.parameter_names();
+        let own = effect.parameters.iter().map(|parameter| parameter.name);
+        for name in own {
+            let k = names.iter().position(|known| *known == (name, Some(1)));
+            let k = k.expect("the joint has it");
+            let width = Width::detect();
+            let found = by_duals_at(&task, &member, &[Source::Parameter(k)], width);
+            let found = found.expect("finite").tangents.remove(0);
+            let size = 1e-5 * parameters[k];
+            let [up, down] = [size, -size].map(|by| {
+                let mut moved = parameters.clone();
+                moved[k] += by;
+                let moved = Member {
+                    parameters: &moved,
+                    ..member
+                };
+                let all = simulate(&task, &[moved], width).remove(0);
+                all.expect("finite")[0].as_flattened().to_vec()
+            });
+            let most = found.iter().fold(0.0f64, |most, one| most.max(one.abs()));
+            assert!(most * parameters[k].abs() > 1e-6, "{name} does nothing");
+            for (own, (up, down)) in found.iter().zip(up.iter().zip(&down)) {
+                let slope = (up - down) / (2.0 * size);
+                assert!((own - slope).abs() < 1e-3 * most, "{name}: {own} {slope}");
+            }
+        }
+    }
+}
+
+/// A rigid joint on a ground spring swings about where the spring and its preload balance.
+#[test]
+fn a_ground_spring_swings_about_its_balance() {
+    let effects = EffectKinds {
+        ground_spring: true,
+        ..none()
+    };
+    let (inertia, stiffness, preload) = (0.5, 8.0, -2.0);
+    let motor = 1e-4; // reflected by the square of 0.01: 1 kg m^2
+    let parameters = [inertia, 0.0, motor, 0.0, 0.0, 0.0, 0.0, stiffness, preload];
+    let run = Run {
+        config: one_link(RIGID, effects),
+        parameters: &parameters,
+        voltage: &[[0.0]],
+        steps_per_tick: 1,
+        initial: at_rest([0.0]),
+        step: 1e-3,
+        steps: 2000,
+    };
+    let record = run.record(&[Quantity::LinkAngle]);
+    let omega = (stiffness / (inertia + motor / (N * N))).sqrt();
+    for k in 0..=run.steps {
+        let expected = 0.25 * (1.0 - (omega * 1e-3 * k as f64).cos());
+        assert!((record[0][k][0] - expected).abs() < 1e-9, "{k}");
+    }
+}
+
+/// A gear with a dead band passes its damping's torque alone within it.
+#[test]
+fn a_dead_band_is_felt_by_nothing() {
+    let effects = EffectKinds {
+        backlash: true,
+        ..none()
+    };
+    let (half, stiffness) = (2e-4, 20e3);
+    let parameters = [
+        1e12, 0.0, 1.5e-4, 0.0, 0.0, 0.0, 0.0, stiffness, 0.0, 0.0, half,
+    ];
+    let run = Run {
+        config: one_link(LINEAR, effects),
+        parameters: &parameters,
+        voltage: &[[3.0]],
+        steps_per_tick: 1,
+        initial: at_rest([0.0]),
+        step: 1.25e-4,
+        steps: 400,
+    };
+    let record = run.record(&[
+        Quantity::MotorAngle,
+        Quantity::GearTorque,
+        Quantity::LinkAngle,
+    ]);
+    let (mut within, mut beyond) = (0, 0);
+    for k in 0..=run.steps {
+        let torsion = N * record[0][k][0] - record[2][k][0];
+        let strain = (torsion.abs() - half).max(0.0).copysign(torsion);
+        assert!((record[1][k][0] - stiffness * strain).abs() < 1e-9);
+        within += i32::from(strain == 0.0);
+        beyond += i32::from(strain != 0.0);
+    }
+    assert!(within > 5 && beyond > 5);
+}
+
+/// Dry friction that the gear's load raises: what breaks a loaded motor away.
+#[test]
+fn a_load_holds_its_motor() {
+    let effects = EffectKinds {
+        load_friction: true,
+        ..none()
+    };
+    // the link is a wall 0.02 rad of the motor away, 20 kN m/rad: 4 N m, at the motor 0.04
+    let parameters = [1e12, 0.0, 1.5e-4, 0.0, 0.01, 0.0, 0.0, 20e3, 0.0, 0.0, 0.5];
+    let breaks = |torque: f64| {
+        let mut initial = at_rest([0.02]);
+        initial.link_angle = Some([0.0]);
+        let run = Run {
+            config: one_link(LINEAR, effects),
+            parameters: &parameters,
+            voltage: &[[torque / 0.1]],
+            steps_per_tick: 1,
+            initial,
+            step: 1.25e-4,
+            steps: 4,
+        };
+        run.record(&[Quantity::MotorVelocity])[0][4][0] > 0.0
+    };
+    let most = 0.04 + 0.01 + 0.5 * 0.04;
+    assert!(breaks(1.001 * most) && !breaks(0.999 * most));
 }

@@ -274,7 +274,11 @@ proptest! {
         // must then neither give nor take.
         let mut config = config::<TwoLink<true>, 2>([LINEAR; 2]);
         for (i, joint) in config.joints.iter_mut().enumerate() {
-            joint.effects = EffectKinds { stribeck: !few, hysteresis: !few, kinematic_error: true };
+            joint.effects = EffectKinds::ALL;
+            joint.effects.stribeck = !few;
+            joint.effects.hysteresis = !few;
+            joint.effects.load_friction = !few;
+            joint.effects.backlash = !few;
             values[5 + 8 * i + 2] *= f64::from(u8::from(!few));
         }
         let values = with_effects(&values, &config);

@@ -139,18 +139,17 @@ fn gear_law(name: &str) -> PyResult<Law> {
 fn effect_kinds(names: &[String], gear: Law) -> PyResult<EffectKinds> {
     let mut kinds = EffectKinds::default();
     for name in names {
-        match name.as_str() {
-            "stribeck" => kinds.stribeck = true,
-            "hysteresis" => kinds.hysteresis = true,
-            "kinematic-error" => kinds.kinematic_error = true,
-            _ => return Err(PyValueError::new_err(format!("no effect {name:?}"))),
+        if !kinds.add(name) {
+            return Err(PyValueError::new_err(format!("no effect {name:?}")));
         }
     }
-    if !gear.elastic && (kinds.hysteresis || kinds.kinematic_error) {
-        let text = "a rigid gear has neither hysteresis nor a kinematic error";
-        return Err(PyValueError::new_err(text));
+    match kinds.of_gear() {
+        Some(name) if !gear.elastic => {
+            let text = format!("a rigid gear has no {}", name.replace('-', " "));
+            Err(PyValueError::new_err(text))
+        }
+        _ => Ok(kinds),
     }
-    Ok(kinds)
 }
 
 pub fn quantities(names: &[String]) -> PyResult<Vec<Quantity>> {

@@ -3,7 +3,7 @@
 use pyo3::prelude::*;
 use pyo3::wrap_pyfunction;
 use strainwave_core::arm::{Arm, OneLink, SerialChain, TwoLink};
-use strainwave_core::joint::gear;
+use strainwave_core::joint::{effects, gear};
 use strainwave_core::parameter::{Parameter, Sign};
 use strainwave_core::plant::config::{Declared, joint_parameters};
 
@@ -55,7 +55,19 @@ fn gear_laws() -> Vec<(&'static str, Vec<&'static str>, bool)> {
         .collect()
 }
 
+/// The effects: name, parameters, how many of them are sizes, whether they take an elastic gear; see
+/// _core.pyi.
+#[pyfunction]
+fn joint_effects() -> Vec<(&'static str, Vec<&'static str>, usize, bool)> {
+    let names = |effect: &effects::Declared| effect.parameters.iter().map(|one| one.name).collect();
+    effects::DECLARED
+        .iter()
+        .map(|effect| (effect.name, names(effect), effect.sizes, effect.of_gear))
+        .collect()
+}
+
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(parameter_table, module)?)?;
-    module.add_function(wrap_pyfunction!(gear_laws, module)?)
+    module.add_function(wrap_pyfunction!(gear_laws, module)?)?;
+    module.add_function(wrap_pyfunction!(joint_effects, module)?)
 }

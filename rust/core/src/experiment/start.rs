@@ -3,7 +3,7 @@
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::experiment::{Initial, Source};
-use crate::joint::gear::{Gears, Spring};
+use crate::joint::gear::Gears;
 use crate::plant::friction::Motion;
 use crate::plant::{Plant, State};
 use crate::scalar::Real;
@@ -70,7 +70,12 @@ fn hanging<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
         let mut change = 0.0f64;
         for i in 0..N {
             if !plant.is_rigid(i) {
-                let next = untwisted[i] - plant.joints[i].spring.torsion(gravity[i]);
+                let joint = &plant.joints[i];
+                let mut load = gravity[i];
+                if EFFECTS {
+                    load = load + joint.effects.load(angle[i]);
+                }
+                let next = untwisted[i] - joint.torsion::<EFFECTS>(load);
                 change = change.max((next - angle[i]).lane(0).abs());
                 angle[i] = next;
             }

@@ -103,22 +103,24 @@ pub(crate) struct Gear<R> {
 
 /// `EFFECTS` says at compile time whether the joint may have any.
 impl<R: Real, G: Gears> Joint<R, G> {
-    /// What dry friction can take up at most [N m] at a velocity of the motor [rad/s], and does
-    /// take up while the motor slides: f_M + f_S exp(-(dtheta_M/w_s)^2).
+    /// What dry friction can take up at most [N m] at a velocity of the motor [rad/s] and a torque of
+    /// the gear at the motor [N m], and does take up while the motor slides.
     #[inline(always)]
-    pub fn dry_friction<const EFFECTS: bool>(&self, velocity: R) -> R {
-        match &self.effects.stribeck {
-            Some(stribeck) if EFFECTS => self.coulomb + stribeck.at(velocity),
-            _ => self.coulomb,
+    pub fn dry_friction<const EFFECTS: bool>(&self, velocity: R, load: R) -> R {
+        if EFFECTS {
+            self.coulomb + self.effects.dry_friction(velocity, load)
+        } else {
+            self.coulomb
         }
     }
 
     /// Link angle [rad] at which an elastic gear is not twisted: n theta_M + e(theta_M).
     pub fn untwisted<const EFFECTS: bool>(&self, motor_angle: R) -> R {
         let angle = self.ratio * motor_angle;
-        match &self.effects.kinematic_error {
-            Some(error) if EFFECTS => angle + error.at(motor_angle)[0],
-            _ => angle,
+        if EFFECTS {
+            angle + self.effects.error(motor_angle)[0]
+        } else {
+            angle
         }
     }
 
@@ -132,8 +134,8 @@ impl<R: Real, G: Gears> Joint<R, G> {
     ) -> Gear<R> {
         let mut lever = self.ratio;
         let mut angle = lever.mul_add(motor_angle, -link_angle);
-        if EFFECTS && let Some(error) = &self.effects.kinematic_error {
-            let [off, slope] = error.at(motor_angle);
+        if EFFECTS {
+            let [off, slope] = self.effects.error(motor_angle);
             (angle, lever) = (angle + off, lever + slope);
         }
         let rate = lever.mul_add(motor_velocity, -link_velocity);
@@ -143,15 +145,26 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
-    /// T(delta) + d_G ddelta + T_h z.
+    /// T(delta) + d_G ddelta, and what effects add to it.
     #[inline(always)]
     pub(crate) fn transmitted<const EFFECTS: bool>(&self, twist: &Twist<R>, z: R) -> R {
-        let torque = self
-            .gear_damping
-            .mul_add(twist.rate, self.spring.torque(twist.angle));
-        match &self.effects.hysteresis {
-            Some(hysteresis) if EFFECTS => hysteresis.torque.mul_add(z, torque),
-            _ => torque,
+        if EFFECTS {
+            let sprung = self.spring.torque(self.effects.strain(twist.angle));
+            let torque = self.gear_damping.mul_add(twist.rate, sprung);
+            torque + self.effects.gear_torque(z)
+        } else {
+            self.gear_damping
+                .mul_add(twist.rate, self.spring.torque(twist.angle))
+        }
+    }
+
+    /// The torsion [rad] at which the gear passes a torque [N m] at rest.
+    pub(crate) fn torsion<const EFFECTS: bool>(&self, torque: R) -> R {
+        let strain = self.spring.torsion(torque);
+        if EFFECTS {
+            self.effects.torsion(strain)
+        } else {
+            strain
         }
     }
 }

@@ -6,7 +6,7 @@ pub use crate::arm::Name;
 
 use crate::arm::Arm;
 use crate::joint::Joint;
-use crate::joint::effects::{EffectKinds, Effects};
+use crate::joint::effects::{self, EffectKinds, Effects};
 use crate::joint::gear::{self, Gears, Law, MOST_OF_A_LAW};
 use crate::joint::transmission::{DRIVE, GEAR_DAMPING, SETTLING};
 use crate::parameter::Parameter;
@@ -98,8 +98,8 @@ pub fn joint_parameters() -> Vec<Declared> {
         all.extend(of(law.name, law.parameters));
     }
     all.extend(of("gear", &[GEAR_DAMPING, SETTLING]));
-    for (name, own) in EffectKinds::declared() {
-        all.extend(of(name, own));
+    for effect in effects::DECLARED {
+        all.extend(of(effect.name, effect.parameters));
     }
     all
 }
@@ -112,7 +112,8 @@ impl JointConfig {
             all.extend(numbered(self.gear.parameters, Role::Gear));
             all.extend([(Role::Damping, GEAR_DAMPING), (Role::Settling, SETTLING)]);
         }
-        all.extend(numbered(&self.effects.parameters(), Role::Effect));
+        let of_effects: Vec<_> = self.effects.parameters().iter().map(|own| own.0).collect();
+        all.extend(numbered(&of_effects, Role::Effect));
         all
     }
 }

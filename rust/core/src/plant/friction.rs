@@ -57,7 +57,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             free: [R::splat(1.0); N],
         };
         for i in 0..N {
-            if self.dry_friction(R::splat(0.0), i).lane(0) == 0.0 {
+            if self.dry_friction_at_rest(i) == 0.0 {
                 modes.direction[i] = R::splat(0.0);
             } else if x.motor_velocity[i].lane(0) == 0.0 {
                 modes.free[i] = R::splat(0.0);
@@ -67,13 +67,18 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         modes
     }
 
+    /// What dry friction can take up of an unloaded motor at rest [N m].
+    fn dry_friction_at_rest(&self, i: usize) -> f64 {
+        self.dry_friction(R::splat(0.0), R::splat(0.0), i).lane(0)
+    }
+
     /// Sets free the standing motors that friction can no longer hold; says whether there were any.
     pub fn release(&self, x: &State<R, N>, torque: &[R; N], modes: &mut Modes<R, N>) -> bool {
         let mut any = false;
         for i in 0..N {
             if modes.free[i].lane(0) == 0.0 {
                 let holding = self.holding_torques(x, torque, modes)[i].lane(0);
-                if holding.abs() > self.dry_friction(x.motor_velocity[i], i).lane(0) {
+                if holding.abs() > self.dry_friction_in(x, i).lane(0) {
                     modes.direction[i] = sign(holding);
                     modes.free[i] = R::splat(1.0);
                     any = true;
@@ -104,7 +109,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let holding = self.holding_torques(x, torque, modes);
             for i in 0..N {
                 let joint = &self.joints[i];
-                let most = self.dry_friction(x.motor_velocity[i], i);
+                let most = self.dry_friction_in(x, i);
                 let left = most - holding[i].abs();
                 let held = (R::splat(1.0) - modes.free[i]) * left;
                 // 1 where it stops at once, 0 where it settles
@@ -195,7 +200,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     fn hold_restless(&self, motion: &mut Motion<R, N>) {
         for i in 0..N {
             let rests = motion.state.motor_velocity[i].lane(0).abs() < 1e-9;
-            if rests && self.dry_friction(R::splat(0.0), i).lane(0) > 0.0 {
+            if rests && self.dry_friction_at_rest(i) > 0.0 {
                 motion.state.motor_velocity[i] = R::splat(0.0);
                 motion.modes.direction[i] = R::splat(0.0);
                 motion.modes.free[i] = R::splat(0.0);

@@ -6,7 +6,7 @@ pub mod rigid;
 
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
-use crate::joint::effects::Twist;
+use crate::joint::effects::{At, Twist};
 use crate::joint::gear::{Gears, Spring};
 use crate::joint::{Gear, Joint};
 use crate::scalar::{Real, Work, apart, solve};
@@ -102,8 +102,27 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// [`Joint::dry_friction`] of one joint.
     #[inline(always)]
-    pub fn dry_friction(&self, velocity: R, joint: usize) -> R {
-        self.joints[joint].dry_friction::<EFFECTS>(velocity)
+    pub fn dry_friction(&self, velocity: R, load: R, joint: usize) -> R {
+        self.joints[joint].dry_friction::<EFFECTS>(velocity, load)
+    }
+
+    /// The same in a state.
+    #[inline(always)]
+    pub(crate) fn dry_friction_in(&self, x: &State<R, N>, i: usize) -> R {
+        let mut load = R::splat(0.0);
+        if EFFECTS && !self.is_rigid(i) {
+            let gear = self.gear(x, i);
+            load = gear.lever * self.transmitted(x, i, &gear.twist);
+        }
+        self.dry_friction(x.motor_velocity[i], load, i)
+    }
+
+    /// Torque [N m] that effects add to a motor's.
+    #[inline(always)]
+    fn added_torque(&self, x: &State<R, N>, i: usize) -> R {
+        self.joints[i]
+            .effects
+            .motor_torque(x.motor_angle[i], x.motor_velocity[i])
     }
 
     /// [`Joint::untwisted`] of one joint.
@@ -131,9 +150,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     fn twisted(&self, begin: &State<R, N>, stage: &State<R, N>, t: R) -> [R; N] {
         let mut z = begin.hysteresis;
         for i in 0..N {
-            if let Some(hysteresis) = &self.joints[i].effects.hysteresis {
+            let effects = &self.joints[i].effects;
+            if effects.hysteresis.is_some() {
                 let (from, to) = (self.gear(begin, i).twist, self.gear(stage, i).twist);
-                z[i] = hysteresis.after(z[i], &from, &to, t);
+                z[i] = effects.after(z[i], &from, &to, t);
             }
         }
         z
@@ -190,12 +210,20 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let mut force = [R::splat(0.0); N];
         for i in 0..N {
             let joint = &self.joints[i];
-            let dry = self
-                .dry_friction(x.motor_velocity[i], i)
-                .mul_add(modes.direction[i], joint.offset);
-            let drive = (-joint.motor_viscous).mul_add(x.motor_velocity[i], torque[i] - dry);
-            let load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
+            let velocity = x.motor_velocity[i];
+            let mut load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
+            let mut given = torque[i];
+            if EFFECTS {
+                load = load + joint.effects.load(x.link_angle[i]);
+                given = given + self.added_torque(x, i);
+            }
+            let driven = |at_motor: R| {
+                let dry = self.dry_friction(velocity, at_motor, i);
+                let dry = dry.mul_add(modes.direction[i], joint.offset);
+                (-joint.motor_viscous).mul_add(velocity, given - dry)
+            };
             if self.is_rigid(i) {
+                let drive = driven(R::splat(0.0));
                 let row = R::splat(1.0) / joint.ratio;
                 inertia[i][i] = (joint.motor_inertia * row).mul_add(row, inertia[i][i]);
                 force[i] = modes.free[i] * (drive * row - load);
@@ -208,7 +236,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             } else {
                 let gear = self.gear(x, i);
                 let transmitted = self.transmitted(x, i, &gear.twist);
-                let net = (-gear.lever).mul_add(transmitted, drive);
+                let at_motor = gear.lever * transmitted;
+                let net = (-gear.lever).mul_add(transmitted, driven(at_motor));
                 let settling = (modes.free[i] - R::splat(1.0)) * joint.settling_rate;
                 motor[i] = settling.mul_add(
                     x.motor_velocity[i],
@@ -237,6 +266,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         for i in 0..N {
             let joint = &self.joints[i];
             holding[i] = torque[i] - joint.offset;
+            if EFFECTS {
+                holding[i] = holding[i] + self.added_torque(x, i);
+            }
             if !self.is_rigid(i) {
                 let brake = joint.motor_inertia * joint.settling_rate - joint.motor_viscous;
                 let gear = self.gear(x, i);
@@ -271,6 +303,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             held.free[i] = R::splat(0.0);
             let others = self.accelerations_at(x, &at, torque, &held).link;
             let mut load = bias[i];
+            if EFFECTS {
+                load = load + self.joints[i].effects.load(x.link_angle[i]);
+            }
             for j in 0..N {
                 if j != i {
                     load = inertia[i][j].mul_add(others[j], load);
@@ -378,14 +413,25 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             for j in 0..N {
                 energy = energy + half * inertia[i][j] * x.link_velocity[i] * x.link_velocity[j];
             }
+            let at = self.at(x, i);
+            energy = energy + joint.effects.energy(&at);
             if !self.is_rigid(i) {
-                energy = energy + joint.spring.energy(self.gear(x, i).twist.angle);
-                if let Some(hysteresis) = &joint.effects.hysteresis {
-                    energy = energy + hysteresis.energy(x.hysteresis[i]);
-                }
+                let strain = joint.effects.strain(at.twist.angle);
+                energy = energy + joint.spring.energy(strain);
             }
         }
         energy
+    }
+
+    /// The `i`-th joint, as its effects see it.
+    fn at(&self, x: &State<R, N>, i: usize) -> At<R> {
+        At {
+            motor_angle: x.motor_angle[i],
+            motor_velocity: x.motor_velocity[i],
+            link_angle: x.link_angle[i],
+            twist: self.gear(x, i).twist,
+            z: x.hysteresis[i],
+        }
     }
 
     /// Power [W] that friction and damping take out, given the friction modes.
@@ -395,13 +441,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let v = x.motor_velocity[i];
             let w = x.link_velocity[i];
             power = power + joint.motor_viscous * v * v + joint.link_viscous * w * w;
-            power = power + (self.dry_friction(v, i) * modes.direction[i] + joint.offset) * v;
+            let dry = self.dry_friction_in(x, i);
+            power = power + (dry * modes.direction[i] + joint.offset) * v;
+            let at = self.at(x, i);
+            power = power + joint.effects.loss(&at);
             if !self.is_rigid(i) {
-                let rate = self.gear(x, i).twist.rate;
-                power = power + joint.gear_damping * rate * rate;
-                if let Some(hysteresis) = &joint.effects.hysteresis {
-                    power = power + hysteresis.loss(x.hysteresis[i], rate);
-                }
+                power = power + joint.gear_damping * at.twist.rate * at.twist.rate;
             }
         }
         power

@@ -41,11 +41,12 @@ pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
         let n = joint.ratio;
         let direction = if dq[i] == 0.0 { 0.0 } else { dq[i].signum() };
         let friction = joint.motor_viscous * dq[i] / n
-            + plant.dry_friction(dq[i] / n, i) * direction
+            + plant.dry_friction(dq[i] / n, 0.0, i) * direction
             + joint.offset;
         torque[i] = n * (torque[i] + joint.link_viscous * dq[i])
             + joint.motor_inertia * ddq[i] / n
             + friction;
+        torque[i] += n * joint.effects.load(q[i]) - joint.effects.motor_torque(q[i] / n, dq[i] / n);
     }
     torque
 }

@@ -188,6 +188,10 @@ impl<S: Real, V: Real> Real for Dual<S, V> {
         self.chain(value, value)
     }
     #[inline(always)]
+    fn ln(self) -> Self {
+        self.chain(self.value.ln(), S::splat(1.0) / self.value)
+    }
+    #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
         let (sin, cos) = self.value.sin_cos();
         (self.chain(sin, cos), self.chain(cos, -sin))

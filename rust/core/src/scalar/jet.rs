@@ -182,6 +182,13 @@ impl<R: Real> Real for Jet<R> {
         }
     }
     #[inline(always)]
+    fn ln(self) -> Self {
+        Self {
+            value: self.value.ln(),
+            tangent: self.tangent / self.value,
+        }
+    }
+    #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
         let (sin, cos) = self.value.sin_cos();
         let of = |value, slope: R| Self {

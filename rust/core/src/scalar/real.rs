@@ -98,6 +98,16 @@ pub trait Real:
         all
     }
 
+    /// Natural logarithm.
+    #[inline(always)]
+    fn ln(self) -> Self {
+        let mut all = self;
+        for lane in 0..Self::LANES {
+            all.set_lane(lane, self.lane(lane).ln());
+        }
+        all
+    }
+
     /// Sine and cosine, within 4e-16 for arguments below 1e5.
     ///
     /// The argument is reduced by a multiple of pi (Cody and Waite, three parts) and halved; the

@@ -1,59 +1,176 @@
 //! Derivatives by the sizes of effects that an arm does not have yet.
 //!
-//! Where an effect's size is nothing the arm moves as it would without, and the effect enters the
-//! variational equations like any other parameter, by what a little of it would add to the gear's
-//! and the motor's row. So an arm may be asked for the effects it lacks at hardly any cost:
-//!
-//! - Stribeck's friction adds -exp(-(dtheta_M/w_s)^2) where Coulomb's adds -1;
-//! - hysteresis adds its z, which follows the twist, to the gear's torque;
-//! - a kinematic error e adds K e + d_G de/dt to it, and -e' times the whole to the motor's.
-//!
-//! The lengths w_s and delta_h have no influence then.
+//! Where an effect's sizes are nothing the arm moves as it would without, and the effect enters the
+//! variational equations like any other parameter, by what a little of it would add to the gear's,
+//! the motor's and the link's row. So an arm may be asked for the effects it lacks at hardly any
+//! cost. What a little of an effect adds is its own derivative by a size, at size nothing, of numbers
+//! with a derivative ([`Jet`]); the other parameters, such as velocities, have no influence then.
 
 use crate::arm::Arm;
-use crate::joint::effects::{EffectKinds, Hysteresis};
+use crate::joint::effects::{EffectKinds, Effects, Enters, Hysteresis, Size};
 use crate::joint::gear::{Gears, Spring};
-use crate::plant::config::Config;
+use crate::plant::config::{Config, Role};
 use crate::plant::{Modes, Plant, State};
-use crate::scalar::Real;
-use crate::sensitivity::forcing::{GEAR_EFFECTS, KINEMATIC, MOTOR_EFFECTS, Quads};
+use crate::scalar::{Jet, Real};
+use crate::sensitivity::forcing::{GEAR_EFFECTS, MOTOR_EFFECTS, Quads};
 use crate::sensitivity::holding::Holding;
 use crate::sensitivity::trace::{Stage, Trace};
 
 /// The effects that an arm lacks, joint by joint.
-pub(crate) struct EffectSensitivity<const N: usize> {
-    effects: [EffectKinds; N],
-    /// w_s [rad/s].
-    velocity: [f64; N],
+pub(crate) struct EffectSensitivity<L, const N: usize> {
+    own: [Vec<OneSize<L>>; N],
     /// What z follows.
     hysteresis: [Option<Hysteresis<f64>>; N],
     /// z at the beginning of the step.
     pub(crate) z: [f64; N],
 }
 
-impl<const N: usize> EffectSensitivity<N> {
+/// One size of an effect, which is nothing but moves.
+pub(crate) struct OneSize<L> {
+    /// Its place among the parameters of its joint's effects.
+    pub(crate) place: usize,
+    size: Size,
+    /// The effects with this size alone, for stages side by side and for one instant.
+    effects: Effects<Jet<L>>,
+    at_once: Effects<Jet<f64>>,
+}
+
+/// A joint at one instant, for its effects.
+struct Moment<R> {
+    motor_angle: R,
+    motor_velocity: R,
+    link_angle: R,
+    twist: R,
+    z: R,
+    /// Torque of the gear at the motor [N m].
+    load: R,
+    stiffness: R,
+    damping: R,
+}
+
+/// What a little of an effect adds, per size.
+pub(crate) struct Adds<R> {
+    /// To what dry friction can take up.
+    pub(crate) friction: R,
+    /// To the motor's torque.
+    pub(crate) motor: R,
+    /// To the torque through the gear.
+    pub(crate) gear: R,
+    /// To the motor's lever.
+    pub(crate) lever: R,
+    /// To what the link bears.
+    pub(crate) link: R,
+}
+
+impl<R: Real> Adds<R> {
+    #[inline(always)]
+    fn of(effects: &Effects<Jet<R>>, enters: Enters, at: &Moment<R>) -> Self {
+        let zero = R::splat(0.0);
+        let mut adds = Self {
+            friction: zero,
+            motor: zero,
+            gear: zero,
+            lever: zero,
+            link: zero,
+        };
+        let (angle, velocity) = (
+            Jet::constant(at.motor_angle),
+            Jet::constant(at.motor_velocity),
+        );
+        if enters.friction {
+            let load = Jet::constant(at.load);
+            adds.friction = effects.dry_friction(velocity, load).tangent;
+        }
+        if enters.motor {
+            adds.motor = effects.motor_torque(angle, velocity).tangent;
+        }
+        if enters.gear {
+            let [off, slope] = effects.error(angle).map(|one| one.tangent);
+            let strain = effects.strain(Jet::constant(at.twist)).tangent;
+            let damped = at.damping * slope * at.motor_velocity;
+            let remembered = effects.gear_torque(Jet::constant(at.z)).tangent;
+            adds.gear = at.stiffness.mul_add(off + strain, damped + remembered);
+            adds.lever = slope;
+        }
+        if enters.link {
+            adds.link = effects.load(Jet::constant(at.link_angle)).tangent;
+        }
+        adds
+    }
+}
+
+impl<L: Real> OneSize<L> {
+    /// What it adds where an event ends a stretch.
+    pub(crate) fn at_an_event<S: Real>(&self, held: &Holding<S>, z: f64) -> Adds<f64> {
+        let moment = Moment {
+            motor_angle: held.motor_angle,
+            motor_velocity: held.speed,
+            link_angle: 0.0, // what the link bears does not hold the motor
+            twist: held.twist.lane(0),
+            z,
+            load: held.ratio * held.transmitted,
+            stiffness: held.stiffness,
+            damping: held.damping,
+        };
+        Adds::of(&self.at_once, self.size.enters, &moment)
+    }
+}
+
+/// The effects of one joint whose values are given, of which one moves.
+fn moving<R: Real>(kinds: EffectKinds, values: &[f64], place: usize) -> Effects<Jet<R>> {
+    let mut next = 0;
+    Effects::of(kinds, || {
+        let mut value = Jet::constant(R::splat(values[next]));
+        if next == place {
+            value.tangent = R::splat(1.0);
+        }
+        next += 1;
+        value
+    })
+}
+
+impl<L: Real, const N: usize> EffectSensitivity<L, N> {
     /// Of a configuration and its parameters.
     pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, parameters: &[f64]) -> Self {
-        let names = config.parameter_names();
-        let value = |name, i| {
-            let at = names.iter().position(|&n| n == (name, Some(i + 1)))?;
-            Some(parameters[at])
+        let roles = config.roles();
+        let values = |i: usize| -> Vec<f64> {
+            let of_joint = |k: &usize| matches!(roles[*k], (Role::Effect(_), j) if j == i);
+            let places = (0..roles.len()).filter(of_joint);
+            places.map(|k| parameters[k]).collect()
         };
+        let mut own = std::array::from_fn(|_| Vec::new());
+        let mut hysteresis = [None; N];
+        for i in 0..N {
+            let (kinds, values) = (config.joints[i].effects, values(i));
+            for (place, (_, size)) in kinds.parameters().into_iter().enumerate() {
+                let Some(size) = size else { continue };
+                own[i].push(OneSize {
+                    place,
+                    size,
+                    effects: moving(kinds, &values, place),
+                    at_once: moving(kinds, &values, place),
+                });
+            }
+            let mut all = values.iter();
+            let effects: Effects<f64> = Effects::of(kinds, || *all.next().expect("a value"));
+            hysteresis[i] = effects.hysteresis;
+        }
         Self {
-            effects: config.joints.map(|joint| joint.effects),
-            velocity: std::array::from_fn(|i| value("stribeck_velocity", i).unwrap_or(1.0)),
-            hysteresis: std::array::from_fn(|i| {
-                let twist = value("hysteresis_twist", i)?;
-                Some(Hysteresis { torque: 0.0, twist })
-            }),
+            own,
+            hysteresis,
             z: [0.0; N],
         }
+    }
+
+    /// The sizes of one joint's effects.
+    pub(crate) fn of(&self, joint: usize) -> &[OneSize<L>] {
+        &self.own[joint]
     }
 
     /// What the effects would add at the stages of a step of length `h`; `push` is what one newton
     /// metre less at each motor makes of its acceleration.
     #[inline(always)]
-    pub(crate) fn enter<A: Arm<N>, S: Real, L: Real, G: Gears>(
+    pub(crate) fn enter<A: Arm<N>, S: Real, G: Gears>(
         &self,
         quads: &mut Quads<N>,
         plant: &Plant<A, L, G, N>,
@@ -62,59 +179,51 @@ impl<const N: usize> EffectSensitivity<N> {
         push: &[f64; N],
     ) {
         for i in 0..N {
+            let z = self.remembered(trace, h, i);
             for first in (0..4).step_by(L::LANES) {
                 let each = |number: fn(&Stage<N>) -> &[f64; N]| {
                     trace.across::<L>(first, |stage| number(stage)[i])
                 };
-                let (push, velocity) = (L::splat(push[i]), each(|stage| &stage.motor_velocity));
-                let [gear, motor] = [GEAR_EFFECTS, MOTOR_EFFECTS];
-                let mut put = |quad: usize, slot: usize, value: L| {
-                    for lane in 0..L::LANES {
-                        quads.own[i][quad].0[first + lane][slot] = value.lane(lane);
-                    }
+                let (joint, twist) = (&plant.joints[i], each(|stage| &stage.twist));
+                let (angle, rate) = (each(|stage| &stage.angle), each(|stage| &stage.rate));
+                let spring = &joint.spring;
+                let transmitted = joint.gear_damping.mul_add(rate, spring.torque(twist));
+                let moment = Moment {
+                    motor_angle: (twist + angle) * L::splat(1.0 / trace.ratio[i]),
+                    motor_velocity: each(|stage| &stage.motor_velocity),
+                    link_angle: angle,
+                    twist,
+                    z: L::load(&z[first..]),
+                    load: joint.ratio * transmitted,
+                    stiffness: spring.stiffness(twist),
+                    damping: joint.gear_damping,
                 };
-                if self.effects[i].stribeck {
-                    let direction = L::splat(modes.direction[i].lane(0));
-                    let share = velocity * L::splat(1.0 / self.velocity[i]);
-                    put(motor, 0, push * direction * (-(share * share)).exp());
-                }
-                if self.effects[i].kinematic_error {
-                    let (joint, twist) = (&plant.joints[i], each(|stage| &stage.twist));
-                    let (angle, rate) = (each(|stage| &stage.angle), each(|stage| &stage.rate));
-                    let spring = &joint.spring;
-                    let transmitted = joint.gear_damping.mul_add(rate, spring.torque(twist));
-                    let motor_angle = (twist + angle) * L::splat(1.0 / trace.ratio[i]);
-                    let errors = unit_errors(motor_angle).into_iter().enumerate();
-                    for (k, [error, slope]) in errors {
-                        let damped = joint.gear_damping * slope * velocity;
-                        let sprung = spring.stiffness(twist).mul_add(error, damped);
-                        put(gear, KINEMATIC + k, sprung);
-                        put(motor, KINEMATIC + k, push * slope * transmitted);
+                let direction = L::splat(modes.direction[i].lane(0));
+                for own in &self.own[i] {
+                    let adds = Adds::of(&own.effects, own.size.enters, &moment);
+                    let against = direction.mul_add(adds.friction, adds.lever * transmitted);
+                    let motor = L::splat(push[i]) * (against - adds.motor);
+                    let (quad, slot) = (own.size.index / 4, own.size.index % 4);
+                    for lane in 0..L::LANES {
+                        let stage = first + lane;
+                        quads.own[i][GEAR_EFFECTS + quad].0[stage][slot] = adds.gear.lane(lane);
+                        quads.own[i][MOTOR_EFFECTS + quad].0[stage][slot] = motor.lane(lane);
+                        quads.of_link(i, quad).0[stage][slot] = adds.link.lane(lane);
                     }
-                }
-            }
-            if let Some(law) = &self.hysteresis[i] {
-                let from = trace.twist_at(i, 0);
-                let z = |k, t| law.after(self.z[i], &from, &trace.twist_at(i, k), t);
-                let z = [self.z[i], z(1, 0.5 * h), z(2, 0.5 * h), z(3, h)];
-                for k in 0..4 {
-                    quads.own[i][GEAR_EFFECTS].0[k][0] = z[k];
                 }
             }
         }
     }
 
-    /// What each of joint `i`'s effects adds where an event ends a stretch, in the order of
-    /// [`EffectKinds::place`]: to dry friction, to the torque through the gear, and to the motor's
-    /// lever.
-    pub(crate) fn at_an_event<S: Real>(&self, i: usize, held: &Holding<S>) -> [[f64; 3]; 4] {
-        let share = held.speed / self.velocity[i];
-        let friction = [(-(share * share)).exp(), 0.0, 0.0];
-        let [cos, sin] = unit_errors(held.motor_angle).map(|[error, slope]| {
-            let rate = slope * held.speed;
-            [0.0, held.stiffness * error + held.damping * rate, slope]
-        });
-        [friction, [0.0, self.z[i], 0.0], cos, sin]
+    /// z of one gear at the stages of a step of length `h`.
+    #[inline(always)]
+    fn remembered(&self, trace: &Trace<N>, h: f64, i: usize) -> [f64; 4] {
+        let Some(law) = &self.hysteresis[i] else {
+            return [0.0; 4];
+        };
+        let from = trace.twist_at(i, 0);
+        let z = |k, t| law.follow(self.z[i], &from, &trace.twist_at(i, k), t);
+        [self.z[i], z(1, 0.5 * h), z(2, 0.5 * h), z(3, h)]
     }
 
     /// The step is made: z where it ended.
@@ -123,18 +232,10 @@ impl<const N: usize> EffectSensitivity<N> {
         for i in 0..N {
             if let Some(law) = &self.hysteresis[i] {
                 let to = trace.twist_of(i, end);
-                self.z[i] = law.after(self.z[i], &trace.twist_at(i, 0), &to, h);
+                self.z[i] = law.follow(self.z[i], &trace.twist_at(i, 0), &to, h);
             }
         }
     }
-}
-
-/// A kinematic error and its slope by the motor's angle, per a and per b.
-#[inline(always)]
-fn unit_errors<R: Real>(motor_angle: R) -> [[R; 2]; 2] {
-    let two = R::splat(2.0);
-    let (sin, cos) = (two * motor_angle).sin_cos();
-    [[cos, -two * sin], [sin, two * cos]]
 }
 
 /// The configuration and the parameters without the effects, if none of these has any size.
@@ -146,13 +247,14 @@ pub(crate) fn without_effects<A: Arm<N>, const N: usize>(
     for joint in &mut plain.joints {
         joint.effects = EffectKinds::default();
     }
-    let kept = plain.parameter_names();
-    let mut values = Vec::with_capacity(kept.len());
-    for (&name, &value) in config.parameter_names().iter().zip(parameters) {
-        let length = matches!(name.0, "stribeck_velocity" | "hysteresis_twist");
-        if kept.contains(&name) {
+    let mut values = Vec::with_capacity(parameters.len());
+    for (&(role, i), &value) in config.roles().iter().zip(parameters) {
+        let Role::Effect(place) = role else {
             values.push(value);
-        } else if value != 0.0 && !length {
+            continue;
+        };
+        let is_size = config.joints[i].effects.parameters()[place].1.is_some();
+        if is_size && value != 0.0 {
             return None;
         }
     }

@@ -1,6 +1,7 @@
 //! How the margin of an event of friction moves with the motion and with its joint's parameters.
 
 use crate::arm::Arm;
+use crate::joint::effects::MOST_OF_EFFECTS;
 use crate::joint::gear::{Gears, MOST_OF_A_LAW, Spring};
 use crate::joint::transmission::DRIVE;
 use crate::plant::Plant;
@@ -12,8 +13,8 @@ use crate::sensitivity::holding::Holding;
 use crate::sensitivity::tangent::Tangent;
 
 /// Most parameters that a joint has: those of its drive, its gear's law with damping and settling
-/// time, and six of effects.
-const MOST_OF_A_JOINT: usize = DRIVE.len() + MOST_OF_A_LAW + 2 + 6;
+/// time, and its effects.
+const MOST_OF_A_JOINT: usize = DRIVE.len() + MOST_OF_A_LAW + 2 + MOST_OF_EFFECTS;
 
 /// The linear form that [`Plant::margins`] is where an event ends a stretch.
 pub(crate) struct EventSensitivity {
@@ -36,10 +37,10 @@ impl EventSensitivity {
     /// beside the torque that holds the motor; of a sliding motor that will settle, times
     /// -tau/m_M.
     #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, S: Real<One = S>, G: Gears, const N: usize>(
+    pub(crate) fn new<A: Arm<N>, S: Real<One = S>, G: Gears, L: Real, const N: usize>(
         plant: &Plant<A, S, G, N>,
         asked: &JointConfig,
-        effects: Option<&EffectSensitivity<N>>,
+        effects: Option<&EffectSensitivity<L, N>>,
         end: &Motion<S, N>,
         (joint, half): (usize, f64),
     ) -> Self {
@@ -103,10 +104,10 @@ impl EventSensitivity {
 /// How a margin moves with the parameters of its joint, which is held in some way, if it moves with
 /// the holding torque by `by_torque` and against what friction can take up by `scale`.
 #[inline(always)]
-fn by_parameters<S: Real<One = S>, const N: usize>(
+fn by_parameters<S: Real<One = S>, L: Real, const N: usize>(
     spring: &impl Spring<S>,
     asked: &JointConfig,
-    effects: Option<&EffectSensitivity<N>>,
+    effects: Option<&EffectSensitivity<L, N>>,
     held: &Holding<S>,
     [by_torque, scale]: [f64; 2],
 ) -> [f64; MOST_OF_A_JOINT] {
@@ -123,12 +124,10 @@ fn by_parameters<S: Real<One = S>, const N: usize>(
     by[next] = by_gear * held.rate;
     by[next + 1] = -speed * held.settling * held.settling * held.inertia;
     if let Some(effects) = effects {
-        let effects = effects.at_an_event(held.joint, held);
-        for (k, [friction, transmitted, lever]) in effects.into_iter().enumerate() {
-            if let Some(place) = asked.effects.place(k) {
-                let gear = by_gear * transmitted - by_torque * lever * held.transmitted;
-                by[next + 2 + place] = gear - scale * friction;
-            }
+        for own in effects.of(held.joint) {
+            let adds = own.at_an_event(held, effects.z[held.joint]);
+            let gear = by_gear * adds.gear - by_torque * adds.lever * held.transmitted;
+            by[next + 2 + own.place] = gear + by_torque * adds.motor - scale * adds.friction;
         }
     }
     by

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use crate::arm::Arm;
 use crate::experiment::Source;
+use crate::joint::effects::{Enters, SIZES, Size};
 use crate::joint::transmission::DRIVE;
 use crate::plant::config::{Config, Role};
 use crate::scalar::{Lanes, MOST_LANES};
@@ -31,17 +32,17 @@ pub(crate) struct Quad(pub(crate) [[f64; 4]; 4]);
 pub(crate) const MOTOR: usize = 0;
 /// By the damping, then by the parameters of the gear's law: two quads.
 pub(crate) const GEAR: usize = 1;
-/// By the sizes of Stribeck's friction and, at [`KINEMATIC`], the kinematic error.
+/// By the sizes of effects, the same places in the motor's row,
 pub(crate) const MOTOR_EFFECTS: usize = 3;
-/// By the sizes of hysteresis and, at [`KINEMATIC`], the kinematic error.
-pub(crate) const GEAR_EFFECTS: usize = 4;
+/// and in the gear's.
+pub(crate) const GEAR_EFFECTS: usize = MOTOR_EFFECTS + EFFECT_QUADS;
+/// How many quads the sizes of effects take.
+const EFFECT_QUADS: usize = SIZES.div_ceil(4);
 /// How many of a joint's quads there are of these.
-const OWN: usize = 5;
+const OWN: usize = GEAR_EFFECTS + EFFECT_QUADS;
 /// By the link's viscous friction, then by the arm's base parameters: as many quads as it takes, one
-/// after the other.
+/// after the other; then by the sizes of effects.
 const LINK: usize = OWN;
-/// The kinematic error's first size, among the effects.
-pub(crate) const KINEMATIC: usize = 1;
 
 /// The quads of all joints.
 pub(crate) struct Quads<const N: usize> {
@@ -56,21 +57,34 @@ pub(crate) fn link_quads(bases: usize) -> usize {
     (1 + bases).div_ceil(4)
 }
 
+/// How many it has in all.
+#[inline(always)]
+pub(crate) fn all_link_quads(bases: usize) -> usize {
+    link_quads(bases) + EFFECT_QUADS
+}
+
 impl<const N: usize> Quads<N> {
     /// Nothing at all, for so many base parameters.
     pub(crate) fn nothing(bases: usize) -> Self {
         let nothing = Quad([[0.0; 4]; 4]);
         Self {
             own: [[nothing; OWN]; N],
-            link: vec![nothing; N * link_quads(bases)],
+            link: vec![nothing; N * all_link_quads(bases)],
         }
+    }
+
+    /// One of the quads by the sizes of effects in a link's row.
+    #[inline(always)]
+    pub(crate) fn of_link(&mut self, joint: usize, quad: usize) -> &mut Quad {
+        let per_link = self.link.len() / N;
+        &mut self.link[(joint + 1) * per_link - EFFECT_QUADS + quad]
     }
 }
 
 fn row(quad: usize) -> Row {
     match quad {
-        MOTOR | MOTOR_EFFECTS => Row::Motor,
-        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS => Row::Gear,
+        MOTOR | MOTOR_EFFECTS..GEAR_EFFECTS => Row::Motor,
+        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS..OWN => Row::Gear,
         _ => Row::Link,
     }
 }
@@ -90,6 +104,7 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
         quad: quad + slot / 4,
         slot: slot % 4,
     };
+    let bases = config.arm.names().len();
     let place = |(role, i): (Role, usize)| match role {
         Role::Base(k) => (0..N).map(|j| at(j, LINK, 1 + k)).collect(),
         Role::Drive(LINK_VISCOUS) => vec![at(i, LINK, 0)],
@@ -98,18 +113,32 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
         Role::Gear(k) => vec![at(i, GEAR, 1 + k)],
         // it acts on held motors alone
         Role::Settling => Vec::new(),
-        // a velocity or a torsion does nothing where the effect itself is nothing
-        Role::Effect(k) => match config.joints[i].effects.size(k) {
-            Some(0) => vec![at(i, MOTOR_EFFECTS, 0)],
-            Some(1) => vec![at(i, GEAR_EFFECTS, 0)],
-            Some(size) => {
-                let slot = KINEMATIC + size - 2;
-                vec![at(i, GEAR_EFFECTS, slot), at(i, MOTOR_EFFECTS, slot)]
-            }
+        // a velocity or an exponent does nothing where the effect itself is nothing
+        Role::Effect(k) => match config.joints[i].effects.parameters()[k].1 {
+            Some(size) => effect_places(size, bases)
+                .map(|(quad, slot)| at(i, quad, slot))
+                .collect(),
             None => Vec::new(),
         },
     };
     config.roles().into_iter().map(place).collect()
+}
+
+/// The rows that the size of an effect enters, by their first quads, and its slot there.
+fn effect_places(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize)> {
+    let Enters {
+        friction,
+        motor,
+        gear,
+        link,
+    } = size.enters;
+    let rows = [
+        (friction || motor, MOTOR_EFFECTS),
+        (gear, GEAR_EFFECTS),
+        (link, LINK + link_quads(bases)),
+    ];
+    let entered = rows.into_iter().filter(|(enters, _)| *enters);
+    entered.map(move |(_, quad)| (quad, size.index))
 }
 
 /// The place of the link's viscous friction in a joint's drive: all before it act on the motor.
@@ -130,7 +159,7 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
     /// By the first `V::LANES` directions.
     pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
         let places = places(config);
-        let per_link = link_quads(config.arm.names().len());
+        let per_link = all_link_quads(config.arm.names().len());
         let mut wanted: BTreeMap<(usize, usize), [Option<usize>; MOST_LANES]> = BTreeMap::new();
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
             if let &Source::Parameter(k) = direction {

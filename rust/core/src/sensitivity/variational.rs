@@ -18,7 +18,7 @@ use crate::plant::config::Config;
 use crate::plant::{Modes, Plant};
 use crate::scalar::{Lanes, Real, inverse};
 use crate::sensitivity::effect::EffectSensitivity;
-use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, link_quads};
+use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, all_link_quads, link_quads};
 use crate::sensitivity::trace::{Stages, Trace};
 
 /// Coefficients of the linear equations at the four stages, in the units of
@@ -41,7 +41,7 @@ pub(crate) struct Linearised<A: Arm<N>, L: Lanes, G: Gears, const N: usize> {
     /// What each parameter adds to its rows.
     pub(crate) quads: Quads<N>,
     /// What a little of the effects that the arm lacks would add.
-    pub(crate) effects: Option<EffectSensitivity<N>>,
+    pub(crate) effects: Option<EffectSensitivity<L, N>>,
     pub(crate) settling: [Option<Settling>; N],
 }
 
@@ -190,7 +190,8 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         let regressor = arm.regressor(&at, &dq, &ddq);
         let by = regressor.as_ref();
         // all in loops of known length, without closures: each would be a call
-        let quads = &mut self.quads.link[..N * link_quads(by.len())];
+        let per_link = all_link_quads(by.len());
+        let quads = &mut self.quads.link[..N * per_link];
         for i in 0..N {
             for k in 0..link_quads(by.len()) {
                 let mut four = [L::splat(0.0); 4];
@@ -202,7 +203,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
                         four[slot] = by[place - 1][i];
                     }
                 }
-                let quad = &mut quads[i * link_quads(by.len()) + k];
+                let quad = &mut quads[i * per_link + k];
                 L::store_rows(&four, &mut quad.0[first..]);
             }
         }

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Task};
-use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::joint::effects::{self, Declared, EffectKinds};
 use strainwave_core::joint::gear::{self, CORNER, Cubic, GearLaw, Law, Linear, ThreeSlope};
 use strainwave_core::plant::config::{Config, JointConfig};
 
@@ -170,7 +170,23 @@ pub fn with_effects<A: Arm<N>, const N: usize>(plain: &[f64], config: &Config<A,
         "hysteresis_twist" => 1.5e-4,
         "kinematic_error_cos" => 1e-4,
         "kinematic_error_sin" => -5e-5,
+        "load_friction" => 0.04,
+        "power_friction" => 0.03,
+        "power_exponent" => 0.5,
+        "torque_ripple_cos" => 0.01,
+        "torque_ripple_sin" => -0.006,
+        "torque_ripple_order" => 2.0,
+        "backlash" => 1e-5,
+        "ground_stiffness" => 5.0,
+        "ground_preload" => -2.0,
         _ => *plain.next().expect("a value for every other name"),
     };
     config.parameter_names().iter().map(value).collect()
+}
+
+/// Whether a parameter is the size of an effect.
+pub fn is_size(name: &str) -> bool {
+    let sizes = |effect: &&Declared| effect.parameters[..effect.sizes].to_vec();
+    let mut all = effects::DECLARED.iter().flat_map(|effect| sizes(&effect));
+    all.any(|size| size.name == name)
 }

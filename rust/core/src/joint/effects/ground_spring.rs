@@ -1,0 +1,58 @@
+//! A spring between link and ground, as a bundle of cables is.
+
+use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use crate::parameter::{Parameter, STIFFNESS, Sign, TORQUE};
+use crate::scalar::Real;
+
+/// The link bears c theta_L + t.
+#[derive(Clone, Copy, Debug)]
+pub struct GroundSpring<R> {
+    /// c [N m/rad].
+    pub stiffness: R,
+    /// t [N m].
+    pub preload: R,
+}
+
+impl<R: Real> Effect<R> for GroundSpring<R> {
+    const DECLARED: Declared = Declared {
+        name: "ground-spring",
+        parameters: &[
+            Parameter::new(
+                "ground_stiffness",
+                "c_g",
+                "stiffness of cables between the link and ground, by the joint's angle",
+                STIFFNESS,
+                Sign::NonNegative,
+            ),
+            Parameter::new(
+                "ground_preload",
+                "t_g",
+                "torque of cables between the link and ground at the joint's zero",
+                TORQUE,
+                Sign::Any,
+            ),
+        ],
+        sizes: 2,
+        of_gear: false,
+        enters: Enters {
+            link: true,
+            ..NOWHERE
+        },
+    };
+
+    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+        Self {
+            stiffness: values[0],
+            preload: values[1],
+        }
+    }
+
+    #[inline(always)]
+    fn load(&self, angle: R) -> R {
+        self.stiffness.mul_add(angle, self.preload)
+    }
+
+    fn energy(&self, at: &At<R>) -> R {
+        (R::splat(0.5) * self.stiffness * at.link_angle + self.preload) * at.link_angle
+    }
+}

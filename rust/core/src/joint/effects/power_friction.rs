@@ -1,0 +1,72 @@
+//! Friction that grows with a power of the velocity, as grease's does.
+
+use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use crate::parameter::{Parameter, Sign, TORQUE};
+use crate::scalar::Real;
+
+/// A torque f_P ((|dtheta_M|/w + s)^p - s^p) against the motion, w being 100 rad/s and s = 0.01: the
+/// root of the velocity for p = 1/2, without its steepness at rest.
+#[derive(Clone, Copy, Debug)]
+pub struct PowerFriction<R> {
+    /// f_P [N m] at the motor, at 100 rad/s.
+    pub friction: R,
+    /// p.
+    pub exponent: R,
+}
+
+const REFERENCE: f64 = 100.0;
+const SOFT: f64 = 0.01;
+
+impl<R: Real> PowerFriction<R> {
+    /// The torque against a velocity [rad/s].
+    #[inline(always)]
+    fn at(&self, velocity: R) -> R {
+        let speed = velocity.abs() * R::splat(1.0 / REFERENCE) + R::splat(SOFT);
+        let power = |base: R| (self.exponent * base.ln()).exp();
+        (self.friction * (power(speed) - power(R::splat(SOFT)))).copysign(velocity)
+    }
+}
+
+impl<R: Real> Effect<R> for PowerFriction<R> {
+    const DECLARED: Declared = Declared {
+        name: "power-friction",
+        parameters: &[
+            Parameter::new(
+                "power_friction",
+                "f_P",
+                "friction at 100 rad/s that grows with a power of the motor's velocity",
+                TORQUE,
+                Sign::NonNegative,
+            ),
+            Parameter::new(
+                "power_exponent",
+                "p",
+                "power of the velocity with which friction grows",
+                ["1", "1"],
+                Sign::Positive,
+            ),
+        ],
+        sizes: 1,
+        of_gear: false,
+        enters: Enters {
+            motor: true,
+            ..NOWHERE
+        },
+    };
+
+    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+        Self {
+            friction: values[0],
+            exponent: values[1],
+        }
+    }
+
+    #[inline(always)]
+    fn motor_torque(&self, _: R, velocity: R) -> R {
+        -self.at(velocity)
+    }
+
+    fn loss(&self, at: &At<R>) -> R {
+        self.at(at.motor_velocity) * at.motor_velocity
+    }
+}

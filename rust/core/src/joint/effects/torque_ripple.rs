@@ -1,0 +1,70 @@
+//! A motor whose torque depends on its angle.
+
+use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use crate::parameter::{Parameter, Sign, TORQUE};
+use crate::scalar::Real;
+
+/// A torque a cos(k theta_M) + b sin(k theta_M): cogging, or a commutation that is off.
+#[derive(Clone, Copy, Debug)]
+pub struct TorqueRipple<R> {
+    /// a [N m] at the motor.
+    pub cos: R,
+    /// b [N m] at the motor.
+    pub sin: R,
+    /// k, periods in a turn of the motor.
+    pub order: R,
+}
+
+impl<R: Real> Effect<R> for TorqueRipple<R> {
+    const DECLARED: Declared = Declared {
+        name: "torque-ripple",
+        parameters: &[
+            Parameter::new(
+                "torque_ripple_cos",
+                "a_r",
+                "cosine part of the motor's torque ripple",
+                TORQUE,
+                Sign::Any,
+            ),
+            Parameter::new(
+                "torque_ripple_sin",
+                "b_r",
+                "sine part of the motor's torque ripple",
+                TORQUE,
+                Sign::Any,
+            ),
+            Parameter::new(
+                "torque_ripple_order",
+                "k_r",
+                "periods of the torque ripple in a turn of the motor",
+                ["1", "1"],
+                Sign::Positive,
+            ),
+        ],
+        sizes: 2,
+        of_gear: false,
+        enters: Enters {
+            motor: true,
+            ..NOWHERE
+        },
+    };
+
+    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+        Self {
+            cos: values[0],
+            sin: values[1],
+            order: values[2],
+        }
+    }
+
+    #[inline(always)]
+    fn motor_torque(&self, angle: R, _: R) -> R {
+        let (sin, cos) = (self.order * angle).sin_cos();
+        self.cos.mul_add(cos, self.sin * sin)
+    }
+
+    fn energy(&self, at: &At<R>) -> R {
+        let (sin, cos) = (self.order * at.motor_angle).sin_cos();
+        (self.sin * cos - self.cos * sin) / self.order
+    }
+}
