@@ -281,7 +281,8 @@ def gear_laws() -> list[tuple[str, list[str], bool]]:
     """The laws of gears: name, names of its parameters in their order, whether it gives way."""
 
 def joint_effects() -> list[tuple[str, list[str], int, bool]]:
-    """The effects: name, parameters in their order, how many of these, the first, are sizes, of_gear.
+    """The effects: name, parameters in their order, how many of these are sizes, of_gear.
 
-    An effect whose sizes are all zero is not there. One `of_gear` takes an elastic gear.
+    The sizes come first; an effect whose sizes are all zero is not there. One `of_gear` takes an
+    elastic gear.
     """

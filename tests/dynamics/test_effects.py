@@ -130,7 +130,7 @@ def test_the_core_refuses_effects_that_are_none() -> None:
     rigid = replace(
         study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], spring="rigid"),))
     )
-    with pytest.raises(ValueError, match="a rigid gear has neither"):
+    with pytest.raises(ValueError, match="a rigid gear has no hysteresis"):
         _ = Arm.of(rigid.arm).core
     with pytest.raises(InvalidInput, match="no effect 'creep'"):
         _ = Arm.of(one_joint(("creep",)).arm).core

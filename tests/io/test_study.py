@@ -159,7 +159,7 @@ FAULTS = {
         'spring = "linear"',
         'spring = "linear"\neffects = ["stribek"]',
         1,
-        r"'effects' is \['stribek'\], but it should be 'stribeck', 'hysteresis' or",
+        r"'effects' is \['stribek'\], but it should be 'stribeck', 'hysteresis',",
     ),
     "effect of a rigid gear": (
         'spring = "linear"',

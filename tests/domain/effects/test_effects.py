@@ -74,11 +74,16 @@ def study(path: Path, named: str, spring: str = "linear") -> Path:
 
 @EACH
 def test_names_are_the_core_s_in_its_order_sizes_first(effect: Effect) -> None:
-    own = [name for owner, name, *_ in _core.parameter_table() if owner == effect.core_name]
-    assert list(effect.names) == own
-    assert list(effect.names[: len(effect.sizes)]) == list(effect.sizes)
-    assert effect.sizes
-    assert [name for name, _ in arm(effect.name).parameter_names][-len(own) :] == own
+    known = {name: own for name, *own in _core.joint_effects()}
+    assert known[effect.core_name] == [
+        list(effect.names),
+        len(effect.sizes),
+        effect.needs_elastic_gear,
+    ]
+
+
+def test_the_core_has_no_other_effects() -> None:
+    assert {name for name, *_ in _core.joint_effects()} == {one.core_name for one in EFFECTS}
 
 
 @EACH

@@ -6,10 +6,15 @@ others loop over the effects and name none.
 
 from __future__ import annotations
 
+from strainwave.domain.effects.backlash import Backlash
+from strainwave.domain.effects.ground_spring import GroundSpring
 from strainwave.domain.effects.hysteresis import Hysteresis
 from strainwave.domain.effects.interface import Effect, KnownJoint
 from strainwave.domain.effects.kinematic_error import KinematicError
+from strainwave.domain.effects.load_friction import LoadFriction
+from strainwave.domain.effects.power_friction import PowerFriction
 from strainwave.domain.effects.stribeck import Stribeck
+from strainwave.domain.effects.torque_ripple import TorqueRipple
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.errors import InvalidInput
 
@@ -24,7 +29,17 @@ __all__ = [
 ]
 
 _EFFECTS: dict[str, Effect] = {
-    effect.name: effect for effect in (Stribeck(), Hysteresis(), KinematicError())
+    effect.name: effect
+    for effect in (
+        Stribeck(),
+        Hysteresis(),
+        KinematicError(),
+        LoadFriction(),
+        PowerFriction(),
+        TorqueRipple(),
+        Backlash(),
+        GroundSpring(),
+    )
 }
 
 
