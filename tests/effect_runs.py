@@ -24,6 +24,18 @@ SIZES: Values = {
     ("kinematic_error_cos", 1): 1e-4,
     ("kinematic_error_sin", 1): -5e-5,
 }
+"""Of `ALL`."""
+EVERY = SIZES | {
+    ("load_friction", 1): 0.15,
+    ("power_friction", 1): 0.03,
+    ("power_exponent", 1): 0.5,
+    ("torque_ripple_cos", 1): 0.01,
+    ("torque_ripple_sin", 1): -0.006,
+    ("torque_ripple_order", 1): 2.0,
+    ("backlash", 1): 4e-5,
+    ("ground_stiffness", 1): 8.0,
+    ("ground_preload", 1): -2.0,
+}
 
 
 def rig(effects: tuple[EffectName, ...]) -> Study:
@@ -40,7 +52,7 @@ def rig(effects: tuple[EffectName, ...]) -> Study:
 @cache
 def records(effects: tuple[EffectName, ...]) -> tuple[Study, Values, tuple[Log, ...]]:
     """Half a second of either joint in open loop, with noise."""
-    known = truth()[1] | SIZES
+    known = truth()[1] | EVERY
     study, logs = written_logs(shaken_study(rig(effects), 8.0), known, noise=SensorNoise())
     return study, known, logs
 

@@ -5,7 +5,7 @@ mod common;
 use common::{Draw, LINEAR, RIGID, Run, at_rest, config, is_size, scara, with_effects};
 use proptest::prelude::*;
 use strainwave_core::arm::{OneLink, TwoLink};
-use strainwave_core::dispatch::{Width, by_duals_at, simulate};
+use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::effects::{self, EffectKinds};
 use strainwave_core::joint::gear::Law;
@@ -388,6 +388,70 @@ fn derivatives_by_every_effects_parameters_are_differences() {
             for (own, (up, down)) in found.iter().zip(up.iter().zip(&down)) {
                 let slope = (up - down) / (2.0 * size);
                 assert!((own - slope).abs() < 1e-3 * most, "{name}: {own} {slope}");
+            }
+        }
+    }
+}
+
+/// Derivatives by the sizes of effects that are not there, against a little of the effect.
+#[test]
+fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
+    for effect in effects::DECLARED {
+        let mut kinds = none();
+        assert!(kinds.add(effect.name));
+        let (config, usual) = two_links(kinds);
+        let names = config.parameter_names();
+        let mut absent = usual.clone();
+        for (k, (name, _)) in names.iter().enumerate() {
+            if is_size(name) {
+                absent[k] = 0.0;
+            }
+        }
+        let voltage = telegraph(11, 60);
+        let task = Task {
+            config,
+            clock: Clock {
+                step: 1.25e-4,
+                steps_per_tick: 8,
+                steps_per_servo: 8,
+                steps_per_sample: 8,
+                samples: 60,
+            },
+            servo: None,
+            record: vec![Quantity::MotorVelocity],
+        };
+        let member = Member {
+            parameters: &absent,
+            feed_forward: &voltage,
+            reference: &voltage,
+            initial: at_rest([3.0, -5.0]),
+        };
+        let width = Width::detect();
+        let run = |member: Member<'_, 2>| {
+            let all = simulate(&task, &[member], width).remove(0);
+            all.expect("finite")[0].as_flattened().to_vec()
+        };
+        for size in &effect.parameters[..effect.sizes] {
+            let k = names
+                .iter()
+                .position(|known| *known == (size.name, Some(1)));
+            let k = k.expect("the joint has it");
+            let direction = [Source::Parameter(k)];
+            let found = sensitivities(&task, &member, &direction, None, width);
+            let found = found.expect("finite").tangents.remove(0);
+            let by = 1e-3 * usual[k];
+            let mut little = absent.clone();
+            little[k] = by;
+            let moved = Member {
+                parameters: &little,
+                ..member
+            };
+            let (with, without) = (run(moved), run(member));
+            let most = found.iter().fold(0.0f64, |most, one| most.max(one.abs()));
+            assert!(most * usual[k].abs() > 1e-6, "{} does nothing", size.name);
+            for (own, (with, without)) in found.iter().zip(with.iter().zip(&without)) {
+                let off = (own - (with - without) / by).abs();
+                assert!(off < 0.02 * most, "{}: {off} of {most}", size.name);
             }
         }
     }

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from effect_runs import ALL, SIZES, records, rig, tuned
-from strainwave.domain import ArmModel
+from effect_runs import ALL, EVERY, SIZES, records, rig, tuned
+from strainwave.domain import ArmModel, effects
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.parameters import Values
@@ -136,3 +136,28 @@ def test_records_are_run_with_the_effects_that_are_known() -> None:
     (given,) = records_with([record], Arm.of(study.arm), SIZES)
     assert [joint.effects for joint in given.arm.joints] == [ALL, ()]
     assert given.arm.joints[0].encoder_counts is None
+
+
+@pytest.mark.parametrize("name", effects.names())
+def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
+    model = tuned((name,), ())
+    assert model.criticism is not None
+    first = model.criticism.score_tests[0]
+    assert (first.joint, first.effect, first.evident) == (1, name, True)
+    likely = [w.code for w in model.warnings if w.code.endswith("-likely")]
+    assert likely == [effect_named(name).warning_code]
+
+
+@pytest.mark.parametrize("name", effects.names())
+def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: str) -> None:
+    model = tuned((name,), (name,))
+    assert model.status == "converged"
+    reported = {(p.name, p.joint): p for p in model.parameters}
+    for own in effect_named(name).names:
+        parameter = reported[own, 1]
+        assert parameter.value is not None
+        assert parameter.std is not None
+        assert abs(parameter.value - EVERY[own, 1]) < 4.0 * parameter.std, own
+        assert parameter.value == pytest.approx(EVERY[own, 1], rel=0.1), own
+    for other in ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping"):
+        assert model.values[other, 1] == pytest.approx(truth()[1][other, 1], rel=0.005), other

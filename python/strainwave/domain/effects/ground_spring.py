@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from strainwave.domain.effects.interface import Effect, KnownJoint, Values
 
-_SHARE = 0.01  # of the largest gear torque, per radian
+_SHARE = 0.05  # of the largest gear torque, per radian
 
 
 class GroundSpring(Effect):

@@ -35,7 +35,7 @@ impl<R: Real> Effect<R> for Backlash<R> {
 
     #[inline(always)]
     fn strain(&self, torsion: R) -> R {
-        torsion - torsion.min(self.half).max(-self.half)
+        torsion - torsion.abs().min(self.half).copysign(torsion)
     }
 
     /// In the middle of the band where the spring feels nothing.
