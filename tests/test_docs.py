@@ -21,6 +21,7 @@ from strainwave import cli
 from strainwave.domain.effects import all_effects
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
+from strainwave.signals.hygiene import DETECTORS
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
 
@@ -29,6 +30,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 NOTEBOOKS = sorted(ROOT.glob("docs/notebooks/*.ipynb"))
 STAGES = (
     "read",
+    "hygiene",
     "rigid",
     "links",
     "statespace",
@@ -206,9 +208,11 @@ def constants(function: str) -> set[str]:
 def codes_of_warnings() -> set[str]:
     """Every code a warning can have: written out, or made from a check, a step or an effect."""
     made = [node for node in first_arguments("Diagnostic") if not isinstance(node, ast.Constant)]
-    assert {ast.unparse(node) for node in made} == {"check.name", "code", "effect.warning_code"}
+    variable = {"check.name", "code", "kind", "effect.warning_code"}
+    assert {ast.unparse(node) for node in made} == variable
     likely = {effect.warning_code for effect in all_effects()}
-    return constants("Diagnostic") | constants("Check") | constants("tried") | likely
+    written = constants("Diagnostic") | constants("Check") | constants("tried")
+    return written | likely | set(DETECTORS)
 
 
 def test_every_warning_has_its_place_in_troubleshooting() -> None:

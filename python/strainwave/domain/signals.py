@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from strainwave.display import Displayed
@@ -21,6 +21,8 @@ class Log(Displayed):
     sample_time: float  # [s]
     channels: Mapping[str, FloatArray]  # contract's channel name -> (n_samples,)
     warnings: tuple[Diagnostic, ...] = ()
+    # channel -> (n_samples,) True where it was bridged and is no measurement
+    masked: Mapping[str, BoolArray] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -49,7 +51,7 @@ class Signals:
     direction: FloatArray  # (n_samples, n_joints) +-1 where the motor slides; 0: it may stand
     bandwidth_hz: float | None  # of the zero-phase filter; None where nothing was filtered
     angle_noise: FloatArray  # (n_joints,) [rad] standard deviation, white
-    valid: BoolArray  # (n_samples, n_joints): False at edges and where the drive saturates
+    valid: BoolArray  # (n_samples, n_joints): False at edges, limits of the drive, defects
     unfiltered_torque: FloatArray  # (n_samples, n_joints) [N m] at the motor, at the stamps
     torque_channel: tuple[str, ...]  # the log's channel each torque came from
     warnings: tuple[Diagnostic, ...] = ()

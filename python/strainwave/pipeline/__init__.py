@@ -51,7 +51,7 @@ from strainwave.numerics.parallel import limited, one_blas_thread, side_by_side
 from strainwave.pipeline.elastic_joints import decoupled, from_catalogue
 from strainwave.pipeline.run import Run, planned_parts
 from strainwave.presentation.matplotlib_backend import images
-from strainwave.signals import consistency
+from strainwave.signals import consistency, hygiene
 from strainwave.signals import motor as signals
 from strainwave.signals.activity import activity_of
 from strainwave.signals.recorded_input import missing_motor_signal, missing_recorded_input
@@ -137,7 +137,7 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
     run.arm = Arm.of(the_study.arm)
     for log in all_logs:
         run.warnings.extend(log.warnings)
-    input_check = _consistency(run, the_study, all_logs)
+    all_logs, input_check = _usable(run, the_study, all_logs)
     elastic = "decoupled" in run.stages and any(j.elastic for j in run.arm.joints)
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     model: RigidModel | None = None
@@ -186,10 +186,14 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
     return replace(found, warnings=published_warnings(found))
 
 
-def _consistency(run: Run, the_study: Study, all_logs: Sequence[Log]) -> Consistency:
-    """Whether the input agrees with itself."""
-    with run.timed("consistency", "comparing the channels with one another"):
-        return consistency.check(all_logs, the_study)
+def _usable(
+    run: Run, the_study: Study, all_logs: Sequence[Log]
+) -> tuple[tuple[Log, ...], Consistency]:
+    """The records without what their sensors or the logger spoilt, and whether they agree."""
+    with run.timed("consistency", "looking for defects, and comparing the channels"):
+        kept, found = hygiene.without_defects(all_logs, run.arm)
+        run.warnings.extend(found)
+        return kept, consistency.check(kept, the_study)
 
 
 def _with_torques(

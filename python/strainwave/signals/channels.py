@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
-from strainwave.signals.standstill import sliding_direction
+from strainwave.signals.standstill import runs_of, sliding_direction
 
 _STANDING = 0.02  # [s] of an unmoved encoder that count as standing still
 _STANDING_SAMPLES = 6  # and at least so many
@@ -146,6 +146,30 @@ def saturation(
     return saturated, tuple(warnings)
 
 
+def unmeasured(log: Log, channels: Iterable[str], longer: int = 0) -> BoolArray:
+    """Where any of some channels was bridged and is no measurement.
+
+    Parameters
+    ----------
+    log : Log
+    channels : iterable of str
+    longer : int
+        Samples up to which a bridge is good enough.
+
+    Returns
+    -------
+    (n_samples,)
+    """
+    found = np.zeros(len(log), dtype=bool)
+    for name in channels:
+        mask = log.masked.get(name)
+        if mask is None or name not in log.channels:
+            continue
+        for start, stop in runs_of(mask).tolist():
+            found[start:stop] |= stop - start > longer
+    return found
+
+
 def _flat_tops(signal: FloatArray) -> BoolArray:
     """Runs of at least `_FLAT` equal samples at the largest or the smallest value.
 
@@ -157,8 +181,7 @@ def _flat_tops(signal: FloatArray) -> BoolArray:
     for extreme in (signal.max(), signal.min()):
         if abs(extreme) <= 0.8 * np.abs(signal).max():
             continue
-        at = np.r_[False, signal == extreme, False]
-        for start, stop in np.flatnonzero(np.diff(at.astype(np.int8))).reshape(-1, 2).tolist():
+        for start, stop in runs_of(signal == extreme).tolist():
             flat[start:stop] |= stop - start >= _FLAT
     return flat
 

@@ -34,7 +34,13 @@ from strainwave.numerics.filters import (
 )
 from strainwave.numerics.parallel import side_by_side
 from strainwave.signals.alignment import drive_delay, sensor_delay
-from strainwave.signals.channels import channel_of, directions, saturation, torque_channel
+from strainwave.signals.channels import (
+    channel_of,
+    directions,
+    saturation,
+    torque_channel,
+    unmeasured,
+)
 from strainwave.signals.delays import constants_of, corrected, late_sensors, misaligned
 from strainwave.signals.fusion import bias_of, complement, fuse
 
@@ -44,6 +50,8 @@ _EDGE = 2.0  # periods of the slowest low-pass until its start is forgotten
 _SPREAD = 5e-4  # [s] of uncertainty above which a delay says nothing
 _CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
 _UNSURE = 4.0  # deviations of a velocity up to which its sign is in doubt
+_BRIDGED = 0.005  # [s] that a straight line may stand in for a channel in linear models
+_BRIDGED_SAMPLES = 3  # and at least so many
 _PASSES = 4  # over late sensors: a delay is linear in the relations only where it is short
 
 
@@ -379,7 +387,11 @@ def _acceleration(arm: Arm, read: FloatArray, i: int, links: _Links) -> FloatArr
 def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
     """Samples that edges and limits of the drive do not touch, and what to say of the sensors."""
     saturated, found = saturation(view.log, view.arm, view.channels)
-    valid = ~saturated
+    used = [f"{_CHANNEL[s]}{i}" for i, s in enumerate(view.sources, 1) if s in _CHANNEL]
+    motors = [f"theta_m{i}" for i in range(1, view.arm.n_joints + 1)]
+    longer = max(_BRIDGED_SAMPLES, round(_BRIDGED / view.log.sample_time))
+    bridged = unmeasured(view.log, (*view.channels, *motors, *used), longer)
+    valid = ~(saturated | bridged[:, None])
     valid[: view.edge] = valid[-view.edge :] = False
     warnings = list(found)
     for i, source in enumerate(view.sources, start=1):

@@ -16,7 +16,13 @@ from strainwave.numerics.filters import (
     noise_deviation,
     signal_band,
 )
-from strainwave.signals.channels import channel_of, directions, saturation, torque_channel
+from strainwave.signals.channels import (
+    channel_of,
+    directions,
+    saturation,
+    torque_channel,
+    unmeasured,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +73,9 @@ def motor_side(log: Log, arm: Arm, options: SignalOptions | None = None) -> Sign
     velocity = differentiate(smooth, T)
     noise = np.array([noise_deviation(angle[:, i - 1]) for i in numbers])
     saturated, warnings = saturation(log, arm, sources)
-    valid = ~saturated
+    moving = unmeasured(log, (f"theta_m{i}" for i in numbers))
+    driven = np.column_stack([unmeasured(log, (source,)) for source in sources])
+    valid = ~(saturated | driven | moving[:, None])
     valid[:edge] = valid[-edge:] = False
     return Signals(
         experiment=log.experiment,

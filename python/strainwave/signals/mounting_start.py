@@ -16,6 +16,7 @@ from strainwave.domain import FloatArray, Imu, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import DISTANCE, Axis, axes_of, unknowns_of
 from strainwave.numerics.filters import differentiate, low_pass
+from strainwave.signals.channels import unmeasured
 from strainwave.signals.imu_attitude import imu_starts
 
 Key = tuple[str, int | None]
@@ -257,14 +258,15 @@ def _stood_in(
         weights, name = shares / float(shares @ shares), f"gyro{joint}"
     found = []
     for log in logs:
-        channels = dict(log.channels)
+        channels, masked = dict(log.channels), dict(log.masked)
         if all(axis.channel in channels for axis in used):
             parts = (w * channels[a.channel] for w, a in zip(weights, used, strict=True))
             channels[name] = np.asarray(sum(parts))
+            masked[name] = unmeasured(log, (axis.channel for axis in used))
             counts = sum(w * f for w, f in zip(weights, [linear[k] for k in own], strict=True))
             if name.startswith("a") and axes[0].kind != "tangential":
                 channels[name] = channels[name] - _beside(log, arm, joint, counts, distance)
-        found.append(replace(log, channels=channels))
+        found.append(replace(log, channels=channels, masked=masked))
     joints = tuple(changed if i == joint - 1 else j for i, j in enumerate(arm.joints))
     return found, arm.with_joints(joints)
 

@@ -111,6 +111,20 @@ def running(extreme: np.ufunc, values: NDArray[Value], width: int) -> NDArray[Va
     return found
 
 
+def runs_of(at: BoolArray) -> IntArray:
+    """First sample and the one behind the last of each run of True.
+
+    Parameters
+    ----------
+    at : (n_samples,)
+
+    Returns
+    -------
+    (n_runs, 2)
+    """
+    return np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8))).reshape(-1, 2)
+
+
 def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatArray]]:
     """Shapes that span the friction torque where the direction is uncertain.
 

@@ -8,11 +8,11 @@ linear-phase low-pass on both sides and is then thinned to what that leaves of i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log
+from strainwave.domain import BoolArray, FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import (
     bandwidth_of,
@@ -91,6 +91,8 @@ class Dataset:
     moving: bool  # whether it begins in motion
     longest_step: float  # [s] of the integrator
     lacking: FloatArray  # (n_rows, n_channels) what the integrator's step takes from the channels
+    # (n_rows, n_channels) False where it is no measurement; None: all are
+    counted: BoolArray | None = field(default=None, kw_only=True)
 
     @property
     def local(self) -> tuple[tuple[str, int], ...]:

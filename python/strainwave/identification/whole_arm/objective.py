@@ -352,6 +352,9 @@ class Objective:
         columns[..., n_begin : len(own)] = shifts
         columns[..., len(own) :] = tangent[..., :n] @ self.space.slope(z)
         difference = seen + shifts @ own[n_begin:] - record.observed(values)
+        if record.counted is not None:  # rows of zeros say nothing
+            difference = difference * record.counted
+            columns *= record.counted[..., None]
         return Evaluated(difference, columns, own.copy())
 
     def simulated(self, z: FloatArray) -> list[FloatArray]:

@@ -7,15 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Imu, Joint, Log
+from strainwave.domain import BoolArray, Imu, Joint, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import Axis, axes_of
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.identification.closed_loop import has_accelerometer
 from strainwave.identification.whole_arm.dataset import BEGINNING, Channel, Dataset, noise_behind
-from strainwave.identification.whole_arm.low_pass import low_pass_kernels
+from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_deviation
+from strainwave.signals.channels import unmeasured
 from strainwave.signals.recorded_input import (
     driven_by_voltage,
     missing_motor_signal,
@@ -102,6 +103,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
         moving=_begins_in_motion(log, arm),
         longest_step=_STEP,
         lacking=np.zeros((len(rows[0]), len(channels))),
+        counted=_counted(log, channels, kernels),
     )
 
 
@@ -128,8 +130,13 @@ def coarsened(record: Dataset, longest_step: float) -> Dataset:
         else x[: n * every : every]
         for name, x in log.channels.items()
     }
+    masked = {
+        name: np.asarray(bad[: n * every].reshape(n, every).any(axis=1))
+        for name, bad in log.masked.items()
+    }
     thinned = replace(
         log,
+        masked=masked,
         sample_time=every * log.sample_time,
         time=log.time[: n * every : every],
         channels=channels,
@@ -141,12 +148,23 @@ def coarsened(record: Dataset, longest_step: float) -> Dataset:
 
 def _with_link_angles(log: Log, arm: Arm) -> Log:
     """With theta_l = n theta_m + deflection of joints whose torsion is what was measured."""
-    channels = dict(log.channels)
+    channels, masked = dict(log.channels), dict(log.masked)
     for i, joint in enumerate(arm.joints, start=1):
         if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
             motor = channels[f"theta_m{i}"]
             channels[f"theta_l{i}"] = joint.gear_ratio * motor + channels[f"deflection{i}"]
-    return replace(log, channels=channels)
+            masked[f"theta_l{i}"] = unmeasured(log, (f"theta_m{i}", f"deflection{i}"))
+    return replace(log, channels=channels, masked=masked)
+
+
+def _counted(log: Log, channels: Sequence[Channel], kernels: Kernels) -> BoolArray | None:
+    """(n_rows, n_channels) whether no masked sample has a share in a row; None where all count."""
+    masked = [unmeasured(log, (channel.name,)) for channel in channels]
+    if not any(bad.any() for bad in masked):
+        return None
+    reach, step = len(kernels.smooth), kernels.step
+    before = [np.r_[0, np.cumsum(bad)] for bad in masked]
+    return np.column_stack([(b[reach:] - b[:-reach])[::step] == 0 for b in before])
 
 
 def _channels(log: Log, arm: Arm) -> Iterator[Channel]:

@@ -63,6 +63,11 @@ _IN_DOUBT = {
 """Where the answer itself is in doubt, the most serious first."""
 _OF_DATA = {
     "saturated": "Lower the amplitude, or raise the drive's limit; those stretches were left out.",
+    "spikes": "Check the sensor's cable, its shield and the plug.",
+    "frozen": "Look for lost packets, a loose plug, or a sensor that hangs.",
+    "encoder-steps": "Check the encoder's index and supply, and the counter's number of bits.",
+    "flat-tops": "Use a sensor of larger range, or a smaller amplitude.",
+    "mains-hum": "Shield and ground the sensor's cable, away from those of motors.",
     "misaligned": (
         "Check the logger's time stamps and the bandwidths of sensor and drive in the study."
     ),

@@ -1,0 +1,226 @@
+"""Defects drawn in place and size are named; what looks like one and is none is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.studies.injected import SIZES, Injected, injected
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from strainwave.domain import Experiment, FloatArray, Log
+from strainwave.dynamics.arm import Arm
+from strainwave.io.logs import read_logs
+from strainwave.io.study import read_study
+from strainwave.signals import hygiene
+from strainwave.virtual import scara
+
+SMALL_ARM = Path(__file__).parents[2] / "data" / "small-arm" / "study.toml"
+SHARED = Path(__file__).parents[4] / "shared" / "data"
+CERTAIN: dict[hygiene.Kind, float] = {
+    "spikes": 10.0,
+    "frozen": 50.0,
+    "encoder-steps": 4096.0,
+    "flat-tops": 0.9,
+    "mains-hum": 0.1,
+}
+"""Sizes, in the units of `SIZES`, from which a defect is named wherever it is."""
+
+ARM = Arm.of(scara.study(Path(), "linear").arm)
+TIME: FloatArray = np.arange(12_000, dtype=np.float64) * 2.5e-4
+COUNT = 2.0 * np.pi / 8192
+rng = np.random.default_rng
+
+
+@cache
+def clean() -> tuple[Log, ...]:
+    """A slow motion and a quick one of noisy sensors, through an encoder's counts."""
+    return tuple(made(seed) for seed in (1, 2))
+
+
+def made(seed: int) -> Log:
+    noise = rng(seed)
+    channels: dict[str, FloatArray] = {}
+    w = 2.0 * np.pi * np.array([0.9, 2.3, 4.1, 7.7]) * (1.0 + 0.1 * noise.normal(size=4))
+    for i in (1, 2):
+        phase, size = noise.uniform(0.0, 6.0, 4), 20.0 / w**1.5
+        angle = np.sin(np.outer(TIME, w) + phase) @ size
+        slope = -np.sin(np.outer(TIME, w) + phase) @ (size * w**2)
+        channels[f"theta_m{i}"] = COUNT * np.round(angle / COUNT)
+        channels[f"u{i}"] = 1e-2 * slope + 0.02 * noise.normal(size=len(TIME))
+        channels[f"a{i}"] = digits(3e-3 * slope + 0.02 * noise.normal(size=len(TIME)), 2e-3)
+        channels[f"gyro{i}"] = 1e-2 * np.gradient(angle, TIME) + 2e-3 * noise.normal(size=len(TIME))
+    return record(channels, f"motion-{seed}")
+
+
+def digits(values: FloatArray, step: float) -> FloatArray:
+    return np.asarray(step * np.round(values / step))
+
+
+def record(channels: dict[str, FloatArray], name: str = "record", control: str = "servo") -> Log:
+    experiment = Experiment(name, f"{name}.csv", "motion", (control, control))  # type: ignore[arg-type]
+    return Log(experiment, TIME[: len(channels["theta_m1"])], TIME[1], channels)
+
+
+def found(log: Log) -> list[str]:
+    return [f"{each.kind} {each.channel}" for each in hygiene.defects([log], ARM)[0]]
+
+
+def with_channel(log: Log, name: str, x: FloatArray) -> Log:
+    return replace(log, channels={**log.channels, name: x})
+
+
+# --- what is there is named -------------------------------------------------------------------
+
+
+def test_every_kind_can_be_drawn() -> None:
+    assert set(SIZES) == set(CERTAIN) == set(hygiene.DETECTORS)
+
+
+@pytest.mark.parametrize("kind", sorted(hygiene.DETECTORS))
+@given(seed=st.integers(0, 10_000), factor=st.floats(1.0, 4.0))
+def test_a_large_defect_is_named_wherever_it_is(
+    kind: hygiene.Kind, seed: int, factor: float
+) -> None:
+    size = CERTAIN[kind] * (1.0 if kind == "flat-tops" else factor)
+    if kind == "encoder-steps":
+        size = round(size)
+    drawn = injected(clean(), ARM, kind, size, rng(seed))
+    assert drawn is not None
+    assume(kind != "frozen" or missed_something(drawn))
+    named = zip(drawn.logs, hygiene.defects(drawn.logs, ARM), strict=True)
+    assert [log.name for log, own in named if drawn.named(own)] or kind == "flat-tops"
+
+
+def missed_something(drawn: Injected) -> bool:
+    """Whether a frozen angle has more to make up for than its motor moves in a few samples."""
+    log = next(log for log in drawn.logs if log.name == drawn.record)
+    x, (_, stop) = log.channels[drawn.channel], drawn.spans[0]
+    after = float(np.abs(np.diff(x[stop : stop + 5])).max())
+    return not drawn.channel.startswith("theta") or abs(x[stop] - x[stop - 1]) > 8 * after
+
+
+@given(
+    at=st.integers(1000, 11_000),
+    shape=st.sampled_from([(1.0,), (1.0, 1.0), (1.0, 0.4, 1.3)]),
+    size=st.floats(5.0, 1e4),
+)
+def test_a_spike_is_found_to_the_sample(at: int, shape: tuple[float, ...], size: float) -> None:
+    x = clean()[0].channels["a1"].copy()
+    x[at : at + len(shape)] += size * np.array(shape)
+    own = hygiene.defects([with_channel(clean()[0], "a1", x)], ARM)[0]
+    assert [(d.kind, d.channel, d.start, d.stop) for d in own] == [
+        ("spikes", "a1", at, at + len(shape))
+    ]
+
+
+@given(bits=st.integers(9, 12), seed=st.integers(0, 100))
+def test_a_counter_that_wraps_is_unwrapped(bits: int, seed: int) -> None:
+    log = clean()[seed % 2]
+    counts = np.round(log.channels["theta_m1"] / COUNT)
+    wrapped = COUNT * np.mod(counts, 2**bits)
+    changes = np.count_nonzero(np.abs(np.diff(wrapped)) > COUNT * 2 ** (bits - 1))
+    (usable,), warnings = hygiene.without_defects([with_channel(log, "theta_m1", wrapped)], ARM)
+    if changes > 1:
+        assert [w.code for w in warnings] == ["encoder-steps"]
+        off = usable.channels["theta_m1"] - log.channels["theta_m1"]
+        assert np.ptp(off[~usable.masked["theta_m1"]]) < 1e-9
+
+
+# --- what is not there is not -----------------------------------------------------------------
+
+
+def test_clean_logs_have_none() -> None:
+    assert [found(log) for log in clean()] == [[], []]
+    study = read_study(SMALL_ARM)
+    assert hygiene.without_defects(read_logs(study), Arm.of(study.arm))[1] == ()
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the shared data are not there")
+@pytest.mark.parametrize(
+    "name",
+    [
+        "lab/scara-linear-5kg",
+        "lab/scara-strainwave-3kg",
+        "lab/vertical-linear-0kg",
+        "real/emps",
+        "real/dfki-double-pendulum",
+        "real/ist-flexible-arm",
+    ],
+)
+def test_shared_logs_have_none(name: str) -> None:
+    study = read_study(SHARED / name / "study.toml")
+    logs = read_logs(study)
+    usable, warnings = hygiene.without_defects(logs, Arm.of(study.arm))
+    assert warnings == ()
+    assert usable == logs
+
+
+@given(seed=st.integers(0, 1000), stands=st.integers(50, 2000), at=st.integers(1000, 9000))
+def test_a_motor_that_stands_is_not_frozen(seed: int, stands: int, at: int) -> None:
+    log = made(seed)
+    channels = dict(log.channels)
+    # it comes to standstill and leaves it, as friction lets it, without a step of its velocity
+    warp = np.ones(len(TIME))
+    ramp = 400
+    warp[at : at + stands] = 0.0
+    warp[at - ramp : at] = np.linspace(1.0, 0.0, ramp)
+    warp[at + stands : at + stands + ramp] = np.linspace(0.0, 1.0, ramp)[: len(TIME) - at - stands]
+    clock = np.cumsum(warp)
+    for i in (1, 2):
+        angle = np.interp(clock, np.arange(len(TIME)), channels[f"theta_m{i}"])
+        channels[f"theta_m{i}"] = COUNT * np.round(angle / COUNT)
+    assert found(record(channels)) == []
+
+
+@given(
+    seed=st.integers(0, 1000),
+    clock=st.integers(1, 40),
+    amplitude=st.floats(1.0, 10.0),
+)
+def test_a_pseudo_random_voltage_is_no_defect(seed: int, clock: int, amplitude: float) -> None:
+    levels = rng(seed).integers(0, 2, len(TIME) // clock + 1)
+    voltage = np.asarray(amplitude * (2.0 * np.repeat(levels, clock)[: len(TIME)] - 1.0))
+    log = with_channel(clean()[0], "u1", voltage)
+    for control in ("open", "servo"):
+        assert found(record(dict(log.channels), control=control)) == []
+
+
+@given(limit=st.floats(0.1, 0.9))
+def test_a_servo_at_its_limit_is_no_defect(limit: float) -> None:
+    u = clean()[0].channels["u1"]
+    bound = limit * float(np.abs(u).max())
+    assert found(with_channel(clean()[0], "u1", np.clip(u, -bound, bound))) == []
+
+
+@given(height=st.floats(0.5, 20.0), at=st.integers(500, 11_000), decay=st.floats(10.0, 400.0))
+def test_a_step_of_a_reference_is_no_spike(height: float, at: int, decay: float) -> None:
+    since = np.clip(np.arange(len(TIME)) - at, 0, None)
+    kick = np.where(np.arange(len(TIME)) >= at, height * np.exp(-since / decay), 0.0)
+    u = clean()[0].channels["u1"] + kick
+    assert found(with_channel(clean()[0], "u1", u)) == []
+
+
+@given(step=st.floats(0.001, 0.05), seed=st.integers(0, 20))
+def test_a_coarse_sensor_is_not_frozen_nor_clipped(step: float, seed: int) -> None:
+    log = made(seed)
+    smooth = log.channels["gyro1"]
+    assert found(with_channel(log, "gyro1", digits(smooth, step))) == []
+
+
+@given(hz=st.floats(20.0, 80.0), damping=st.floats(0.01, 0.1), seed=st.integers(0, 1000))
+def test_a_resonance_is_no_hum(hz: float, damping: float, seed: int) -> None:
+    logs = []
+    w = 2.0 * np.pi * hz
+    answer = np.exp(-damping * w * TIME) * np.sin(w * TIME)
+    for k, log in enumerate(clean()):
+        force = rng([seed, k]).normal(size=len(TIME))
+        n = 2 * len(TIME)
+        rings = np.fft.irfft(np.fft.rfft(force, n) * np.fft.rfft(answer, n), n)[: len(TIME)]
+        a = log.channels["a1"] + rings / np.std(rings)
+        logs.append(with_channel(log, "a1", a))
+    assert hygiene.defects(logs, ARM) == [[], []]

@@ -1,0 +1,144 @@
+"""What is defective is bridged and masked, and no equation or row of a fit rests on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from elastic_runs import log_of, prbs_run, rig
+from strainwave.domain import FloatArray, Log
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.preparation import coarsened, dataset_of
+from strainwave.signals import hygiene
+from strainwave.signals.channels import unmeasured
+from strainwave.signals.hygiene.defects import Defect
+from strainwave.signals.hygiene.mending import bridged, mended
+from strainwave.signals.link_motion import link_side
+from strainwave.signals.motor import motor_side
+
+ARM = Arm.of(rig().arm)
+CUTOFF = 100.0
+
+
+@cache
+def log() -> Log:
+    return log_of(prbs_run(rig()), seed=0)
+
+
+def spoilt(channel: str, start: int, stop: int, kind: hygiene.Kind = "spikes") -> Log:
+    usable, left_out = mended(log(), ARM, [Defect(kind, channel, start, stop, 1.0, "")])
+    assert usable is not None
+    assert left_out == ()
+    return usable
+
+
+# --- bridges ----------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.booleans(), min_size=5, max_size=60).filter(lambda bad: not all(bad)),
+    st.floats(-3.0, 3.0),
+)
+def test_a_straight_line_is_bridged_by_itself(where: list[bool], slope: float) -> None:
+    bad = np.array(where)
+    bad[0] = bad[-1] = False
+    x = slope * np.arange(len(bad))
+    broken = np.where(bad, 1e6, x)
+    np.testing.assert_allclose(bridged(broken, bad), x, atol=1e-12 * len(x))
+
+
+def test_a_voltage_holds_its_last_value() -> None:
+    x: FloatArray = np.array([9.0, 1.0, 2.0, 9.0, 9.0, 3.0])
+    bad = x == 9.0
+    assert bridged(x, bad, hold=True).tolist() == [1.0, 1.0, 2.0, 2.0, 2.0, 3.0]
+
+
+def test_a_step_is_taken_off_in_whole_counts() -> None:
+    count = 2.0 * np.pi / 8192
+    x = log().channels["theta_m1"].copy()
+    x[5000:] += 300 * count
+    stepped = replace(log(), channels={**log().channels, "theta_m1": x})
+    step = Defect("encoder-steps", "theta_m1", 5000, 5001, 300.3 * count, "")
+    usable, _ = mended(stepped, ARM, [step])
+    assert usable is not None
+    assert np.flatnonzero(usable.masked["theta_m1"]).tolist() == [4999, 5000]
+    off = usable.channels["theta_m1"] - log().channels["theta_m1"]
+    assert np.abs(off[~usable.masked["theta_m1"]]).max() < 1e-9
+
+
+# --- what is not used -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("channel", "share", "used"),
+    [
+        ("a2", 0.15, ()),
+        ("a2", 0.3, ("a2",)),
+        ("theta_m1", 0.15, ()),
+        ("theta_m1", 0.3, None),
+        ("u1", 0.0005, ()),
+        ("u1", 0.02, None),
+    ],
+)
+def test_what_is_much_defective_is_not_used(
+    channel: str, share: float, used: tuple[str, ...] | None
+) -> None:
+    stop = 4000 + int(share * len(log()))
+    usable, left_out = mended(log(), ARM, [Defect("frozen", channel, 4000, stop, 1.0, "")])
+    if used is None:
+        assert usable is None
+        assert left_out == (channel,)
+    else:
+        assert usable is not None
+        assert left_out == used
+        assert (channel in usable.channels) == (not used)
+
+
+def test_an_encoder_of_many_steps_is_not_used() -> None:
+    steps = [Defect("encoder-steps", "theta_m2", k, k + 1, 0.3, "") for k in range(100, 2300, 100)]
+    assert mended(log(), ARM, steps) == (None, ("theta_m2",))
+    wraps = [replace(step, wraps=True) for step in steps]
+    assert mended(log(), ARM, wraps)[0] is not None
+
+
+# --- no equation rests on it ------------------------------------------------------------------
+
+
+def test_rigid_equations_leave_it_out() -> None:
+    of_torque = motor_side(spoilt("u1", 5000, 5003), ARM)
+    assert not of_torque.valid[5000:5003, 0].any()
+    assert of_torque.valid[5000:5003, 1].all()
+    of_motion = motor_side(spoilt("theta_m2", 5000, 5003), ARM)
+    assert not of_motion.valid[5000:5003].any()
+
+
+def test_linear_models_go_on_through_a_short_bridge_only() -> None:
+    assert link_side(spoilt("a1", 5000, 5003), ARM).valid[5000:5003].all()
+    assert not link_side(spoilt("a1", 5000, 5100, "frozen"), ARM).valid[5000:5100].any()
+
+
+def test_rows_of_the_whole_arm_that_reach_it_do_not_count() -> None:
+    record = dataset_of(spoilt("a2", 5000, 5003), ARM, CUTOFF)
+    assert record.counted is not None
+    names = [channel.name for channel in record.channels]
+    reach = 0.5 * len(record.kernels.smooth) * log().sample_time
+    near = np.abs(record.time - log().time[5001]) < reach
+    for k, name in enumerate(names):
+        lost = ~record.counted[:, k]
+        assert lost.any() == (name == "a2")
+        assert not (lost & ~near).any()
+    assert near[~record.counted.all(axis=1)].all()
+    assert (~record.counted).sum() >= near.sum() - 2
+    assert dataset_of(log(), ARM, CUTOFF).counted is None
+
+
+def test_masks_are_thinned_with_their_channels() -> None:
+    record = coarsened(dataset_of(spoilt("a2", 5001, 5002), ARM, CUTOFF), 2e-3)
+    assert record.counted is not None
+    assert not record.counted.all()
+    assert np.flatnonzero(unmeasured(record.log, ("a2",))).tolist() == [5001 // 8]
