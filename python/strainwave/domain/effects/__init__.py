@@ -16,6 +16,7 @@ from strainwave.domain.effects.power_friction import PowerFriction
 from strainwave.domain.effects.stribeck import Stribeck
 from strainwave.domain.effects.torque_ripple import TorqueRipple
 from strainwave.domain.parameter_table import parameter_table
+from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput
 
 __all__ = [
@@ -28,9 +29,11 @@ __all__ = [
     "unregister",
 ]
 
-_EFFECTS: dict[str, Effect] = {
-    effect.name: effect
-    for effect in (
+_EFFECTS = Registry[Effect](
+    "effect",
+    "an",
+    "effects",
+    (
         Stribeck(),
         Hysteresis(),
         KinematicError(),
@@ -39,8 +42,8 @@ _EFFECTS: dict[str, Effect] = {
         TorqueRipple(),
         Backlash(),
         GroundSpring(),
-    )
-}
+    ),
+)
 
 
 def effect_named(name: str) -> Effect:
@@ -60,23 +63,17 @@ def effect_named(name: str) -> Effect:
     InvalidInput
         There is none of that name.
     """
-    if name not in _EFFECTS:
-        raise InvalidInput(
-            f"there is no effect {name!r}",
-            where="effects",
-            remedy=f"use one of {', '.join(_EFFECTS)}",
-        )
     return _EFFECTS[name]
 
 
 def names() -> tuple[str, ...]:
     """Of all effects, in the order in which they were registered."""
-    return tuple(_EFFECTS)
+    return _EFFECTS.names()
 
 
 def all_effects() -> tuple[Effect, ...]:
     """In the order in which they were registered."""
-    return tuple(_EFFECTS.values())
+    return _EFFECTS.all()
 
 
 def register(effect: Effect) -> None:
@@ -92,10 +89,7 @@ def register(effect: Effect) -> None:
         There is one of that name, one of its parameters is none of the core's or is a size here and
         a shape in another effect, or a size cannot be zero.
     """
-    if effect.name in _EFFECTS:
-        raise InvalidInput(
-            f"there is an effect {effect.name!r} already", remedy="give it another name"
-        )
+    _EFFECTS.check_new(effect.name)
     for name in effect.names:
         problem = _fault(effect, name)
         if problem:
@@ -103,7 +97,7 @@ def register(effect: Effect) -> None:
                 f"the parameter {name!r} of the effect {effect.name!r} {problem}",
                 remedy="give it another name",
             )
-    _EFFECTS[effect.name] = effect
+    _EFFECTS.add(effect)
 
 
 def _fault(effect: Effect, name: str) -> str | None:
@@ -112,7 +106,7 @@ def _fault(effect: Effect, name: str) -> str | None:
         return "is none of the core's"
     if name in effect.sizes and effect.described(name).range == "positive":
         return "is a size, but cannot be zero"
-    others = [other for other in _EFFECTS.values() if name in other.names]
+    others = [other for other in _EFFECTS.all() if name in other.names]
     if any((name in other.sizes) != (name in effect.sizes) for other in others):
         return "is another in another effect"
     return None
@@ -130,4 +124,4 @@ def unregister(name: str) -> None:
     InvalidInput
         There is none of that name.
     """
-    del _EFFECTS[effect_named(name).name]
+    _EFFECTS.remove(name)

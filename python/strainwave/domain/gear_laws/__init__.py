@@ -16,6 +16,7 @@ from strainwave.domain.gear_laws.linear import Linear
 from strainwave.domain.gear_laws.rigid import Rigid
 from strainwave.domain.gear_laws.three_slope import ThreeSlope
 from strainwave.domain.parameter_table import parameter_table
+from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput
 
 __all__ = [
@@ -37,7 +38,7 @@ __all__ = [
 RIGID = Rigid.name
 """The law of the rigid stage."""
 
-_LAWS: dict[str, GearLaw] = {law.name: law for law in (Linear(), ThreeSlope(), Cubic(), Rigid())}
+_LAWS = Registry[GearLaw]("gear law", "a", "spring", (Linear(), ThreeSlope(), Cubic(), Rigid()))
 
 
 def gear_law(name: str) -> GearLaw:
@@ -57,18 +58,12 @@ def gear_law(name: str) -> GearLaw:
     InvalidInput
         There is none of that name.
     """
-    if name not in _LAWS:
-        raise InvalidInput(
-            f"there is no gear law {name!r}",
-            where="spring",
-            remedy=f"use one of {', '.join(_LAWS)}",
-        )
     return _LAWS[name]
 
 
 def names() -> tuple[str, ...]:
     """Of all laws, in the order in which they were registered."""
-    return tuple(_LAWS)
+    return _LAWS.names()
 
 
 def register(law: GearLaw) -> None:
@@ -84,10 +79,7 @@ def register(law: GearLaw) -> None:
         There is one of that name, or one of its parameters is none of the core's or means something
         else in another law.
     """
-    if law.name in _LAWS:
-        raise InvalidInput(
-            f"there is a gear law {law.name!r} already", remedy="give it another name"
-        )
+    _LAWS.check_new(law.name)
     known = gear_parameters()
     for own in law.parameters:
         other = known.get(own.name, own)
@@ -97,7 +89,7 @@ def register(law: GearLaw) -> None:
                 f"the parameter {own.name!r} of the gear law {law.name!r} {problem}",
                 remedy="give it another name",
             )
-    _LAWS[law.name] = law
+    _LAWS.add(law)
     gear_parameters.cache_clear()
 
 
@@ -113,7 +105,7 @@ def unregister(name: str) -> None:
     InvalidInput
         There is none of that name.
     """
-    del _LAWS[gear_law(name).name]
+    _LAWS.remove(name)
     gear_parameters.cache_clear()
 
 
@@ -121,7 +113,7 @@ def unregister(name: str) -> None:
 def gear_parameters() -> Mapping[str, GearParameter]:
     """Every law's parameters by name; of a name that several have, the first law's."""
     found: dict[str, GearParameter] = {}
-    for law in _LAWS.values():
+    for law in _LAWS.all():
         for parameter in law.parameters:
             found.setdefault(parameter.name, parameter)
     return MappingProxyType(found)
@@ -142,7 +134,7 @@ def is_by_load(name: str) -> bool:
 def lists() -> Mapping[str, Mapping[int, tuple[str, ...]]]:
     """Keys of a parameter file that take lists: key -> number of values -> parameters."""
     found: dict[str, dict[int, tuple[str, ...]]] = {}
-    for law in _LAWS.values():
+    for law in _LAWS.all():
         for key, listed in law.lists.items():
             found.setdefault(key, {})[len(listed)] = listed
     for key, of_length in found.items():
