@@ -5,11 +5,11 @@ mod common;
 
 use std::iter::zip;
 
-use common::{LINEAR, RIGID, config, scara};
+use common::{LINEAR, RIGID, clock, config, scara};
 use strainwave_core::actuation::{Controller, PiPosition, PiVelocity, Servo};
 use strainwave_core::arm::{OneLink, TwoLink};
 use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
-use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
+use strainwave_core::experiment::{Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::gear::Law;
 
 const PERIOD: f64 = 1e-3;
@@ -91,16 +91,6 @@ where
             Quantity::MotorVelocity,
             Quantity::Voltage,
         ],
-    }
-}
-
-fn clock(samples: usize) -> Clock {
-    Clock {
-        step: 1.25e-4,
-        steps_per_tick: 8,
-        steps_per_servo: 8,
-        steps_per_sample: 8,
-        samples,
     }
 }
 

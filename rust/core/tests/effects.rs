@@ -2,11 +2,11 @@
 
 mod common;
 
-use common::{Draw, LINEAR, RIGID, Run, at_rest, config, is_size, scara, with_effects};
+use common::{Draw, LINEAR, RIGID, Run, at_rest, clock, config, is_size, scara, with_effects};
 use proptest::prelude::*;
 use strainwave_core::arm::{OneLink, TwoLink};
 use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
-use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
+use strainwave_core::experiment::{Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::effects::{self, EffectKinds};
 use strainwave_core::joint::gear::Law;
 use strainwave_core::plant::config::Config;
@@ -281,13 +281,7 @@ fn a_batch_of_arms_with_effects_is_each_of_them() {
     let reference = vec![[0.0; 2]; 101];
     let task = Task {
         config,
-        clock: Clock {
-            step: 1.25e-4,
-            steps_per_tick: 8,
-            steps_per_servo: 8,
-            steps_per_sample: 8,
-            samples: 101,
-        },
+        clock: clock(101),
         servo: None,
         record: vec![Quantity::MotorVelocity],
     };
@@ -348,13 +342,7 @@ fn derivatives_by_every_effects_parameters_are_differences() {
         let voltage = telegraph(11, 60);
         let task = Task {
             config,
-            clock: Clock {
-                step: 1.25e-4,
-                steps_per_tick: 8,
-                steps_per_servo: 8,
-                steps_per_sample: 8,
-                samples: 60,
-            },
+            clock: clock(60),
             servo: None,
             record: vec![Quantity::MotorVelocity, Quantity::LinkVelocity],
         };
@@ -410,13 +398,7 @@ fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
         let voltage = telegraph(11, 60);
         let task = Task {
             config,
-            clock: Clock {
-                step: 1.25e-4,
-                steps_per_tick: 8,
-                steps_per_servo: 8,
-                steps_per_sample: 8,
-                samples: 60,
-            },
+            clock: clock(60),
             servo: None,
             record: vec![Quantity::MotorVelocity],
         };

@@ -5,11 +5,11 @@ mod common;
 
 use std::iter::zip;
 
-use common::{Draw, config};
+use common::{Draw, clock, config};
 use proptest::prelude::*;
 use strainwave_core::arm::TwoLink;
 use strainwave_core::dispatch::{Width, by_duals_at, sensitivities};
-use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
+use strainwave_core::experiment::{Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::gear::{
     self, AllLaws, AnySpring, CORNER, Gears, Law, MOST_OF_A_LAW, Spring,
 };
@@ -121,13 +121,7 @@ fn arms_of_every_pair_of_laws_have_their_derivatives() {
                 .collect();
             let task = Task {
                 config,
-                clock: Clock {
-                    step: 1.25e-4,
-                    steps_per_tick: 8,
-                    steps_per_servo: 8,
-                    steps_per_sample: 8,
-                    samples: 60,
-                },
+                clock: clock(60),
                 servo: None,
                 record: vec![Quantity::MotorVelocity, Quantity::LinkAcceleration],
             };

@@ -94,6 +94,17 @@ pub fn at_rest<const N: usize>(motor_angle: [f64; N]) -> Initial<N> {
     }
 }
 
+/// A sample, a voltage and a servo's reading at every eighth step of 0.125 ms.
+pub fn clock(samples: usize) -> Clock {
+    Clock {
+        step: 1.25e-4,
+        steps_per_tick: 8,
+        steps_per_servo: 8,
+        steps_per_sample: 8,
+        samples,
+    }
+}
+
 /// One run: samples every step, voltage held for `steps_per_tick` steps.
 pub struct Run<'a, A, const N: usize> {
     pub config: Config<A, N>,
