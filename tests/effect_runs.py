@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from strainwave.domain import ArmModel, EffectName, Log, Study
+from strainwave.domain.effects import RecordEffect, all_effects
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
@@ -15,6 +16,8 @@ from strainwave.identification.whole_arm import TuningOptions, tune
 from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
+OF_THE_CORE = tuple(e.name for e in all_effects() if not isinstance(e, RecordEffect))
+"""Names of the effects that the core simulates."""
 ALL: tuple[EffectName, ...] = ("stribeck", "hysteresis", "kinematic-error")
 SIZES: Values = {
     ("stribeck_friction", 1): 0.02,

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.special import chdtrc, stdtrit
+from scipy.special import chdtrc, chdtri, stdtrit
 
-from strainwave.numerics.distributions import chi_square_tail, student_quantile
+from strainwave.numerics.distributions import (
+    chi_square_limit,
+    chi_square_tail,
+    student_quantile,
+)
 from strainwave.numerics.linalg import exponential
 
 
@@ -14,6 +18,14 @@ from strainwave.numerics.linalg import exponential
 def test_chi_square_tail(value: float, degrees: int) -> None:
     # sums of a few hundred rounded terms, each at most one
     assert chi_square_tail(value, degrees) == pytest.approx(chdtrc(degrees, value), abs=1e-13)
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3, 10, 101])
+@pytest.mark.parametrize("probability", [0.5, 0.05, 2.7e-3, 6e-7])
+def test_chi_square_limit(probability: float, degrees: int) -> None:
+    # sixty halvings, of a tail whose own error is some 1e-15
+    expected = chdtri(degrees, probability)
+    assert chi_square_limit(probability, degrees) == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5, 19, 20, 39, 200])

@@ -18,7 +18,7 @@ from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.kinds import Key, Row, kind_of
-from strainwave.domain.parameter_table import parameter_table
+from strainwave.domain.parameter_table import base_name, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity
@@ -127,7 +127,7 @@ def decide(
 
     def place(row: Decision) -> tuple[int, int]:
         """The arm's own first, then joint by joint."""
-        return row.parameter.joint or 0, order.get(row.parameter.name, len(order))
+        return row.parameter.joint or 0, order.get(base_name(row.parameter.name), len(order))
 
     return tuple(sorted(rows, key=place))
 

@@ -1,7 +1,7 @@
 """What is known of every parameter beforehand: symbol, description, units, range.
 
 The core declares those of the equations of motion, beside the equations. Here stand those that
-follow from them.
+follow from them, and those of effects that change what the core is given.
 """
 
 from __future__ import annotations
@@ -56,6 +56,47 @@ _DERIVED = (
 )
 """Combinations of the core's parameters that are reported by a name of their own."""
 
+_OF_RECORDS = (
+    ParameterDescription(
+        "friction_change",
+        "phi",
+        "relative change of a joint's Coulomb friction in one record",
+        ("1", "1"),
+        "any",
+    ),
+)
+"""What effects that the core does not know change in a record."""
+
+
+def of_record(name: str, record: str) -> str:
+    """The name of a parameter that each record has one of.
+
+    Parameters
+    ----------
+    name : str
+        As in docs/notation.md.
+    record : str
+
+    Returns
+    -------
+    str
+    """
+    return f"{name}[{record}]"
+
+
+def base_name(name: str) -> str:
+    """The name of a parameter as in docs/notation.md, without that of a record.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    str
+    """
+    return name.partition("[")[0]
+
 
 @cache
 def parameter_table() -> Mapping[str, ParameterDescription]:
@@ -64,11 +105,11 @@ def parameter_table() -> Mapping[str, ParameterDescription]:
     Returns
     -------
     dict
-        In the core's order, then what follows from its parameters.
+        In the core's order, then what follows from its parameters or changes them.
     """
     found: dict[str, ParameterDescription] = {}
     for _, name, symbol, description, units, values in declared_in_the_core():
         found.setdefault(name, ParameterDescription(name, symbol, description, units, values))
-    for derived in _DERIVED:
-        found[derived.name] = derived
+    for own in (*_DERIVED, *_OF_RECORDS):
+        found[own.name] = own
     return MappingProxyType(found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from strainwave.domain.arm import ArmDescription, Joint
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.kinds import Values, kind_of
-from strainwave.domain.parameter_table import parameter_table
+from strainwave.domain.parameter_table import base_name, parameter_table
 
 __all__ = [
     "SENSOR_PARAMETERS",
@@ -52,7 +52,9 @@ def unit_of(name: str, joint: Joint | None = None) -> str:
     KeyError
         There is no parameter of that name.
     """
-    return parameter_table()[name].units[joint is not None and joint.motion == "prismatic"]
+    return parameter_table()[base_name(name)].units[
+        joint is not None and joint.motion == "prismatic"
+    ]
 
 
 def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:

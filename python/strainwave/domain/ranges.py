@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from strainwave.domain.parameter_table import Range, parameter_table
+from strainwave.domain.parameter_table import Range, base_name, parameter_table
 
 
 def physical_range(name: str) -> Range:
@@ -17,7 +17,7 @@ def physical_range(name: str) -> Range:
     -------
     "positive", "non-negative" or "any"
     """
-    known = parameter_table().get(name)
+    known = parameter_table().get(base_name(name))
     return "any" if known is None else known.range
 
 

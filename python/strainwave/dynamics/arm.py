@@ -430,8 +430,9 @@ class Arm(ArmDescription):
 
 
 def _core_effects(joint: Joint) -> list[str]:
-    """The core's names of a joint's effects, each once."""
-    return list(dict.fromkeys(effect_named(name).core_name for name in joint.effects))
+    """The core's names of those of a joint's effects that it has, each once."""
+    known = (effect_named(name).core_name for name in joint.effects)
+    return list(dict.fromkeys(name for name in known if name is not None))
 
 
 def _constant(values: list[float]) -> FloatArray:

@@ -15,9 +15,11 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, Log, Prediction
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import known_instead
+from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import as_read
+from strainwave.dynamics.record_effects import inputs_in
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.dynamics.simulation import Drive, Quantity, simulate_arms
 from strainwave.numerics.filters import differentiate, low_pass, noise_deviation, signal_band
@@ -38,6 +40,7 @@ def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
     -------
     Arm
     """
+    known = {(base_name(name), joint) for name, joint in known}
     joints = tuple(
         replace(
             joint,
@@ -127,10 +130,12 @@ class Observed:
         record: list[Quantity] = ["encoder"]
         if len(self.channels) > arm.n_joints:
             record.append("accelerometer")
+        hanging = self.drive.link_angle is None
+        inputs = inputs_in(arm, dict(values), self.log.name, hanging=hanging)
         runs = simulate_arms(
             arm,
-            [dict(values)],
-            self.drive,
+            [inputs.values],
+            inputs.begun(self.drive),
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,

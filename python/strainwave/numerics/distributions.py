@@ -1,4 +1,4 @@
-"""The two distributions that a run asks for, in closed form: their degrees are whole numbers.
+"""The distributions that a run asks for, in closed form: their degrees are whole numbers.
 
 SciPy has them too, but to import it takes longer than most stages.
 """
@@ -31,6 +31,32 @@ def chi_square_tail(value: float, degrees: int) -> float:
     terms = (math.exp(a * math.log(half) - half - math.lgamma(a + 1.0)) for a in powers)
     whole = math.erfc(math.sqrt(half)) if first else 0.0
     return min(1.0, whole + math.fsum(terms))
+
+
+def chi_square_limit(probability: float, degrees: int) -> float:
+    """The value that a chi-square variable exceeds with a probability, by bisection.
+
+    Parameters
+    ----------
+    probability : float
+        Above zero, below one.
+    degrees : int
+        At least 1.
+
+    Returns
+    -------
+    float
+    """
+    low, high = 0.0, float(degrees)
+    while chi_square_tail(high, degrees) > probability:
+        low, high = high, 2.0 * high
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if chi_square_tail(middle, degrees) > probability:
+            low = middle
+        else:
+            high = middle
+    return high
 
 
 def student_quantile(probability: float, degrees: int) -> float:

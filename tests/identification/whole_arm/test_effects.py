@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from effect_runs import ALL, EVERY, SIZES, records, rig, tuned
-from strainwave.domain import ArmModel, effects
+from effect_runs import ALL, EVERY, OF_THE_CORE, SIZES, records, rig, tuned
+from strainwave.domain import ArmModel
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.parameters import Values
@@ -138,7 +138,7 @@ def test_records_are_run_with_the_effects_that_are_known() -> None:
     assert given.arm.joints[0].encoder_counts is None
 
 
-@pytest.mark.parametrize("name", effects.names())
+@pytest.mark.parametrize("name", OF_THE_CORE)
 def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
     model = tuned((name,), ())
     assert model.criticism is not None
@@ -148,7 +148,7 @@ def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
     assert likely == [effect_named(name).warning_code]
 
 
-@pytest.mark.parametrize("name", effects.names())
+@pytest.mark.parametrize("name", OF_THE_CORE)
 def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: str) -> None:
     model = tuned((name,), (name,))
     assert model.status == "converged"

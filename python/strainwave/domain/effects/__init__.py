@@ -1,15 +1,17 @@
 """Effects beside spring and dry friction: `effects` of a study's `[[joint]]`, one file each.
 
-A new effect is a file beside these, a line below, and its equations in `rust/core/src/joint`. All
+A new effect is a file beside these, a line below, and its equations in `rust/core/src/joint`; or,
+as a `RecordEffect`, what it changes of the core's parameters and initial states in a record. All
 others loop over the effects and name none.
 """
 
 from __future__ import annotations
 
 from strainwave.domain.effects.backlash import Backlash
+from strainwave.domain.effects.friction_by_record import FrictionByRecord
 from strainwave.domain.effects.ground_spring import GroundSpring
 from strainwave.domain.effects.hysteresis import Hysteresis
-from strainwave.domain.effects.interface import Effect, KnownJoint
+from strainwave.domain.effects.interface import Effect, Input, KnownJoint, RecordEffect
 from strainwave.domain.effects.kinematic_error import KinematicError
 from strainwave.domain.effects.load_friction import LoadFriction
 from strainwave.domain.effects.power_friction import PowerFriction
@@ -21,7 +23,9 @@ from strainwave.errors import InvalidInput
 
 __all__ = [
     "Effect",
+    "Input",
     "KnownJoint",
+    "RecordEffect",
     "all_effects",
     "effect_named",
     "names",
@@ -42,6 +46,7 @@ _EFFECTS = Registry[Effect](
         TorqueRipple(),
         Backlash(),
         GroundSpring(),
+        FrictionByRecord(),
     ),
 )
 

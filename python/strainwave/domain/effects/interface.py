@@ -1,12 +1,20 @@
-"""What a further effect of a joint has to say of itself; its simulation is the core's."""
+"""What a further effect of a joint has to say of itself.
+
+Its simulation is the core's; or it only changes what the core is given for a record.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from strainwave.domain.parameter_table import ParameterDescription, parameter_table
+from strainwave.domain.parameter_table import (
+    ParameterDescription,
+    base_name,
+    of_record,
+    parameter_table,
+)
 
 Values = dict[str, float]
 """An effect's parameters: name -> value."""
@@ -40,6 +48,12 @@ class Effect(ABC):
     needs_elastic_gear: bool = False
     """Whether a rigid gear cannot have it."""
 
+    by_record: bool = False
+    """Whether each record has sizes of its own, named by `of_record`."""
+
+    prior_std: float | None = None
+    """Standard deviation of a size about zero, before any record; None: nothing is known."""
+
     description: str
     """What it is, in one line without a full stop."""
 
@@ -53,14 +67,30 @@ class Effect(ABC):
     """The record that its fit needs: a noun."""
 
     @property
-    def core_name(self) -> str:
-        """Name of the effect in the core that simulates it."""
+    def core_name(self) -> str | None:
+        """Name of the effect in the core that simulates it; None: the core does not know it."""
         return self.name
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters, in the core's order."""
+        """Of the parameters, in the core's order, without those of records."""
         return (*self.sizes, *self.shapes)
+
+    def sizes_in(self, records: Sequence[str]) -> tuple[str, ...]:
+        """Names of its sizes where some records are fitted.
+
+        Parameters
+        ----------
+        records : sequence of str
+            Their names.
+
+        Returns
+        -------
+        tuple of str
+        """
+        if not self.by_record:
+            return self.sizes
+        return tuple(of_record(name, record) for record in records for name in self.sizes)
 
     @property
     def warning_code(self) -> str:
@@ -89,7 +119,7 @@ class Effect(ABC):
         -------
         ParameterDescription
         """
-        return parameter_table()[name]
+        return parameter_table()[base_name(name)]
 
     def is_signed(self, name: str) -> bool:
         """Whether a parameter may have either sign.
@@ -136,3 +166,43 @@ class Effect(ABC):
         typical = self.typical_sizes(joint)
         sizes = {name: 0.0 if self.is_signed(name) else typical[name] for name in self.sizes}
         return sizes | dict(self.shapes)
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A parameter or an initial state of a joint, as a record effect has it in one record."""
+
+    name: str  # as the core has it
+    value: float  # of a parameter; of an initial state what is added to it
+    slopes: Mapping[str, float]  # derivatives by parameters of the joint, its own among them
+
+
+class RecordEffect(Effect):
+    """An effect that the core does not know: it changes what the core is given for a record.
+
+    Derivatives by its sizes are combinations of those that the core has.
+    """
+
+    prior_std: float | None = 0.3
+
+    @property
+    def core_name(self) -> str | None:
+        """None."""
+        return None
+
+    @abstractmethod
+    def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:
+        """What it changes in one record.
+
+        Parameters
+        ----------
+        values : dict
+            Parameters of the joint without its number, the effect's sizes in this record without
+            the record's name.
+        gear_ratio : float
+            n, link turns per motor turn.
+
+        Returns
+        -------
+        tuple of Input
+        """

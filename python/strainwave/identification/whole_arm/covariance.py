@@ -101,8 +101,9 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     records = side_by_side([partial(_evidence, *one) for one in each])
     space, prior = objective.space, objective.space.prior
     slope = space.slope(z)
-    rows = prior.rows @ slope
-    known = rows.T @ rows
+    rows, own_rows = prior.rows @ slope, space.own_prior[0] @ slope
+    of_unknowns = own_rows.T @ own_rows
+    known = rows.T @ rows + of_unknowns
     inverse = inverse_information(sum((record.product for record in records), known))
     bread = sum((record.curvature for record in records), known)
     unbread = inverse_information(bread)
@@ -111,7 +112,7 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     high_variance = n / (n - 1.0) * blocks.T @ blocks
     left = prior.rows @ space.parameters(z) - prior.target
     larger = _contradicted(prior.errors, left, rows @ unbread, rows, high_variance)
-    from_prior = larger * rows.T @ prior.errors @ rows
+    from_prior = larger * rows.T @ prior.errors @ rows + of_unknowns
     sandwich = unbread @ (high_variance + from_prior) @ unbread
     steady = unbread @ sum((record.steady for record in records), from_prior) @ unbread
     steady = steady + LEAST_SHARE * inverse

@@ -31,6 +31,7 @@ from strainwave.dynamics.mounting import (
     scale_is_apart,
     slopes,
 )
+from strainwave.dynamics.record_effects import RecordInputs, inputs_in
 from strainwave.dynamics.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
 from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_deviation
@@ -119,10 +120,11 @@ class Dataset:
         record: Sequence[Quantity],
     ) -> dict[Quantity, FloatArray]:
         """What an arm does in this experiment: (n_samples, n_joints) of each quantity."""
+        inputs = self._inputs(values)
         runs = simulate_arms(
             self._arm_at(values),
-            [dict(values)],
-            self._begun(local),
+            [inputs.values],
+            inputs.begun(self._begun(local)),
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
@@ -145,12 +147,14 @@ class Dataset:
         -------
         (n_rows, n_channels), (n_rows, n_channels, n_directions + n_local)
         """
+        inputs = self._inputs(values)
         simulated = [key for key in directions if not is_sensor_constant(key)]
+        given = inputs.directions(simulated)
         runs = sensitivities(
             self._arm_at(values),
-            dict(values),
-            self._begun(local),
-            [*simulated, *self.local],
+            inputs.values,
+            inputs.begun(self._begun(local)),
+            [*given, *self.local],
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=self.quantities(),
@@ -160,6 +164,7 @@ class Dataset:
         rows = {name: run[0] for name, run in runs.items()}
         seen = self._by_channel(rows, values) + self.lacking
         tangent = self._by_channel({name: run[1] for name, run in runs.items()}, values)
+        tangent = inputs.by_parameters(tangent, given, simulated)
         scales = self.sensor_scales(values)
         if np.any(scales != 1.0):
             tangent = tangent * scales[:, None]
@@ -172,6 +177,10 @@ class Dataset:
             whole[..., own] = by_sensors
             tangent = whole
         return seen * scales, tangent
+
+    def _inputs(self, values: Mapping[tuple[str, int | None], float]) -> RecordInputs:
+        """What the core is given in this record, effects that it does not know among it."""
+        return inputs_in(self.arm, dict(values), self.log.name, hanging=not self.moving)
 
     def _arm_at(self, values: Mapping[tuple[str, int | None], float]) -> Arm:
         """The arm with those bandwidths of sensors that are among the values."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, EffectName, FloatArray
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named
+from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import with_known_effects
@@ -19,11 +20,12 @@ from strainwave.identification.whole_arm.parametrisation import (
     ParameterSpace,
     Unknown,
 )
+from strainwave.numerics.distributions import chi_square_limit
 
 NamedEffect = tuple[int, EffectName]
 """A joint, from 1, and an effect that it may have."""
 
-_EVIDENT = 3.0  # deviations from nothing that an effect must have
+_CHANCE = 2.7e-3  # odds of as much by noise that it stays below: three deviations, of one size
 _FAR = float(np.log(30.0))  # how far a parameter may go from its start
 
 
@@ -41,23 +43,29 @@ def named_effects(arm: Arm) -> list[NamedEffect]:
     return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.effects]
 
 
-def sizes_of(one: NamedEffect) -> list[Key]:
+def sizes_of(one: NamedEffect, records: Sequence[str] = ()) -> list[Key]:
     """The parameters that are zero where an effect is not there.
 
     Parameters
     ----------
     one : (joint, effect)
+    records : sequence of str
+        Names of those that are fitted, some effects have sizes of each.
 
     Returns
     -------
     list of (name, joint)
     """
     joint, effect = one
-    return [(name, joint) for name in effect_named(effect).sizes]
+    return [(name, joint) for name in effect_named(effect).sizes_in(records)]
 
 
 def with_effects(
-    space: ParameterSpace, arm: Arm, values: Values, largest_torque: Sequence[float]
+    space: ParameterSpace,
+    arm: Arm,
+    values: Values,
+    largest_torque: Sequence[float],
+    records: Sequence[str] = (),
 ) -> tuple[ParameterSpace, FloatArray]:
     """The unknowns of every effect that a study names beside those there are.
 
@@ -69,6 +77,8 @@ def with_effects(
         Where the fit without effects ended.
     largest_torque : sequence of float [N m]
         That each gear carries in the records.
+    records : sequence of str
+        Their names.
 
     Returns
     -------
@@ -78,7 +88,7 @@ def with_effects(
     """
     more: dict[Key, Unknown] = {}
     for one in named_effects(arm):
-        for unknown in _unknowns(one, arm, values, largest_torque[one[0] - 1]):
+        for unknown in _unknowns(one, arm, values, largest_torque[one[0] - 1], records):
             more.setdefault(unknown.key, unknown)
     rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
     unknowns = (*space.unknowns, *more.values())
@@ -88,7 +98,7 @@ def with_effects(
 
 
 def _unknowns(
-    one: NamedEffect, arm: Arm, values: Values, largest_torque: float
+    one: NamedEffect, arm: Arm, values: Values, largest_torque: float, records: Sequence[str]
 ) -> Iterator[Unknown]:
     """An effect's parameters: signed ones about zero, all others by their logarithm."""
     number, effect = one[0], effect_named(one[1])
@@ -101,10 +111,13 @@ def _unknowns(
         largest_torque=largest_torque,
     )
     typical, starts = effect.typical_sizes(known), effect.starts(known)
-    for name, start in starts.items():
-        signed = effect.is_signed(name)
-        scale = typical.get(name, start) if signed else start
-        yield Unknown(name, number, unit_of(name, joint), start, scale, signed, _FAR)
+    for name in (*effect.sizes_in(records), *effect.shapes):
+        base = base_name(name)
+        start, signed = starts[base], effect.is_signed(base)
+        scale = typical.get(base, start) if signed else start
+        std = effect.prior_std if base in effect.sizes else None
+        unit = unit_of(name, joint)
+        yield Unknown(name, number, unit, start, scale, signed, _FAR, prior_std=std)
 
 
 def without(space: ParameterSpace, effects: Collection[NamedEffect]) -> ParameterSpace:
@@ -120,7 +133,7 @@ def without(space: ParameterSpace, effects: Collection[NamedEffect]) -> Paramete
     ParameterSpace
     """
     gone = {(name, j) for j, effect in effects for name in effect_named(effect).names}
-    kept = [k for k, key in enumerate(space.keys) if key not in gone]
+    kept = [k for k, (name, j) in enumerate(space.keys) if (base_name(name), j) not in gone]
     prior = replace(space.prior, rows=space.prior.rows[:, kept])
     return ParameterSpace(tuple(space.unknowns[k] for k in kept), space.fixed, prior)
 
@@ -140,14 +153,16 @@ def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterat
     (joint, effect)
     """
     values = space.parameters(z)
-    at: dict[Key, int] = {key: k for k, key in enumerate(space.keys)}
     for effect in all_effects():
-        for name, joint in list(at):
-            if name == effect.sizes[0] and joint is not None:
-                own = [at[key] for key in sizes_of((joint, effect.name))]
-                size = values[own]
-                if size @ np.linalg.solve(covariance[np.ix_(own, own)], size) < _EVIDENT**2:
-                    yield joint, effect.name
+        places: dict[int, list[int]] = {}
+        for k, (name, joint) in enumerate(space.keys):
+            if base_name(name) in effect.sizes and joint is not None:
+                places.setdefault(joint, []).append(k)
+        for joint, own in places.items():
+            size = values[own]
+            square = float(size @ np.linalg.solve(covariance[np.ix_(own, own)], size))
+            if square < chi_square_limit(_CHANCE, len(own)):
+                yield joint, effect.name
 
 
 def left_out(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic]:

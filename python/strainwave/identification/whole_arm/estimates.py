@@ -233,7 +233,11 @@ def warnings_of(
             text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
             text += " it changes sides that much before the motor does"
             yield Diagnostic("friction-settles", str(unknown), text)
-    shown = [k for k, key in enumerate(space.keys) if not is_hidden(key)]
+    shown = [
+        k
+        for k, unknown in enumerate(space.unknowns)
+        if not is_hidden(unknown.key) and unknown.prior_std is None  # beside that their zero counts
+    ]
     names = [str(space.unknowns[k]) for k in shown]
     covariance = fit.confidence.combined[np.ix_(shown, shown)]
     for group, spread in only_together(names, values[shown], covariance):

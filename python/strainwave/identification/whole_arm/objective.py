@@ -202,8 +202,7 @@ class Objective:
         self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in found]
         parts = [part for _, part in found]
         cost = sum(part.cost for part in parts)
-        prior = self.space.prior.rows @ self.space.parameters(z) - self.space.prior.target
-        slope = self.space.prior.rows @ self.space.slope(z)
+        slope, prior = self.space.beforehand(z)
         stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
         if not np.isfinite(stacked).all():  # a candidate so stiff that its derivatives overflow
             return None
@@ -395,9 +394,7 @@ class Objective:
             whole = replace(evaluated[k], columns=columns)
             return whole.weighted(self.weights[k]).factor(LEAST_BEND)
 
-        prior = self.space.prior
-        known = prior.rows @ self.space.slope(z)
-        off = prior.rows @ self.space.parameters(z) - prior.target
+        known, off = self.space.beforehand(z)
         border = np.zeros((len(known), n_more))
         stacked = np.concatenate([*self._each(factor), np.column_stack([known, border, off])])
         return np.asarray(np.linalg.qr(stacked, mode="r"))[n:, n:]

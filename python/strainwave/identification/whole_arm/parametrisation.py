@@ -59,6 +59,7 @@ class Unknown:
     reach: float  # how far z may go, up and down
     limits: tuple[float, float] | None = None  # of z, where they are not its reach
     above: str | None = None  # the parameter of the same joint that it exceeds
+    prior_std: float | None = None  # of its value about the start, before any record; None: none
 
     @property
     def key(self) -> Key:
@@ -102,6 +103,31 @@ class ParameterSpace:
     def upper(self) -> FloatArray:
         """(n_unknowns,) the largest z."""
         return np.array([u.limits[1] if u.limits else u.reach for u in self.unknowns])
+
+    @property
+    def own_prior(self) -> tuple[FloatArray, FloatArray]:
+        """What is known of unknowns one by one: (n_rows, n_unknowns) and (n_rows,), whitened."""
+        own = [k for k, unknown in enumerate(self.unknowns) if unknown.prior_std is not None]
+        std = np.array([self.unknowns[k].prior_std for k in own], dtype=float)
+        start = np.array([self.unknowns[k].start for k in own])
+        return np.eye(len(self.unknowns))[own] / std[:, None], start / std
+
+    def beforehand(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What is known beforehand, all of it, as rows of least squares at a point.
+
+        Parameters
+        ----------
+        z : (n_unknowns,)
+
+        Returns
+        -------
+        slope : (n_rows, n_unknowns)
+        residual : (n_rows,)
+        """
+        rows, target = self.own_prior
+        rows = np.concatenate([self.prior.rows, rows])
+        target = np.concatenate([self.prior.target, target])
+        return rows @ self.slope(z), rows @ self.parameters(z) - target
 
     @property
     def keys(self) -> list[Key]:

@@ -6,13 +6,14 @@ own derivatives as one more column. What it takes off the cost in one linear ste
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from strainwave.domain import BoolArray, Diagnostic, FloatArray, ScoreTest
 from strainwave.domain.effects import all_effects, effect_named, names
+from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -25,8 +26,9 @@ from strainwave.identification.whole_arm.effects import (
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Evaluated
 from strainwave.identification.whole_arm.parametrisation import Key
+from strainwave.numerics.distributions import chi_square_limit
 
-_EVIDENT = 5.0  # deviations from nothing
+_CHANCE = 6e-7  # odds that noise does as well: five deviations, of one size
 _MATTERS = 0.1  # and share of the cost: below, an error of another kind explains as much
 
 
@@ -48,14 +50,20 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[ScoreTest]:
     if not candidates:
         return []
     try:
-        factor = _bordered(fit, arm, [key for one in candidates for key in sizes_of(one)])
+        factor = _bordered(fit, arm, candidates)
     except (InvalidInput, NumericalFailure):
         return []
-    return list(_chosen(candidates, factor, fit.cost))
+    sizes = {one: sizes_of(one, _names(fit)) for one in candidates}
+    return list(_chosen(sizes, factor, fit.cost))
+
+
+def _names(fit: Fit) -> list[str]:
+    """Of the records."""
+    return [record.log.name for record in fit.objective.records]
 
 
 def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
-    known = fit.objective.space.keys
+    known = {(base_name(name), joint) for name, joint in fit.objective.space.keys}
     return [
         (number, effect.name)
         for number, joint in enumerate(arm.joints, start=1)
@@ -64,9 +72,15 @@ def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
     ]
 
 
-def _bordered(fit: Fit, arm: Arm, keys: Sequence[Key]) -> FloatArray:
-    """R of [effects residual] in what the fit's unknowns cannot imitate: (n_keys + 1,) squared."""
+def _bordered(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> FloatArray:
+    """R of [effects residual] in what the fit's unknowns cannot imitate, then the sizes' priors.
+
+    (n_keys + 1 + n_priors, n_keys + 1)
+    """
     objective = fit.objective
+    pairs = [(one, key) for one in candidates for key in sizes_of(one, _names(fit))]
+    keys = [key for _, key in pairs]
+    stds = [effect_named(effect).prior_std for (_, effect), _ in pairs]
     numbers = range(1, arm.n_joints + 1)
     absent = {name: value for effect in all_effects() for name, value in effect.absent.items()}
     nothing = {(name, j): value for name, value in absent.items() for j in numbers}
@@ -78,7 +92,9 @@ def _bordered(fit: Fit, arm: Arm, keys: Sequence[Key]) -> FloatArray:
         begun = objective.memory.own[k][: len(rich[k].local)]
         return rich[k].linearised(values, begun, keys)[1][..., : len(keys)]
 
-    return objective.bordered(fit.z, len(keys), tangent)
+    known = [k for k, std in enumerate(stds) if std is not None]
+    prior = np.eye(len(keys) + 1)[known] / np.array([stds[k] for k in known], dtype=float)[:, None]
+    return np.concatenate([objective.bordered(fit.z, len(keys), tangent), prior])
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,24 +106,29 @@ class _Step:
     size: FloatArray
     std: FloatArray
 
+    @property
+    def beyond(self) -> float:
+        """What the gain has beyond that of an evident effect of as many sizes."""
+        return self.gain - chi_square_limit(_CHANCE, len(self.size))
+
 
 def _chosen(
-    candidates: Sequence[NamedEffect], factor: FloatArray, cost: float
+    sizes: Mapping[NamedEffect, Sequence[Key]], factor: FloatArray, cost: float
 ) -> Iterator[ScoreTest]:
     """One after the other, each given those before it as long as they are evident."""
     columns, at = {}, 0
-    for one in candidates:
-        width = len(sizes_of(one))
-        columns[one] = factor[:, at : at + width]
-        at += width
-    left, target = list(candidates), factor[:, -1]
+    for one, own in sizes.items():
+        columns[one] = factor[:, at : at + len(own)]
+        at += len(own)
+    left, target = list(sizes), factor[:, -1]
     taken = np.zeros((len(target), 0))
     while left:
-        best = max((_step(one, columns[one], taken, target) for one in left), key=_gain)
+        steps = [_step(one, sizes[one], columns[one], taken, target) for one in left]
+        best = max(steps, key=lambda step: step.beyond)
         share = best.gain / max(cost, 1e-300)
-        evident = best.gain > _EVIDENT**2 and share > _MATTERS
+        evident = best.beyond > 0.0 and share > _MATTERS
         joint, effect = best.candidate
-        names = [name for name, _ in sizes_of(best.candidate)]
+        names = [name for name, _ in sizes[best.candidate]]
         yield ScoreTest(
             joint=joint,
             effect=effect,
@@ -122,19 +143,19 @@ def _chosen(
             taken = np.column_stack([taken, columns[best.candidate]])
 
 
-def _gain(step: _Step) -> float:
-    return step.gain
-
-
 def _step(
-    candidate: NamedEffect, columns: FloatArray, taken: FloatArray, target: FloatArray
+    candidate: NamedEffect,
+    sizes: Sequence[Key],
+    columns: FloatArray,
+    taken: FloatArray,
+    target: FloatArray,
 ) -> _Step:
     """The best sizes of one effect beside those taken already; none below nothing."""
     basis = np.linalg.qr(taken)[0]
     columns = columns - basis @ (basis.T @ columns)
     target = target - basis @ (basis.T @ target)
     effect = effect_named(candidate[1])
-    signed = np.array([effect.is_signed(name) for name in effect.sizes])
+    signed = np.array([effect.is_signed(name) for name, _ in sizes])
     size = least_squares(columns, target, signed)
     gain = float(np.sum(target**2) - np.sum((target + columns @ size) ** 2))
     std = np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)))

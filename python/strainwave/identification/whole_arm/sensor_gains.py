@@ -79,7 +79,7 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
         return []
     space = fit.objective.space
     slope = space.slope(fit.z)
-    prior = space.prior.rows @ slope
+    prior = space.beforehand(fit.z)[0]
     known = prior.T @ prior
     W = np.array([_weights(p, space.keys, arm) for p in asked]) @ slope
     here, *each = [sum(own, known) for own in zip(*parts, strict=True)]

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from strainwave.domain import Decision
 from strainwave.domain.formatting import plus_minus
+from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameter_words import ParameterWords, all_words
 from strainwave.presentation.report.blocks import Cell, Group, Row, Table, number, prose, table
 
@@ -31,7 +32,7 @@ def meanings_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     -------
     iterator of Table
     """
-    names = dict.fromkeys(decision.parameter.name for decision in decisions)
+    names = dict.fromkeys(base_name(decision.parameter.name) for decision in decisions)
     words_of = all_words()
     known = ((name, words_of[name]) for name in names if name in words_of)
     rows = [
@@ -76,8 +77,8 @@ def _row(decision: Decision) -> Row:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
         half = _share(0.5 * (high - low), p.value)
-    words = all_words().get(p.name, _NO_WORDS)
-    link = f"#{_key(p.name)}" if words.description else ""
+    words = all_words().get(base_name(p.name), _NO_WORDS)
+    link = f"#{_key(base_name(p.name))}" if words.description else ""
     return (
         Cell(p.name, href=link, tip=words.description),
         Cell(words.symbol, "symbol"),
