@@ -1,20 +1,26 @@
-"""Runs of a small virtual arm that changes from record to record."""
+"""Runs of a small virtual arm in several postures, which may change from record to record."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+
+import numpy as np
 
 from effect_runs import FACTORS, rig
 from strainwave.domain import ArmModel, EffectName, Log, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import SensorNoise
+from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, simulate
 from strainwave.identification.whole_arm import TuningOptions, tune
+from strainwave.virtual import scara
 from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
 
 AMPLITUDES = (8.0, 6.0, 9.0)
 """[V] of the records of each joint."""
+POSTURES = ((0.0, 0.6), (0.3, -0.9), (-0.4, 1.4))
+"""[rad] of the links, where those of each amplitude begin."""
 CHANGES = (0.15, -0.05, -0.2)
 """Relative ones of what changes, from one amplitude to the next."""
 
@@ -32,21 +38,61 @@ class Runs:
         """Of the records."""
         return [log.name for log in self.logs]
 
+    def beside(self, channels: Mapping[str, float]) -> Runs:
+        """The same with something added to some channels of all records."""
+        logs = []
+        for log in self.logs:
+            moved = {name: log.channels[name] + more for name, more in channels.items()}
+            logs.append(replace(log, channels={**log.channels, **moved}))
+        return replace(self, logs=tuple(logs))
+
+
+@dataclass(frozen=True, slots=True)
+class _From:
+    """Simulation that begins in a posture, which holding voltages keep."""
+
+    posture: tuple[float, ...]  # [rad]
+
+    def __call__(
+        self,
+        arm: Arm,
+        values: Values,
+        drive: Drive,
+        /,
+        *,
+        sample_time: float,
+        samples: int,
+        record: Sequence[Quantity],
+    ) -> Trajectory:
+        motor = tuple((np.array(self.posture) / arm.gear_ratios).tolist())
+        holding = arm.holding_voltage(values, motor)
+        begun = replace(
+            drive, motor_angle=motor, voltage=drive.voltage + holding, initial_voltage=holding
+        )
+        return simulate(arm, values, begun, sample_time=sample_time, samples=samples, record=record)
+
 
 @cache
-def runs(changed: tuple[str, int] | None = None) -> Runs:
-    """Half a second of either joint at each amplitude, with noise and one parameter that changes."""
-    known = truth()[1]
+def runs(changed: tuple[str, int] | None = None, *, vertical: bool = False) -> Runs:
+    """Half a second of either joint in each posture, with noise and one parameter that changes."""
+    base, known = rig(()), truth()[1]
+    if vertical:
+        base = replace(base, arm=replace(base.arm, gravity=9.81))
+        second = 9.81 * known["gamma", None] / scara.LINK_LENGTH[0]
+        known |= {("gravity_torque_1", None): 60.0, ("gravity_torque_2", None): second}
     logs: list[Log] = []
-    for k, (amplitude, change) in enumerate(zip(AMPLITUDES, CHANGES, strict=True), start=1):
-        study = shaken_study(rig(()), amplitude)
+    each = zip(AMPLITUDES, POSTURES, CHANGES, strict=True)
+    for k, (amplitude, posture, change) in enumerate(each, start=1):
+        study = shaken_study(base, amplitude)
         named = [(e, f"{e.name}-{k}") for e in study.experiments]
         experiments = tuple(replace(e, name=name, file=f"{name}.parquet") for e, name in named)
         own = dict(known)
         if changed is not None:
             own[changed] *= 1.0 + change
         wanted = replace(study, experiments=experiments)
-        written, found = written_logs(wanted, own, seed=k, noise=SensorNoise())
+        written, found = written_logs(
+            wanted, own, seed=k, noise=SensorNoise(), simulator=_From(posture)
+        )
         logs += found
     return Runs(written, known, tuple(logs))
 

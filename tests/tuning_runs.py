@@ -32,6 +32,7 @@ from strainwave.io.study import read_study
 from strainwave.signals.recorded_input import recorded_drive
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived, simulate_study
+from strainwave.virtual.records import Simulator
 
 JOINT_NAMES = (
     "motor_inertia",
@@ -74,11 +75,24 @@ def shaken_study(
 
 
 def written_logs(
-    study: Study, values: Values, *, seed: int = 0, noise: SensorNoise | None = None
+    study: Study,
+    values: Values,
+    *,
+    seed: int = 0,
+    noise: SensorNoise | None = None,
+    simulator: Simulator = simulate,
 ) -> tuple[Study, tuple[Log, ...]]:
     """All experiments of a study on a virtual arm, written and read again."""
     with TemporaryDirectory() as folder:
-        simulate_study(study, values, Path(folder), seed=seed, noise=noise, as_recorded=False)
+        simulate_study(
+            study,
+            values,
+            Path(folder),
+            seed=seed,
+            noise=noise,
+            as_recorded=False,
+            simulator=simulator,
+        )
         written = read_study(Path(folder) / "study.toml")
         return written, tuple(read_log(written, e) for e in written.experiments)
 

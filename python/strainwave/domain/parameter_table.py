@@ -64,6 +64,13 @@ _OF_RECORDS = (
         ("1", "1"),
         "any",
     ),
+    ParameterDescription(
+        "encoder_zero",
+        "q_0",
+        "what a joint's angle is more than its encoder says",
+        ("rad", "m"),
+        "any",
+    ),
 )
 """What effects that the core does not know change in a record."""
 

@@ -2,113 +2,173 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from record_effect_runs import AMPLITUDES, CHANGES, Runs, fitted, runs
+from record_effect_runs import CHANGES, Runs, fitted, runs
 from strainwave.domain import ArmModel, EffectName
 from strainwave.domain.effects import RecordEffect, all_effects, effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.effects import idle, sizes_of, with_effects, without
 from strainwave.identification.whole_arm.parametrisation import COULOMB, Key, ParameterSpace, Prior
 from strainwave.identification.whole_arm.preparation import dataset_of
 
-PRIMARY = ("motor_inertia", STIFFNESS, "gear_damping")
-OF_RECORDS = [effect.name for effect in all_effects() if isinstance(effect, RecordEffect)]
+PRIMARY = (COULOMB, "motor_inertia", STIFFNESS, "gear_damping")
+ZERO = 0.05  # [rad] that an encoder is off by
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Records with an effect of a joint, and those without."""
+
+    effect: EffectName
+    joint: int
+    records: Runs
+    sizes: Values
+    plain: Runs
+
+    @property
+    def asked(self) -> tuple[tuple[EffectName, ...], ...]:
+        """What the joints up to that one are asked for."""
+        return *[()] * (self.joint - 1), (self.effect,)
+
+    def record(self) -> Dataset:
+        """The first one, on an arm with the effect."""
+        arm = self.records.study.arm
+        joints = list(arm.joints)
+        joints[self.joint - 1] = replace(joints[self.joint - 1], effects=(self.effect,))
+        return dataset_of(self.records.logs[0], Arm.of(arm.with_joints(joints)), 80.0)
+
+
+def by_record(name: str, effect: EffectName, found: Runs) -> Case:
+    changes = [change for change in CHANGES for _ in range(2)]  # either joint's record
+    pairs = zip(found.names, changes, strict=True)
+    sizes: Values = {(of_record(name, record), 1): change for record, change in pairs}
+    return Case(effect, 1, found, sizes, runs())
+
+
+def turned(joint: int, *, vertical: bool) -> Case:
+    plain = runs(vertical=vertical)
+    ratio = plain.study.arm.joints[joint - 1].gear_ratio
+    records = plain.beside({f"theta_m{joint}": -ZERO / ratio})
+    return Case("encoder-zero", joint, records, {("encoder_zero", joint): ZERO}, plain)
+
+
+CASES: dict[str, Callable[[], Case]] = {
+    "friction": lambda: by_record("friction_change", "friction-by-record", runs((COULOMB, 1))),
+    "zero of joint 2": lambda: turned(2, vertical=False),
+    "zero under gravity": lambda: turned(1, vertical=True),
+}
+EACH = pytest.mark.parametrize("name", CASES)
 
 
 @cache
-def drawn(name: EffectName) -> tuple[Runs, Values]:
-    """Records with an effect of joint 1, and its sizes."""
-    if name == "friction-by-record":
-        found = runs((COULOMB, 1))
-        changes = dict(zip(AMPLITUDES, CHANGES, strict=True))
-        sizes: Values = {}
-        for log in found.logs:
-            assert log.experiment.prbs is not None
-            change = changes[log.experiment.prbs.amplitude]
-            sizes[of_record("friction_change", log.name), 1] = change
-        return found, sizes
-    raise AssertionError(name)
+def case(name: str) -> Case:
+    return CASES[name]()
 
 
 @cache
-def model(name: EffectName, *, named: bool) -> ArmModel:
-    return fitted(drawn(name)[0], (name,) if named else ())
+def model(name: str, *, named: bool) -> ArmModel:
+    return fitted(case(name).records, *(case(name).asked if named else ()))
 
 
 @cache
-def model_without(name: EffectName | None = None) -> ArmModel:
-    return fitted(runs(), (name,) if name else ())
+def plain(*asked: tuple[EffectName, ...], vertical: bool = False) -> ArmModel:
+    return fitted(runs(vertical=vertical), *asked)
 
 
-@pytest.mark.parametrize("name", OF_RECORDS)
-def test_an_effect_that_the_model_lacks_is_named_first(name: EffectName) -> None:
-    found = model(name, named=False)
+def test_every_effect_that_the_core_does_not_know_has_its_records() -> None:
+    own = {effect.name for effect in all_effects() if isinstance(effect, RecordEffect)}
+    assert {case(name).effect for name in CASES} == own
+
+
+@EACH
+def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
+    found, has = model(name, named=False), case(name)
     assert found.criticism is not None
     first = found.criticism.score_tests[0]
-    assert (first.joint, first.effect, first.evident) == (1, name, True)
+    assert (first.joint, first.effect, first.evident) == (has.joint, has.effect, True)
     assert not any(one.evident for one in found.criticism.score_tests[1:])
     likely = [w.code for w in found.warnings if w.code.endswith("-likely")]
-    assert likely == [effect_named(name).warning_code]
+    assert likely == [effect_named(has.effect).warning_code]
 
 
-@pytest.mark.parametrize("name", OF_RECORDS)
-def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: EffectName) -> None:
-    found, (records, sizes) = model(name, named=True), drawn(name)
+@EACH
+def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: str) -> None:
+    found, has = model(name, named=True), case(name)
     assert found.status == "converged"
-    assert list(sizes_of((1, name), records.names)) == list(sizes)
+    assert sizes_of((has.joint, has.effect), has.records.names) == list(has.sizes)
     reported = {(p.name, p.joint): p for p in found.parameters}
-    for key, true in sizes.items():
+    for key, true in has.sizes.items():
         parameter = reported[key]
         assert parameter.value is not None
         assert parameter.std is not None
         assert abs(parameter.value - true) < 4.0 * parameter.std, key
         assert parameter.value == pytest.approx(true, rel=0.1), key
-    for other in (*PRIMARY, COULOMB):
-        assert found.values[other, 1] == pytest.approx(records.known[other, 1], rel=0.005), other
+    for joint in (1, 2):
+        for other in PRIMARY:
+            true = has.records.known[other, joint]
+            assert found.values[other, joint] == pytest.approx(true, rel=0.005), other
     assert not [w for w in found.warnings if w.code in ("only-together", "effect-left-out")]
 
 
-@pytest.mark.parametrize("name", OF_RECORDS)
-def test_records_without_an_effect_show_none(name: EffectName) -> None:
-    plain, asked = model_without(), model_without(name)
-    assert plain.criticism is not None
-    assert not any(one.evident for one in plain.criticism.score_tests)
-    assert not any(w.code.endswith("-likely") for w in plain.warnings)
-    assert [w.message.split()[0] for w in asked.warnings if w.code == "effect-left-out"] == [name]
-    assert asked.values == plain.values
+@EACH
+def test_records_without_an_effect_show_none(name: str) -> None:
+    has = case(name)
+    vertical = has.plain.study.arm.gravity is not None
+    without_it, asked = plain(vertical=vertical), plain(*has.asked, vertical=vertical)
+    assert without_it.criticism is not None
+    assert not any(one.evident for one in without_it.criticism.score_tests)
+    assert not any(w.code.endswith("-likely") for w in without_it.warnings)
+    left_out = [w.message.split()[0] for w in asked.warnings if w.code == "effect-left-out"]
+    assert left_out == [has.effect]
+    assert asked.values == without_it.values
 
 
 @pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("name", OF_RECORDS)
-def test_derivatives_are_those_of_differences(name: EffectName, moving: bool) -> None:
-    records, sizes = drawn(name)
-    arm = records.study.arm
-    joints = (replace(arm.joints[0], effects=(name,)), arm.joints[1])
-    whole = Arm.of(replace(arm, joints=joints))
-    record = replace(dataset_of(records.logs[0], whole, 80.0), moving=moving)
-    values, local = records.known | sizes, record.start()
-    keys: list[Key] = [*sizes, (COULOMB, 1), ("motor_inertia", 1)]
+@EACH
+def test_derivatives_are_those_of_differences(name: str, *, moving: bool) -> None:
+    has = case(name)
+    record = replace(has.record(), moving=moving)
+    values, local = has.records.known | has.sizes, record.start()
+    keys: list[Key] = [*has.sizes, (COULOMB, has.joint), ("motor_inertia", has.joint)]
     _, tangent = record.linearised(values, local, keys)
     assert tangent.shape[2] == len(keys) + len(local)
     for k, key in enumerate(keys):
-        if base_name(key[0]) != key[0] and not key[0].endswith(f"[{record.log.name}]"):
-            assert not tangent[..., k].any()
+        if key[0] not in (base_name(key[0]), of_record(base_name(key[0]), record.log.name)):
+            assert not tangent[..., k].any()  # another record's
             continue
         step = 1e-5 * max(abs(values[key]), 1e-3)
         ends = [
-            record.linearised(values | {key: values[key] + s}, local, ())[0] for s in (step, -step)
+            record.linearised(values | {key: values[key] + off}, local, ())[0]
+            for off in (step, -step)
         ]
         slope = (ends[0] - ends[1]) / (2.0 * step)
         # rounding in a difference of two runs, and the instants of friction's events
         assert np.linalg.norm(tangent[..., k] - slope) < 2e-3 * np.linalg.norm(slope), key
+
+
+def test_what_no_record_can_show_stays_at_its_prior() -> None:
+    """Joint 1 of a horizontal arm may stand anywhere."""
+    found = plain()
+    assert found.criticism is not None
+    (zero,) = (
+        one for one in found.criticism.score_tests if (one.joint, one.effect) == (1, "encoder-zero")
+    )
+    assert zero.gain == pytest.approx(0.0, abs=1e-6)
+    assert zero.stds["encoder_zero"] == pytest.approx(effect_named("encoder-zero").prior_std)
+    assert zero.sizes["encoder_zero"] == pytest.approx(0.0, abs=1e-6)
+    asked = plain(("encoder-zero",))
+    assert [w.code for w in asked.warnings] == ["effect-left-out"]
+    assert asked.values == found.values
 
 
 def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
@@ -141,11 +201,10 @@ def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
 
 
 def test_friction_in_a_record_that_has_no_size_is_the_joint_s() -> None:
-    records, _ = drawn("friction-by-record")
-    arm = records.study.arm
-    joints = (replace(arm.joints[0], effects=("friction-by-record",)), arm.joints[1])
-    record = dataset_of(records.logs[0], Arm.of(replace(arm, joints=joints)), 80.0)
-    plain = dataset_of(records.logs[0], Arm.of(arm), 80.0)
-    runs_of = [one.run(records.known, one.start(), one.quantities()) for one in (record, plain)]
+    has = case("friction")
+    bare = dataset_of(has.records.logs[0], Arm.of(has.records.study.arm), 80.0)
+    runs_of = [
+        one.run(has.records.known, one.start(), one.quantities()) for one in (has.record(), bare)
+    ]
     for name, run in runs_of[0].items():
         np.testing.assert_array_equal(run, runs_of[1][name])

@@ -8,6 +8,7 @@ others loop over the effects and name none.
 from __future__ import annotations
 
 from strainwave.domain.effects.backlash import Backlash
+from strainwave.domain.effects.encoder_zero import EncoderZero
 from strainwave.domain.effects.friction_by_record import FrictionByRecord
 from strainwave.domain.effects.ground_spring import GroundSpring
 from strainwave.domain.effects.hysteresis import Hysteresis
@@ -47,6 +48,7 @@ _EFFECTS = Registry[Effect](
         Backlash(),
         GroundSpring(),
         FrictionByRecord(),
+        EncoderZero(),
     ),
 )
 

@@ -182,7 +182,7 @@ def left_out(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic]:
     for joint, effect in named_effects(arm):
         if (joint, effect) not in known:
             text = f"{effect} was tried and left out: the records do not show it; take it out of"
-            text += " this joint's effects, or record slow motions and reversals"
+            text += f" this joint's effects, or give {effect_named(effect).record}"
             yield Diagnostic("effect-left-out", f"joint {joint}", text)
 
 
