@@ -115,7 +115,10 @@ def with_logs(
 
 
 def each(
-    n_arms: int, found_by: Callable[[int], dict[str, Any]], out: Path | None
+    n_arms: int,
+    found_by: Callable[[int], dict[str, Any]],
+    out: Path | None,
+    at_once: int | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Every drawn arm's findings as they come, one process a core; kept as lines of JSON.
 
@@ -127,7 +130,7 @@ def each(
     done = {found["seed"] for found in before}
     left = [seed for seed in range(n_arms) if seed not in done]
     os.environ |= {"OPENBLAS_NUM_THREADS": "1"}
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(at_once or os.cpu_count(), mp_context=get_context("spawn")) as pool:
         for found in pool.map(found_by, left):
             if out is not None:
                 with out.open("a") as file:

@@ -36,6 +36,28 @@ from strainwave.virtual.experiments import derived
 STEP = 5e-5  # [s] of the engine
 
 
+class Plant:
+    """An arm of the engine; what has more to it than the exported model overrides this."""
+
+    def __init__(self, arm: Arm, values: Values) -> None:
+        self.arm, self.values = arm, values
+
+    def edited(self, mjcf: str) -> str:
+        """The model's XML."""
+        return mjcf
+
+    def begin(self, model: Any, data: Any, drive: Drive) -> None:
+        """Before the first step: links hang at standstill on their gears."""
+        _hang(self.arm, self.values, drive, data)
+
+    def amplified(self, commanded: FloatArray) -> FloatArray:
+        """The voltage that drives the motors."""
+        return commanded
+
+    def act(self, model: Any, data: Any) -> None:
+        """Torques and friction that hold for the next step."""
+
+
 def in_mujoco(
     arm: Arm,
     values: Values,
@@ -44,12 +66,14 @@ def in_mujoco(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
+    plant: Callable[[Arm, Values], Plant] = Plant,
 ) -> Trajectory:
     """One experiment, as `strainwave.dynamics.simulation.simulate` runs it."""
-    model = _model(arm, values)
+    own = plant(arm, values)
+    model = _model(arm, values, own)
     data = mujoco.MjData(model)
     joints = range(1, arm.n_joints + 1)
-    _hang(arm, values, drive, data)
+    own.begin(model, data, drive)
     per_tick, per_sample = round(drive.tick / STEP), round(sample_time / STEP)
     n = (samples - 1) * per_sample + 1
     servo, current = _Servo(arm, drive), _CurrentLoop(arm, drive)
@@ -60,7 +84,8 @@ def in_mujoco(
         if k % per_tick == 0:
             commanded = servo.command(k // per_tick, data.qpos[motors])
         voltage[k] = commanded
-        data.ctrl[:] = current.over_step(commanded)
+        data.ctrl[:] = current.over_step(own.amplified(commanded))
+        own.act(model, data)
         mujoco.mj_step(model, data)  # leaves the sensors as they were before it
         seen[k] = data.sensordata
     if not np.all(np.isfinite(seen)):
@@ -83,7 +108,7 @@ def in_mujoco(
     return Trajectory(time, {name: made[name]()[::per_sample] for name in record})
 
 
-def _model(arm: Arm, values: Values) -> Any:
+def _model(arm: Arm, values: Values, own: Plant) -> Any:
     parameters = tuple(
         Parameter(name, joint, value, 0.0, "1", "truth") for (name, joint), value in values.items()
     )
@@ -91,7 +116,7 @@ def _model(arm: Arm, values: Values) -> Any:
     joints = tuple(replace(joint, current_loop_hz=None) for joint in arm.joints)
     study = Study(arm=arm.with_joints(joints), experiments=())
     text = to_mjcf(IdentifiedArm(study, parameters, "truth")).data.decode()
-    model = mujoco.MjModel.from_xml_string(text)
+    model = mujoco.MjModel.from_xml_string(own.edited(text))
     model.opt.timestep = STEP
     for i in range(1, arm.n_joints + 1):
         at = model.joint(f"motor_joint{i}").dofadr[0]

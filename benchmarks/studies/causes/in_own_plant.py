@@ -1,0 +1,70 @@
+"""Arms with a cause in the project's own plant: effects by the core, the rest around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from benchmarks.studies.causes.drawn import BESIDE, NOTHING, Cause
+from strainwave.domain import FloatArray
+from strainwave.domain.effects import names
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
+
+_AROUND_IT = ("drive-gain", "encoder-zero", "friction-by-record", "drive-gain-by-record")
+"""Causes that need no equation of the core."""
+
+
+def causes_of_the_plant() -> tuple[str, ...]:
+    """Effects whose sizes the core takes as they are drawn, and what needs no equation."""
+    return (*(name for name in names() if name not in BESIDE), *_AROUND_IT)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnPlant:
+    """A simulator of one record."""
+
+    cause: Cause
+    record: int  # from 0
+
+    def __call__(
+        self,
+        arm: Arm,
+        values: Values,
+        drive: Drive,
+        /,
+        *,
+        sample_time: float,
+        samples: int,
+        record: Sequence[Quantity],
+    ) -> Trajectory:
+        """What the arm did, as its study's sensors show it."""
+        cause, joint = self.cause, self.cause.joint
+        own, known = arm, dict(values)
+        factor = cause.sizes.get("gain", cause.sizes.get(f"factor_{self.record}", 1.0))
+        if cause.name in ("drive-gain", "drive-gain-by-record"):
+            per_volt = factor * (arm.joints[joint - 1].torque_per_volt or 1.0)
+            own = _with_joint(arm, joint, torque_per_volt=per_volt)
+        elif cause.name == "friction-by-record":
+            known["motor_coulomb_friction", joint] *= factor
+        elif cause.name not in (NOTHING, *_AROUND_IT):
+            own = _with_joint(arm, joint, effects=(cause.name,))
+            known |= {(name, joint): size for name, size in cause.sizes.items()}
+        found = simulate(own, known, drive, sample_time=sample_time, samples=samples, record=record)
+        return with_encoder_zero(found, arm, cause)
+
+
+def with_encoder_zero(found: Trajectory, arm: Arm, cause: Cause) -> Trajectory:
+    """The same read by an encoder whose zero is off by an angle of the link."""
+    if cause.name != "encoder-zero" or "encoder" not in found.quantities:
+        return found
+    encoder: FloatArray = found["encoder"].copy()
+    encoder[:, cause.joint - 1] += cause.sizes["angle"] / arm.joints[cause.joint - 1].gear_ratio
+    return replace(found, quantities=dict(found.quantities) | {"encoder": encoder})
+
+
+def _with_joint(arm: Arm, joint: int, **keys: object) -> Arm:
+    joints = list(arm.joints)
+    joints[joint - 1] = replace(joints[joint - 1], **keys)  # type: ignore[arg-type]
+    return arm.with_joints(tuple(joints))

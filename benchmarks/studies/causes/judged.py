@@ -1,0 +1,226 @@
+"""What `identify` makes of a run: what it names, and how far its parameters are off."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks.studies.causes.drawn import NOTHING, Run, can_be_named, drawn, plans
+from benchmarks.studies.causes.in_own_plant import OwnPlant
+from strainwave.domain import FloatArray, Identification, Study
+from strainwave.domain.effects import all_effects
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.pipeline import identify
+from strainwave.virtual.experiments import derived
+from strainwave.virtual.records import Simulator, recorded
+
+Engine = Literal["own", "mujoco"]
+
+PRIMARY = (
+    "alpha",
+    "beta",
+    "gamma",
+    "motor_inertia",
+    "gear_stiffness",
+    "motor_coulomb_friction",
+    "gear_damping",
+)
+"""What is judged, by how a name begins."""
+
+_RARE = "gear_stiffness_k3"
+_NAMED = 5  # score tests that are kept, the most significant first
+_SHARED = {"tilt", "soft-base", "encoder-zero"}  # causes that no single joint has
+
+
+def judged(
+    name: str, number: int, *, engine: Engine, series: int, named: bool = True, auto: bool = False
+) -> dict[str, Any]:
+    """All that is counted of one run, as JSON can hold it.
+
+    Parameters
+    ----------
+    name : str
+        Of the cause.
+    number : int
+    engine : str
+    series : int
+    named : bool
+        Whether to fit with the cause in the study as well, where a study can name it.
+    auto : bool
+        Whether to fit with effects that the fit selects as well.
+
+    Returns
+    -------
+    dict
+    """
+    run = drawn(name, number, series)
+    begin = time.process_time()
+    logs = logs_of(run, engine, series)
+    found: dict[str, Any] = {
+        "cause": name,
+        "number": number,
+        "joint": run.cause.joint,
+        "sizes": dict(run.cause.sizes),
+        "classes": run.rig.classes,
+        "seconds_simulated": time.process_time() - begin,
+        "plain": _tried(run.rig.study, logs, run),
+    }
+    if named and can_be_named(name):
+        study = _with_effects(run.rig.study, {run.cause.joint}, (name,))
+        found["with_it"] = _tried(study, logs, run)
+    if auto:
+        found["auto"] = _tried(_with_effects(run.rig.study, {1, 2}, "auto"), logs, run)
+    return found
+
+
+def taking_turns(seed: int, names: tuple[str, ...], options: dict[str, Any]) -> dict[str, Any]:
+    """A run by its number in a study whose causes take turns; failures are found as well."""
+    name, number = names[seed % len(names)], seed // len(names)
+    try:
+        return {"seed": seed, **judged(name, number, **options)}
+    except Exception as failure:  # a study reports, it does not stop
+        text = f"{type(failure).__name__}: {failure}"
+        return {"seed": seed, "cause": name, "number": number, "failure": text}
+
+
+def logs_of(run: Run, engine: Engine, series: int) -> dict[str, dict[str, FloatArray]]:
+    """Channels of every experiment."""
+    study, values = run.rig.study, run.rig.values
+    arm, seed = Arm.of(study.arm), 1000 * series + run.number
+    found = {}
+    for k, (experiment, plan) in enumerate(
+        zip(study.experiments, plans(run.rig, seed), strict=True)
+    ):
+        rng = np.random.default_rng([seed, k, 1])
+        simulator = _simulator(run, engine, k)
+        found[experiment.name] = recorded(study, arm, plan, values, run.rig.noise, rng, simulator)
+    return found
+
+
+def _simulator(run: Run, engine: Engine, record: int) -> Simulator:
+    if engine == "own":
+        return OwnPlant(run.cause, record)
+    from benchmarks.studies.causes.in_mujoco import InMujoco
+
+    return InMujoco(run.cause, record)
+
+
+def _with_effects(study: Study, joints: Collection[int], effects: Any) -> Study:
+    """The study with effects of some joints: names, or "auto"."""
+    given = tuple(
+        replace(joint, effects=effects) if number in joints else joint
+        for number, joint in enumerate(study.arm.joints, start=1)
+    )
+    return replace(study, arm=replace(study.arm, joints=given))
+
+
+def _tried(study: Study, logs: dict[str, dict[str, FloatArray]], run: Run) -> dict[str, Any]:
+    """Status, what is named and the primary parameters with their truth."""
+    begin = time.process_time()
+    try:
+        found = identify(study, data=logs, threads=1)
+    except (InvalidInput, NumericalFailure) as refusal:
+        return {
+            "status": "refused",
+            "reason": str(refusal)[-200:],
+            "seconds": time.process_time() - begin,
+            "named": None,
+            "parameters": [],
+        }
+    seconds = time.process_time() - begin
+    truth = derived(run.rig.values, run.rig.study.arm)
+    return {
+        "status": found.verdict.status,
+        "seconds": seconds,
+        "tuned_seconds": found.timing_s.get("tuned"),
+        "fit": found.tuned.status if found.tuned else None,
+        "reason": found.reason,
+        "suspected": [each.code for each in found.suspected],
+        "named": _named(found),
+        "score_tests": _score_tests(found),
+        "effects": _effects(found),
+        "parameters": _parameters(found, truth),
+    }
+
+
+def _named(found: Identification) -> list[Any] | None:
+    """The effect and the joint that the first warning of a likely effect names."""
+    effects = {effect.warning_code: effect.name for effect in all_effects()}
+    for warning in found.warnings:
+        if warning.code in effects:
+            return [effects[warning.code], int(warning.where.rsplit(" ", 1)[-1])]
+    return None
+
+
+def _score_tests(found: Identification) -> list[list[Any]]:
+    criticism = found.tuned.criticism if found.tuned else None
+    if criticism is None:
+        return []
+    return [
+        [test.effect, test.joint, test.gain, test.share, test.evident]
+        for test in criticism.score_tests[:_NAMED]
+    ]
+
+
+def _effects(found: Identification) -> list[list[Any]]:
+    """Sizes of the effects in the fitted model."""
+    sizes = {name for effect in all_effects() for name in effect.names}
+    return [[p.name, p.joint, p.value] for p in found.parameters if p.name in sizes]
+
+
+def _parameters(found: Identification, truth: Values) -> list[list[Any]]:
+    """Name, joint, truth, value and 95 % half-width; value and half-width None where not given."""
+    rows: list[list[Any]] = []
+    known = {(p.name, p.joint): p for p in found.parameters}
+    for (name, joint), true in truth.items():
+        if not name.startswith(PRIMARY):
+            continue
+        p = known.get((name, joint))
+        half = 0.5 * (p.ci95[1] - p.ci95[0]) if p is not None and p.ci95 is not None else None
+        rows.append([name, joint, true, p.value if p is not None else None, half])
+    return rows
+
+
+def error_percent(row: list[Any]) -> float | None:
+    """Of a parameter [%]; None where it has no value."""
+    _, _, true, value, _ = row
+    return None if value is None else 100.0 * (value / true - 1.0)
+
+
+def is_sound(row: list[Any]) -> bool | None:
+    """Whether a value is near the truth or its interval holds it; None where there is none."""
+    name, _, true, value, half = row
+    if value is None:
+        return None
+    near = (0.05 if name == "gear_damping" else 0.01) * abs(true)
+    return bool(abs(value - true) <= max(near, half or 0.0))
+
+
+def matters(found: dict[str, Any]) -> bool:
+    """Whether the fit that ignores the cause lacks a parameter, or has one that is not sound.
+
+    The third slope of a gear does not count where it is missing: few records reach it.
+    """
+    parameters = found["plain"]["parameters"]
+    sound = [is_sound(row) for row in parameters if row[3] is not None or row[0] != _RARE]
+    return not parameters or not all(sound)
+
+
+def verdict_on(found: dict[str, Any]) -> str:
+    """What the run without the cause says of it: one of `VERDICTS`."""
+    named = found["plain"]["named"]
+    if named is None:
+        return "refused" if found["plain"].get("suspected") else "nothing"
+    if found["cause"] == NOTHING or named[0] != found["cause"]:
+        return "another"
+    at_joint = named[1] == found["joint"] or found["cause"] in _SHARED
+    return "effect and joint" if at_joint else "effect"
+
+
+VERDICTS = ("effect and joint", "effect", "another", "nothing", "refused")

@@ -1,0 +1,146 @@
+"""The study of causes: what is drawn, that both engines mean the same by a cause, what is counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.studies.causes.drawn import NOTHING, Run, causes, drawn, plans
+from benchmarks.studies.causes.in_own_plant import OwnPlant
+from benchmarks.studies.causes.judged import judged, matters, verdict_on
+from benchmarks.studies.causes.tables import tables
+
+from strainwave.domain import FloatArray
+from strainwave.dynamics.arm import Arm
+from strainwave.virtual.plans import Plan
+from strainwave.virtual.records import Simulator
+
+SAMPLES = 400
+_FINE = 1e12  # counts
+SHARED = tuple(name for name in causes("own") if name != NOTHING)
+
+
+def horizontal(name: str, joint: int | None = None) -> Run:
+    """A run whose arm is shaken in open loop."""
+    found = (drawn(name, number) for number in range(30))
+    return next(
+        run for run in found if not run.rig.study.arm.gravity and joint in (None, run.cause.joint)
+    )
+
+
+def shaken(run: Run) -> tuple[int, Plan]:
+    """The start of the record that shakes the joint of the cause."""
+    for k, (experiment, plan) in enumerate(
+        zip(run.rig.study.experiments, plans(run.rig, 0), strict=True)
+    ):
+        if experiment.use == "frequency" and experiment.joint == run.cause.joint:
+            return k, replace(plan, samples=SAMPLES)
+    raise LookupError("no record shakes the joint")
+
+
+def encoder(run: Run, simulator: Simulator, plan: Plan) -> FloatArray:
+    """Of the joint of the cause, as fine as numbers are."""
+    joints = tuple(replace(j, encoder_counts=_FINE) for j in run.rig.study.arm.joints)
+    arm = Arm.of(replace(run.rig.study.arm, joints=joints))
+    found = simulator(
+        arm,
+        run.rig.values,
+        plan.drive,
+        sample_time=plan.sample_time,
+        samples=plan.samples,
+        record=["encoder"],
+    )
+    return found["encoder"][:, run.cause.joint - 1]
+
+
+def test_a_run_is_drawn_again_by_its_number() -> None:
+    one, other = drawn("backlash", 3), drawn("backlash", 3)
+    assert one == other
+    assert drawn("backlash", 4).cause != one.cause
+    assert drawn("backlash", 3, series=1).cause != one.cause
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_both_engines_mean_the_same_by_a_cause(name: str) -> None:
+    from benchmarks.studies.causes.in_mujoco import InMujoco
+
+    run = horizontal(name)
+    k, plan = shaken(run)
+    none = replace(run.cause, name=NOTHING)
+    own, own_none = (encoder(run, OwnPlant(each, k), plan) for each in (run.cause, none))
+    other, other_none = (encoder(run, InMujoco(each, k), plan) for each in (run.cause, none))
+    effect = own - own_none
+    disagreement = np.linalg.norm(other - other_none - effect)
+    # friction takes the engine two steps, by which both differ without a cause as well
+    engines = np.linalg.norm(other_none - own_none)
+    assert disagreement < 0.1 * np.linalg.norm(effect) + engines
+
+
+def bending(run: Run, stiffness: float) -> float:
+    """How far a flexible link takes the motor from where a rigid one does, over its way."""
+    from benchmarks.studies.causes.in_mujoco import InMujoco
+
+    k, plan = shaken(run)
+    sizes = {**run.cause.sizes, "stiffness": stiffness}
+    bent = encoder(run, InMujoco(replace(run.cause, sizes=sizes), k), plan)
+    rigid = encoder(run, InMujoco(replace(run.cause, name=NOTHING), k), plan)
+    return float(np.linalg.norm(bent - rigid) / np.linalg.norm(rigid - rigid[0]))
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_flexible_link_of_great_stiffness_is_a_rigid_one(joint: int) -> None:
+    run = horizontal("flexible-link", joint)
+    # its compliance is one over its stiffness
+    assert bending(run, 400.0) < 0.2 * bending(run, 40.0) < 0.02
+
+
+def test_a_clean_arm_is_identified_and_nothing_named() -> None:
+    found = judged(NOTHING, 3, engine="own", series=0)
+    assert found["plain"]["status"] == "determined"
+    assert found["plain"]["named"] is None
+    assert not matters(found)
+    assert "with_it" not in found
+
+
+def finding(cause: str, value: float | None, named: list[Any] | None) -> dict[str, Any]:
+    plain = {
+        "parameters": [["motor_inertia", 1, 1.0, value, 0.02]],
+        "named": named,
+        "fit": "converged",
+        "seconds": 1.0,
+        "suspected": [],
+    }
+    return {"cause": cause, "joint": 1, "plain": plain}
+
+
+@pytest.mark.parametrize(
+    ("value", "named", "said", "counts"),
+    [
+        (1.03, ["backlash", 1], "effect and joint", True),
+        (1.03, ["backlash", 2], "effect", True),
+        (1.03, ["stribeck", 1], "another", True),
+        (None, None, "nothing", True),
+        (1.015, None, "nothing", False),  # its interval holds the truth
+    ],
+)
+def test_what_is_said_of_a_run(value: float | None, named: Any, said: str, counts: bool) -> None:
+    found = finding("backlash", value, named)
+    assert verdict_on(found) == said
+    assert matters(found) == counts
+
+
+def test_tables_count_what_is_taken_for_what() -> None:
+    runs = [
+        finding("backlash", 1.03, ["backlash", 1]),
+        finding("backlash", 1.03, ["stribeck", 1]),
+        finding(NOTHING, 1.0, None),
+    ]
+    named, mended, confused, alarms = tables(runs)
+    assert named.rows[0][:6] == ("backlash", "2", "2", "2", "1", "0")
+    assert mended.rows[0][1] == "0.0"
+    assert confused.head == ("cause", "backlash", "stribeck", "nothing")
+    assert confused.rows == (("backlash", "1", "1", ""),)
+    assert alarms.rows[0] == ("nothing", "1")
+    assert "| backlash | 2 | 2 |" in named.markdown()
