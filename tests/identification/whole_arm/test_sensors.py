@@ -138,3 +138,12 @@ def test_derivatives_are_those_of_the_difference() -> None:
         # what the measured slope has beside the simulated one: the integrator's error
         size = np.max(np.abs(slope))
         assert np.max(np.abs(tangent[..., k] - slope)[10:-10]) < 0.02 * size, key
+
+
+def test_a_scale_that_is_nothing_does_not_stay() -> None:
+    study, known, _ = shaken()
+    joints = joint_models(study, known, 0.05, FACTORS)
+    rigid = rigid_model(study, known, 0.01, 1.0)
+    start: dict[Key, float] = {("accelerometer_scale", 1): 1.0}
+    model = tune(shaken()[2], rigid, joints, Arm.of(study.arm), start=start)
+    assert constants(model) == set()

@@ -221,7 +221,7 @@ def _idle(fit: Fit) -> dict[Key, float]:
         for key, value, std, within in rows
         if is_optional(key) and (within or is_bandwidth(key))
     }
-    for key in [key for key in apart if _twin(key) in apart]:
+    for key in [key for key in apart if _twin(key) in apart and _twin(key) != key]:
         # a delay and a low-pass that cannot be separated both stay, and say so
         if apart[key] < _STAYS and apart[_twin(key)] < _STAYS and not _ended(fit, key):
             del apart[key]
