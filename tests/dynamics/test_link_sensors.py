@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import SENSOR_PARAMETERS, Values
 from strainwave.dynamics.link_sensors import (
     as_read,
     bandwidth_of,
     constants_of,
     delay_of,
+    drift_of,
+    is_drift,
     is_optional,
     is_sensor_constant,
     moved,
@@ -65,6 +68,10 @@ def test_names() -> None:
     names |= {key[0] for each in every if (key := bandwidth_of(*each)) is not None}
     of_axes = [scale_of(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]
     names |= {key[0] for key in of_axes if key is not None}
+    axes = [(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]
+    drifts = [drift_of(*each, "prbs") for each in (*every, *axes)]
+    assert all(key[0].endswith("_drift[prbs]") and is_drift(key) for key in drifts if key)
+    names |= {base_name(key[0]) for key in drifts if key is not None}
     assert names == set(SENSOR_PARAMETERS)
     assert all(is_optional((name, 1)) and is_sensor_constant((name, 1)) for name in names)
     assert not is_optional((DISTANCE, 1))

@@ -29,6 +29,9 @@ SENSOR_PARAMETERS = (
     "imu_gyro_delay",
     *(f"imu_{axis}_scale" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),
     "imu_gyro_bandwidth",
+    "accelerometer_drift",
+    "gyro_drift",
+    *(f"imu_{axis}_drift" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),
 )
 """Constants of link sensors that the whole-arm fit estimates where the records show them."""
 

@@ -1,8 +1,9 @@
 """What a link sensor does to what it reads: a delay and a scale, one of each for all records.
 
-    y(t) = s x(t - D) + bias
+    y(t) = s x(t - D) + bias + r (t - t_m)
 
-x is the motion behind the sensor's own low-pass, as the study has it.
+x is the motion behind the sensor's own low-pass, as the study has it. Bias and drift r are those of
+one record, whose middle is t_m.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 from strainwave.domain import FloatArray
+from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.dynamics.mounting import TILT, is_mounting
 
 Key = tuple[str, int | None]
@@ -92,6 +94,40 @@ def bandwidth_of(quantity: str, joint: int) -> Key | None:
     return None if sensor is None or sensor in _COUNTED else (f"{sensor}_bandwidth", joint)
 
 
+def drift_of(quantity: str, joint: int, record: str) -> Key | None:
+    """The name of a record's drift of the sensor that reads a quantity, None where it has none.
+
+    Parameters
+    ----------
+    quantity : str
+        That is read, or the name of an IMU's axis.
+    joint : int
+        From 1.
+    record : str
+
+    Returns
+    -------
+    (name, joint) or None
+    """
+    sensor = quantity if quantity in _AXES else _SENSORS.get(quantity)
+    none = sensor is None or sensor in (*_COUNTED, *_BY_AXIS)
+    return None if none else (of_record(f"{sensor}_drift", record), joint)
+
+
+def is_drift(key: Key) -> bool:
+    """Whether it is a sensor's drift in one record.
+
+    Parameters
+    ----------
+    key : (name, joint)
+
+    Returns
+    -------
+    bool
+    """
+    return base_name(key[0]).endswith("_drift") and is_optional(key)
+
+
 def is_sensor_constant(key: Key) -> bool:
     """Whether a parameter is a link sensor's, not the arm's.
 
@@ -117,9 +153,9 @@ def is_optional(key: Key) -> bool:
     -------
     bool
     """
-    sensor, _, what = key[0].rpartition("_")
-    single = what in ("delay", "scale", "bandwidth") and sensor in _SENSORS.values()
-    return key[0] == TILT or single or (what == "scale" and sensor in _AXES)
+    sensor, _, what = base_name(key[0]).rpartition("_")
+    single = what in ("delay", "scale", "bandwidth", "drift") and sensor in _SENSORS.values()
+    return key[0] == TILT or single or (what in ("scale", "drift") and sensor in _AXES)
 
 
 def is_bandwidth(key: Key) -> bool:
@@ -139,7 +175,7 @@ def is_bandwidth(key: Key) -> bool:
 def nominal(key: Key) -> float:
     """The value of an optional sensor constant where nothing is wrong.
 
-    No delay, no tilt, a scale of one, a bandwidth beyond all that moves.
+    No delay, no tilt, no drift, a scale of one, a bandwidth beyond all that moves.
 
     Parameters
     ----------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -9,12 +10,14 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmModel, Log, Study, TuningOptions
+from strainwave.domain.parameter_table import of_record
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import moved
 from strainwave.identification.whole_arm import tune
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.preparation import dataset_of
+from strainwave.identification.whole_arm.restricted import is_held
 from tuning_runs import joint_models, rigid_model, shaken
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -138,6 +141,77 @@ def test_derivatives_are_those_of_the_difference() -> None:
         # what the measured slope has beside the simulated one: the integrator's error
         size = np.max(np.abs(slope))
         assert np.max(np.abs(tangent[..., k] - slope)[10:-10]) < 0.02 * size, key
+
+
+RATES = {"prbs-j1": 1.2, "prbs-j2": -0.8}
+"""[m/s^3] by which joint 1's accelerometer drifts, tenths of m/s^2 in the record."""
+
+
+def drifting(rates: Mapping[str, float]) -> list[Log]:
+    """The rig's records, with drifts of joint 1's accelerometer."""
+    logs = []
+    for log in shaken()[2]:
+        a1 = log.channels["a1"] + rates.get(log.name, 0.0) * log.time
+        logs.append(replace(log, channels={**log.channels, "a1": a1}))
+    return logs
+
+
+@cache
+def tuned_drifting(*held: str) -> ArmModel:
+    study, known, _ = shaken()
+    joints = joint_models(study, known, 0.05, FACTORS)
+    rigid, options = rigid_model(study, known, 0.01, 1.0), TuningOptions(hold=held)
+    return tune(drifting(RATES), rigid, joints, Arm.of(study.arm), options)
+
+
+def test_drifting_sensors_are_found_and_corrected() -> None:
+    known, model = shaken()[1], tuned_drifting()
+    assert model.status == "converged"
+    wrong = {(of_record("accelerometer_drift", name), 1): r for name, r in RATES.items()}
+    assert constants(model) == set(wrong)
+    found = {(p.name, p.joint): p for p in model.parameters}
+    for key, rate in wrong.items():
+        p = found[key]
+        assert p.value is not None
+        assert p.std is not None
+        assert p.unit == "m/s^3"
+        assert p.value == pytest.approx(rate, rel=0.1)
+        assert abs(p.value - rate) < 4.0 * p.std
+    for name in ("motor_inertia", "motor_coulomb_friction", "gear_stiffness", "gear_damping"):
+        for joint in (1, 2):
+            assert model.values[name, joint] == pytest.approx(known[name, joint], rel=0.005)
+    said = [c for c in model.warnings if c.code == "sensor-drift"]
+    assert [c.message.split()[1] for c in said] == list(RATES)
+    assert "the accelerometer drifts by 1.2" in said[0].message
+
+
+@pytest.mark.parametrize(
+    "held", ["accelerometer_drift", "accelerometer_drift 1", "accelerometer_drift[prbs-j1]"]
+)
+def test_drifts_that_are_held_are_not_estimated(held: str) -> None:
+    key: Key = ("accelerometer_drift[prbs-j1]", 1)
+    assert is_held(key, TuningOptions(hold=(held,)))
+    assert not is_held(("accelerometer_drift[prbs-j1]", 2), TuningOptions(hold=(f"{held} 1",)))
+    assert not is_held(("accelerometer_scale", 1), TuningOptions(hold=(held,)))
+
+
+def test_derivatives_by_drifts_are_those_of_the_record_alone() -> None:
+    study, known, logs = shaken(noisy=False, counts=False)
+    record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
+    keys: list[Key] = [(of_record("accelerometer_drift", name), 1) for name in RATES]
+    keys.append(("accelerometer_scale", 1))
+    assert keys[0] in record.sensor_constants()
+    assert keys[1] not in record.sensor_constants()
+    values = {**known, keys[0]: 0.7, keys[1]: 9.0, keys[2]: 1.02}
+    seen, tangent = record.linearised(values, np.zeros(0), keys)
+    assert not tangent[..., 1].any()
+    for k in (0, 2):
+        more = record.linearised({**values, keys[k]: values[keys[k]] + 1.0}, np.zeros(0), [])[0]
+        np.testing.assert_allclose(more - seen, tangent[..., k], atol=1e-9)
+    (moved,) = np.flatnonzero(tangent[..., 0].any(axis=0))
+    assert record.channels[moved].name == "a1"
+    slope = np.polyfit(record.time, tangent[:, moved, 0], 1)[0]
+    assert slope == pytest.approx(1.0)
 
 
 def test_a_scale_that_is_nothing_does_not_stay() -> None:

@@ -18,6 +18,7 @@ from strainwave.dynamics.link_sensors import (
     bandwidth_of,
     constants_of,
     delay_of,
+    drift_of,
     is_bandwidth,
     is_sensor_constant,
     scale_of,
@@ -176,7 +177,7 @@ class Dataset:
             whole[..., np.delete(np.arange(whole.shape[2]), own)] = tangent
             whole[..., own] = by_sensors
             tangent = whole
-        return seen * scales, tangent
+        return seen * scales + self.drifts(values), tangent
 
     def _inputs(self, values: Mapping[tuple[str, int | None], float]) -> RecordInputs:
         """What the core is given in this record, effects that it does not know among it."""
@@ -218,7 +219,8 @@ class Dataset:
     ) -> FloatArray:
         """Derivatives of simulated less measured channels by sensor constants.
 
-        s x(t) - y(t + D) has the derivatives x by s and -y', for which -s x' stands, by D.
+        s x(t) + r (t - t_m) - y(t + D) has the derivatives x by s, t - t_m by r, and -y', for which
+        -s x' stands, by D.
 
         Parameters
         ----------
@@ -254,6 +256,8 @@ class Dataset:
             for at, key in enumerate(keys):
                 if key == scale_of(channel.scaled, channel.joint):
                     found[:, k, at] = seen[:, k]
+                elif key == drift_of(channel.scaled, channel.joint, self.log.name):
+                    found[:, k, at] = self.since_middle
                 elif key == delay_of(channel.sensor, channel.joint):
                     found[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
             if channel.axis is not None and mounting:
@@ -273,7 +277,7 @@ class Dataset:
         return found
 
     def sensor_constants(self) -> list[tuple[str, int | None]]:
-        """What may be wrong with the link sensors among the channels: delays, scales, tilts."""
+        """What may be wrong with the link sensors among the channels: scales, tilts, drifts..."""
         found = list(constants_of((c.sensor, c.joint) for c in self.channels))
         axes = self._axes()
         for axis in axes:
@@ -286,7 +290,8 @@ class Dataset:
                 found.remove(scale)
             if axis.kind == "tangential":
                 found.append((TILT, axis.joint))
-        return found
+        drifts = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels if c.shifted)
+        return [*found, *(key for key in drifts if key is not None)]
 
     def tables(
         self, values: Mapping[tuple[str, int | None], float], axes: Sequence[Axis]
@@ -315,6 +320,17 @@ class Dataset:
         """(n_channels,) one where a sensor has none."""
         keys = (scale_of(channel.scaled, channel.joint) for channel in self.channels)
         return np.array([1.0 if key is None else values.get(key, 1.0) for key in keys])
+
+    def drifts(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
+        """What drifting sensors add to the channels: (n_rows, n_channels)."""
+        keys = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels)
+        rates = [0.0 if key is None else values.get(key, 0.0) for key in keys]
+        return np.outer(self.since_middle, rates)
+
+    @property
+    def since_middle(self) -> FloatArray:
+        """(n_rows,) [s] so that a drift leaves a channel's mean as it is."""
+        return np.asarray(self.time - np.mean(self.time))
 
     def corrected(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray

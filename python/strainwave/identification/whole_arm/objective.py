@@ -228,7 +228,7 @@ class Objective:
             errors = rows.residual * old.deviation
             least = np.maximum(record.noise, LEAST_ERROR * np.std(record.measured, axis=0))
             size = np.maximum(_size(errors), least)
-            weights.append(Weights(size, np.array([_repeats(column) for column in errors.T])))
+            weights.append(Weights(size, np.array([repeats_of(column) for column in errors.T])))
         return replace(self, weights=tuple(weights), guessed=False)
 
     def for_unknowns(self, space: ParameterSpace) -> Objective:
@@ -365,7 +365,7 @@ class Objective:
         found = []
         for one, record in zip(self.evaluate(z), self.records, strict=True):
             shift = _shifts(record) @ one.own[len(record.local) :]
-            read = one.difference - shift + record.observed(values)
+            read = one.difference - shift + record.observed(values) - record.drifts(values)
             found.append(read / record.sensor_scales(values))
         return found
 
@@ -440,8 +440,17 @@ def _size(errors: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))
 
 
-def _repeats(column: FloatArray) -> float:
-    """How many errors in succession say the same thing."""
+def repeats_of(column: FloatArray) -> float:
+    """How many errors in succession say the same thing.
+
+    Parameters
+    ----------
+    column : (n_rows,)
+
+    Returns
+    -------
+    float
+    """
     return repetitions(lagged_products(column)[1][: len(column) // 2])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Log, TuningOptions
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.options import PUBLISHED_RANGE
+from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NotIdentifiable
@@ -136,7 +137,8 @@ def is_held(key: Key, options: TuningOptions) -> bool:
 def _names(key: Key) -> list[str]:
     """What the options may call a parameter, the most particular first."""
     name, joint = key
-    names = [name] if joint is None else [f"{name} {joint}", name]
+    each = dict.fromkeys((name, base_name(name)))  # of one record, then of all
+    names = [own for n in each for own in ([n] if joint is None else [f"{n} {joint}", n])]
     if name != STIFFNESS and is_slope(name):  # one word for all slopes of a gear
         names += [f"{STIFFNESS} {joint}", STIFFNESS]
     return names

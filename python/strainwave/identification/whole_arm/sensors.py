@@ -1,4 +1,4 @@
-"""Constants of link sensors in the whole-arm fit: delays, scales and the like by evidence only.
+"""Constants of link sensors in the whole-arm fit: delays, scales, drifts by evidence only.
 
 A score test says whether the residuals follow what a sensor's delay, scale or tilt would make of
 its channel. A sensor without any costs nothing, and a clean rig's intervals stay as narrow as they
@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter, TuningOptions
+from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import (
@@ -22,7 +23,9 @@ from strainwave.dynamics.link_sensors import (
     LONGEST_DELAY,
     bandwidth_of,
     delay_of,
+    drift_of,
     is_bandwidth,
+    is_drift,
     is_optional,
     nominal,
 )
@@ -37,7 +40,7 @@ from strainwave.dynamics.mounting import (
     is_mounting,
 )
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Evaluated, Objective
+from strainwave.identification.whole_arm.objective import Evaluated, Objective, repeats_of
 from strainwave.identification.whole_arm.parametrisation import Key, ParameterSpace, Unknown
 from strainwave.identification.whole_arm.restricted import is_held
 from strainwave.identification.whole_arm.selection import Selection
@@ -45,6 +48,7 @@ from strainwave.identification.whole_arm.solver import refined, resumed_coarse_s
 
 _EVIDENT = 4.0  # deviations at which a constant joins: of eight candidates none by chance
 _MATTERS_COARSELY = 0.1  # and share of the cost far from the minimum, where long steps err as well
+_STANDS_OUT = 1.0  # deviations of the rest of the residuals, that a drift reaches by the end
 _STAYS = 3.0  # and that it must keep, by the more cautious covariance
 
 _AT_END = 0.99  # share of its range from which a constant is at its end
@@ -52,6 +56,7 @@ _SIZE = 0.1  # [m, or 1] of the parts of a mounting, at least
 _NEAREST = 1e-3  # [m] from the axis, where a search for a distance may start
 _FAR = 30.0  # of it, as far as they may go
 _WIDE = float(np.log(30.0))  # and a bandwidth
+_FASTEST = 1e4  # [m/s^3, or rad/s^2] of drifts
 _LARGEST_TILT = 0.5  # [rad] of an accelerometer that is called tangential
 _SHORTEST = 3e-5  # [s] of a delay that may be a low-pass: 7.5 kHz
 _SHARE = 0.5  # of a delay that is first taken for a low-pass
@@ -96,6 +101,9 @@ def _unknown(key: Key, starts: Values) -> Unknown:
         return Unknown(name, joint, "Hz", starts[key], starts[key], False, _WIDE)
     if name == TILT:
         return Unknown(name, joint, "rad", 0.0, _LARGEST_TILT, True, 1.0)
+    if is_drift(key):
+        unit = "m/s^3" if name.startswith(("accelerometer", "imu_a")) else "rad/s^2"
+        return Unknown(name, joint, unit, 0.0, 1.0, True, _FASTEST)
     unit, scale = ("s", LONGEST_DELAY) if name.endswith("_delay") else ("1", LARGEST_SCALE_ERROR)
     return Unknown(name, joint, unit, nominal(key), scale, True, 1.0)
 
@@ -165,6 +173,7 @@ def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit
     options = selection.options
     while fit.iterations < options.max_iterations and not options.as_published:
         sizes = _evident(fit, options, _MATTERS_COARSELY * fit.cost if coarse else 0.0)
+        sizes |= _evident_drifts(fit, options)
         if not sizes:
             break
         values = fit.objective.space.values(fit.z)
@@ -252,7 +261,8 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
     candidates = [
         key
         for key in dict.fromkeys(k for r in fit.objective.records for k in r.sensor_constants())
-        if key not in known and not is_held(key, options) and not _imitated(key, fit)
+        if key not in known and not is_drift(key) and not is_held(key, options)
+        if not _imitated(key, fit)
     ]
     if not candidates:
         return {}
@@ -274,6 +284,30 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
         candidates[k]: nominal(candidates[k]) + float(size)
         for k, size in zip(taken, sizes, strict=True)
     }
+
+
+def _evident_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
+    """Drifts that stand out of what their channels' residuals are without them, with their rates.
+
+    By the fit's weights errors in a row say the same thing, and a drift is one long row of them:
+    here the deviation of a rate is that of residuals less the drift.
+    """
+    objective, found = fit.objective, {}
+    each = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
+    for record, weights, rows in each:
+        since = record.since_middle
+        residuals = rows.residual * weights.deviation
+        for channel, residual in zip(record.channels, residuals.T, strict=True):
+            key = drift_of(channel.scaled, channel.joint, record.log.name)
+            wanted = channel.shifted and key is not None and not is_held(key, options)
+            if key is None or not wanted or key in objective.space.keys:
+                continue
+            rate = float(-since @ residual / (since @ since))
+            rest = residual + rate * since
+            std = np.std(rest) * np.sqrt(repeats_of(rest) / (since @ since))
+            if abs(rate) > max(_EVIDENT * std, _STANDS_OUT * np.std(rest) / np.max(since)):
+                found[key] = rate
+    return found
 
 
 def _imitated(key: Key, fit: Fit) -> bool:
@@ -317,6 +351,8 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     """
     for found in parameters:
         key = found.name, found.joint
+        if is_drift(key) and found.value is not None:
+            yield _drifts(found, found.value)
         if not found.name.endswith(("_delay", "_scale")) or found.value is None:
             continue
         if not is_optional(key):
@@ -341,3 +377,12 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
             )
             text += " study, its direction"
             yield Diagnostic("sensor-scale", f"joint {found.joint}", text)
+
+
+def _drifts(found: Parameter, rate: float) -> Diagnostic:
+    name = base_name(found.name)
+    sensor, record = name.removesuffix("_drift").replace("_", " "), found.name[len(name) + 1 : -1]
+    half = 1.96 * (found.std or 0.0)
+    text = f"in {record} the {sensor} drifts by {rate:.3g} ± {half:.2g} {found.unit}; estimated and"
+    text += " corrected. Likely causes: it warms up, its supply, an amplifier that recovers"
+    return Diagnostic("sensor-drift", f"joint {found.joint}", text)
