@@ -48,7 +48,7 @@ class Runs:
 
 
 @dataclass(frozen=True, slots=True)
-class _From:
+class From:
     """Simulation that begins in a posture, which holding voltages keep."""
 
     posture: tuple[float, ...]  # [rad]
@@ -91,7 +91,7 @@ def runs(changed: tuple[str, int] | None = None, *, vertical: bool = False) -> R
             own[changed] *= 1.0 + change
         wanted = replace(study, experiments=experiments)
         written, found = written_logs(
-            wanted, own, seed=k, noise=SensorNoise(), simulator=_From(posture)
+            wanted, own, seed=k, noise=SensorNoise(), simulator=From(posture)
         )
         logs += found
     return Runs(written, known, tuple(logs))

@@ -51,6 +51,23 @@ class RecordInputs:
         each = enumerate(angles, start=1)
         return tuple(angle + self.offsets.get((name, joint), 0.0) for joint, angle in each)
 
+    def read(self, angles: FloatArray, gear_ratios: FloatArray | None = None) -> FloatArray:
+        """What encoders with these zeros say.
+
+        Parameters
+        ----------
+        angles : (n_samples, n_joints) [rad]
+            Of the motors.
+        gear_ratios : (n_joints,), optional
+            Where the angles are those of the links.
+
+        Returns
+        -------
+        (n_samples, n_joints) [rad]
+        """
+        zeros = np.array(self._moved(_MOTOR_ANGLE, [0.0] * angles.shape[1]))
+        return angles - (zeros if gear_ratios is None else zeros * gear_ratios)
+
     def directions(self, parameters: Sequence[Key]) -> list[Key]:
         """What the core differentiates by, so that derivatives by parameters follow.
 

@@ -139,7 +139,7 @@ def simulate_study(
         rng = np.random.default_rng([seed, number])
         plan = _known(study, arm, experiment, values) if as_recorded else None
         plan = plan or invented(study.path, arm, experiment, values, rng, sample_time)
-        written.append(recorded(study, arm, plan, values, noise, rng, simulator))
+        written.append(recorded(study, arm, plan, values, noise, rng, simulator, experiment.name))
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE):
             file = f"{Path(file).stem}.parquet"

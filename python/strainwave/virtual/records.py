@@ -12,6 +12,7 @@ from strainwave.domain import FloatArray, Joint, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import Axis, axes_of, factors
+from strainwave.dynamics.record_effects import inputs_in
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, measure
 from strainwave.errors import InvalidInput
 from strainwave.virtual.plans import Plan
@@ -42,6 +43,7 @@ def recorded(
     noise: SensorNoise | None,
     rng: np.random.Generator,
     simulator: Simulator,
+    name: str = "",
 ) -> dict[str, FloatArray]:
     """Run one experiment; its log by channel.
 
@@ -59,6 +61,8 @@ def recorded(
         Of the noise.
     simulator : callable
         What the arm moves by.
+    name : str, optional
+        Of the record, for what changes from one to the next.
 
     Returns
     -------
@@ -77,10 +81,18 @@ def recorded(
     record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
     glued = [axis for i in range(1, arm.n_joints + 1) for axis in _glued(study.path, arm, i)]
     record += dict.fromkeys(name for axis in glued for name in axis.quantities)
+    given = inputs_in(arm, values, name, hanging=plan.drive.link_angle is None)
     trajectory = simulator(
-        arm, values, plan.drive, sample_time=plan.sample_time, samples=plan.samples, record=record
+        arm,
+        given.values,
+        given.begun(plan.drive),
+        sample_time=plan.sample_time,
+        samples=plan.samples,
+        record=record,
     )
     measured = measure(trajectory, noise, rng)
+    measured["encoder"] = given.read(measured["encoder"])
+    measured["link_angle"] = given.read(measured["link_angle"], arm.gear_ratios)
     columns = {"t": trajectory.time}
     for i, joint in enumerate(arm.joints):
         name = f"u{i + 1}" if joint.torque_per_volt else f"torque{i + 1}"

@@ -9,17 +9,21 @@ from functools import cache
 import numpy as np
 import pytest
 
-from record_effect_runs import CHANGES, Runs, fitted, runs
-from strainwave.domain import ArmModel, EffectName
+from effect_runs import rig
+from record_effect_runs import CHANGES, From, Runs, fitted, runs
+from strainwave.domain import ArmModel, EffectName, Log, Study
 from strainwave.domain.effects import RecordEffect, all_effects, effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import simulate
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.effects import idle, sizes_of, with_effects, without
 from strainwave.identification.whole_arm.parametrisation import COULOMB, Key, ParameterSpace, Prior
 from strainwave.identification.whole_arm.preparation import dataset_of
+from strainwave.virtual.records import Simulator
+from tuning_runs import shaken_study, truth, written_logs
 
 PRIMARY = (COULOMB, "motor_inertia", STIFFNESS, "gear_damping")
 ZERO = 0.05  # [rad] that an encoder is off by
@@ -208,3 +212,30 @@ def test_friction_in_a_record_that_has_no_size_is_the_joint_s() -> None:
     ]
     for name, run in runs_of[0].items():
         np.testing.assert_array_equal(run, runs_of[1][name])
+
+
+def written(study: Study, values: Values, simulator: Simulator = simulate) -> list[Log]:
+    return list(written_logs(study, values, simulator=simulator)[1])
+
+
+def test_virtual_arms_change_from_record_to_record() -> None:
+    known = truth()[1]
+    changes = {("friction_change[prbs-j1]", 1): 0.2, ("friction_change[prbs-j2]", 1): -0.1}
+    found = written(shaken_study(rig(("friction-by-record",)), 8.0), known | changes)
+    for log, factor in zip(found, (1.2, 0.9), strict=True):
+        plain = shaken_study(rig(()), 8.0)
+        alike = written(plain, known | {(COULOMB, 1): factor * known[COULOMB, 1]})
+        (same,) = (one for one in alike if one.name == log.name)
+        for name, samples in log.channels.items():
+            np.testing.assert_array_equal(samples, same.channels[name])
+
+
+def test_virtual_encoders_have_zeros() -> None:
+    known, ratio = truth()[1], 0.01
+    study = shaken_study(rig(("encoder-zero",)), 8.0)
+    found = written(study, known | {("encoder_zero", 1): ZERO})
+    posture = From((ZERO, 0.0))
+    for log, same in zip(found, written(shaken_study(rig(()), 8.0), known, posture), strict=True):
+        for name, samples in log.channels.items():
+            turned_by = ZERO / ratio if name == "theta_m1" else 0.0
+            np.testing.assert_allclose(samples + turned_by, same.channels[name], atol=1e-12)
