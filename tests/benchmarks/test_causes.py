@@ -89,6 +89,20 @@ def bending(run: Run, stiffness: float) -> float:
     return float(np.linalg.norm(bent - rigid) / np.linalg.norm(rigid - rigid[0]))
 
 
+@pytest.mark.parametrize("name", causes("mujoco"))
+def test_every_cause_moves_an_upright_arm_of_the_engine(name: str) -> None:
+    from benchmarks.studies.causes.in_mujoco import InMujoco
+
+    run = next(r for r in (drawn(name, k) for k in range(0, 60, 2)) if r.rig.study.arm.gravity)
+    k, plan = shaken(replace(run, cause=replace(run.cause, joint=2)))
+    moved, without = (
+        encoder(run, InMujoco(each, k), plan)
+        for each in (run.cause, replace(run.cause, name=NOTHING))
+    )
+    assert np.all(np.isfinite(moved))
+    assert np.ptp(moved - without) > 0.0 or name == "encoder-zero"
+
+
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_flexible_link_of_great_stiffness_is_a_rigid_one(joint: int) -> None:
     run = horizontal("flexible-link", joint)

@@ -80,14 +80,16 @@ class _Ailing(Plant):
 
         The places of the joint's angles and velocities in the engine's lists are known from here.
         """
-        super().begin(model, data, drive)
         motor = model.joint(f"motor_joint{self.joint}")
         link = model.joint(f"joint{self.joint}")
         self.motor, self.link = int(motor.dofadr[0]), int(link.dofadr[0])
         self.motor_place, self.link_place = int(motor.qposadr[0]), int(link.qposadr[0])
-        joints = [model.joint(f"motor_joint{i}") for i in range(1, self.arm.n_joints + 1)]
-        places = [int(each.qposadr[0]) for each in joints]
-        speeds = [int(each.dofadr[0]) for each in joints]
+        speeds, places = [], []
+        for i, (joint, angle) in enumerate(zip(self.arm.joints, drive.motor_angle, strict=True), 1):
+            data.joint(f"motor_joint{i}").qpos[0] = angle
+            data.joint(f"joint{i}").qpos[0] = joint.gear_ratio * angle
+            places.append(int(model.joint(f"motor_joint{i}").qposadr[0]))
+            speeds.append(int(model.joint(f"motor_joint{i}").dofadr[0]))
         for _ in range(_SETTLING_STEPS):
             self.act(model, data)
             mujoco.mj_step(model, data)
@@ -221,8 +223,8 @@ class _GroundSpring(_Ailing):
         root = ET.fromstring(mjcf)
         joint = _found(root, f".//joint[@name='joint{self.joint}']")
         stiffness, preload = self.sizes["ground_stiffness"], self.sizes["ground_preload"]
-        joint.set("stiffness", repr(stiffness))
-        joint.set("springref", repr(-preload / stiffness))
+        joint.set("stiffness", _text(stiffness))
+        joint.set("springref", _text(-preload / stiffness))
         return ET.tostring(root, encoding="unicode")
 
 
@@ -285,16 +287,16 @@ class _FlexibleLink(_Ailing):
         away = _FLEXIBLE_AT * self._length()
         moved = [each for each in link if each.tag not in ("inertial", "joint")]
         name = f"beyond{self.joint}"
-        beyond = ET.SubElement(link, "body", name=name, pos=f"{away!r} 0 0")
-        attributes = {"pos": f"{place - away!r} 0 0", "mass": repr(_BEYOND * mass)}
+        beyond = ET.SubElement(link, "body", name=name, pos=f"{_text(away)} 0 0")
+        attributes = {"pos": f"{_text(place - away)} 0 0", "mass": _text(_BEYOND * mass)}
         ET.SubElement(beyond, "inertial", attributes | _turning(_BEYOND * inertia))
-        inertial.attrib |= {"mass": repr((1.0 - _BEYOND) * mass)}
+        inertial.attrib |= {"mass": _text((1.0 - _BEYOND) * mass)}
         inertial.attrib |= _turning((1.0 - _BEYOND) * inertia)
         stiffness = self.sizes["stiffness"] * self._gear()
         carried = self.values["beta", None] if self.joint == 2 else self._carried()
         damping = 2.0 * self.sizes["damping_ratio"] * math.sqrt(stiffness * carried)
         hinge = {"name": "flexible", "type": "hinge", "axis": "0 0 1"}
-        hinge |= {"stiffness": repr(stiffness), "damping": repr(damping)}
+        hinge |= {"stiffness": _text(stiffness), "damping": _text(damping)}
         ET.SubElement(beyond, "joint", hinge)
         for each in moved:
             link.remove(each)
@@ -327,7 +329,7 @@ class _SoftBase(_Ailing):
         mass, turning = self.sizes["mass"] * links, self.sizes["mass"] * inertia
         base = ET.SubElement(world, "body", name="base")
         base.set("pos", "0 0 0")
-        ET.SubElement(base, "inertial", {"pos": "0 0 0", "mass": repr(mass)} | _turning(turning))
+        ET.SubElement(base, "inertial", {"pos": "0 0 0", "mass": _text(mass)} | _turning(turning))
         square = (2.0 * math.pi * self.sizes["frequency"]) ** 2
         kinds = (("slide", "1 0 0"), ("slide", "0 1 0"), ("hinge", "0 0 1"))
         for k, (kind, axis) in enumerate(kinds):
@@ -335,7 +337,7 @@ class _SoftBase(_Ailing):
             stiffness = moved * square
             damping = 2.0 * self.sizes["damping_ratio"] * math.sqrt(stiffness * moved)
             joint = {"name": f"base{k}", "type": kind, "axis": axis}
-            ET.SubElement(base, "joint", joint, stiffness=repr(stiffness), damping=repr(damping))
+            ET.SubElement(base, "joint", joint, stiffness=_text(stiffness), damping=_text(damping))
         world.remove(link)
         base.append(link)
         return ET.tostring(root, encoding="unicode")
@@ -348,12 +350,16 @@ def _found(element: ET.Element, path: str) -> ET.Element:
     return found
 
 
+def _text(number: float) -> str:
+    return repr(float(number))
+
+
 def _first(numbers: str) -> float:
     return float(numbers.split(maxsplit=1)[0])
 
 
 def _turning(inertia: float) -> dict[str, str]:
-    return {"diaginertia": " ".join([repr(inertia)] * 3)}
+    return {"diaginertia": " ".join([_text(inertia)] * 3)}
 
 
 def _shift(element: ET.Element, away: float) -> None:
@@ -361,7 +367,7 @@ def _shift(element: ET.Element, away: float) -> None:
     if "fromto" in element.attrib:
         return  # it is drawn, nothing else
     x, *others = element.attrib.get("pos", "0 0 0").split()
-    element.set("pos", " ".join([repr(float(x) - away), *others]))
+    element.set("pos", " ".join([_text(float(x) - away), *others]))
 
 
 _PLANTS: dict[str, Callable[..., Plant]] = {
