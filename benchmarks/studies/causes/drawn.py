@@ -18,19 +18,6 @@ from strainwave.dynamics.simulation import simulate
 from strainwave.virtual.plans import Plan, invented
 
 NOTHING = "none"
-BESIDE = (
-    "drive-gain",
-    "drive-saturation",
-    "dead-zone",
-    "tilt",
-    "encoder-zero",
-    "friction-by-record",
-    "drive-gain-by-record",
-    "flexible-link",
-    "soft-base",
-)
-"""Causes that are drawn here and need no effect of that name."""
-
 _SIZES = (0.3, 3.0)  # of an effect's typical sizes
 _SHAPES = 1.3  # times and over those that an effect starts from
 _OF_THE_MOTOR = {"torque_ripple_order"}  # a shape that is a whole number
@@ -174,12 +161,10 @@ def _experiments(spring: Spring, clock: float, *, upright: bool) -> tuple[Experi
 
 def _sizes(name: str, joint: int, rig: Rig, rng: np.random.Generator) -> dict[str, float]:
     """Those of an effect about what it calls typical, of all others what rigs are known for."""
-    if name == NOTHING:
-        return {}
     stated = _stated(name, rig.study, rng)
-    if stated is not None:
+    effect = effect_named(name) if name in names() else None
+    if effect is None or effect.core_name is None:
         return stated
-    effect = effect_named(name)
     typical = effect.typical_sizes(known_joint(rig, joint))
     factor = between(rng, *_SIZES)
     sizes = {key: factor * value for key, value in typical.items()}
@@ -193,11 +178,11 @@ def _sizes(name: str, joint: int, rig: Rig, rng: np.random.Generator) -> dict[st
     for key, value in effect.shapes.items():
         own = 1.0 if key in _OF_THE_MOTOR else between(rng, 1.0 / _SHAPES, _SHAPES)
         sizes[key] = own * value
-    return sizes
+    return sizes | stated
 
 
-def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, float] | None:
-    """Sizes of the causes that no effect describes; None of an effect."""
+def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, float]:
+    """Sizes that are not drawn about an effect's typical ones; those of effects by their names."""
     limit = study.arm.servo.limit if study.arm.servo else 10.0
     sign, azimuth = float(rng.choice([-1.0, 1.0])), float(rng.uniform(-np.pi, np.pi))
     log_factors = rng.standard_normal(len(study.experiments))
@@ -210,8 +195,8 @@ def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, floa
     sizes: dict[str, Callable[[], dict[str, float]]] = {
         "drive-gain": lambda: {"gain": 1.0 + sign * between(rng, 0.01, 0.1)},
         # the torque constant falls with the current
-        "drive-saturation": lambda: {"loss_per_volt": between(rng, 0.02, 0.15) / limit},
-        "dead-zone": lambda: {"volt": between(rng, 0.003, 0.03) * limit},
+        "drive-saturation": lambda: {"drive_saturation": between(rng, 0.02, 0.15) / limit},
+        "dead-zone": lambda: {"dead_zone": between(rng, 0.003, 0.03) * limit},
         "tilt": lambda: {"angle": sign * np.radians(between(rng, 0.3, 3.0)), "azimuth": azimuth},
         "encoder-zero": lambda: {"angle": sign * np.radians(between(rng, 0.5, 5.0))},
         "friction-by-record": lambda: by_record(0.05, 0.3),
@@ -226,7 +211,7 @@ def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, floa
             "damping_ratio": between(rng, 0.01, 0.05),
         },
     }
-    return sizes[name]() if name in sizes else None
+    return sizes[name]() if name in sizes else {}
 
 
 def known_joint(rig: Rig, joint: int) -> KnownJoint:

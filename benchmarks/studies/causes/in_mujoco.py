@@ -253,12 +253,12 @@ class _DriveGainByRecord(_Drive):
 
 class _DriveSaturation(_Drive):
     def given(self, voltage: float) -> float:
-        return voltage * (1.0 - self.sizes["loss_per_volt"] * abs(voltage))
+        return voltage * (1.0 - self.sizes["drive_saturation"] * abs(voltage))
 
 
 class _DeadZone(_Drive):
     def given(self, voltage: float) -> float:
-        return math.copysign(max(0.0, abs(voltage) - self.sizes["volt"]), voltage)
+        return math.copysign(max(0.0, abs(voltage) - self.sizes["dead_zone"]), voltage)
 
 
 class _Tilt(_Ailing):

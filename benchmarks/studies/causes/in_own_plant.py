@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from benchmarks.studies.causes.drawn import BESIDE, NOTHING, Cause
+from benchmarks.studies.causes.drawn import NOTHING, Cause
 from strainwave.domain import FloatArray
-from strainwave.domain.effects import names
+from strainwave.domain.effects import all_effects, effect_named
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
@@ -17,8 +17,11 @@ _AROUND_IT = ("drive-gain", "encoder-zero", "friction-by-record", "drive-gain-by
 
 
 def causes_of_the_plant() -> tuple[str, ...]:
-    """Effects whose sizes the core takes as they are drawn, and what needs no equation."""
-    return (*(name for name in names() if name not in BESIDE), *_AROUND_IT)
+    """The core's effects, and what needs no equation."""
+    return (
+        *(e.name for e in all_effects() if e.core_name and e.name not in _AROUND_IT),
+        *_AROUND_IT,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,8 @@ class OwnPlant:
             known["motor_coulomb_friction", joint] *= factor
         elif cause.name not in (NOTHING, *_AROUND_IT):
             own = _with_joint(arm, joint, effects=(cause.name,))
-            known |= {(name, joint): size for name, size in cause.sizes.items()}
+            names = effect_named(cause.name).names
+            known |= {(name, joint): cause.sizes[name] for name in names}
         found = simulate(own, known, drive, sample_time=sample_time, samples=samples, record=record)
         return with_encoder_zero(found, arm, cause)
 
