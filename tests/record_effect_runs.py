@@ -14,6 +14,7 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, simulate
 from strainwave.identification.whole_arm import TuningOptions, tune
+from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.virtual import scara
 from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
 
@@ -73,7 +74,7 @@ class From:
 
 
 @cache
-def runs(changed: tuple[str, int] | None = None, *, vertical: bool = False) -> Runs:
+def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
     """Half a second of either joint in each posture, with noise and one parameter that changes."""
     base, known = rig(()), truth()[1]
     if vertical:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from strainwave.domain import Diagnostic, EffectName, FloatArray
-from strainwave.domain.effects import KnownJoint, all_effects, effect_named
-from strainwave.domain.parameter_table import base_name
+from strainwave.domain.effects import KnownJoint, RecordEffect, all_effects, effect_named
+from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.domain.parameters import Values, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import with_known_effects
@@ -24,6 +24,9 @@ from strainwave.numerics.distributions import chi_square_limit
 
 NamedEffect = tuple[int, EffectName]
 """A joint, from 1, and an effect that it may have."""
+
+RIGID = "rigid step"
+"""In place of a record's name: the records of the rigid step."""
 
 _CHANCE = 2.7e-3  # odds of as much by noise that it stays below: three deviations, of one size
 _FAR = float(np.log(30.0))  # how far a parameter may go from its start
@@ -90,7 +93,11 @@ def with_effects(
     for one in named_effects(arm):
         for unknown in _unknowns(one, arm, values, largest_torque[one[0] - 1], records):
             more.setdefault(unknown.key, unknown)
-    rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
+    columns = dict.fromkeys(more, np.zeros(len(space.prior.rows)))
+    for one in named_effects(arm):
+        for unknown, column in _of_rigid_records(one, arm, space, values, more):
+            more[unknown.key], columns[unknown.key] = unknown, column
+    rows = np.column_stack([space.prior.rows, *columns.values()])
     unknowns = (*space.unknowns, *more.values())
     found = ParameterSpace(unknowns, space.fixed, replace(space.prior, rows=rows))
     starts: Values = {key: unknown.start for key, unknown in more.items()}
@@ -118,6 +125,29 @@ def _unknowns(
         std = effect.prior_std if base in effect.sizes else None
         unit = unit_of(name, joint)
         yield Unknown(name, number, unit, start, scale, signed, _FAR, prior_std=std)
+
+
+def _of_rigid_records(
+    one: NamedEffect, arm: Arm, space: ParameterSpace, values: Values, known: Mapping[Key, Unknown]
+) -> Iterator[tuple[Unknown, FloatArray]]:
+    """An effect's sizes in the records of the rigid step, with their columns of what that knows.
+
+    None where the rigid step knows nothing that the effect changes.
+    """
+    number, effect = one[0], effect_named(one[1])
+    if not (effect.by_record and isinstance(effect, RecordEffect)):
+        return
+    at = {key: k for k, key in enumerate(space.keys)}
+    own = {name: value for (name, joint), value in values.items() if joint == number}
+    for name in effect.sizes:
+        like = next(u for u in known.values() if (base_name(u.name), u.joint) == (name, number))
+        column = np.zeros(len(space.prior.rows))
+        for changed in effect.inputs(own | effect.absent, arm.joints[number - 1].gear_ratio):
+            if (changed.name, number) in at:
+                slope = changed.slopes.get(name, 0.0)
+                column = column + slope * space.prior.rows[:, at[changed.name, number]]
+        if column.any():
+            yield replace(like, name=of_record(name, RIGID)), column
 
 
 def without(space: ParameterSpace, effects: Collection[NamedEffect]) -> ParameterSpace:
