@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 
@@ -41,7 +42,11 @@ EVERY = SIZES | {
 }
 
 
-def rig(effects: tuple[EffectName, ...]) -> Study:
+Asked = tuple[EffectName, ...] | Literal["auto"]
+"""As in a study."""
+
+
+def rig(effects: Asked) -> Study:
     """The rig, whose first joint has effects."""
     study = truth()[0]
     return replace(
@@ -61,7 +66,7 @@ def records(effects: tuple[EffectName, ...]) -> tuple[Study, Values, tuple[Log, 
 
 
 @cache
-def tuned(has: tuple[EffectName, ...], asked: tuple[EffectName, ...], most: int = 60) -> ArmModel:
+def tuned(has: tuple[EffectName, ...], asked: Asked, most: int = 60) -> ArmModel:
     """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
     study, known, logs = records(has)
     asks = replace(study, arm=replace(study.arm, joints=rig(asked).arm.joints))

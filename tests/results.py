@@ -6,11 +6,13 @@ import numpy as np
 
 from strainwave.domain import (
     ArmModel,
+    Cause,
     Criticism,
     Diagnostic,
     FloatArray,
     Identification,
     Parameter,
+    ParameterShift,
     Prediction,
     ResidualTest,
     RigidModel,
@@ -64,7 +66,10 @@ def criticism() -> Criticism:
     )
     sizes = {"hysteresis_torque": 2.1}
     likely = ScoreTest(1, "hysteresis", sizes, {"hysteresis_torque": 0.1}, 441.0, 0.3, True)
-    return Criticism((left,), (likely,))
+    moved = ParameterShift("gear_damping", 1, 40.0, -16.0, -30.0)
+    torque = Parameter("hysteresis_torque", 1, 2.1, 0.1, "N m", "tuned", (1.9, 2.3))
+    cause = Cause(1, "hysteresis", (torque,), 440.0, 0.3, (moved,))
+    return Criticism((left,), (likely,), (cause,))
 
 
 def identification(name: str = "inertia") -> Identification:

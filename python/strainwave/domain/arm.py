@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from annotated_types import Ge, Gt
 
+from strainwave.domain.effects import all_effects
 from strainwave.domain.gear_laws import RIGID, GearLaw, gear_law
 
 Positive = Annotated[float, Gt(0.0)]
@@ -43,7 +44,8 @@ class Joint:
     accelerometer_hz: Positive | None = None  # second-order Butterworth
     gyro_hz: Positive | None = None  # first order
     imu: Imu | None = None
-    effects: tuple[EffectName, ...] = ()  # that its friction and gear may have
+    # that its friction and gear may have; "auto": those that the records demand
+    effects: tuple[EffectName, ...] | Literal["auto"] = ()
 
     @property
     def law(self) -> GearLaw:
@@ -54,6 +56,23 @@ class Joint:
     def elastic(self) -> bool:
         """Whether its gear gives way between motor and link."""
         return self.law.elastic
+
+    @property
+    def selects_effects(self) -> bool:
+        """Whether the fit looks for its effects itself."""
+        return self.effects == "auto"
+
+    @property
+    def named_effects(self) -> tuple[EffectName, ...]:
+        """The effects that a study names."""
+        return () if self.effects == "auto" else self.effects
+
+    @property
+    def possible_effects(self) -> tuple[EffectName, ...]:
+        """The effects that it may have: those named, or all that such a gear can have."""
+        if self.effects != "auto":
+            return self.effects
+        return tuple(e.name for e in all_effects() if self.elastic or not e.needs_elastic_gear)
 
 
 @dataclass(frozen=True, slots=True)

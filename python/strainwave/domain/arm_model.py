@@ -33,6 +33,17 @@ class ResidualTest:
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterShift:
+    """What one more effect in the model would do to a parameter."""
+
+    name: str
+    joint: int | None  # from 1; None for the arm's own
+    without: float  # value of the fit without the effect
+    shift: float  # that the effect adds to it
+    deviations: float  # the shift, in standard deviations of the fit without it
+
+
+@dataclass(frozen=True, slots=True)
 class ScoreTest:
     """What an effect that is not in the model would explain of a fit's residuals."""
 
@@ -43,6 +54,19 @@ class ScoreTest:
     gain: float  # of the cost, given the effects before it in the list: 9 is three deviations
     share: float  # of the cost
     evident: bool
+    shifts: tuple[ParameterShift, ...] = ()  # by that step, the most significant first
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """An effect that may be what the model lacks, judged by a fit with it."""
+
+    joint: int  # from 1
+    effect: EffectName
+    parameters: tuple[Parameter, ...]  # the effect's, with intervals
+    gain: float  # of the cost, less what so many parameters gain by chance
+    share: float  # of the cost that it explains
+    shifts: tuple[ParameterShift, ...]  # of the arm's other parameters, the most significant first
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +75,7 @@ class Criticism:
 
     residuals: tuple[ResidualTest, ...]
     score_tests: tuple[ScoreTest, ...]  # the most significant first
+    causes: tuple[Cause, ...] = ()  # that were fitted, the most likely first
 
 
 @dataclass(frozen=True, slots=True)

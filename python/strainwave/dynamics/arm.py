@@ -431,7 +431,7 @@ class Arm(ArmDescription):
 
 def _core_effects(joint: Joint) -> list[str]:
     """The core's names of those of a joint's effects that it has, each once."""
-    known = (effect_named(name).core_name for name in joint.effects)
+    known = (effect_named(name).core_name for name in joint.named_effects)
     return list(dict.fromkeys(name for name in known if name is not None))
 
 

@@ -236,8 +236,8 @@ def _left_out(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.elastic and joint.law.parallel_springs(partial(arm.need, joint=number)) is None:
             found.append(Diagnostic("linearised", f"joint {number}", joint.law.linearised_note))
-        if joint.effects:
-            message = f"MuJoCo has no {', '.join(joint.effects)}; the model goes without"
+        if joint.named_effects:
+            message = f"MuJoCo has no {', '.join(joint.named_effects)}; the model goes without"
             found.append(Diagnostic("left-out", f"joint {number}", message))
         if joint.current_loop_hz and _lag(joint) is None:
             message = (

@@ -46,7 +46,7 @@ def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
             joint,
             effects=tuple(
                 effect
-                for effect in joint.effects
+                for effect in joint.possible_effects
                 if all((name, number) in known for name in effect_named(effect).names)
             ),
         )

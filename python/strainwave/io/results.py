@@ -482,8 +482,20 @@ def _criticism(criticism: Criticism) -> dict[str, Any]:
                 "gain": one.gain,
                 "share": one.share,
                 "evident": one.evident,
+                "shifts": [asdict(shift) for shift in one.shifts],
             }
             for one in criticism.score_tests
+        ],
+        "causes": [
+            {
+                "joint": cause.joint,
+                "effect": cause.effect,
+                "parameters": [_parameter(p) for p in cause.parameters],
+                "gain": cause.gain,
+                "share": cause.share,
+                "shifts": [asdict(shift) for shift in cause.shifts],
+            }
+            for cause in criticism.causes
         ],
     }
 

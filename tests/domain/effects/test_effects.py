@@ -12,7 +12,16 @@ import pytest
 
 from effect_runs import records, tuned
 from strainwave import _core
-from strainwave.domain import ArmDescription, FloatArray, Joint, ScoreTest, effects, is_physical
+from strainwave.domain import (
+    ArmDescription,
+    Cause,
+    FloatArray,
+    Joint,
+    Parameter,
+    ParameterShift,
+    effects,
+    is_physical,
+)
 from strainwave.domain.effects import Effect, KnownJoint, RecordEffect, effect_named
 from strainwave.domain.effects.interface import Values
 from strainwave.domain.effects.stribeck import Stribeck
@@ -20,7 +29,7 @@ from strainwave.domain.gear_laws import RIGID
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.score_tests import effect_warnings
+from strainwave.identification.whole_arm.causes import cause_warnings
 from strainwave.io.study import read_study
 from strainwave.presentation.report.remedies import remedies
 from virtual_arms import ELASTIC_JOINT
@@ -153,13 +162,19 @@ def test_it_is_documented(effect: Effect) -> None:
 
 @EACH
 def test_its_warning_names_the_experiment_and_the_remedy(effect: Effect) -> None:
-    sizes = dict.fromkeys(effect.sizes, 1.0)
-    evident = ScoreTest(1, effect.name, sizes, sizes, 100.0, 0.5, True)
-    (found,) = effect_warnings([evident], arm())
+    fitted = tuple(Parameter(n, 1, 1.0, 0.1, "rad", "tuned", (0.8, 1.2)) for n in effect.names)
+    moved = ParameterShift("motor_inertia", 1, 2e-5, -1e-6, -8.0)
+    likeliest = Cause(1, effect.name, fitted, 100.0, 0.4, (moved,))
+    other = Cause(2, "stribeck", fitted, 60.0, 0.2, ())
+    (found,) = cause_warnings([likeliest, other])
     assert found.code == effect.warning_code
     assert effect.experiment in found.message
     assert remedies()[found.code] == effect.remedy
-    assert not list(effect_warnings([evident], arm(effect.name)))
+    assert "would explain 40 % of the residuals" in found.message
+    assert "motor_inertia of joint 1 by -5 %" in found.message
+    assert "less likely, stribeck of joint 2" in found.message
+    assert "leaves most of them unexplained" in found.message
+    assert not list(cause_warnings([]))
     for words in (effect.description, effect.consequence, effect.experiment, effect.record):
         assert words
         assert not words.endswith(".")
@@ -176,7 +191,10 @@ def test_a_study_must_name_effects_that_there_are(named: str, tmp_path: Path) ->
 
 
 def test_effects_are_a_list(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="'effects' is 'stribeck', but it should be a valid"):
+    with pytest.raises(
+        InvalidInput,
+        match=r"'effects' is 'stribeck', but it should be a list of effects or \"auto\"",
+    ):
         read_study(study(tmp_path, '"stribeck"'), logs_exist=False)
 
 

@@ -84,7 +84,9 @@ def test_the_unknowns_of_effects_start_small() -> None:
     study = rig(ALL)
     base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
     values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
-    space, begin = with_effects(base, Arm.of(study.arm), values, [30.0, 8.0])
+    space, begin = with_effects(
+        base, named_effects(Arm.of(study.arm)), Arm.of(study.arm), values, [30.0, 8.0]
+    )
     assert space.keys[2:] == list(SIZES)
     np.testing.assert_allclose(
         space.parameters(begin), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0]
@@ -100,9 +102,9 @@ def test_the_unknowns_of_effects_start_small() -> None:
 
 def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
-    space, z = with_effects(
-        empty, Arm.of(rig(ALL).arm), {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}, [30.0, 8.0]
-    )
+    arm = Arm.of(rig(ALL).arm)
+    known: Values = {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
+    space, z = with_effects(empty, named_effects(arm), arm, known, [30.0, 8.0])
     z[-2:] = 2.0  # both parts of the kinematic error at 2e-4 rad
     values = space.parameters(z)
     sure = np.diag((values / 5.0) ** 2)

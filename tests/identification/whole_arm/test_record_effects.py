@@ -19,7 +19,13 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.identification.whole_arm.dataset import Dataset
-from strainwave.identification.whole_arm.effects import idle, sizes_of, with_effects, without
+from strainwave.identification.whole_arm.effects import (
+    idle,
+    named_effects,
+    sizes_of,
+    with_effects,
+    without,
+)
 from strainwave.identification.whole_arm.parametrisation import COULOMB, Key, ParameterSpace, Prior
 from strainwave.identification.whole_arm.preparation import dataset_of
 from strainwave.virtual.records import Simulator
@@ -217,7 +223,7 @@ def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
     values: Values = {
         (name, j): v for j in (1, 2) for name, v in ((COULOMB, 0.05), (STIFFNESS, 2e4))
     }
-    space, z = with_effects(empty, arm, values, [30.0, 8.0], ["slow", "fast"])
+    space, z = with_effects(empty, named_effects(arm), arm, values, [30.0, 8.0], ["slow", "fast"])
     changes = ["friction_change[slow]", "friction_change[fast]"]
     assert space.keys == [(name, j) for j in (1, 2) for name in changes]
     np.testing.assert_array_equal(space.parameters(z), np.zeros(4))

@@ -95,12 +95,14 @@ def left_over(channel: str, deviation: float, odds: float) -> ResidualTest:
 
 def test_only_what_is_of_high_variance_is_worth_a_word() -> None:
     tests = [left_over("a1", 2.0, 1e-9), left_over("a2", 5.0, 1e-9), left_over("a2", 4.0, 0.5)]
-    (said,) = residual_warnings(tests)
+    (said,) = residual_warnings(tests, explained=True)
     assert said.code == "residual-not-noise"
     assert "a2 are 5 times" in said.message
     assert "near 21 Hz" in said.message
     assert "joint 2's input by 4 ms" in said.message
-    (unforeseen,) = residual_warnings([replace(tests[1], input_probability=0.5)])
+    (unforeseen,) = residual_warnings([replace(tests[1], input_probability=0.5)], explained=False)
+    assert "none of the effects that the program knows" in unforeseen.message
+    assert "none of the effects" not in said.message
     assert "without linear dependence on an input" in unforeseen.message
 
 

@@ -86,7 +86,8 @@ def tune(
     chosen = as_published(options or TuningOptions())
     with one_blas_thread(), reported(progress):  # thousands of small factorisations
         begin = start_of(logs, model, (joints, *others), arm, chosen, start)
-        return arm_model(_fit(begin, Selection(arm, chosen)), begin, arm)
+        selection = Selection(arm, chosen)
+        return arm_model(_fit(begin, selection), begin, selection)
 
 
 def fitted(

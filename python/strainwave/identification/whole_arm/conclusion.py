@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import ArmModel, Criticism
-from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import is_hidden
 from strainwave.identification.closed_loop import (
     predict_closed_loop,
@@ -19,6 +18,12 @@ from strainwave.identification.whole_arm.agreement import (
     stage_differences,
 )
 from strainwave.identification.whole_arm.bounds import at_bounds, parameters_at_bounds
+from strainwave.identification.whole_arm.causes import (
+    cause_warnings,
+    causes_of,
+    refits_of,
+    taken_up,
+)
 from strainwave.identification.whole_arm.effects import left_out
 from strainwave.identification.whole_arm.estimates import Fit, parameters_of, warnings_of
 from strainwave.identification.whole_arm.gear_load import (
@@ -31,7 +36,8 @@ from strainwave.identification.whole_arm.parametrisation import (
     SETTLING,
 )
 from strainwave.identification.whole_arm.residual_analysis import residual_tests, residual_warnings
-from strainwave.identification.whole_arm.score_tests import effect_warnings, score_tests_of
+from strainwave.identification.whole_arm.score_tests import score_tests_of
+from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.sensor_gains import sensor_gains
 from strainwave.identification.whole_arm.sensors import (
     sensor_warnings,
@@ -41,7 +47,7 @@ from strainwave.numerics.parallel import side_by_side
 from strainwave.signals.recorded_input import missing_recorded_input
 
 
-def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
+def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     """What a fit means: parameters with intervals, warnings, what it explains and what it does not.
 
     Parameters
@@ -49,12 +55,14 @@ def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
     fit : Fit
     start : Start
         That the fit went on from.
-    arm : Arm
+    selection : Selection
+        The arm of the study, and its options.
 
     Returns
     -------
     ArmModel
     """
+    arm = selection.arm
     before = start.coarse.fits(start.initial)
     first = start.coarse.space.values(start.initial)
     at_once = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
@@ -69,7 +77,7 @@ def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
         status = "iteration-limit"
     ended = tuple(parameters_at_bounds(fit, arm))
     differences, agreement = stage_differences(fit, arm), agreement_tests(fit)
-    criticism = Criticism(residual_tests(fit.objective, fit.z), tuple(score_tests_of(fit, arm)))
+    criticism = _criticism(fit, selection)
     repeated = [
         log
         for log in start.logs
@@ -96,9 +104,10 @@ def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
             *motor_side_limits(fit, arm, parameters, ended),
             *disagreement(differences, agreement),
             *left_out(fit.objective.space, arm),
+            *taken_up(fit, arm),
             *sensor_warnings(parameters),
-            *residual_warnings(criticism.residuals),
-            *effect_warnings(criticism.score_tests, arm),
+            *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
+            *cause_warnings(criticism.causes),
         ),
         criticism=criticism,
         gear_loads=histograms_of(gear_loads),
@@ -106,4 +115,15 @@ def arm_model(fit: Fit, start: Start, arm: Arm) -> ArmModel:
         differences=differences,
         agreement=agreement,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.converged else (),
+    )
+
+
+def _criticism(fit: Fit, selection: Selection) -> Criticism:
+    """What a fit leaves, and the effects that might explain it, the likeliest of them fitted."""
+    tested = score_tests_of(fit, selection.arm)
+    refits = refits_of(fit, tested, selection.arm, selection.options) if fit.converged else []
+    return Criticism(
+        residual_tests(fit.objective, fit.z),
+        tuple(one.test for one in tested),
+        tuple(causes_of(refits, selection.arm)),
     )

@@ -42,8 +42,9 @@ def with_named_effects(fit: Fit, selection: Selection) -> Fit:
     selection.grant(selection.options.max_iterations)  # as many as the fit without them
     values = fit.objective.space.values(fit.z)
     largest = gear_torques(fit.objective.records, values).tolist()
-    names = [record.log.name for record in fit.objective.records]
-    space, begin = with_effects(fit.objective.space, arm, values, largest, names)
+    space, begin = with_effects(
+        fit.objective.space, named_effects(arm), arm, values, largest, fit.records
+    )
     extended = search_from(
         _on(fit.objective, space, arm),
         begin,

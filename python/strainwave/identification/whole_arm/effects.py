@@ -43,7 +43,7 @@ def named_effects(arm: Arm) -> list[NamedEffect]:
     -------
     list of (joint, effect)
     """
-    return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.effects]
+    return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.named_effects]
 
 
 def sizes_of(one: NamedEffect, records: Sequence[str] = ()) -> list[Key]:
@@ -65,19 +65,21 @@ def sizes_of(one: NamedEffect, records: Sequence[str] = ()) -> list[Key]:
 
 def with_effects(
     space: ParameterSpace,
+    effects: Sequence[NamedEffect],
     arm: Arm,
     values: Values,
     largest_torque: Sequence[float],
     records: Sequence[str] = (),
 ) -> tuple[ParameterSpace, FloatArray]:
-    """The unknowns of every effect that a study names beside those there are.
+    """The unknowns of further effects beside those there are.
 
     Parameters
     ----------
-    search : ParameterSpace
+    space : ParameterSpace
+    effects : sequence of (joint, effect)
     arm : Arm
     values : dict
-        Where the fit without effects ended.
+        Where the fit without them ended, and values to start effects from in place of the usual.
     largest_torque : sequence of float [N m]
         That each gear carries in the records.
     records : sequence of str
@@ -90,7 +92,7 @@ def with_effects(
         Where to start.
     """
     more: dict[Key, Unknown] = {}
-    for one in named_effects(arm):
+    for one in effects:
         for unknown in _unknowns(one, arm, values, largest_torque[one[0] - 1], records):
             more.setdefault(unknown.key, unknown)
     columns = dict.fromkeys(more, np.zeros(len(space.prior.rows)))
@@ -101,7 +103,7 @@ def with_effects(
     unknowns = (*space.unknowns, *more.values())
     found = ParameterSpace(unknowns, space.fixed, replace(space.prior, rows=rows))
     starts: Values = {key: unknown.start for key, unknown in more.items()}
-    return found, found.coordinates(values | starts)
+    return found, found.coordinates(starts | values)
 
 
 def _unknowns(
@@ -231,7 +233,7 @@ def records_with(
     -------
     tuple of `Dataset`
     """
-    effects = [joint.effects for joint in with_known_effects(arm, known).joints]
+    effects = [joint.named_effects for joint in with_known_effects(arm, known).joints]
 
     def given(record: Dataset) -> Dataset:
         pairs = zip(record.arm.joints, effects, strict=True)

@@ -40,6 +40,11 @@ class Fit:
     iterations: int
     converged: bool
 
+    @property
+    def records(self) -> list[str]:
+        """Names of the records."""
+        return [record.log.name for record in self.objective.records]
+
     @cached_property
     def confidence(self) -> Confidence:
         """How sure the unknowns are."""

@@ -372,7 +372,7 @@ class Objective:
     def bordered(
         self, z: FloatArray, n_more: int, more: Callable[[int, Evaluated], FloatArray]
     ) -> FloatArray:
-        """R of [more residual] in what the unknowns cannot imitate: (n_more + 1,) squared.
+        """R of [unknowns more residual], the records' own unknowns at their best.
 
         Parameters
         ----------
@@ -385,9 +385,11 @@ class Objective:
 
         Returns
         -------
-        (n_more + 1, n_more + 1)
+        (n_unknowns + n_more + 1,) squared
+            From row n_unknowns on it is that of [more residual] in what the unknowns cannot
+            imitate.
         """
-        evaluated, n = self.evaluate(z), len(self.space.unknowns)
+        evaluated = self.evaluate(z)
 
         def factor(k: int, _: Dataset) -> FloatArray:
             columns = np.concatenate([evaluated[k].columns, more(k, evaluated[k])], axis=2)
@@ -397,7 +399,7 @@ class Objective:
         known, off = self.space.beforehand(z)
         border = np.zeros((len(known), n_more))
         stacked = np.concatenate([*self._each(factor), np.column_stack([known, border, off])])
-        return np.asarray(np.linalg.qr(stacked, mode="r"))[n:, n:]
+        return np.asarray(np.linalg.qr(stacked, mode="r"))
 
     def _each(self, work: Callable[[int, Dataset], T]) -> list[T]:
         """Work on every record, side by side: simulations run without the interpreter's lock."""

@@ -177,12 +177,14 @@ def follows(
     return found
 
 
-def residual_warnings(tests: Sequence[ResidualTest]) -> Iterator[Diagnostic]:
+def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iterator[Diagnostic]:
     """For each kind of channel the one of whose motion most is left unexplained.
 
     Parameters
     ----------
     tests : sequence of ResidualTest
+    explained : bool
+        Whether an effect that the model lacks would explain them.
 
     Yields
     ------
@@ -208,5 +210,7 @@ def residual_warnings(tests: Sequence[ResidualTest]) -> Iterator[Diagnostic]:
             text += (
                 " not describe, a wrong constant in the study and an outside disturbance look so"
             )
+        if not explained:
+            text += "; none of the effects that the program knows explains them"
         text += "; intervals were widened for it"
         yield Diagnostic("residual-not-noise", worst.experiment, text)

@@ -11,28 +11,52 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Diagnostic, FloatArray, ScoreTest
+from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
 from strainwave.domain.effects import all_effects, effect_named, names
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
-    named_effects,
     records_with,
     sizes_of,
 )
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Evaluated
-from strainwave.identification.whole_arm.parametrisation import Key
+from strainwave.identification.whole_arm.parametrisation import (
+    OFFSET,
+    SETTLING,
+    VISCOUS,
+    Key,
+)
 from strainwave.numerics.distributions import chi_square_limit
 
-_CHANCE = 6e-7  # odds that noise does as well: five deviations, of one size
-_MATTERS = 0.1  # and share of the cost: below, an error of another kind explains as much
+FALSE_ALARMS = 1e-4
+"""Of a fit whose residuals are noise, the odds that any effect seems to be there."""
+
+MATTERS = 0.1
+"""Share of the cost from which an effect matters, whatever it moves."""
+
+_INTERVAL = 1.96  # deviations by which moving another parameter does
 
 
-def score_tests_of(fit: Fit, arm: Arm) -> list[ScoreTest]:
+@dataclass(frozen=True, slots=True)
+class Tested:
+    """A score test, and where its linear step leads."""
+
+    test: ScoreTest
+    alone: float  # what the effect takes off the cost with no other beside it
+    values: Values  # of the unknowns after the step
+
+    @property
+    def one(self) -> NamedEffect:
+        """The joint and the effect."""
+        return self.test.joint, self.test.effect
+
+
+def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     """The effects that no joint's model has yet, the most significant first.
 
     Parameters
@@ -42,7 +66,7 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[ScoreTest]:
 
     Returns
     -------
-    list of ScoreTest
+    list of Tested
         Each one's gain is beyond that of those before; empty where the arm with effects
         cannot be simulated.
     """
@@ -53,13 +77,8 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[ScoreTest]:
         factor = _bordered(fit, arm, candidates)
     except (InvalidInput, NumericalFailure):
         return []
-    sizes = {one: sizes_of(one, _names(fit)) for one in candidates}
-    return list(_chosen(sizes, factor, fit.cost))
-
-
-def _names(fit: Fit) -> list[str]:
-    """Of the records."""
-    return [record.log.name for record in fit.objective.records]
+    sizes = {one: sizes_of(one, fit.records) for one in candidates}
+    return list(_chosen(sizes, factor, fit))
 
 
 def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
@@ -73,12 +92,12 @@ def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
 
 
 def _bordered(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> FloatArray:
-    """R of [effects residual] in what the fit's unknowns cannot imitate, then the sizes' priors.
+    """R of [unknowns effects residual], then the sizes' priors.
 
-    (n_keys + 1 + n_priors, n_keys + 1)
+    (n_unknowns + n_keys + 1 + n_priors, n_unknowns + n_keys + 1)
     """
     objective = fit.objective
-    pairs = [(one, key) for one in candidates for key in sizes_of(one, _names(fit))]
+    pairs = [(one, key) for one in candidates for key in sizes_of(one, fit.records)]
     keys = [key for _, key in pairs]
     stds = [effect_named(effect).prior_std for (_, effect), _ in pairs]
     numbers = range(1, arm.n_joints + 1)
@@ -92,9 +111,13 @@ def _bordered(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> FloatArr
         begun = objective.memory.own[k][: len(rich[k].local)]
         return rich[k].linearised(values, begun, keys)[1][..., : len(keys)]
 
+    whole = objective.bordered(fit.z, len(keys), tangent)
+    n = len(objective.space.unknowns)
     known = [k for k, std in enumerate(stds) if std is not None]
-    prior = np.eye(len(keys) + 1)[known] / np.array([stds[k] for k in known], dtype=float)[:, None]
-    return np.concatenate([objective.bordered(fit.z, len(keys), tangent), prior])
+    prior = np.zeros((len(known), whole.shape[1]))
+    for row, k in enumerate(known):
+        prior[row, n + k] = 1.0 / (stds[k] or np.inf)
+    return np.concatenate([whole, prior])
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,45 +125,112 @@ class _Step:
     """What one effect takes off the cost, and by which sizes."""
 
     candidate: NamedEffect
+    names: tuple[str, ...]
     gain: float
     size: FloatArray
     std: FloatArray
 
-    @property
-    def beyond(self) -> float:
-        """What the gain has beyond that of an evident effect of as many sizes."""
-        return self.gain - chi_square_limit(_CHANCE, len(self.size))
+    def beyond(self, chance: float) -> float:
+        """What the gain has beyond what as many sizes gain from noise with a chance."""
+        return self.gain - chi_square_limit(chance, len(self.size))
 
 
 def _chosen(
-    sizes: Mapping[NamedEffect, Sequence[Key]], factor: FloatArray, cost: float
-) -> Iterator[ScoreTest]:
+    sizes: Mapping[NamedEffect, Sequence[Key]], whole: FloatArray, fit: Fit
+) -> Iterator[Tested]:
     """One after the other, each given those before it as long as they are evident."""
-    columns, at = {}, 0
+    n = len(fit.objective.space.unknowns)
+    factor, columns, places, at = whole[n:, n:], {}, {}, 0
     for one, own in sizes.items():
-        columns[one] = factor[:, at : at + len(own)]
-        at += len(own)
+        end = at + len(own)
+        columns[one], places[one] = factor[:, at:end], slice(n + at, n + end)
+        at = end
     left, target = list(sizes), factor[:, -1]
     taken = np.zeros((len(target), 0))
+    alone: dict[NamedEffect, float] = {}
+    chance = FALSE_ALARMS / len(sizes)
     while left:
         steps = [_step(one, sizes[one], columns[one], taken, target) for one in left]
-        best = max(steps, key=lambda step: step.beyond)
-        share = best.gain / max(cost, 1e-300)
-        evident = best.beyond > 0.0 and share > _MATTERS
-        joint, effect = best.candidate
-        names = [name for name, _ in sizes[best.candidate]]
-        yield ScoreTest(
-            joint=joint,
-            effect=effect,
-            sizes=dict(zip(names, best.size.tolist(), strict=True)),
-            stds=dict(zip(names, best.std.tolist(), strict=True)),
-            gain=best.gain,
-            share=share,
-            evident=evident,
-        )
-        left.remove(best.candidate)
-        if evident:
-            taken = np.column_stack([taken, columns[best.candidate]])
+        alone = alone or {step.candidate: step.gain for step in steps}
+        best = max(steps, key=lambda step: step.beyond(chance))
+        one = best.candidate
+        moved = _moved(fit, whole[:n, :n], whole[:n, places[one]] @ best.size)
+        found = _scored(best, fit, moved, chance)
+        yield Tested(found, alone[one], moved)
+        left.remove(one)
+        if found.evident:
+            taken = np.column_stack([taken, columns[one]])
+
+
+def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
+    """A score test in words of the effect's parameters."""
+    joint, effect = step.candidate
+    share = step.gain / max(fit.cost, 1e-300)
+    significant = step.beyond(chance) > 0.0
+    moves = tuple(shifts(fit, moved)) if significant else ()
+    return ScoreTest(
+        joint=joint,
+        effect=effect,
+        sizes=dict(zip(step.names, step.size.tolist(), strict=True)),
+        stds=dict(zip(step.names, step.std.tolist(), strict=True)),
+        gain=step.gain,
+        share=share,
+        evident=significant and (share > MATTERS or matter(moves)),
+        shifts=moves,
+    )
+
+
+def matter(moves: Sequence[ParameterShift]) -> bool:
+    """Whether a parameter leaves its 95 % interval.
+
+    Parameters
+    ----------
+    moves : sequence of ParameterShift
+
+    Returns
+    -------
+    bool
+    """
+    return any(abs(move.deviations) > _INTERVAL for move in moves)
+
+
+def _moved(fit: Fit, factor: FloatArray, by_effect: FloatArray) -> Values:
+    """The unknowns after the linear step that makes room for an effect."""
+    step = np.asarray(-np.linalg.lstsq(factor, by_effect)[0])
+    space = fit.objective.space
+    return space.values(space.moved(fit.z, space.trusted(fit.z, step, 1.0)))
+
+
+def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
+    """By how much the arm's parameters differ from a fit's, the most significant first.
+
+    Parameters
+    ----------
+    fit : Fit
+    values : dict
+        (name, joint) -> value, in a model with one more effect.
+
+    Yields
+    ------
+    ParameterShift
+        Of inertias, gravity, gears and Coulomb friction: what sensors do is no parameter of the
+        arm, and of viscous friction only sums are known.
+    """
+    before = fit.objective.space.values(fit.z)
+    std = np.sqrt(np.diag(fit.confidence.combined))
+    found = []
+    for (name, joint), deviation in zip(fit.objective.space.keys, std.tolist(), strict=True):
+        if _is_primary((name, joint)) and deviation > 0.0:
+            shift = values[name, joint] - before[name, joint]
+            found.append(ParameterShift(name, joint, before[name, joint], shift, shift / deviation))
+    yield from sorted(found, key=lambda move: -abs(move.deviations))
+
+
+def _is_primary(key: Key) -> bool:
+    others = (*VISCOUS, OFFSET, SETTLING)
+    of_effects = {name for effect in all_effects() for name in effect.names}
+    name = base_name(key[0])
+    return not (name in others or name in of_effects or is_sensor_constant(key))
 
 
 def _step(
@@ -159,7 +249,7 @@ def _step(
     size = least_squares(columns, target, signed)
     gain = float(np.sum(target**2) - np.sum((target + columns @ size) ** 2))
     std = np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)))
-    return _Step(candidate, gain, size, std)
+    return _Step(candidate, tuple(name for name, _ in sizes), gain, size, std)
 
 
 def least_squares(columns: FloatArray, target: FloatArray, signed: BoolArray) -> FloatArray:
@@ -183,34 +273,3 @@ def least_squares(columns: FloatArray, target: FloatArray, signed: BoolArray) ->
             break
         size[:], free = 0.0, free & ~negative
     return size
-
-
-def effect_warnings(score_tests: Sequence[ScoreTest], arm: Arm) -> Iterator[Diagnostic]:
-    """The effect that the residuals speak for most, and the experiment that would settle it.
-
-    One at a time: what the others would explain is known only with this one in the model. Effects
-    that the study names were fitted, and stay out if the records do not show them.
-
-    Parameters
-    ----------
-    score_tests : sequence of ScoreTest
-        The most significant first.
-    arm : Arm
-
-    Yields
-    ------
-    Diagnostic
-    """
-    named = named_effects(arm)
-    for one in score_tests:
-        if not one.evident or (one.joint, one.effect) in named:
-            continue
-        effect = effect_named(one.effect)
-        sizes = ", ".join(
-            f"{name} {size:.2g} +- {one.stds[name]:.1g}" for name, size in one.sizes.items()
-        )
-        text = f"{one.effect} would explain {100.0 * one.share:.2g} % of the residuals ({sizes}),"
-        text += f' more than any other effect; give the joint effects = ["{one.effect}"] to fit it;'
-        text += f" to be sure, {effect.experiment}"
-        yield Diagnostic(effect.warning_code, f"joint {one.joint}", text)
-        return

@@ -329,7 +329,8 @@ def _scores(fit: Fit, keys: Sequence[Key]) -> FloatArray:
         local = objective.memory.own[k][: len(record.local)]
         return record.sensor_tangent(simulated[k], values, local, keys)
 
-    return objective.bordered(fit.z, len(keys), tangent)
+    n = len(objective.space.unknowns)
+    return objective.bordered(fit.z, len(keys), tangent)[n:, n:]
 
 
 def _left(columns: FloatArray, target: FloatArray) -> float:

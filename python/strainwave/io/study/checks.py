@@ -66,7 +66,7 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 where=reader.place("joint", index, "imu"),
                 remedy="map the axis along the joint to the channel a1, and leave the others out",
             )
-        of_a_gear = [name for name in joint.effects if effect_named(name).needs_elastic_gear]
+        of_a_gear = [name for name in joint.named_effects if effect_named(name).needs_elastic_gear]
         if of_a_gear and not joint.elastic:
             raise InvalidInput(
                 f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",

@@ -182,6 +182,12 @@ class Reader:
         spring, further = own.get("spring"), own.get("effects")
         if spring is not None:
             self._registered([spring], gear_laws.names(), spring, index, "spring")
+        if isinstance(further, str) and further != "auto":
+            raise InvalidInput(
+                f"'effects' is {_shown(further)}, but it should be a list of effects or \"auto\"",
+                where=self.place("joint", index, "effects"),
+                remedy=f'put it in brackets: effects = ["{further}"]',
+            )
         if isinstance(further, list):
             self._registered(further, effects.names(), further, index, "effects")
         return self.record(Joint, own, "joint", index)

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import Criticism, ResidualTest, ScoreTest
-from strainwave.domain.effects import Effect, all_effects
+from strainwave.domain import Cause, Criticism, ParameterShift, ResidualTest, ScoreTest
+from strainwave.domain.effects import effect_named
 from strainwave.domain.formatting import plus_minus
 from strainwave.presentation.figures import BRIEF, MEASURED, RESIDUAL, Axis, Figure, Line, Panel
 from strainwave.presentation.report.blocks import (
@@ -25,6 +25,7 @@ from strainwave.presentation.report.blocks import (
 from strainwave.presentation.report.predictions import unit_of
 
 _CHANCE = 1e-3  # probabilities below are not separated
+_MOVES = 4  # parameters that are named of those that an effect moves
 
 
 def criticised(criticism: Criticism) -> Iterator[Block]:
@@ -45,11 +46,15 @@ def criticised(criticism: Criticism) -> Iterator[Block]:
     if len(tests) > len(worst):
         label = f"What the fit leaves, all {len(tests)} tests"
         yield Fold(f"All {len(tests)} tests", tuple(_tests(label, tests, heading=False)))
-    sizes = (number("standard deviations"), number("share of the cost"))
-    heads = ("effect", "joint", "of the size", *sizes, "in the data")
+    share = number("share of the cost")
+    heads: Row = ("effect", "joint", "of the size", number("standard deviations"), share, "here")
     rows = map(_further, criticism.score_tests)
     yield from table("What further effects would explain of them", heads, rows)
-    yield from map(_in_words, _evident(criticism.score_tests))
+    heads = ("effect", "joint", "its parameters", share, "moves")
+    yield from table(
+        "What the model most likely lacks, each fitted", heads, map(_fitted, criticism.causes)
+    )
+    yield from map(_in_words, dict.fromkeys(cause.effect for cause in criticism.causes))
     for test in worst:
         label = f"{test.experiment}, {test.channel}: residuals over frequency"
         words = f"The residuals are {_loudness(test):.2g} times the sensor's noise, and exceed it"
@@ -114,16 +119,31 @@ def _further(one: ScoreTest) -> Row:
     )
 
 
-def _evident(score_tests: Sequence[ScoreTest]) -> list[Effect]:
-    """The effects that some joint likely has."""
-    likely = {one.effect for one in score_tests if one.evident}
-    return [effect for effect in all_effects() if effect.name in likely]
+def _fitted(cause: Cause) -> Row:
+    prefix = cause.effect.replace("-", "_") + "_"
+    own = ", ".join(
+        f"{p.name.removeprefix(prefix)} {' ± '.join(plus_minus(p.value, p.std))} {p.unit}".rstrip()
+        for p in cause.parameters
+        if p.value is not None and p.std is not None
+    )
+    moves = ", ".join(map(_move, cause.shifts[:_MOVES]))
+    share = number(f"{100.0 * cause.share:.2g} %")
+    return (cause.effect, str(cause.joint), own or "not identified", share, moves)
 
 
-def _in_words(effect: Effect) -> Paragraph:
+def _move(move: ParameterShift) -> str:
+    name = move.name if move.joint is None else f"{move.name} {move.joint}"
+    if not move.without:
+        return f"{name} by {move.deviations:+.2g} deviations"
+    return f"{name} by {100.0 * move.shift / move.without:+.2g} %"
+
+
+def _in_words(name: str) -> Paragraph:
+    effect = effect_named(name)
     return paragraph(
         Span(effect.name, kind="code"),
-        f" is {effect.description}; in a model without it {effect.consequence}.",
+        f" is {effect.description}; in a model without it {effect.consequence}."
+        f" To be sure, {effect.experiment}.",
     )
 
 

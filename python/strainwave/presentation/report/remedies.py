@@ -116,6 +116,7 @@ _OF_DATA = {
 _OF_COVERAGE = {
     "not-reached": "Use a larger amplitude, or hold the link, if the arm will be loaded that far.",
     "equivalent-stiffness": "Use the curve of the whole-arm fit; this one is an average.",
+    "effect-taken-up": "Confirm it by the experiment, then name it in the joint's effects.",
     "effect-left-out": "Take it out of the joint's effects, or record slow motions and reversals.",
     "friction-settles": "Nothing: the fit allows for it, and a simulation may leave it out.",
     "nothing-to-predict": (

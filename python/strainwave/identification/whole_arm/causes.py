@@ -1,0 +1,276 @@
+"""Which effect a model most likely lacks: the best of the score tests, each fitted.
+
+A score test sees one linear step. Effects that resemble one another differ in what they explain
+once fitted, with the shapes and limits of their laws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from strainwave.domain import Cause, Diagnostic, ParameterShift, TuningOptions
+from strainwave.domain.effects import effect_named
+from strainwave.domain.parameter_table import base_name
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm.effects import (
+    NamedEffect,
+    named_effects,
+    records_with,
+    with_effects,
+)
+from strainwave.identification.whole_arm.estimates import Fit, parameters_of
+from strainwave.identification.whole_arm.gear_load import gear_torques
+from strainwave.identification.whole_arm.parametrisation import Key
+from strainwave.identification.whole_arm.score_tests import (
+    FALSE_ALARMS,
+    MATTERS,
+    Tested,
+    matter,
+    score_tests_of,
+    shifts,
+)
+from strainwave.identification.whole_arm.selection import Selection
+from strainwave.identification.whole_arm.solver import fine_search, search_from
+from strainwave.numerics.distributions import chi_square_limit
+
+_RIVALS = 3  # effects that are fitted
+_AS_GOOD = 0.4  # share of the best one's gain that makes a rival
+_TRIAL = 12  # evaluations of each
+_GAIN = 0.1  # predicted, at which they end
+_MOST = 4  # effects that a fit takes up by itself
+_MOVES = 3  # parameters that a warning names
+_LITTLE = 0.5  # share of the cost below which more than the named effect is missing
+
+
+@dataclass(frozen=True, slots=True)
+class Refit:
+    """A fit with one more effect."""
+
+    one: NamedEffect
+    fit: Fit
+    gain: float  # of the cost, less what so many parameters gain by chance
+    share: float
+    shifts: tuple[ParameterShift, ...]
+
+
+def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptions) -> list[Refit]:
+    """Fits with each of the effects that explain most, if any is evident.
+
+    Parameters
+    ----------
+    fit : Fit
+        At its minimum.
+    tested : sequence of Tested
+        The most significant first.
+    arm : Arm
+    options : TuningOptions
+
+    Returns
+    -------
+    list of Refit
+        The most likely first; those that explain nothing beyond chance are left out.
+    """
+    named = named_effects(arm)
+    evident = [one for one in tested if one.test.evident and one.one not in named]
+    if not evident:
+        return []
+    least = _AS_GOOD * max(one.alone for one in evident)
+    rivals = sorted(
+        (one for one in tested if one.alone >= least and one.one not in named),
+        key=lambda one: -one.alone,
+    )
+    found = [_refit(fit, one, arm, options) for one in rivals[:_RIVALS]]
+    likely = [one for one in found if one is not None and _shows(one, len(tested))]
+    return sorted(likely, key=lambda one: -one.gain)
+
+
+def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit | None:
+    """The fit with an effect, from where its linear step leads; None where no arm can be there."""
+    one, space = tested.one, fit.objective.space
+    values = fit.objective.space.values(fit.z)
+    largest = gear_torques(fit.objective.records, values).tolist()
+    known = values | _sizes(tested, arm)
+    extended, begin = with_effects(space, [one], arm, known, largest, fit.records)
+    objective = replace(
+        fit.objective.for_unknowns(extended),
+        records=records_with(fit.objective.records, _having(arm, one), extended.keys),
+    )
+    try:
+        search = replace(options, max_iterations=_TRIAL)
+        found = search_from(objective, begin, 0, search, tolerance=_GAIN)
+    except NotIdentifiable:
+        return None
+    more = len(extended.unknowns) - len(space.unknowns)
+    gain = fit.cost - found.cost
+    moved = tuple(shifts(fit, found.objective.space.values(found.z)))
+    return Refit(one, found, gain - more, gain / max(fit.cost, 1e-300), moved)
+
+
+def _sizes(tested: Tested, arm: Arm) -> Values:
+    """The sizes of a score test that a fit may start from: those without sign above zero."""
+    joint, effect = tested.test.joint, effect_named(tested.test.effect)
+    sizes = tested.test.sizes
+    return {
+        (name, joint): value
+        for name, value in sizes.items()
+        if effect.is_signed(name) or value > 0.0
+    }
+
+
+def _having(arm: Arm, one: NamedEffect) -> Arm:
+    """An arm whose joint may have one more effect."""
+    number, effect = one
+    return arm.with_joints(
+        replace(joint, effects=tuple(dict.fromkeys((*joint.possible_effects, effect))))
+        if k == number
+        else joint
+        for k, joint in enumerate(arm.joints, start=1)
+    )
+
+
+def _shows(refit: Refit, n_tested: int) -> bool:
+    """Whether a fitted effect explains more than chance, and something that matters."""
+    degrees = len(_own_parameters(refit))
+    significant = refit.gain + degrees > chi_square_limit(FALSE_ALARMS / n_tested, degrees)
+    return significant and (refit.share > MATTERS or matter(refit.shifts))
+
+
+def _own_parameters(refit: Refit) -> set[Key]:
+    """The parameters of its effect."""
+    joint, effect = refit.one
+    own = effect_named(effect).names
+    keys = refit.fit.objective.space.keys
+    return {key for key in keys if key[1] == joint and base_name(key[0]) in own}
+
+
+def causes_of(refits: Sequence[Refit], arm: Arm) -> Iterator[Cause]:
+    """What the fitted effects mean to a reader.
+
+    Parameters
+    ----------
+    refits : sequence of Refit
+    arm : Arm
+
+    Yields
+    ------
+    Cause
+    """
+    for refit in refits:
+        joint, effect = refit.one
+        values = refit.fit.objective.space.values(refit.fit.z)
+        largest = gear_torques(refit.fit.objective.records, values).tolist()
+        parameters, _ = parameters_of(refit.fit, _having(arm, refit.one), largest)
+        yield Cause(
+            joint,
+            effect,
+            tuple(p for p in parameters if (p.name, p.joint) in _own_parameters(refit)),
+            refit.gain,
+            refit.share,
+            refit.shifts,
+        )
+
+
+def with_demanded_effects(fit: Fit, selection: Selection) -> Fit:
+    """With the effects that the records demand, in joints whose effects are "auto".
+
+    One after the other, the likeliest of those that are evident, until none is: with noise for
+    residuals the odds of taking up any are `FALSE_ALARMS`.
+
+    Parameters
+    ----------
+    fit : Fit
+    selection : Selection
+
+    Returns
+    -------
+    Fit
+    """
+    arm = selection.arm
+    if not any(joint.selects_effects for joint in arm.joints):
+        return fit
+    for _ in range(_MOST):
+        if not fit.converged:
+            break
+        tested = [
+            one
+            for one in score_tests_of(fit, arm)
+            if arm.joints[one.test.joint - 1].selects_effects
+        ]
+        refits = refits_of(fit, tested, arm, selection.options)
+        if not refits:
+            break
+        selection.grant(selection.options.max_iterations)
+        found = refits[0].fit
+        fit = fine_search(found.objective, found.z, fit.iterations, selection.options)
+    return fit
+
+
+def cause_warnings(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
+    """The most likely cause: what it explains and moves, and the experiment that confirms it.
+
+    Parameters
+    ----------
+    causes : sequence of Cause
+        The most likely first.
+
+    Yields
+    ------
+    Diagnostic
+        One at a time: what the others would explain is known only with this one in the model.
+    """
+    for cause in causes[:1]:
+        effect = effect_named(cause.effect)
+        sizes = ", ".join(
+            f"{p.name} {p.value:.2g} +- {p.std:.1g} {p.unit}".rstrip()
+            for p in cause.parameters
+            if p.value is not None and p.std is not None
+        )
+        text = f"{cause.effect} would explain {100.0 * cause.share:.2g} % of the residuals"
+        text += f" ({sizes})"
+        if cause.shifts:
+            text += f", and move {_moves(cause.shifts)}"
+        rivals = [f"{other.effect} of joint {other.joint}" for other in causes[1:]]
+        if rivals:
+            text += f"; less likely, {' or '.join(rivals)}"
+        if cause.share < _LITTLE:
+            text += "; it leaves most of them unexplained"
+        text += f'; give the joint effects = ["{cause.effect}"], or "auto", to fit it;'
+        text += f" to be sure, {effect.experiment}"
+        yield Diagnostic(effect.warning_code, f"joint {cause.joint}", text)
+
+
+def _moves(moves: Sequence[ParameterShift]) -> str:
+    """The parameters that an effect moves most, in words."""
+    return ", ".join(
+        f"{move.name}{'' if move.joint is None else f' of joint {move.joint}'} by"
+        f" {100.0 * move.shift / move.without:+.2g} %"
+        for move in moves[:_MOVES]
+        if move.without
+    )
+
+
+def taken_up(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
+    """The effects that a fit took up by itself.
+
+    Parameters
+    ----------
+    fit : Fit
+    arm : Arm
+        As in the study.
+
+    Yields
+    ------
+    Diagnostic
+    """
+    keys = fit.objective.space.keys
+    for number, joint in enumerate(arm.joints, start=1):
+        for name in joint.possible_effects if joint.selects_effects else ():
+            effect = effect_named(name)
+            known = {(base_name(own), j) for own, j in keys}
+            if all((own, number) in known for own in effect.names):
+                text = f"{name}, {effect.description}, was taken into the model: without it"
+                text += f" {effect.consequence}; to be sure, {effect.experiment}"
+                yield Diagnostic("effect-taken-up", f"joint {number}", text)
