@@ -261,7 +261,7 @@ const DIGITS: std::ops::RangeInclusive<i32> = 2..=7;
 ///
 /// The knees' rounded corners bend abruptly, so a difference over a long step can miss what one
 /// over a short step sees, which has more rounding: one of several lengths must agree. A direction
-/// is left out where even the shortest changes in which step a motor sticks or slips.
+/// is left out where all but the shortest change in which step a motor sticks or slips.
 fn check<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64 {
     let directions = case.directions();
     let found = case.follow(&directions, Width::detect());
@@ -271,7 +271,8 @@ fn check<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64 {
         .map(|&direction| {
             let sizes = DIGITS.map(|digits| case.size(direction, 0.1f64.powi(digits)));
             let found = sizes.filter_map(|size| Differences::of(case, direction, size, &plain));
-            found.collect()
+            let found: Vec<_> = found.collect();
+            if found.len() > 1 { found } else { Vec::new() }
         })
         .collect();
     for k in 0..RECORDED.len() {
@@ -326,7 +327,9 @@ fn rows_of<const N: usize>(tangents: &[f64], width: usize, d: usize) -> Vec<[f64
 }
 
 /// The largest distance from the nearest difference, relative to the largest of each column; what
-/// the rounding of the values does to a difference is not counted.
+/// the rounding of the values does to a difference is not counted, nor what differences over steps
+/// of successive lengths are apart where they agree best: near a corner even the shortest may not
+/// have settled.
 fn distance<const N: usize>(
     own: &[[f64; N]],
     differences: &[Differences<N>],
@@ -344,8 +347,14 @@ fn distance<const N: usize>(
                 let off = (own[row][i] - each.slopes[k][row][i]).abs();
                 (off - rounding[i] / each.size).max(0.0)
             };
+            let apart = |pair: &[Differences<N>]| {
+                let [one, other] = [0, 1].map(|length| pair[length].slopes[k][row][i]);
+                (one - other).abs()
+            };
             let least = differences.iter().map(off).fold(f64::INFINITY, f64::min);
-            worst = worst.max(least / scale.max(f64::MIN_POSITIVE));
+            let unsettled = differences.windows(2).map(apart).reduce(f64::min);
+            let beyond = (least - unsettled.unwrap_or(0.0)).max(0.0);
+            worst = worst.max(beyond / scale.max(f64::MIN_POSITIVE));
         }
     }
     worst
@@ -463,6 +472,31 @@ fn check_ways<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
             assert_eq!(own, rows_of(&fast.tangents[k], directions.len(), at));
         }
     }
+}
+
+/// The shortest steps that leave the pattern of sliding alone still meet a corner here.
+#[test]
+fn where_differences_have_not_settled() {
+    let kinds = EffectKinds {
+        hysteresis: false,
+        ..SMOOTH
+    };
+    check(&Case::<SerialChain<2>, 2>::drawn_with(
+        kinds,
+        [LINEAR, RIGID],
+        980_182_916_517_365_455,
+        true,
+        160,
+    ));
+}
+
+/// The torsion of a gear at rest is nothing but rounding here, of either sign.
+#[test]
+fn where_a_gear_at_rest_has_a_dead_band_of_no_width() {
+    let gears = [THREE_SLOPE, LINEAR];
+    let arm =
+        Case::<TwoLink<false>, 2>::drawn_with(ALL, gears, 1_343_806_162_293_110_939, false, 400);
+    check_ways(&arm.without_effects());
 }
 
 /// A servo's loop blows up the rounding of the voltages here, and with it what differences can tell.

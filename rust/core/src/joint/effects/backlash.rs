@@ -4,7 +4,14 @@ use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{ANGLE, Parameter, Sign};
 use crate::scalar::Real;
 
+/// Torsion [rad] far below any band, and far above what rounding leaves of a torsion of zero, whose
+/// sign would else decide on the derivative by a band of no width.
+const LEAST: f64 = 1e-8;
+
 /// A dead band: the gear's spring feels the torsion beyond +-b. Its damping acts within it too.
+///
+/// The strain is delta - b delta / max(|delta|, b, r), with r for [`LEAST`]: sharp but for bands
+/// narrower than r.
 #[derive(Clone, Copy, Debug)]
 pub struct Backlash<R> {
     /// b [rad] at the link, half the band.
@@ -35,15 +42,44 @@ impl<R: Real> Effect<R> for Backlash<R> {
 
     #[inline(always)]
     fn strain(&self, torsion: R) -> R {
-        torsion - torsion.abs().min(self.half).copysign(torsion)
+        let widest = torsion.abs().max(self.half).max(R::splat(LEAST));
+        torsion - self.half * torsion / widest
     }
 
-    /// In the middle of the band where the spring feels nothing.
+    /// In the middle of the band where the spring feels nothing; below [`LEAST`] not quite.
     fn torsion(&self, strain: R) -> R {
-        if strain.lane(0) == 0.0 {
-            strain
-        } else {
-            strain + self.half.copysign(strain)
+        strain + self.half * strain / strain.abs().max(R::splat(LEAST))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scalar::Jet;
+
+    fn strain_by_band(torsion: f64, half: f64) -> Jet<f64> {
+        let moving = Jet {
+            value: half,
+            tangent: 1.0,
+        };
+        Backlash { half: moving }.strain(Jet::constant(torsion))
+    }
+
+    #[test]
+    fn the_spring_feels_what_is_beyond_the_band() {
+        let gear = Backlash { half: 2e-4 };
+        for (torsion, expected) in [(5e-4, 3e-4), (-5e-4, -3e-4), (1e-4, 0.0), (0.0, 0.0)] {
+            assert!((gear.strain(torsion) - expected).abs() < 1e-15, "{torsion}");
         }
+        for strain in [0.0, 1e-5, -3e-4] {
+            assert!((gear.strain(gear.torsion(strain)) - strain).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn a_band_of_no_width_takes_nothing_from_a_torsion_of_rounding() {
+        assert!(strain_by_band(1e-17, 0.0).tangent.abs() < 1e-8);
+        assert!((strain_by_band(-1e-5, 0.0).tangent - 1.0).abs() < 1e-5);
+        assert_eq!(strain_by_band(3e-4, 0.0).value, 3e-4);
     }
 }
