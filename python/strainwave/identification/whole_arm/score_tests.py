@@ -39,6 +39,7 @@ FALSE_ALARMS = 1e-4
 MATTERS = 0.1
 """Share of the cost from which an effect matters, whatever it moves."""
 
+_ROUNDING = 1e-7  # of a column: less is nothing that the unknowns could not imitate
 _INTERVAL = 1.96  # deviations by which moving another parameter does
 
 
@@ -143,7 +144,7 @@ def _chosen(
     factor, columns, places, at = whole[n:, n:], {}, {}, 0
     for one, own in sizes.items():
         end = at + len(own)
-        columns[one], places[one] = factor[:, at:end], slice(n + at, n + end)
+        columns[one], places[one] = _seen(whole, n, slice(n + at, n + end)), slice(n + at, n + end)
         at = end
     left, target = list(sizes), factor[:, -1]
     taken = np.zeros((len(target), 0))
@@ -160,6 +161,14 @@ def _chosen(
         left.remove(one)
         if found.evident:
             taken = np.column_stack([taken, columns[one]])
+
+
+def _seen(whole: FloatArray, n: int, place: slice) -> FloatArray:
+    """What n unknowns leave of an effect's columns: zero where that is rounding."""
+    left = whole[n:, place].copy()
+    size = np.linalg.norm(whole[:, place], axis=0)
+    left[:, np.linalg.norm(left, axis=0) <= _ROUNDING * size] = 0.0
+    return left
 
 
 def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
