@@ -274,3 +274,12 @@ def test_virtual_encoders_have_zeros() -> None:
         for name, samples in log.channels.items():
             turned_by = ZERO / ratio if name == "theta_m1" else 0.0
             np.testing.assert_allclose(samples + turned_by, same.channels[name], atol=1e-12)
+
+
+def test_a_second_effect_is_named_beside_one_that_changes_by_record() -> None:
+    """The rigid step's records have their size once."""
+    has = case("friction")
+    turned_too = has.records.beside({"theta_m2": -ZERO / 0.01})
+    found = fitted(turned_too, *has.asked)
+    likely = [w.where for w in found.warnings if w.code == "encoder-zero-likely"]
+    assert likely == ["joint 2"]

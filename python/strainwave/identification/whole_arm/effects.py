@@ -96,7 +96,7 @@ def with_effects(
         for unknown in _unknowns(one, arm, values, largest_torque[one[0] - 1], records):
             more.setdefault(unknown.key, unknown)
     columns = dict.fromkeys(more, np.zeros(len(space.prior.rows)))
-    for one in named_effects(arm):
+    for one in effects:
         for unknown, column in _of_rigid_records(one, arm, space, values, more):
             more[unknown.key], columns[unknown.key] = unknown, column
     rows = np.column_stack([space.prior.rows, *columns.values()])
