@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from benchmarks.studies.causes.drawn import NOTHING, Run, causes, drawn, plans
 from benchmarks.studies.causes.in_own_plant import OwnPlant
-from benchmarks.studies.causes.judged import judged, matters, verdict_on
+from benchmarks.studies.causes.judged import judged, matters, taken_up, verdict_on
 from benchmarks.studies.causes.tables import tables
 
 from strainwave.domain import FloatArray
@@ -143,6 +143,20 @@ def test_what_is_said_of_a_run(value: float | None, named: Any, said: str, count
     found = finding("backlash", value, named)
     assert verdict_on(found) == said
     assert matters(found) == counts
+
+
+@pytest.mark.parametrize(
+    ("effects", "said"),
+    [
+        ([["backlash", 2]], "it alone"),
+        ([["backlash", 2], ["stribeck", 1]], "it and others"),
+        ([["stribeck", 1]], "others"),
+        ([], "none"),
+    ],
+)
+def test_what_a_fit_takes_up_by_itself(effects: list[Any], said: str) -> None:
+    found = {**finding("backlash", 1.0, None), "auto": {"effects": effects}}
+    assert taken_up(found) == said
 
 
 def test_tables_count_what_is_taken_for_what() -> None:

@@ -13,6 +13,7 @@ from benchmarks.studies.causes.drawn import NOTHING, Run, can_be_named, drawn, p
 from benchmarks.studies.causes.in_own_plant import OwnPlant
 from strainwave.domain import FloatArray, Identification, Study
 from strainwave.domain.effects import all_effects
+from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -144,6 +145,7 @@ def _tried(study: Study, logs: dict[str, dict[str, FloatArray]], run: Run) -> di
         "suspected": [each.code for each in found.suspected],
         "named": _named(found),
         "score_tests": _score_tests(found),
+        "fitted": _fitted(found),
         "effects": _effects(found),
         "parameters": _parameters(found, truth),
     }
@@ -168,10 +170,22 @@ def _score_tests(found: Identification) -> list[list[Any]]:
     ]
 
 
+def _fitted(found: Identification) -> list[list[Any]]:
+    """Effects that were fitted one at a time to tell them apart."""
+    criticism = found.tuned.criticism if found.tuned else None
+    causes = criticism.causes if criticism is not None else ()
+    return [[cause.effect, cause.joint, cause.gain, cause.share] for cause in causes]
+
+
 def _effects(found: Identification) -> list[list[Any]]:
-    """Sizes of the effects in the fitted model."""
-    sizes = {name for effect in all_effects() for name in effect.names}
-    return [[p.name, p.joint, p.value] for p in found.parameters if p.name in sizes]
+    """Effects in the fitted model and their joints."""
+    keys = {(base_name(p.name), p.joint) for p in found.parameters if p.value is not None}
+    return [
+        [effect.name, joint]
+        for effect in all_effects()
+        for joint in sorted({joint for _, joint in keys if joint is not None})
+        if (effect.sizes[0], joint) in keys
+    ]
 
 
 def _parameters(found: Identification, truth: Values) -> list[list[Any]]:
@@ -223,4 +237,15 @@ def verdict_on(found: dict[str, Any]) -> str:
     return "effect and joint" if at_joint else "effect"
 
 
+def taken_up(found: dict[str, Any]) -> str:
+    """What a fit that selects effects took up: one of `SELECTIONS`."""
+    effects = [name for name, _ in found["auto"].get("effects", [])]
+    if not effects:
+        return "none"
+    if found["cause"] not in effects:
+        return "others"
+    return "it alone" if len(effects) == 1 else "it and others"
+
+
+SELECTIONS = ("it alone", "it and others", "others", "none")
 VERDICTS = ("effect and joint", "effect", "another", "nothing", "refused")

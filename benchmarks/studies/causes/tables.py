@@ -10,7 +10,15 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.studies.causes.drawn import NOTHING
-from benchmarks.studies.causes.judged import VERDICTS, error_percent, is_sound, matters, verdict_on
+from benchmarks.studies.causes.judged import (
+    SELECTIONS,
+    VERDICTS,
+    error_percent,
+    is_sound,
+    matters,
+    taken_up,
+    verdict_on,
+)
 
 _UNNAMED = "nothing"
 _FITS = ("plain", "with_it", "auto")
@@ -26,7 +34,9 @@ class Counted:
 
     def on_screen(self) -> Table:
         """For a terminal."""
-        table = Table(*self.head, box=None, title=self.title)
+        table = Table(box=None, title=self.title)
+        for name in self.head:
+            table.add_column(name, overflow="fold")
         for row in self.rows:
             table.add_row(*row)
         return table
@@ -47,6 +57,8 @@ def tables(found: Sequence[dict[str, Any]]) -> list[Counted]:
         made += [_named(ailing), _mended(ailing), _confused(ailing)]
     if clean:
         made.append(_alarms(clean))
+    if any("auto" in one for one in found):
+        made.append(_selected(found))
     return made
 
 
@@ -119,6 +131,16 @@ def _taken_for(one: dict[str, Any]) -> str:
     if named is not None:
         return str(named[0])
     return ", ".join(one["plain"].get("suspected", ())) or _UNNAMED
+
+
+def _selected(found: Sequence[dict[str, Any]]) -> Counted:
+    """What fits that select effects take up."""
+    rows = []
+    for cause, runs in _by_cause([one for one in found if "auto" in one]):
+        chosen = [taken_up(one) for one in runs]
+        counts = [str(chosen.count(selection)) for selection in SELECTIONS]
+        rows.append((cause, str(len(runs)), *counts))
+    return Counted("What a fit takes up by itself", ("cause", "runs", *SELECTIONS), tuple(rows))
 
 
 def _alarms(clean: Sequence[dict[str, Any]]) -> Counted:
