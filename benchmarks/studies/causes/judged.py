@@ -136,6 +136,8 @@ def _tried(study: Study, logs: dict[str, dict[str, FloatArray]], run: Run) -> di
         }
     seconds = time.process_time() - begin
     truth = derived(run.rig.values, run.rig.study.arm)
+    if run.cause.name == "friction-by-record":  # there is no one friction
+        del truth["motor_coulomb_friction", run.cause.joint]
     return {
         "status": found.verdict.status,
         "seconds": seconds,
@@ -178,8 +180,9 @@ def _fitted(found: Identification) -> list[list[Any]]:
 
 
 def _effects(found: Identification) -> list[list[Any]]:
-    """Effects in the fitted model and their joints."""
-    keys = {(base_name(p.name), p.joint) for p in found.parameters if p.value is not None}
+    """Effects in the fitted model and their joints, those whose values do not count among them."""
+    parameters = found.tuned.parameters if found.tuned else ()
+    keys = {(base_name(p.name), p.joint) for p in parameters}
     return [
         [effect.name, joint]
         for effect in all_effects()
