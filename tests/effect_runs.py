@@ -8,13 +8,24 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import ArmModel, EffectName, Log, Study
+from strainwave.domain import (
+    ArmDescription,
+    ArmModel,
+    EffectName,
+    Experiment,
+    Joint,
+    Log,
+    Prbs,
+    Servo,
+    Study,
+)
 from strainwave.domain.effects import RecordEffect, all_effects
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import TuningOptions, tune
 from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
+from virtual_arms import ELASTIC_JOINT
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 OF_THE_CORE = tuple(e.name for e in all_effects() if not isinstance(e, RecordEffect))
@@ -39,7 +50,12 @@ EVERY = SIZES | {
     ("backlash", 1): 4e-5,
     ("ground_stiffness", 1): 8.0,
     ("ground_preload", 1): -2.0,
+    ("dead_zone", 1): 0.15,
+    ("drive_gain", 1): 0.04,
+    ("drive_saturation", 1): 0.0125,  # 10 % at 8 V
 }
+AMPLITUDES = dict.fromkeys(("dead-zone", "drive-gain", "drive-saturation"), (8.0, 4.0, 2.0))
+"""Of the voltage [V], where an effect takes more than one to be seen."""
 
 
 Asked = tuple[EffectName, ...] | Literal["auto"]
@@ -57,11 +73,22 @@ def rig(effects: Asked) -> Study:
     )
 
 
+def shaken(study: Study, amplitudes: tuple[float, ...]) -> Study:
+    """The study with a PRBS on each joint at each amplitude [V] in place of its experiments."""
+    found = []
+    for amplitude in amplitudes:
+        for one in shaken_study(study, amplitude).experiments:
+            name = one.name if amplitude == amplitudes[0] else f"{one.name}-{amplitude:g}V"
+            found.append(replace(one, name=name, file=f"{name}.parquet"))
+    return replace(study, experiments=tuple(found))
+
+
 @cache
 def records(effects: tuple[EffectName, ...]) -> tuple[Study, Values, tuple[Log, ...]]:
-    """Half a second of either joint in open loop, with noise."""
+    """Half a second of either joint in open loop, at each amplitude, with noise."""
     known = truth()[1] | EVERY
-    study, logs = written_logs(shaken_study(rig(effects), 8.0), known, noise=SensorNoise())
+    amplitudes = max((AMPLITUDES.get(name, (8.0,)) for name in effects), key=len, default=(8.0,))
+    study, logs = written_logs(shaken(rig(effects), amplitudes), known, noise=SensorNoise())
     return study, known, logs
 
 
@@ -78,3 +105,36 @@ def tuned(has: tuple[EffectName, ...], asked: Asked, most: int = 60) -> ArmModel
         Arm.of(asks.arm),
         TuningOptions(max_iterations=most),
     )
+
+
+def single_joint(has: tuple[EffectName, ...]) -> Study:
+    """A joint in gravity, a step of its servo and a PRBS."""
+    joint = Joint(
+        spring="linear",
+        gear_ratio=0.01,
+        torque_per_volt=0.08,
+        encoder_counts=8192,
+        accelerometer_distance=0.3,
+        accelerometer_hz=300.0,
+        effects=has,
+    )
+    servo = Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0)
+    prbs = Prbs(9, 1e-3, 1, 8.0)
+    return Study(
+        arm=ArmDescription("single-joint", (joint,), gravity=9.81, servo=servo),
+        experiments=(
+            Experiment("step", "step.parquet", "tuning", ("servo",), joint=1),
+            Experiment("prbs", "prbs.parquet", "frequency", ("open",), joint=1, prbs=prbs),
+        ),
+    )
+
+
+@cache
+def single_tuned(has: tuple[EffectName, ...], asked: tuple[EffectName, ...]) -> ArmModel:
+    """The same of a single joint, whose parameters are known to 5 %, and rigidly to 1 %."""
+    known = ELASTIC_JOINT | {("gravity_torque_1", None): 15.0}
+    known |= {key: value for key, value in EVERY.items() if key[1] == 1}
+    study, logs = written_logs(single_joint(has), known, noise=SensorNoise())
+    asks = replace(study, arm=single_joint(asked).arm)
+    joints = joint_models(asks, known, 0.05, FACTORS)
+    return tune(logs, rigid_model(asks, known, 0.01, 1.0), joints, Arm.of(asks.arm))

@@ -77,5 +77,7 @@ pub const STIFFNESS: [&str; 2] = ["N m/rad", "N/m"];
 pub const ANGLE: [&str; 2] = ["rad", "m"];
 /// rad/s, or m/s.
 pub const VELOCITY: [&str; 2] = ["rad/s", "m/s"];
+/// V.
+pub const VOLTAGE: [&str; 2] = ["V", "V"];
 /// s.
 pub const TIME: [&str; 2] = ["s", "s"];

@@ -247,6 +247,9 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "backlash" => 1e-5,
                 "ground_stiffness" => 5.0,
                 "ground_preload" => -2.0,
+                "dead_zone" => 0.1,
+                "drive_gain" => 0.05,
+                "drive_saturation" => 0.0125,
                 _ => unreachable!("{name}"),
             })
         })
@@ -614,6 +617,7 @@ const ALL: EffectKinds = EffectKinds::ALL;
 const SMOOTH: EffectKinds = EffectKinds {
     load_friction: false,
     backlash: false,
+    dead_zone: false,
     ..ALL
 };
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from effect_runs import ALL, EVERY, OF_THE_CORE, SIZES, records, rig, tuned
+from effect_runs import ALL, EVERY, OF_THE_CORE, SIZES, records, rig, single_tuned, tuned
 from strainwave.domain import ArmModel
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
@@ -163,3 +163,11 @@ def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: str)
         assert parameter.value == pytest.approx(EVERY[own, 1], rel=0.1), own
     for other in ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping"):
         assert model.values[other, 1] == pytest.approx(truth()[1][other, 1], rel=0.005), other
+
+
+def test_a_gain_of_a_single_joint_is_neither_evident_nor_fitted() -> None:
+    model = single_tuned(("drive-gain",), ())
+    assert model.criticism is not None
+    (gain,) = (one for one in model.criticism.score_tests if one.effect == "drive-gain")
+    assert not gain.evident
+    assert reported_out(single_tuned(("drive-gain",), ("drive-gain",))) == ["drive-gain"]

@@ -8,6 +8,9 @@ others loop over the effects and name none.
 from __future__ import annotations
 
 from strainwave.domain.effects.backlash import Backlash
+from strainwave.domain.effects.dead_zone import DeadZone
+from strainwave.domain.effects.drive_gain import DriveGain
+from strainwave.domain.effects.drive_saturation import DriveSaturation
 from strainwave.domain.effects.encoder_zero import EncoderZero
 from strainwave.domain.effects.friction_by_record import FrictionByRecord
 from strainwave.domain.effects.ground_spring import GroundSpring
@@ -47,6 +50,9 @@ _EFFECTS = Registry[Effect](
         TorqueRipple(),
         Backlash(),
         GroundSpring(),
+        DeadZone(),
+        DriveGain(),
+        DriveSaturation(),
         FrictionByRecord(),
         EncoderZero(),
     ),

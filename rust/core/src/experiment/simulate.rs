@@ -218,7 +218,8 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 None => *voltage = feed_forward.map(R::One::splat),
             }
             for i in 0..N {
-                let torque = R::One::splat(self.current.torque_per_volt[i]) * voltage[i];
+                let driven = self.single[lane].joints[i].driven::<EFFECTS>(voltage[i]);
+                let torque = R::One::splat(self.current.torque_per_volt[i]) * driven;
                 self.target[i].set_one(lane, torque);
                 if self.current.bandwidth[i].is_infinite() {
                     self.motion.torque[i].set_one(lane, torque);

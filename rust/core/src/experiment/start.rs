@@ -37,7 +37,10 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
             state.link_velocity[i] = plant.joints[i].ratio * state.motor_velocity[i];
         }
     }
-    let torque = std::array::from_fn(|i| S::splat(current.torque_per_volt[i] * initial.voltage[i]));
+    let torque = std::array::from_fn(|i| {
+        let driven = plant.joints[i].driven::<EFFECTS>(S::splat(initial.voltage[i]));
+        S::splat(current.torque_per_volt[i]) * driven
+    });
     let modes = plant.modes_at(&state, &torque);
     for i in 0..N {
         // Friction stops a standing motor however it is nudged: no derivative either.

@@ -114,6 +114,16 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
+    /// What the drive makes of a voltage [V] that is commanded.
+    #[inline(always)]
+    pub(crate) fn driven<const EFFECTS: bool>(&self, voltage: R) -> R {
+        if EFFECTS {
+            self.effects.drive(voltage)
+        } else {
+            voltage
+        }
+    }
+
     /// Link angle [rad] at which an elastic gear is not twisted: n theta_M + e(theta_M).
     pub fn untwisted<const EFFECTS: bool>(&self, motor_angle: R) -> R {
         let angle = self.ratio * motor_angle;

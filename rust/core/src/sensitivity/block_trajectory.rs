@@ -8,7 +8,7 @@ use crate::arm::Arm;
 use crate::experiment::simulate::Group;
 use crate::experiment::{Member, Quantity, Source, Task};
 use crate::joint::gear::Gears;
-use crate::plant::config::Config;
+use crate::plant::config::{Config, Role};
 use crate::plant::friction::Motion;
 use crate::plant::{Modes, State};
 use crate::scalar::{Dual, Lanes, Real};
@@ -53,7 +53,8 @@ pub(crate) struct BlockTrajectory<
     pub(crate) block: TangentBlock<V, N>,
     /// The chain over numbers with derivatives, for what is not smooth.
     dual: Group<'a, A, Dual<S, V>, G, N, EFFECTS>,
-    /// Whether the torques depend on anything: they do where a servo closes the loop.
+    /// Whether the torques depend on anything: they do where a servo closes the loop, and where a
+    /// direction is by the size of what the drive does to a voltage.
     pub(crate) driven: bool,
     pub(crate) torque: [V; N],
     target: [V; N],
@@ -84,18 +85,19 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, G: Gears, const N: usize, const 
         let zero = [V::splat(0.0); N];
         let ratio = task.config.joints.map(|joint| joint.ratio);
         let half = 0.5 * task.clock.step;
+        let most = directions.len().min(V::LANES);
         let tangent = tangent_of(&dual.motion, &ratio, half);
         let mut own = Self {
             block: TangentBlock::new(&task.config, directions, tangent),
-            driven: task.servo.is_some(),
-            torque: zero,
+            driven: task.servo.is_some() || drives(&task.config, &directions[..most]),
+            torque: dual.motion.torque.map(|number| number.tangent),
             target: zero,
             current: task.config.current_loop(task.clock.step),
             sensed: None,
             left: V::splat(0.0),
             ratio,
             half,
-            own: own_parameters(&task.config, directions, V::LANES),
+            own: own_parameters(&task.config, &directions[..most]),
             dual,
         };
         if let (Some(sensing), Some(sensors)) = (sensing, &own.dual.sensors) {
@@ -127,7 +129,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, G: Gears, const N: usize, const 
         )
     }
 
-    /// What the servo makes of the motion's derivatives.
+    /// What the servo and the drive make of the motion's derivatives.
     pub(crate) fn command(&mut self, nominal: &Motion<S, N>, step: usize, servo_reads: bool) {
         self.dual.motion = self.lifted(nominal);
         self.dual.command(step, servo_reads);
@@ -276,11 +278,25 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, G: Gears, const N: usize, const 
     }
 }
 
+/// Whether a direction is by the size of an effect that changes what the drive makes of a voltage.
+fn drives<A: Arm<N>, const N: usize>(config: &Config<A, N>, directions: &[Source]) -> bool {
+    let roles = config.roles();
+    directions.iter().any(|&direction| {
+        let Source::Parameter(k) = direction else {
+            return false;
+        };
+        let (Role::Effect(place), joint) = roles[k] else {
+            return false;
+        };
+        let size = config.joints[joint].effects.parameters()[place].1;
+        size.is_some_and(|size| size.enters.drive)
+    })
+}
+
 /// The joint of each direction's parameter, and its place among that joint's.
 fn own_parameters<A: Arm<N>, const N: usize>(
     config: &Config<A, N>,
     directions: &[Source],
-    most: usize,
 ) -> Vec<Option<(usize, usize)>> {
     let names = config.parameter_names();
     let place = |source: &Source| {
@@ -292,7 +308,7 @@ fn own_parameters<A: Arm<N>, const N: usize>(
         let before = own.iter().filter(|name| name.1 == Some(joint));
         Some((joint - 1, before.count()))
     };
-    directions.iter().take(most).map(place).collect()
+    directions.iter().map(place).collect()
 }
 
 /// At the motors what is given at the links' side of their gears.

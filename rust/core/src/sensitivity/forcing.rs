@@ -131,6 +131,7 @@ fn effect_places(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize
         motor,
         gear,
         link,
+        drive: _, // the motor's torque has derivatives of its own
     } = size.enters;
     let rows = [
         (friction || motor, MOTOR_EFFECTS),

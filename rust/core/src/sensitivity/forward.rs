@@ -168,8 +168,8 @@ impl<
     }
 
     fn command(&mut self, step: usize, event: &Event) {
-        if self.task.servo.is_some() {
-            for trajectory in &mut self.blocks {
+        for trajectory in &mut self.blocks {
+            if trajectory.driven {
                 trajectory.command(&self.nominal.motion, step, event.servo_reads);
             }
         }

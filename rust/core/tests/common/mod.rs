@@ -190,6 +190,9 @@ pub fn with_effects<A: Arm<N>, const N: usize>(plain: &[f64], config: &Config<A,
         "backlash" => 1e-5,
         "ground_stiffness" => 5.0,
         "ground_preload" => -2.0,
+        "dead_zone" => 0.1,
+        "drive_gain" => 0.05,
+        "drive_saturation" => 0.0125,
         _ => *plain.next().expect("a value for every other name"),
     };
     config.parameter_names().iter().map(value).collect()

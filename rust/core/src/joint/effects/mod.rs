@@ -7,6 +7,9 @@
 //! compile time whether it has any.
 
 mod backlash;
+mod dead_zone;
+mod drive_gain;
+mod drive_saturation;
 mod ground_spring;
 mod hysteresis;
 mod kinematic_error;
@@ -16,6 +19,9 @@ mod stribeck;
 mod torque_ripple;
 
 pub use backlash::Backlash;
+pub use dead_zone::DeadZone;
+pub use drive_gain::DriveGain;
+pub use drive_saturation::DriveSaturation;
 pub use ground_spring::GroundSpring;
 pub use hysteresis::Hysteresis;
 pub use kinematic_error::KinematicError;
@@ -41,6 +47,8 @@ pub struct Enters {
     pub gear: bool,
     /// What the link bears.
     pub link: bool,
+    /// What the drive makes of a voltage.
+    pub drive: bool,
 }
 
 /// In none of the equations.
@@ -49,6 +57,7 @@ pub const NOWHERE: Enters = Enters {
     motor: false,
     gear: false,
     link: false,
+    drive: false,
 };
 
 /// What all else knows of an effect.
@@ -146,6 +155,12 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     #[inline(always)]
     fn load(&self, _angle: R) -> R {
         R::splat(0.0)
+    }
+
+    /// What the drive makes of a voltage [V] that is commanded; enters by `drive`.
+    #[inline(always)]
+    fn drive(&self, voltage: R) -> R {
+        voltage
     }
 
     /// What can be got back of the work done on it [J], the spring's apart.
@@ -333,6 +348,20 @@ macro_rules! effects {
                 sum
             }
 
+            /// What the drive makes of a voltage: one effect after the other.
+            #[inline(always)]
+            pub(crate) fn drive(&self, voltage: R) -> R {
+                let mut driven = voltage;
+                $(
+                    if <$effect<R> as Effect<R>>::DECLARED.enters.drive
+                        && let Some(own) = &self.$field
+                    {
+                        driven = own.drive(driven);
+                    }
+                )*
+                driven
+            }
+
             /// What can be got back.
             pub(crate) fn energy(&self, at: &At<R>) -> R {
                 let mut sum = R::splat(0.0);
@@ -367,6 +396,9 @@ effects! {
     torque_ripple: TorqueRipple,
     backlash: Backlash,
     ground_spring: GroundSpring,
+    dead_zone: DeadZone,
+    drive_gain: DriveGain,
+    drive_saturation: DriveSaturation,
 }
 
 /// A size that an effect has.

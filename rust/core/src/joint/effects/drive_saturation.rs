@@ -1,0 +1,42 @@
+//! A motor whose torque constant falls with its current.
+
+use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use crate::parameter::{Parameter, Sign};
+use crate::scalar::Real;
+
+/// The drive makes u (1 - s |u|) of a voltage u.
+#[derive(Clone, Copy, Debug)]
+pub struct DriveSaturation<R> {
+    /// s [1/V].
+    pub per_volt: R,
+}
+
+impl<R: Real> Effect<R> for DriveSaturation<R> {
+    const DECLARED: Declared = Declared {
+        name: "drive-saturation",
+        parameters: &[Parameter::new(
+            "drive_saturation",
+            "s_u",
+            "share of the torque per volt that is lost per volt",
+            ["1/V", "1/V"],
+            Sign::NonNegative,
+        )],
+        sizes: 1,
+        of_gear: false,
+        enters: Enters {
+            drive: true,
+            ..NOWHERE
+        },
+    };
+
+    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+        Self {
+            per_volt: values[0],
+        }
+    }
+
+    #[inline(always)]
+    fn drive(&self, voltage: R) -> R {
+        voltage - self.per_volt * voltage * voltage.abs()
+    }
+}
