@@ -53,6 +53,8 @@ EVERY = SIZES | {
     ("dead_zone", 1): 0.15,
     ("drive_gain", 1): 0.04,
     ("drive_saturation", 1): 0.0125,  # 10 % at 8 V
+    ("tilt_sin", 1): 1.0,
+    ("tilt_cos", 1): -1.5,
 }
 AMPLITUDES = dict.fromkeys(("dead-zone", "drive-gain", "drive-saturation"), (8.0, 4.0, 2.0))
 """Of the voltage [V], where an effect takes more than one to be seen."""

@@ -474,6 +474,57 @@ fn a_ground_spring_swings_about_its_balance() {
     }
 }
 
+/// An arm without gravity whose links are tilted upright is the upright arm.
+#[test]
+fn a_tilt_of_a_right_angle_is_gravity() {
+    let tilted = EffectKinds {
+        tilt: true,
+        ..none()
+    };
+    for gears in [[LINEAR; 2], [LINEAR, RIGID]] {
+        let mut level = config::<TwoLink<false>, 2>(gears);
+        for joint in &mut level.joints {
+            joint.effects = tilted;
+        }
+        let upright = config::<TwoLink<true>, 2>(gears);
+        let mut values = scara(1.0, 1.0);
+        if !gears[1].elastic {
+            values.truncate(values.len() - 3);
+        }
+        let [g1, g2] = [values[3], values[4]];
+        let weights = [&values[..13], &[0.0, g1], &values[13..], &[0.0, g2]].concat();
+        let voltage = telegraph(5, 50);
+        let quantities = [Quantity::LinkAngle, Quantity::GearTorque];
+        let expected = Run {
+            config: upright,
+            parameters: &values,
+            voltage: &voltage,
+            steps_per_tick: 16,
+            initial: at_rest([10.0, 20.0]),
+            step: 1.25e-4,
+            steps: 800,
+        };
+        let expected = expected.record(&quantities);
+        let found = Run {
+            config: level,
+            parameters: &weights,
+            voltage: &voltage,
+            steps_per_tick: 16,
+            initial: at_rest([10.0, 20.0]),
+            step: 1.25e-4,
+            steps: 800,
+        };
+        let found = found.record(&quantities);
+        for (k, scale) in [1.0, 50.0].into_iter().enumerate() {
+            let rows = found[k].as_flattened().iter();
+            for (own, other) in rows.zip(expected[k].as_flattened()) {
+                // rounding, grown over 0.1 s
+                assert!((own - other).abs() < 1e-8 * scale, "{own} {other}");
+            }
+        }
+    }
+}
+
 /// Torque [N m] of a motor whose drive makes 0.1 N m of a volt, but for one effect, at voltages that
 /// are commanded one after the other.
 fn driven<const K: usize>(name: &str, size: f64, voltage: [f64; K]) -> [f64; K] {

@@ -250,6 +250,8 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "dead_zone" => 0.1,
                 "drive_gain" => 0.05,
                 "drive_saturation" => 0.0125,
+                "tilt_sin" => 1.0,
+                "tilt_cos" => -1.5,
                 _ => unreachable!("{name}"),
             })
         })

@@ -20,6 +20,7 @@ from strainwave.domain.effects.kinematic_error import KinematicError
 from strainwave.domain.effects.load_friction import LoadFriction
 from strainwave.domain.effects.power_friction import PowerFriction
 from strainwave.domain.effects.stribeck import Stribeck
+from strainwave.domain.effects.tilt import Tilt
 from strainwave.domain.effects.torque_ripple import TorqueRipple
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.domain.registry import Registry
@@ -53,6 +54,7 @@ _EFFECTS = Registry[Effect](
         DeadZone(),
         DriveGain(),
         DriveSaturation(),
+        Tilt(),
         FrictionByRecord(),
         EncoderZero(),
     ),

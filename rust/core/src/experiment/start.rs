@@ -69,16 +69,16 @@ fn hanging<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     let mut settled = None;
     for round in 0..400 {
         let at = plant.arm.posture(&angle);
-        let gravity = plant.arm.bias(&plant.base, &at, &[S::splat(0.0); N]);
+        let mut gravity = plant.arm.bias(&plant.base, &at, &[S::splat(0.0); N]);
+        if EFFECTS {
+            let borne = plant.borne(&angle);
+            gravity = std::array::from_fn(|i| gravity[i] + borne[i]);
+        }
         let mut change = 0.0f64;
         for i in 0..N {
             if !plant.is_rigid(i) {
                 let joint = &plant.joints[i];
-                let mut load = gravity[i];
-                if EFFECTS {
-                    load = load + joint.effects.load(angle[i]);
-                }
-                let next = untwisted[i] - joint.torsion::<EFFECTS>(load);
+                let next = untwisted[i] - joint.torsion::<EFFECTS>(gravity[i]);
                 change = change.max((next - angle[i]).lane(0).abs());
                 angle[i] = next;
             }

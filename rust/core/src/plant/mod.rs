@@ -139,6 +139,37 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         )
     }
 
+    /// The first joint that bears what the `i`-th link weighs: all before it do where axes are
+    /// parallel.
+    pub(crate) const fn first_bearing(i: usize) -> usize {
+        if A::PLANAR { 0 } else { i }
+    }
+
+    /// The angle in space of the `i`-th link [rad], or its joint's own where axes are not parallel.
+    #[inline(always)]
+    pub(crate) fn angle_in_space(link_angle: &[R; N], i: usize) -> R {
+        let mut angle = link_angle[i];
+        for own in &link_angle[Self::first_bearing(i)..i] {
+            angle = angle + *own;
+        }
+        angle
+    }
+
+    /// What effects make each joint bear [N m].
+    #[inline(always)]
+    pub(crate) fn borne(&self, link_angle: &[R; N]) -> [R; N] {
+        let mut borne = [R::splat(0.0); N];
+        for i in 0..N {
+            let effects = &self.joints[i].effects;
+            borne[i] = borne[i] + effects.load(link_angle[i]);
+            let weight = effects.weight(Self::angle_in_space(link_angle, i));
+            for own in &mut borne[Self::first_bearing(i)..=i] {
+                *own = *own + weight;
+            }
+        }
+        borne
+    }
+
     /// Torque through the `i`-th joint's gear.
     #[inline(always)]
     pub(crate) fn transmitted(&self, x: &State<R, N>, i: usize, twist: &Twist<R>) -> R {
@@ -206,6 +237,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ) -> Acceleration<R, N> {
         let mut inertia = self.arm.inertia(&self.base, at);
         let bias = self.arm.bias(&self.base, at, &x.link_velocity);
+        let mut borne = [R::splat(0.0); N];
+        if EFFECTS {
+            borne = self.borne(&x.link_angle);
+        }
         let mut motor = [R::splat(0.0); N];
         let mut force = [R::splat(0.0); N];
         for i in 0..N {
@@ -214,7 +249,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let mut load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
             let mut given = torque[i];
             if EFFECTS {
-                load = load + joint.effects.load(x.link_angle[i]);
+                load = load + borne[i];
                 given = given + self.added_torque(x, i);
             }
             let driven = |at_motor: R| {
@@ -294,6 +329,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let at = self.arm.posture(&x.link_angle);
         let inertia = self.arm.inertia(&self.base, &at);
         let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
+        let mut borne = [R::splat(0.0); N];
+        if EFFECTS {
+            borne = self.borne(&x.link_angle);
+        }
         for i in 0..N {
             if !self.is_rigid(i) {
                 continue;
@@ -304,7 +343,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let others = self.accelerations_at(x, &at, torque, &held).link;
             let mut load = bias[i];
             if EFFECTS {
-                load = load + self.joints[i].effects.load(x.link_angle[i]);
+                load = load + borne[i];
             }
             for j in 0..N {
                 if j != i {
@@ -429,6 +468,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             motor_angle: x.motor_angle[i],
             motor_velocity: x.motor_velocity[i],
             link_angle: x.link_angle[i],
+            angle_in_space: Self::angle_in_space(&x.link_angle, i),
             twist: self.gear(x, i).twist,
             z: x.hysteresis[i],
         }

@@ -40,6 +40,7 @@ struct Moment<R> {
     motor_angle: R,
     motor_velocity: R,
     link_angle: R,
+    angle_in_space: R,
     twist: R,
     z: R,
     /// Torque of the gear at the motor [N m].
@@ -58,7 +59,7 @@ pub(crate) struct Adds<R> {
     pub(crate) gear: R,
     /// To the motor's lever.
     pub(crate) lever: R,
-    /// To what the link bears.
+    /// To what the link bears, or the link and those before it.
     pub(crate) link: R,
 }
 
@@ -95,6 +96,9 @@ impl<R: Real> Adds<R> {
         if enters.link {
             adds.link = effects.load(Jet::constant(at.link_angle)).tangent;
         }
+        if enters.weight {
+            adds.link = effects.weight(Jet::constant(at.angle_in_space)).tangent;
+        }
         adds
     }
 }
@@ -106,6 +110,7 @@ impl<L: Real> OneSize<L> {
             motor_angle: held.motor_angle,
             motor_velocity: held.speed,
             link_angle: 0.0, // what the link bears does not hold the motor
+            angle_in_space: 0.0,
             twist: held.twist.lane(0),
             z,
             load: held.ratio * held.transmitted,
@@ -192,6 +197,9 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
                     motor_angle: (twist + angle) * L::splat(1.0 / trace.ratio[i]),
                     motor_velocity: each(|stage| &stage.motor_velocity),
                     link_angle: angle,
+                    angle_in_space: trace.across::<L>(first, |stage| {
+                        Plant::<A, f64, G, N>::angle_in_space(&stage.angle, i)
+                    }),
                     twist,
                     z: L::load(&z[first..]),
                     load: joint.ratio * transmitted,

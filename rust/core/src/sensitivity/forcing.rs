@@ -89,10 +89,12 @@ fn row(quad: usize) -> Row {
     }
 }
 
-/// Where a parameter enters: a joint's quad, and its slot there.
+/// Where a parameter enters: the row of a joint, and the quad and the slot that say what it adds.
 #[derive(Clone, Copy)]
 struct Place {
     joint: usize,
+    /// The joint whose quad it is.
+    of: usize,
     quad: usize,
     slot: usize,
 }
@@ -101,6 +103,7 @@ struct Place {
 fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
     let at = |joint, quad, slot| Place {
         joint,
+        of: joint,
         quad: quad + slot / 4,
         slot: slot % 4,
     };
@@ -115,23 +118,32 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
         Role::Settling => Vec::new(),
         // a velocity or an exponent does nothing where the effect itself is nothing
         Role::Effect(k) => match config.joints[i].effects.parameters()[k].1 {
-            Some(size) => effect_places(size, bases)
-                .map(|(quad, slot)| at(i, quad, slot))
-                .collect(),
+            Some(size) => {
+                let own = effect_places(size, bases);
+                let mut all: Vec<_> = own.map(|(quad, slot)| at(i, quad, slot)).collect();
+                if size.enters.weight {
+                    let weighing = at(i, LINK + link_quads(bases), size.index);
+                    let first = if A::PLANAR { 0 } else { i };
+                    all.extend((first..=i).map(|joint| Place { joint, ..weighing }));
+                }
+                all
+            }
             None => Vec::new(),
         },
     };
     config.roles().into_iter().map(place).collect()
 }
 
-/// The rows that the size of an effect enters, by their first quads, and its slot there.
+/// The rows of its own joint that the size of an effect enters, by their first quads, and its slot
+/// there.
 fn effect_places(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize)> {
     let Enters {
         friction,
         motor,
         gear,
         link,
-        drive: _, // the motor's torque has derivatives of its own
+        weight: _, // it enters other joints' rows as well
+        drive: _,  // the motor's torque has derivatives of its own
     } = size.enters;
     let rows = [
         (friction || motor, MOTOR_EFFECTS),
@@ -161,21 +173,22 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
     pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
         let places = places(config);
         let per_link = all_link_quads(config.arm.names().len());
-        let mut wanted: BTreeMap<(usize, usize), [Option<usize>; MOST_LANES]> = BTreeMap::new();
+        let mut wanted: BTreeMap<_, [Option<usize>; MOST_LANES]> = BTreeMap::new();
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
             if let &Source::Parameter(k) = direction {
                 for place in &places[k] {
-                    let slots = wanted.entry((place.joint, place.quad)).or_default();
+                    let key = (place.joint, place.quad, place.of);
+                    let slots = wanted.entry(key).or_default();
                     slots[lane] = Some(place.slot);
                 }
             }
         }
         let mut picks = [[[None; MOST_QUADS]; N]; 3];
-        for ((joint, quad), slots) in wanted {
+        for ((joint, quad, of), slots) in wanted {
             let own: &mut Picks<V::Pick> = &mut picks[row(quad) as usize][joint];
             let next = own.iter().position(Option::is_none);
             let quad = match quad.checked_sub(LINK) {
-                Some(of_link) => joint * per_link + of_link,
+                Some(of_link) => of * per_link + of_link,
                 None => quad,
             };
             own[next.expect("a lane takes one quad")] = Some((quad, V::pick(slots)));

@@ -193,6 +193,8 @@ pub fn with_effects<A: Arm<N>, const N: usize>(plain: &[f64], config: &Config<A,
         "dead_zone" => 0.1,
         "drive_gain" => 0.05,
         "drive_saturation" => 0.0125,
+        "tilt_sin" => 1.0,
+        "tilt_cos" => -1.5,
         _ => *plain.next().expect("a value for every other name"),
     };
     config.parameter_names().iter().map(value).collect()

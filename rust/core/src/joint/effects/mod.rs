@@ -16,6 +16,7 @@ mod kinematic_error;
 mod load_friction;
 mod power_friction;
 mod stribeck;
+mod tilt;
 mod torque_ripple;
 
 pub use backlash::Backlash;
@@ -28,6 +29,7 @@ pub use kinematic_error::KinematicError;
 pub use load_friction::LoadFriction;
 pub use power_friction::PowerFriction;
 pub use stribeck::Stribeck;
+pub use tilt::Tilt;
 pub use torque_ripple::TorqueRipple;
 
 use crate::parameter::Parameter;
@@ -45,8 +47,10 @@ pub struct Enters {
     pub motor: bool,
     /// The torque through the gear.
     pub gear: bool,
-    /// What the link bears.
+    /// What the link bears. An effect enters by this or by `weight`.
     pub link: bool,
+    /// What the link bears, and with it those before it.
+    pub weight: bool,
     /// What the drive makes of a voltage.
     pub drive: bool,
 }
@@ -57,6 +61,7 @@ pub const NOWHERE: Enters = Enters {
     motor: false,
     gear: false,
     link: false,
+    weight: false,
     drive: false,
 };
 
@@ -93,6 +98,8 @@ pub struct At<R> {
     pub motor_velocity: R,
     /// theta_L [rad].
     pub link_angle: R,
+    /// What [`Effect::weight`] depends on [rad].
+    pub angle_in_space: R,
     /// delta and its rate.
     pub twist: Twist<R>,
     /// What the gear remembers.
@@ -154,6 +161,14 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     /// What the link bears [N m] at an angle of its joint [rad]; enters by `link`.
     #[inline(always)]
     fn load(&self, _angle: R) -> R {
+        R::splat(0.0)
+    }
+
+    /// What the link bears [N m] at its angle in space [rad], and the joints before it with it;
+    /// enters by `weight`. Where an arm's axes are not parallel, the joint's own angle stands for
+    /// the one in space, and no other joint bears any of it.
+    #[inline(always)]
+    fn weight(&self, _angle: R) -> R {
         R::splat(0.0)
     }
 
@@ -348,6 +363,20 @@ macro_rules! effects {
                 sum
             }
 
+            /// What the link and those before it bear.
+            #[inline(always)]
+            pub(crate) fn weight(&self, angle: R) -> R {
+                let mut sum = R::splat(0.0);
+                $(
+                    if <$effect<R> as Effect<R>>::DECLARED.enters.weight
+                        && let Some(own) = &self.$field
+                    {
+                        sum = sum + own.weight(angle);
+                    }
+                )*
+                sum
+            }
+
             /// What the drive makes of a voltage: one effect after the other.
             #[inline(always)]
             pub(crate) fn drive(&self, voltage: R) -> R {
@@ -399,6 +428,7 @@ effects! {
     dead_zone: DeadZone,
     drive_gain: DriveGain,
     drive_saturation: DriveSaturation,
+    tilt: Tilt,
 }
 
 /// A size that an effect has.

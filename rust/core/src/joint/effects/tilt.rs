@@ -1,0 +1,61 @@
+//! Gravity of which the arm's model knows nothing.
+
+use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use crate::parameter::{Parameter, Sign, TORQUE};
+use crate::scalar::Real;
+
+/// The link has the potential energy -s cos a + c sin a at its angle in space a: an arm that is
+/// taken for horizontal stands on a tilted table, or gravity's direction is off.
+#[derive(Clone, Copy, Debug)]
+pub struct Tilt<R> {
+    /// s [N m].
+    pub sin: R,
+    /// c [N m].
+    pub cos: R,
+}
+
+impl<R: Real> Effect<R> for Tilt<R> {
+    const DECLARED: Declared = Declared {
+        name: "tilt",
+        parameters: &[
+            Parameter::new(
+                "tilt_sin",
+                "s_t",
+                "unknown gravity torque of the link at a quarter turn in space",
+                TORQUE,
+                Sign::Any,
+            ),
+            Parameter::new(
+                "tilt_cos",
+                "c_t",
+                "unknown gravity torque of the link at its zero in space",
+                TORQUE,
+                Sign::Any,
+            ),
+        ],
+        sizes: 2,
+        of_gear: false,
+        enters: Enters {
+            weight: true,
+            ..NOWHERE
+        },
+    };
+
+    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+        Self {
+            sin: values[0],
+            cos: values[1],
+        }
+    }
+
+    #[inline(always)]
+    fn weight(&self, angle: R) -> R {
+        let (sin, cos) = angle.sin_cos();
+        self.sin.mul_add(sin, self.cos * cos)
+    }
+
+    fn energy(&self, at: &At<R>) -> R {
+        let (sin, cos) = at.angle_in_space.sin_cos();
+        self.cos * sin - self.sin * cos
+    }
+}
