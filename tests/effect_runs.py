@@ -55,9 +55,19 @@ EVERY = SIZES | {
     ("drive_saturation", 1): 0.0125,  # 10 % at 8 V
     ("tilt_sin", 1): 1.0,
     ("tilt_cos", 1): -1.5,
+    ("flexible_inertia", 1): 0.03,
+    ("flexible_frequency", 1): 40.0,
+    ("flexible_damping", 1): 0.03,
 }
 AMPLITUDES = dict.fromkeys(("dead-zone", "drive-gain", "drive-saturation"), (8.0, 4.0, 2.0))
 """Of the voltage [V], where an effect takes more than one to be seen."""
+FAR = ("tilt",)
+"""Effects that take motion over a wide range of angles to be seen."""
+ALIKE = {"ground-spring": ("tilt",)}
+"""Effects that the records of an effect, over a small range of angles, do not separate from it."""
+WIDE = Experiment(
+    "wide", "wide.parquet", "frequency", ("open", "open"), joint=1, prbs=Prbs(6, 0.05, 1, 8.0)
+)
 
 
 Asked = tuple[EffectName, ...] | Literal["auto"]
@@ -76,18 +86,23 @@ def rig(effects: Asked) -> Study:
 
 
 def shaken(study: Study, amplitudes: tuple[float, ...]) -> Study:
-    """The study with a PRBS on each joint at each amplitude [V] in place of its experiments."""
+    """The study with a PRBS on each joint at each amplitude [V] in place of its experiments.
+
+    A slow PRBS over a wide range of angles follows where the first joint's effects take it.
+    """
     found = []
     for amplitude in amplitudes:
         for one in shaken_study(study, amplitude).experiments:
             name = one.name if amplitude == amplitudes[0] else f"{one.name}-{amplitude:g}V"
             found.append(replace(one, name=name, file=f"{name}.parquet"))
+    if any(effect in FAR for effect in study.arm.joints[0].effects):
+        found.append(WIDE)
     return replace(study, experiments=tuple(found))
 
 
 @cache
 def records(effects: tuple[EffectName, ...]) -> tuple[Study, Values, tuple[Log, ...]]:
-    """Half a second of either joint in open loop, at each amplitude, with noise."""
+    """Half a second of either joint in open loop, at each amplitude, with noise; see `shaken`."""
     known = truth()[1] | EVERY
     amplitudes = max((AMPLITUDES.get(name, (8.0,)) for name in effects), key=len, default=(8.0,))
     study, logs = written_logs(shaken(rig(effects), amplitudes), known, noise=SensorNoise())

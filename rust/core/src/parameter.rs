@@ -77,6 +77,8 @@ pub const STIFFNESS: [&str; 2] = ["N m/rad", "N/m"];
 pub const ANGLE: [&str; 2] = ["rad", "m"];
 /// rad/s, or m/s.
 pub const VELOCITY: [&str; 2] = ["rad/s", "m/s"];
+/// Hz.
+pub const FREQUENCY: [&str; 2] = ["Hz", "Hz"];
 /// V.
 pub const VOLTAGE: [&str; 2] = ["V", "V"];
 /// s.

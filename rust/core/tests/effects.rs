@@ -525,6 +525,81 @@ fn a_tilt_of_a_right_angle_is_gravity() {
     }
 }
 
+/// A rigid joint and a part on a spring, pushed by a constant torque, have one mode in closed form.
+#[test]
+fn a_flexible_link_rings_beside_its_joint() {
+    let flexible = EffectKinds {
+        flexible_link: true,
+        ..none()
+    };
+    let (own, part, hz) = (1.5, 0.6, 25.0);
+    let motor = 1e-4; // reflected by the square of 0.01: 1 kg m^2
+    let parameters = [own - 1.0, 0.0, motor, 0.0, 0.0, 0.0, 0.0, part, hz, 1e-12];
+    let run = Run {
+        config: one_link(RIGID, flexible),
+        parameters: &parameters,
+        voltage: &[[1.0]],
+        steps_per_tick: 1,
+        initial: Initial {
+            voltage: [1.0],
+            ..at_rest([0.0])
+        },
+        step: 1e-4,
+        steps: 4000,
+    };
+    let record = run.record(&[Quantity::LinkAngle]);
+    let omega = std::f64::consts::TAU * hz * (1.0 + part / own).sqrt();
+    let (pushed, share) = (10.0 / own, part / (own + part));
+    for k in 0..=run.steps {
+        let t = 1e-4 * k as f64;
+        let swung = 0.5 * t * t - (1.0 - (omega * t).cos()) / (omega * omega);
+        let expected = pushed * (0.5 * t * t - share * swung);
+        let off = (record[0][k][0] - expected).abs();
+        assert!(off < 1e-8, "{k}: {off:e}"); // (w h)^4 of the mode's 2e-4 rad
+    }
+}
+
+/// A part that hardly gives way is inertia of its link, felt by both joints.
+#[test]
+fn a_stiff_part_is_inertia_of_its_link() {
+    let flexible = EffectKinds {
+        flexible_link: true,
+        ..none()
+    };
+    let mut bare = config::<TwoLink<true>, 2>([LINEAR; 2]);
+    let plain = bare;
+    bare.joints[1].effects = flexible;
+    let light = scara(0.0, 0.0);
+    let mut heavy = light.clone();
+    heavy[1] += 0.1; // beta
+    let stiff = [&light[..], &[0.1, 1000.0, 0.3]].concat();
+    let motion = |config: Config<TwoLink<true>, 2>, parameters: &[f64]| {
+        let run = Run {
+            config,
+            parameters,
+            voltage: &telegraph(5, 50),
+            steps_per_tick: 64,
+            initial: at_rest([10.0, 20.0]),
+            step: 3.125e-5,
+            steps: 3200,
+        };
+        run.record(&[Quantity::LinkAngle]).remove(0)
+    };
+    let [light, heavy, stiff] = [
+        motion(plain, &light),
+        motion(plain, &heavy),
+        motion(bare, &stiff),
+    ];
+    for i in 0..2 {
+        let apart = |one: &[[f64; 2]], other: &[[f64; 2]]| {
+            let off = one.iter().zip(other).map(|(a, b)| (a[i] - b[i]).abs());
+            off.fold(0.0, f64::max)
+        };
+        // the gears' modes, at 30 Hz, are some thousandth of its own squared
+        assert!(apart(&stiff, &heavy) < 0.01 * apart(&light, &heavy), "{i}");
+    }
+}
+
 /// Torque [N m] of a motor whose drive makes 0.1 N m of a volt, but for one effect, at voltages that
 /// are commanded one after the other.
 fn driven<const K: usize>(name: &str, size: f64, voltage: [f64; K]) -> [f64; K] {

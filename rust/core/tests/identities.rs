@@ -4,6 +4,7 @@ mod common;
 
 use common::{BuiltIn, Draw, LINEAR, RIGID, Run, at_rest, config, scara, with_effects};
 use proptest::prelude::*;
+use strainwave_core::actuation::current_loop::StepTorque;
 use strainwave_core::arm::{Arm, OneLink, TwoLink};
 use strainwave_core::dispatch::{Width, simulate};
 use strainwave_core::experiment::{Clock, Member, Quantity, Task};
@@ -183,6 +184,8 @@ fn energy_error<A: Arm<N>, const N: usize>(run: &Run<'_, A, N>) -> f64 {
             link_angle: record[2][k],
             link_velocity: record[3][k],
             hysteresis: [0.0; N],
+            part_angle: [0.0; N],
+            part_velocity: [0.0; N],
         };
         let without = plant.gear_torques(&x);
         for i in 0..N {
@@ -279,6 +282,7 @@ proptest! {
             joint.effects.hysteresis = !few;
             joint.effects.load_friction = !few;
             joint.effects.backlash = !few;
+            joint.effects.flexible_link = false; // no record has its part's motion
             values[5 + 8 * i + 2] *= f64::from(u8::from(!few));
         }
         let values = with_effects(&values, &config);
@@ -289,6 +293,44 @@ proptest! {
         };
         let error = energy_error(&run);
         prop_assert!(error < if few { 1e-6 } else { 0.02 }, "{}", error);
+    }
+
+    /// A free arm of whose links parts swing by themselves: its energy goes into their dampers.
+    #[test]
+    fn energy_is_kept_by_flexible_links((mut values, seed) in drawn_two_link()) {
+        let mut config = config::<TwoLink<true>, 2>([LINEAR; 2]);
+        for (i, joint) in config.joints.iter_mut().enumerate() {
+            joint.effects.flexible_link = true;
+            values[5 + 8 * i + 2] = 0.0; // no Coulomb friction
+        }
+        let values = with_effects(&values, &config);
+        let plant: Plant<TwoLink<true>, f64, AllLaws, 2, true> = config.plant(&[&values]);
+        let mut draw = Draw::new(seed);
+        let mut some = |size: f64| std::array::from_fn(|_| size * draw.next());
+        let mut x = State {
+            motor_angle: some(20.0),
+            motor_velocity: some(20.0),
+            link_angle: some(0.2),
+            link_velocity: some(0.5),
+            hysteresis: [0.0; 2],
+            part_angle: some(0.2),
+            part_velocity: some(0.5),
+        };
+        let none = [0.0; 2];
+        let modes = Modes { direction: none, free: [1.0; 2] };
+        let torque = StepTorque { begin: none, middle: none, end: none };
+        let (step, begun) = (6.25e-5, plant.energy(&x));
+        let (mut lost, mut before) = (0.0, plant.dissipation(&x, &modes));
+        for k in 1..=3200 {
+            let now = plant.instant(&x, &none, &modes);
+            x = plant.runge_kutta(&x, &now, &torque, &modes, step, &mut ());
+            let power = plant.dissipation(&x, &modes);
+            // Simpson's rule over pairs of steps: middle 4/3, ends 1/3 each
+            lost += step / 3.0 * if k % 2 == 1 { before + 4.0 * power } else { power };
+            before = power;
+        }
+        let error = (plant.energy(&x) + lost - begun).abs() / lost;
+        prop_assert!(error < 1e-6, "{}", error);
     }
 
     #[test]

@@ -252,6 +252,9 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "drive_saturation" => 0.0125,
                 "tilt_sin" => 1.0,
                 "tilt_cos" => -1.5,
+                "flexible_inertia" => 0.2,
+                "flexible_frequency" => 40.0,
+                "flexible_damping" => 0.05,
                 _ => unreachable!("{name}"),
             })
         })

@@ -12,6 +12,7 @@ from strainwave.domain.effects.dead_zone import DeadZone
 from strainwave.domain.effects.drive_gain import DriveGain
 from strainwave.domain.effects.drive_saturation import DriveSaturation
 from strainwave.domain.effects.encoder_zero import EncoderZero
+from strainwave.domain.effects.flexible_link import FlexibleLink
 from strainwave.domain.effects.friction_by_record import FrictionByRecord
 from strainwave.domain.effects.ground_spring import GroundSpring
 from strainwave.domain.effects.hysteresis import Hysteresis
@@ -55,6 +56,7 @@ _EFFECTS = Registry[Effect](
         DriveGain(),
         DriveSaturation(),
         Tilt(),
+        FlexibleLink(),
         FrictionByRecord(),
         EncoderZero(),
     ),

@@ -305,6 +305,11 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
             &one.state.link_velocity,
         );
         put(&mut self.motion.state.hysteresis, &one.state.hysteresis);
+        put(&mut self.motion.state.part_angle, &one.state.part_angle);
+        put(
+            &mut self.motion.state.part_velocity,
+            &one.state.part_velocity,
+        );
         put(&mut self.motion.torque, &one.torque);
         put(&mut self.motion.modes.direction, &one.modes.direction);
         put(&mut self.motion.modes.free, &one.modes.free);
@@ -514,6 +519,8 @@ fn one_of<R: Real, const N: usize>(all: &Motion<R, N>, lane: usize) -> Motion<R:
             link_angle: own(&all.state.link_angle),
             link_velocity: own(&all.state.link_velocity),
             hysteresis: own(&all.state.hysteresis),
+            part_angle: own(&all.state.part_angle),
+            part_velocity: own(&all.state.part_velocity),
         },
         torque: own(&all.torque),
         modes: crate::plant::Modes {
@@ -534,6 +541,8 @@ fn side_by_side<R: Real, const N: usize>(ones: &[Motion<R::One, N>]) -> Motion<R
             link_angle: all(|one| &one.state.link_angle),
             link_velocity: all(|one| &one.state.link_velocity),
             hysteresis: all(|one| &one.state.hysteresis),
+            part_angle: all(|one| &one.state.part_angle),
+            part_velocity: all(|one| &one.state.part_velocity),
         },
         torque: all(|one| &one.torque),
         modes: crate::plant::Modes {

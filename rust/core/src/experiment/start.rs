@@ -24,6 +24,8 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
         link_angle: each(Source::LinkAngle, &initial.link_angle.unwrap_or([0.0; N])),
         link_velocity: each(Source::LinkVelocity, &initial.link_velocity),
         hysteresis: [S::splat(0.0); N],
+        part_angle: [S::splat(0.0); N],
+        part_velocity: [S::splat(0.0); N],
     };
     if initial.link_angle.is_none() {
         let hanging = hanging(plant, &state.motor_angle);
@@ -37,6 +39,7 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
             state.link_velocity[i] = plant.joints[i].ratio * state.motor_velocity[i];
         }
     }
+    plant.carry_parts(&mut state);
     let torque = std::array::from_fn(|i| {
         let driven = plant.joints[i].driven::<EFFECTS>(S::splat(initial.voltage[i]));
         S::splat(current.torque_per_volt[i]) * driven

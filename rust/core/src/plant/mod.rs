@@ -6,12 +6,13 @@ pub mod rigid;
 
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
-use crate::joint::effects::{At, Twist};
+use crate::joint::effects::{At, Lead, Twist};
 use crate::joint::gear::{Gears, Spring};
 use crate::joint::{Gear, Joint};
 use crate::scalar::{Real, Work, apart, solve};
 
-/// Angles [rad] and velocities [rad/s] of motors and links, and what the gears remember.
+/// Angles [rad] and velocities [rad/s] of motors and links, what the gears remember, and the parts of
+/// links that swing by themselves.
 #[derive(Clone, Copy, Debug)]
 pub struct State<R, const N: usize> {
     /// theta_M.
@@ -24,6 +25,10 @@ pub struct State<R, const N: usize> {
     pub link_velocity: [R; N],
     /// z, the gear's hysteresis torque over its largest, within [-1, 1]; zero where it has none.
     pub hysteresis: [R; N],
+    /// Angles in space of the links' parts that swing by themselves; of no meaning without these.
+    pub part_angle: [R; N],
+    /// Their velocities.
+    pub part_velocity: [R; N],
 }
 
 /// Accelerations [rad/s^2] of motors and links.
@@ -33,6 +38,8 @@ pub struct Acceleration<R, const N: usize> {
     pub motor: [R; N],
     /// ddtheta_L.
     pub link: [R; N],
+    /// Of the links' parts that swing by themselves.
+    pub part: [R; N],
 }
 
 /// What each motor's friction does during a step.
@@ -55,6 +62,22 @@ impl<R: Real, const N: usize> Modes<R, N> {
     fn all_free(&self, joint: usize) -> bool {
         !(self.free[joint] - R::splat(1.0)).any_negative()
     }
+}
+
+/// The first joint that bears what the `i`-th link weighs: all before it do where axes are parallel.
+pub(crate) const fn first_bearing<A: Arm<N>, const N: usize>(i: usize) -> usize {
+    if A::PLANAR { 0 } else { i }
+}
+
+/// The angle in space of the `i`-th link [rad], or its joint's own where axes are not parallel; the
+/// same of velocities.
+#[inline(always)]
+pub(crate) fn angle_in_space<A: Arm<N>, R: Real, const N: usize>(of_links: &[R; N], i: usize) -> R {
+    let mut angle = of_links[i];
+    for own in &of_links[first_bearing::<A, N>(i)..i] {
+        angle = angle + *own;
+    }
+    angle
 }
 
 /// Something that looks on while a step is made.
@@ -139,31 +162,51 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         )
     }
 
-    /// The first joint that bears what the `i`-th link weighs: all before it do where axes are
-    /// parallel.
-    pub(crate) const fn first_bearing(i: usize) -> usize {
-        if A::PLANAR { 0 } else { i }
-    }
-
-    /// The angle in space of the `i`-th link [rad], or its joint's own where axes are not parallel.
+    /// How the part of the `i`-th link that swings by itself is ahead of it.
     #[inline(always)]
-    pub(crate) fn angle_in_space(link_angle: &[R; N], i: usize) -> R {
-        let mut angle = link_angle[i];
-        for own in &link_angle[Self::first_bearing(i)..i] {
-            angle = angle + *own;
+    fn lead(x: &State<R, N>, i: usize) -> Lead<R> {
+        Lead {
+            angle: x.part_angle[i] - angle_in_space::<A, R, N>(&x.link_angle, i),
+            rate: x.part_velocity[i] - angle_in_space::<A, R, N>(&x.link_velocity, i),
         }
-        angle
     }
 
-    /// What effects make each joint bear [N m].
+    /// Lets the parts of links that swing by themselves move as their links do.
+    pub(crate) fn carry_parts(&self, x: &mut State<R, N>) {
+        for i in 0..N {
+            x.part_angle[i] = angle_in_space::<A, R, N>(&x.link_angle, i);
+            x.part_velocity[i] = angle_in_space::<A, R, N>(&x.link_velocity, i);
+        }
+    }
+
+    /// Accelerations of the links' parts that swing by themselves, and what effects make each joint
+    /// bear [N m].
+    #[inline(always)]
+    fn swinging(&self, x: &State<R, N>) -> [[R; N]; 2] {
+        let mut borne = self.borne(&x.link_angle);
+        let mut part = [R::splat(0.0); N];
+        for i in 0..N {
+            let effects = &self.joints[i].effects;
+            if effects.flexible_link.is_some() {
+                part[i] = effects.part_acceleration(&Self::lead(x, i));
+                let load = effects.part_load(part[i]);
+                for own in &mut borne[first_bearing::<A, N>(i)..=i] {
+                    *own = *own + load;
+                }
+            }
+        }
+        [part, borne]
+    }
+
+    /// What effects make each joint bear [N m] where nothing moves.
     #[inline(always)]
     pub(crate) fn borne(&self, link_angle: &[R; N]) -> [R; N] {
         let mut borne = [R::splat(0.0); N];
         for i in 0..N {
             let effects = &self.joints[i].effects;
             borne[i] = borne[i] + effects.load(link_angle[i]);
-            let weight = effects.weight(Self::angle_in_space(link_angle, i));
-            for own in &mut borne[Self::first_bearing(i)..=i] {
+            let weight = effects.weight(angle_in_space::<A, R, N>(link_angle, i));
+            for own in &mut borne[first_bearing::<A, N>(i)..=i] {
                 *own = *own + weight;
             }
         }
@@ -237,9 +280,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ) -> Acceleration<R, N> {
         let mut inertia = self.arm.inertia(&self.base, at);
         let bias = self.arm.bias(&self.base, at, &x.link_velocity);
-        let mut borne = [R::splat(0.0); N];
+        let [mut part, mut borne] = [[R::splat(0.0); N]; 2];
         if EFFECTS {
-            borne = self.borne(&x.link_angle);
+            [part, borne] = self.swinging(x);
         }
         let mut motor = [R::splat(0.0); N];
         let mut force = [R::splat(0.0); N];
@@ -287,7 +330,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 motor[i] = link[i] / self.joints[i].ratio;
             }
         }
-        Acceleration { motor, link }
+        Acceleration { motor, link, part }
     }
 
     /// Torque [N m] that friction must take up at each motor to hold it, offset apart: to keep it
@@ -331,7 +374,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
         let mut borne = [R::splat(0.0); N];
         if EFFECTS {
-            borne = self.borne(&x.link_angle);
+            borne = self.swinging(x)[1];
         }
         for i in 0..N {
             if !self.is_rigid(i) {
@@ -380,20 +423,24 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             }
             (held, turned)
         };
-        let second = reached(x.drifted(half, a1), half);
+        let second = reached(x.drifted::<EFFECTS>(half, a1), half);
         let a2 = self.after(now, &second, &torque.middle, modes);
         watch.stage(1, &second.0, &a2);
-        let third = reached(x.moved(half, half * half, a1, half, &a2), half);
+        let third = reached(x.moved::<EFFECTS>(half, half * half, a1, half, &a2), half);
         let a3 = self.after(now, &third, &torque.middle, modes);
         watch.stage(2, &third.0, &a3);
-        let fourth = reached(x.moved(h, h * half, &a2, h, &a3), h);
+        let fourth = reached(x.moved::<EFFECTS>(h, h * half, &a2, h, &a3), h);
         let a4 = self.after(now, &fourth, &torque.end, modes);
         watch.stage(3, &fourth.0, &a4);
         let sixth = h * R::splat(1.0 / 6.0);
-        let inner = a2.plus(&a3);
-        let for_angle = a1.plus(&inner);
-        let for_velocity = for_angle.plus(&inner).plus(&a4);
-        reached(x.moved(h, h * sixth, &for_angle, sixth, &for_velocity), h).0
+        let inner = a2.plus::<EFFECTS>(&a3);
+        let for_angle = a1.plus::<EFFECTS>(&inner);
+        let for_velocity = for_angle.plus::<EFFECTS>(&inner).plus::<EFFECTS>(&a4);
+        reached(
+            x.moved::<EFFECTS>(h, h * sixth, &for_angle, sixth, &for_velocity),
+            h,
+        )
+        .0
     }
 
     /// A stage `t` after the beginning in which the held motors are where they settle:
@@ -468,9 +515,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             motor_angle: x.motor_angle[i],
             motor_velocity: x.motor_velocity[i],
             link_angle: x.link_angle[i],
-            angle_in_space: Self::angle_in_space(&x.link_angle, i),
+            angle_in_space: angle_in_space::<A, R, N>(&x.link_angle, i),
             twist: self.gear(x, i).twist,
             z: x.hysteresis[i],
+            lead: Self::lead(x, i),
+            part_velocity: x.part_velocity[i],
         }
     }
 
@@ -547,7 +596,7 @@ type Stage<R, const N: usize> = (State<R, N>, [R; N]);
 impl<R: Real, const N: usize> State<R, N> {
     /// q + t q', q' + t a: the second stage.
     #[inline(always)]
-    fn drifted(&self, t: R, a: &Acceleration<R, N>) -> Stage<R, N> {
+    fn drifted<const EFFECTS: bool>(&self, t: R, a: &Acceleration<R, N>) -> Stage<R, N> {
         let mut next = *self;
         let mut turned = self.link_velocity;
         for i in 0..N {
@@ -556,13 +605,17 @@ impl<R: Real, const N: usize> State<R, N> {
             next.link_angle[i] = self.link_angle[i] + turned[i];
             next.motor_velocity[i] = t.mul_add(a.motor[i], self.motor_velocity[i]);
             next.link_velocity[i] = t.mul_add(a.link[i], self.link_velocity[i]);
+            if EFFECTS {
+                next.part_angle[i] = t.mul_add(self.part_velocity[i], self.part_angle[i]);
+                next.part_velocity[i] = t.mul_add(a.part[i], self.part_velocity[i]);
+            }
         }
         (next, turned)
     }
 
     /// q + t q' + s a, q' + r b: the later stages and the end.
     #[inline(always)]
-    fn moved(
+    fn moved<const EFFECTS: bool>(
         &self,
         t: R,
         s: R,
@@ -581,6 +634,13 @@ impl<R: Real, const N: usize> State<R, N> {
             next.link_angle[i] = self.link_angle[i] + turned[i];
             next.motor_velocity[i] = r.mul_add(b.motor[i], self.motor_velocity[i]);
             next.link_velocity[i] = r.mul_add(b.link[i], self.link_velocity[i]);
+            if EFFECTS {
+                next.part_angle[i] = s.mul_add(
+                    a.part[i],
+                    t.mul_add(self.part_velocity[i], self.part_angle[i]),
+                );
+                next.part_velocity[i] = r.mul_add(b.part[i], self.part_velocity[i]);
+            }
         }
         (next, turned)
     }
@@ -588,11 +648,14 @@ impl<R: Real, const N: usize> State<R, N> {
 
 impl<R: Real, const N: usize> Acceleration<R, N> {
     #[inline(always)]
-    fn plus(&self, other: &Self) -> Self {
+    fn plus<const EFFECTS: bool>(&self, other: &Self) -> Self {
         let mut sum = *self;
         for i in 0..N {
             sum.motor[i] = sum.motor[i] + other.motor[i];
             sum.link[i] = sum.link[i] + other.link[i];
+            if EFFECTS {
+                sum.part[i] = sum.part[i] + other.part[i];
+            }
         }
         sum
     }

@@ -361,6 +361,8 @@ fn lifted<S: Real, V: Real, const N: usize>(
             link_angle: pair(&state.link_angle, &x.angle),
             link_velocity: pair(&state.link_velocity, &x.link_velocities(half)),
             hysteresis: state.hysteresis.map(Dual::constant),
+            part_angle: state.part_angle.map(Dual::constant),
+            part_velocity: state.part_velocity.map(Dual::constant),
         },
         torque: pair(&nominal.torque, torque),
         modes: Modes {

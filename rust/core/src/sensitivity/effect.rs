@@ -7,10 +7,12 @@
 //! with a derivative ([`Jet`]); the other parameters, such as velocities, have no influence then.
 
 use crate::arm::Arm;
-use crate::joint::effects::{EffectKinds, Effects, Enters, Hysteresis, Size};
+use crate::joint::effects::{
+    Effect, EffectKinds, Effects, Enters, FlexibleLink, Hysteresis, Lead, Size,
+};
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::{Config, Role};
-use crate::plant::{Modes, Plant, State};
+use crate::plant::{Modes, Plant, State, angle_in_space};
 use crate::scalar::{Jet, Real};
 use crate::sensitivity::forcing::{GEAR_EFFECTS, MOTOR_EFFECTS, Quads};
 use crate::sensitivity::holding::Holding;
@@ -23,6 +25,10 @@ pub(crate) struct EffectSensitivity<L, const N: usize> {
     hysteresis: [Option<Hysteresis<f64>>; N],
     /// z at the beginning of the step.
     pub(crate) z: [f64; N],
+    /// What the links' parts follow that swing by themselves.
+    flexible: [Option<FlexibleLink<f64>>; N],
+    /// Their angles and velocities in space at the beginning of the step.
+    part: [[f64; 2]; N],
 }
 
 /// One size of an effect, which is nothing but moves.
@@ -47,6 +53,8 @@ struct Moment<R> {
     load: R,
     stiffness: R,
     damping: R,
+    /// Of the link's part that swings by itself.
+    part_acceleration: R,
 }
 
 /// What a little of an effect adds, per size.
@@ -97,7 +105,9 @@ impl<R: Real> Adds<R> {
             adds.link = effects.load(Jet::constant(at.link_angle)).tangent;
         }
         if enters.weight {
-            adds.link = effects.weight(Jet::constant(at.angle_in_space)).tangent;
+            let weight = effects.weight(Jet::constant(at.angle_in_space));
+            let load = effects.part_load(Jet::constant(at.part_acceleration));
+            adds.link = (weight + load).tangent;
         }
         adds
     }
@@ -116,6 +126,7 @@ impl<L: Real> OneSize<L> {
             load: held.ratio * held.transmitted,
             stiffness: held.stiffness,
             damping: held.damping,
+            part_acceleration: 0.0,
         };
         Adds::of(&self.at_once, self.size.enters, &moment)
     }
@@ -135,8 +146,12 @@ fn moving<R: Real>(kinds: EffectKinds, values: &[f64], place: usize) -> Effects<
 }
 
 impl<L: Real, const N: usize> EffectSensitivity<L, N> {
-    /// Of a configuration and its parameters.
-    pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, parameters: &[f64]) -> Self {
+    /// Of a configuration and its parameters, in a motion that begins in a state.
+    pub(crate) fn new<A: Arm<N>, S: Real>(
+        config: &Config<A, N>,
+        parameters: &[f64],
+        begin: &State<S, N>,
+    ) -> Self {
         let roles = config.roles();
         let values = |i: usize| -> Vec<f64> {
             let of_joint = |k: &usize| matches!(roles[*k], (Role::Effect(_), j) if j == i);
@@ -144,7 +159,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
             places.map(|k| parameters[k]).collect()
         };
         let mut own = std::array::from_fn(|_| Vec::new());
-        let mut hysteresis = [None; N];
+        let (mut hysteresis, mut flexible) = ([None; N], [None; N]);
         for i in 0..N {
             let (kinds, values) = (config.joints[i].effects, values(i));
             for (place, (_, size)) in kinds.parameters().into_iter().enumerate() {
@@ -159,11 +174,15 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
             let mut all = values.iter();
             let effects: Effects<f64> = Effects::of(kinds, || *all.next().expect("a value"));
             hysteresis[i] = effects.hysteresis;
+            flexible[i] = effects.flexible_link;
         }
+        let part = |i: usize| [begin.part_angle[i], begin.part_velocity[i]].map(|one| one.lane(0));
         Self {
             own,
             hysteresis,
             z: [0.0; N],
+            flexible,
+            part: std::array::from_fn(part),
         }
     }
 
@@ -185,6 +204,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
     ) {
         for i in 0..N {
             let z = self.remembered(trace, h, i);
+            let swung = self.swung::<A>(trace, h, i);
             for first in (0..4).step_by(L::LANES) {
                 let each = |number: fn(&Stage<N>) -> &[f64; N]| {
                     trace.across::<L>(first, |stage| number(stage)[i])
@@ -197,14 +217,14 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
                     motor_angle: (twist + angle) * L::splat(1.0 / trace.ratio[i]),
                     motor_velocity: each(|stage| &stage.motor_velocity),
                     link_angle: angle,
-                    angle_in_space: trace.across::<L>(first, |stage| {
-                        Plant::<A, f64, G, N>::angle_in_space(&stage.angle, i)
-                    }),
+                    angle_in_space: trace
+                        .across::<L>(first, |stage| angle_in_space::<A, f64, N>(&stage.angle, i)),
                     twist,
                     z: L::load(&z[first..]),
                     load: joint.ratio * transmitted,
                     stiffness: spring.stiffness(twist),
                     damping: joint.gear_damping,
+                    part_acceleration: L::load(&swung[first..]),
                 };
                 let direction = L::splat(modes.direction[i].lane(0));
                 for own in &self.own[i] {
@@ -234,10 +254,46 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         [self.z[i], z(1, 0.5 * h), z(2, 0.5 * h), z(3, h)]
     }
 
-    /// The step is made: z where it ended.
+    /// Accelerations of the part of one link that swings by itself, at the stages of a step of length
+    /// `h`: the integrator's own step of its equation.
     #[inline(always)]
-    pub(crate) fn passed<S: Real>(&mut self, trace: &Trace<N>, end: &State<S, N>, h: f64) {
+    fn swung<A: Arm<N>>(&self, trace: &Trace<N>, h: f64, i: usize) -> [f64; 4] {
+        let Some(law) = &self.flexible[i] else {
+            return [0.0; 4];
+        };
+        let [angle, velocity] = self.part[i];
+        let at = |k: usize, [angle, velocity]: [f64; 2]| {
+            let stage = &trace.stages[k];
+            let lead = Lead {
+                angle: angle - angle_in_space::<A, f64, N>(&stage.angle, i),
+                rate: velocity - angle_in_space::<A, f64, N>(&stage.velocity, i),
+            };
+            law.part_acceleration(&lead)
+        };
+        let half = 0.5 * h;
+        let middle = angle + half * velocity;
+        let a1 = at(0, self.part[i]);
+        let a2 = at(1, [middle, velocity + half * a1]);
+        let a3 = at(2, [middle + half * half * a1, velocity + half * a2]);
+        let a4 = at(3, [angle + h * velocity + h * half * a2, velocity + h * a3]);
+        [a1, a2, a3, a4]
+    }
+
+    /// The step is made: what gears remember and parts of links swing by, where it ended.
+    #[inline(always)]
+    pub(crate) fn passed<A: Arm<N>, S: Real>(
+        &mut self,
+        trace: &Trace<N>,
+        end: &State<S, N>,
+        h: f64,
+    ) {
         for i in 0..N {
+            if self.flexible[i].is_some() {
+                let [a1, a2, a3, a4] = self.swung::<A>(trace, h, i);
+                let [angle, velocity] = &mut self.part[i];
+                *angle += h * *velocity + h * h / 6.0 * (a1 + a2 + a3);
+                *velocity += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4);
+            }
             if let Some(law) = &self.hysteresis[i] {
                 let to = trace.twist_of(i, end);
                 self.z[i] = law.follow(self.z[i], &trace.twist_at(i, 0), &to, h);

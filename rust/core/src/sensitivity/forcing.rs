@@ -10,6 +10,7 @@ use crate::experiment::Source;
 use crate::joint::effects::{Enters, SIZES, Size};
 use crate::joint::transmission::DRIVE;
 use crate::plant::config::{Config, Role};
+use crate::plant::first_bearing;
 use crate::scalar::{Lanes, MOST_LANES};
 
 /// The row of the equations that a parameter enters.
@@ -123,7 +124,7 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
                 let mut all: Vec<_> = own.map(|(quad, slot)| at(i, quad, slot)).collect();
                 if size.enters.weight {
                     let weighing = at(i, LINK + link_quads(bases), size.index);
-                    let first = if A::PLANAR { 0 } else { i };
+                    let first = first_bearing::<A, N>(i);
                     all.extend((first..=i).map(|joint| Place { joint, ..weighing }));
                 }
                 all

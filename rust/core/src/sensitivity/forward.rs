@@ -119,6 +119,13 @@ impl<
             let directions = &of.directions[first..];
             BlockTrajectory::new(asked, member, directions, sensing.as_ref())
         };
+        let linear = Linearised::new(
+            &task.config,
+            of.member.parameters,
+            (&asked.config, member.parameters),
+            &nominal.motion.state,
+            task.clock.step,
+        );
         Self {
             task,
             asked,
@@ -126,12 +133,7 @@ impl<
             unforced: TangentBlock::new(&task.config, &[], Tangent::still()),
             longer: task.config.current_loop(task.clock.step),
             trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
-            linear: Linearised::new(
-                &task.config,
-                of.member.parameters,
-                (&asked.config, member.parameters),
-                task.clock.step,
-            ),
+            linear,
             blocks: (0..width).step_by(V::LANES).map(trajectory).collect(),
             sensing,
             buffer: SampleBuffer::new(sizes, of.decimation),
@@ -163,7 +165,7 @@ impl<
         if let Some(effects) = &mut self.linear.effects
             && self.nominal.stretches.is_empty()
         {
-            effects.passed(&self.trace, &self.nominal.motion.state, h);
+            effects.passed::<A, S>(&self.trace, &self.nominal.motion.state, h);
         }
     }
 
@@ -251,7 +253,7 @@ impl<
         let begin = plant.arm.posture(&from.state.link_angle);
         self.linear.update(trace, &begin, &from.modes, duration);
         if let Some(effects) = &mut self.linear.effects {
-            effects.passed(trace, &end.state, duration);
+            effects.passed::<A, S>(trace, &end.state, duration);
         }
         let lasting = Dual {
             value: S::splat(duration),

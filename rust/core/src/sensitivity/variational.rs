@@ -15,7 +15,7 @@
 use crate::arm::Arm;
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::Config;
-use crate::plant::{Modes, Plant};
+use crate::plant::{Modes, Plant, State};
 use crate::scalar::{Lanes, Real, inverse};
 use crate::sensitivity::effect::EffectSensitivity;
 use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, all_link_quads, link_quads};
@@ -79,11 +79,12 @@ impl Settling {
 
 impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
     /// Of an arm without effects, for steps of length `step` [s]. Directions are by the parameters
-    /// of `asked`, which may have effects whose sizes are nothing.
-    pub(crate) fn new(
+    /// of `asked`, which may have effects whose sizes are nothing; the motion begins in a state.
+    pub(crate) fn new<S: Real>(
         config: &Config<A, N>,
         parameters: &[f64],
         (asked, all): (&Config<A, N>, &[f64]),
+        begin: &State<S, N>,
         step: f64,
     ) -> Self {
         let plant: Plant<A, L, G, N> = config.plant_of(|k| L::splat(parameters[k]));
@@ -101,7 +102,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
             quads: Quads::nothing(config.arm.names().len()),
             effects: asked
                 .has_effects()
-                .then(|| EffectSensitivity::new(asked, all)),
+                .then(|| EffectSensitivity::new(asked, all, begin)),
             settling: [None; N],
             plant,
         }

@@ -195,6 +195,9 @@ pub fn with_effects<A: Arm<N>, const N: usize>(plain: &[f64], config: &Config<A,
         "drive_saturation" => 0.0125,
         "tilt_sin" => 1.0,
         "tilt_cos" => -1.5,
+        "flexible_inertia" => 0.2,
+        "flexible_frequency" => 40.0,
+        "flexible_damping" => 0.05,
         _ => *plain.next().expect("a value for every other name"),
     };
     config.parameter_names().iter().map(value).collect()

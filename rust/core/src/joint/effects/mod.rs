@@ -10,6 +10,7 @@ mod backlash;
 mod dead_zone;
 mod drive_gain;
 mod drive_saturation;
+mod flexible_link;
 mod ground_spring;
 mod hysteresis;
 mod kinematic_error;
@@ -23,6 +24,7 @@ pub use backlash::Backlash;
 pub use dead_zone::DeadZone;
 pub use drive_gain::DriveGain;
 pub use drive_saturation::DriveSaturation;
+pub use flexible_link::FlexibleLink;
 pub use ground_spring::GroundSpring;
 pub use hysteresis::Hysteresis;
 pub use kinematic_error::KinematicError;
@@ -89,6 +91,16 @@ pub struct Twist<R> {
     pub rate: R,
 }
 
+/// By how much a part that swings by itself is ahead of its link [rad], and the rate of that
+/// [rad/s].
+#[derive(Clone, Copy, Debug)]
+pub struct Lead<R> {
+    /// x.
+    pub angle: R,
+    /// dx.
+    pub rate: R,
+}
+
 /// A joint at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct At<R> {
@@ -104,6 +116,10 @@ pub struct At<R> {
     pub twist: Twist<R>,
     /// What the gear remembers.
     pub z: R,
+    /// x and dx of the link's part that swings by itself.
+    pub lead: Lead<R>,
+    /// Velocity of that part in space [rad/s].
+    pub part_velocity: R,
 }
 
 /// An effect with its values. What it does not say is nothing; all methods that a step of the
@@ -169,6 +185,20 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     /// the one in space, and no other joint bears any of it.
     #[inline(always)]
     fn weight(&self, _angle: R) -> R {
+        R::splat(0.0)
+    }
+
+    /// Acceleration in space [rad/s^2] of a part of the link that swings by itself; enters by
+    /// `weight`.
+    #[inline(always)]
+    fn part_acceleration(&self, _lead: &Lead<R>) -> R {
+        R::splat(0.0)
+    }
+
+    /// What the link bears of that part [N m] at an acceleration [rad/s^2], and the joints before it
+    /// with it; enters by `weight`.
+    #[inline(always)]
+    fn part_load(&self, _acceleration: R) -> R {
         R::splat(0.0)
     }
 
@@ -377,6 +407,34 @@ macro_rules! effects {
                 sum
             }
 
+            /// Acceleration of the part of the link that swings by itself.
+            #[inline(always)]
+            pub(crate) fn part_acceleration(&self, lead: &Lead<R>) -> R {
+                let mut sum = R::splat(0.0);
+                $(
+                    if <$effect<R> as Effect<R>>::DECLARED.enters.weight
+                        && let Some(own) = &self.$field
+                    {
+                        sum = sum + own.part_acceleration(lead);
+                    }
+                )*
+                sum
+            }
+
+            /// What the link and those before it bear of that part.
+            #[inline(always)]
+            pub(crate) fn part_load(&self, acceleration: R) -> R {
+                let mut sum = R::splat(0.0);
+                $(
+                    if <$effect<R> as Effect<R>>::DECLARED.enters.weight
+                        && let Some(own) = &self.$field
+                    {
+                        sum = sum + own.part_load(acceleration);
+                    }
+                )*
+                sum
+            }
+
             /// What the drive makes of a voltage: one effect after the other.
             #[inline(always)]
             pub(crate) fn drive(&self, voltage: R) -> R {
@@ -429,6 +487,7 @@ effects! {
     drive_gain: DriveGain,
     drive_saturation: DriveSaturation,
     tilt: Tilt,
+    flexible_link: FlexibleLink,
 }
 
 /// A size that an effect has.

@@ -1,0 +1,85 @@
+//! A part of a link that swings by itself.
+
+use super::{At, Declared, Effect, Enters, Lead, MOST_OF_AN_EFFECT, NOWHERE};
+use crate::parameter::{FREQUENCY, INERTIA, Parameter, Sign};
+use crate::scalar::Real;
+use std::f64::consts::TAU;
+
+/// An inertia J on a spring and a damper that stand on the link: with the link held still it rings
+/// at f, w = 2 pi f, with a damping ratio zeta.
+#[derive(Clone, Copy, Debug)]
+pub struct FlexibleLink<R> {
+    /// J [kg m^2].
+    pub inertia: R,
+    /// w [rad/s].
+    pub rate: R,
+    /// zeta.
+    pub damping: R,
+}
+
+impl<R: Real> Effect<R> for FlexibleLink<R> {
+    const DECLARED: Declared = Declared {
+        name: "flexible-link",
+        parameters: &[
+            Parameter::new(
+                "flexible_inertia",
+                "J_f",
+                "inertia of the part of the link that swings by itself",
+                INERTIA,
+                Sign::NonNegative,
+            ),
+            Parameter::new(
+                "flexible_frequency",
+                "f_f",
+                "frequency at which that part rings on a link held still",
+                FREQUENCY,
+                Sign::Positive,
+            ),
+            Parameter::new(
+                "flexible_damping",
+                "zeta_f",
+                "damping ratio of that part on a link held still",
+                ["1", "1"],
+                Sign::Positive,
+            ),
+        ],
+        sizes: 1,
+        of_gear: false,
+        enters: Enters {
+            weight: true,
+            ..NOWHERE
+        },
+    };
+
+    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+        Self {
+            inertia: values[0],
+            rate: R::splat(TAU) * values[1],
+            damping: values[2],
+        }
+    }
+
+    /// -w (2 zeta dx + w x).
+    #[inline(always)]
+    fn part_acceleration(&self, lead: &Lead<R>) -> R {
+        let damped = (self.damping + self.damping) * lead.rate;
+        -self.rate * self.rate.mul_add(lead.angle, damped)
+    }
+
+    #[inline(always)]
+    fn part_load(&self, acceleration: R) -> R {
+        self.inertia * acceleration
+    }
+
+    fn energy(&self, at: &At<R>) -> R {
+        let strained = self.rate * at.lead.angle;
+        let moving = at.part_velocity * at.part_velocity;
+        R::splat(0.5) * self.inertia * (strained * strained + moving)
+    }
+
+    /// 2 J zeta w dx^2.
+    fn loss(&self, at: &At<R>) -> R {
+        let damping = (self.inertia + self.inertia) * self.damping * self.rate;
+        damping * at.lead.rate * at.lead.rate
+    }
+}
