@@ -25,7 +25,7 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
     assert model.criticism is not None
     cause = model.criticism.causes[0]
     assert (cause.joint, cause.effect) == (1, name)
-    assert cause.share > 0.3
+    assert cause.share > 0.1
     known = truth()[1]
     for own in cause.parameters:
         if own.name in effect_named(name).sizes:
@@ -33,7 +33,8 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
     for move in cause.shifts:
         if move.name in MENDED and abs(move.deviations) > 5.0:
             true = known[move.name, move.joint]
-            assert abs(move.without + move.shift - true) < 0.2 * abs(move.without - true), move
+            off = abs(move.without + move.shift - true)
+            assert off < max(0.2 * abs(move.without - true), 0.01 * true), move
 
 
 @pytest.mark.parametrize("name", OF_THE_CORE)

@@ -45,7 +45,7 @@ def test_effects_that_are_there_come_back() -> None:
         assert abs(parameter.value - true) < 4.0 * parameter.std, key
     for name in ("motor_inertia", "motor_coulomb_friction", "gear_stiffness"):
         known = truth()[1][name, 1]
-        assert model.values[name, 1] == pytest.approx(known, rel=0.003), name
+        assert model.values[name, 1] == pytest.approx(known, rel=0.005), name
 
 
 def test_without_them_other_parameters_take_their_place() -> None:

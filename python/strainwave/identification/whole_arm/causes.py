@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from strainwave.domain import Cause, Diagnostic, ParameterShift, TuningOptions
 from strainwave.domain.effects import effect_named
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.effects import (
@@ -77,14 +76,19 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
     evident = [one for one in tested if one.test.evident and one.one not in named]
     if not evident:
         return []
-    least = _AS_GOOD * max(one.alone for one in evident)
+    least = _AS_GOOD * max(map(_promise, evident))
     rivals = sorted(
-        (one for one in tested if one.alone >= least and one.one not in named),
-        key=lambda one: -one.alone,
+        (one for one in tested if _promise(one) >= least and one.one not in named),
+        key=lambda one: -_promise(one),
     )
     found = [_refit(fit, one, arm, options) for one in rivals[:_RIVALS]]
     likely = [one for one in found if one is not None and _shows(one, len(tested))]
     return sorted(likely, key=lambda one: -one.gain)
+
+
+def _promise(tested: Tested) -> float:
+    """What an effect takes off the cost alone, or beside a likelier one that hides it."""
+    return max(tested.alone, tested.test.gain if tested.test.evident else 0.0)
 
 
 def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit | None:
@@ -92,8 +96,7 @@ def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit 
     one, space = tested.one, fit.objective.space
     values = fit.objective.space.values(fit.z)
     largest = gear_torques(fit.objective.records, values).tolist()
-    known = values | _sizes(tested, arm)
-    extended, begin = with_effects(space, [one], arm, known, largest, fit.records)
+    extended, begin = with_effects(space, [one], arm, tested.values, largest, fit.records)
     objective = replace(
         fit.objective.for_unknowns(extended),
         records=records_with(fit.objective.records, _having(arm, one), extended.keys),
@@ -104,20 +107,9 @@ def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit 
     except NotIdentifiable:
         return None
     more = len(extended.unknowns) - len(space.unknowns)
-    gain = fit.cost - found.cost
+    gain = fit.cost - tested.rigid - found.cost
     moved = tuple(shifts(fit, found.objective.space.values(found.z)))
     return Refit(one, found, gain - more, gain / max(fit.cost, 1e-300), moved)
-
-
-def _sizes(tested: Tested, arm: Arm) -> Values:
-    """The sizes of a score test that a fit may start from: those without sign above zero."""
-    joint, effect = tested.test.joint, effect_named(tested.test.effect)
-    sizes = tested.test.sizes
-    return {
-        (name, joint): value
-        for name, value in sizes.items()
-        if effect.is_signed(name) or value > 0.0
-    }
 
 
 def _having(arm: Arm, one: NamedEffect) -> Arm:

@@ -16,6 +16,8 @@ from strainwave.identification.closed_loop import with_known_effects
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.parametrisation import (
     COULOMB,
+    OFFSET,
+    VISCOUS,
     Key,
     ParameterSpace,
     Unknown,
@@ -100,10 +102,29 @@ def with_effects(
         for unknown, column in _of_rigid_records(one, arm, space, values, more):
             more[unknown.key], columns[unknown.key] = unknown, column
     rows = np.column_stack([space.prior.rows, *columns.values()])
-    unknowns = (*space.unknowns, *more.values())
-    found = ParameterSpace(unknowns, space.fixed, replace(space.prior, rows=rows))
+    prior = replace(space.prior, rows=rows).loosened(
+        {key for joint, effect in effects for key in rigid_friction(arm, joint)}
+    )
+    found = ParameterSpace((*space.unknowns, *more.values()), space.fixed, prior)
     starts: Values = {key: unknown.start for key, unknown in more.items()}
     return found, found.coordinates(starts | values)
+
+
+def rigid_friction(arm: Arm, joint: int) -> set[Key]:
+    """What the rigid step says of a joint's friction: without its effects that is wrong.
+
+    Parameters
+    ----------
+    arm : Arm
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    set of (name, joint)
+    """
+    friction = {(name, joint) for name in (COULOMB, OFFSET, *VISCOUS)}
+    return {column.key for column in arm.rigid_columns if friction.issuperset(column.parts)}
 
 
 def _unknowns(

@@ -370,7 +370,11 @@ class Objective:
         return found
 
     def bordered(
-        self, z: FloatArray, n_more: int, more: Callable[[int, Evaluated], FloatArray]
+        self,
+        z: FloatArray,
+        n_more: int,
+        more: Callable[[int, Evaluated], FloatArray],
+        beforehand: FloatArray | None = None,
     ) -> FloatArray:
         """R of [unknowns more residual], the records' own unknowns at their best.
 
@@ -382,6 +386,8 @@ class Objective:
             Columns of parameters that are no unknowns.
         more : callable
             Of a record's number and its evaluation, those columns: (n_rows, n_channels, n_more).
+        beforehand : (n_prior, n_more), optional
+            The same of what the rigid step knows; zero without.
 
         Returns
         -------
@@ -398,6 +404,8 @@ class Objective:
 
         known, off = self.space.beforehand(z)
         border = np.zeros((len(known), n_more))
+        if beforehand is not None:
+            border[: len(beforehand)] = beforehand
         stacked = np.concatenate([*self._each(factor), np.column_stack([known, border, off])])
         return np.asarray(np.linalg.qr(stacked, mode="r"))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,6 +29,10 @@ __all__ = [
     "with_curves",
     "with_settling",
 ]
+
+_MISJUDGED, _VISCOUS_MISJUDGED = 0.03, 0.3
+"""Shares of Coulomb and viscous friction by which lack of an effect may mislead the rigid step."""
+_LEAST_MISJUDGED = 1e-12  # [SI] of friction that is nothing
 
 SETTLING = "friction_settling_time"
 SETTLING_START = 1e-4
@@ -84,6 +88,60 @@ class Prior:
     factor: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(n_rows, n_rows) what a whitened row is multiplied by to have the parameters' units."""
     mean: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n_rows,) in those units
+
+    def by_shifts(self, names: Collection[Key]) -> FloatArray:
+        """Derivatives of the whitened rows by errors of some of the rigid model's parameters.
+
+        Parameters
+        ----------
+        names : collection of (name, joint)
+
+        Returns
+        -------
+        (n_rows, n_shifts)
+            Each per deviation that lack of an effect may make.
+        """
+        own = [k for k, name in enumerate(self.names) if name in names]
+        units = np.eye(len(self.names))[:, own] * self._misjudged[own]
+        return np.asarray(np.linalg.solve(self.factor, units))
+
+    def loosened(self, names: Collection[Key]) -> Prior:
+        """The same, knowing less of some of the rigid model's friction, for lack of an effect.
+
+        Parameters
+        ----------
+        names : collection of (name, joint)
+
+        Returns
+        -------
+        Prior
+        """
+        own = [k for k, name in enumerate(self.names) if name in names]
+        if not own:
+            return self
+        covariance = self.factor @ self.factor.T
+        covariance[own, own] += self._misjudged[own] ** 2
+        factor = np.asarray(np.linalg.cholesky(covariance))
+        turn = np.linalg.solve(factor, self.factor)
+        return replace(
+            self,
+            rows=turn @ self.rows,
+            target=turn @ self.target,
+            errors=turn @ self.errors @ turn.T,
+            factor=factor,
+        )
+
+    @property
+    def _misjudged(self) -> FloatArray:
+        """(n_rows,) by which the rigid model's friction may be off for lack of an effect."""
+        known = dict(zip(self.names, np.abs(self.mean).tolist(), strict=True))
+        off = [
+            _MISJUDGED * known.get((COULOMB, joint), 0.0)
+            if name in (COULOMB, OFFSET)
+            else _VISCOUS_MISJUDGED * known[name, joint]
+            for name, joint in self.names
+        ]
+        return np.asarray(np.maximum(off, _LEAST_MISJUDGED))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,25 +6,23 @@ own derivatives as one more column. What it takes off the cost in one linear ste
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
-from strainwave.domain.effects import all_effects, effect_named, names
+from strainwave.domain.effects import all_effects, effect_named
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.effect_columns import EffectColumns
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
-    records_with,
-    sizes_of,
 )
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Evaluated
 from strainwave.identification.whole_arm.parametrisation import (
     OFFSET,
     SETTLING,
@@ -39,7 +37,6 @@ FALSE_ALARMS = 1e-4
 MATTERS = 0.1
 """Share of the cost from which an effect matters, whatever it moves."""
 
-_ROUNDING = 1e-7  # of a column: less is nothing that the unknowns could not imitate
 _INTERVAL = 1.96  # deviations by which moving another parameter does
 
 
@@ -49,7 +46,8 @@ class Tested:
 
     test: ScoreTest
     alone: float  # what the effect takes off the cost with no other beside it
-    values: Values  # of the unknowns after the step
+    rigid: float  # and before that, not trusting the rigid step's friction of the joint
+    values: Values  # of the unknowns, and of sizes, after that step alone
 
     @property
     def one(self) -> NamedEffect:
@@ -75,11 +73,10 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     if not candidates:
         return []
     try:
-        factor = _bordered(fit, arm, candidates)
+        columns = EffectColumns.of(fit, arm, candidates)
     except (InvalidInput, NumericalFailure):
         return []
-    sizes = {one: sizes_of(one, fit.records) for one in candidates}
-    return list(_chosen(sizes, factor, fit))
+    return list(_chosen(columns, fit))
 
 
 def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
@@ -92,35 +89,6 @@ def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
     ]
 
 
-def _bordered(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> FloatArray:
-    """R of [unknowns effects residual], then the sizes' priors.
-
-    (n_unknowns + n_keys + 1 + n_priors, n_unknowns + n_keys + 1)
-    """
-    objective = fit.objective
-    pairs = [(one, key) for one in candidates for key in sizes_of(one, fit.records)]
-    keys = [key for _, key in pairs]
-    stds = [effect_named(effect).prior_std for (_, effect), _ in pairs]
-    numbers = range(1, arm.n_joints + 1)
-    absent = {name: value for effect in all_effects() for name, value in effect.absent.items()}
-    nothing = {(name, j): value for name, value in absent.items() for j in numbers}
-    values: Values = nothing | objective.space.values(fit.z)
-    joints = tuple(replace(joint, effects=names()) for joint in arm.joints)
-    rich = records_with(objective.records, arm.with_joints(joints), values)
-
-    def tangent(k: int, _: Evaluated) -> FloatArray:
-        begun = objective.memory.own[k][: len(rich[k].local)]
-        return rich[k].linearised(values, begun, keys)[1][..., : len(keys)]
-
-    whole = objective.bordered(fit.z, len(keys), tangent)
-    n = len(objective.space.unknowns)
-    known = [k for k, std in enumerate(stds) if std is not None]
-    prior = np.zeros((len(known), whole.shape[1]))
-    for row, k in enumerate(known):
-        prior[row, n + k] = 1.0 / (stds[k] or np.inf)
-    return np.concatenate([whole, prior])
-
-
 @dataclass(frozen=True, slots=True)
 class _Step:
     """What one effect takes off the cost, and by which sizes."""
@@ -128,47 +96,51 @@ class _Step:
     candidate: NamedEffect
     names: tuple[str, ...]
     gain: float
+    rigid: float  # what mistrust of the rigid step's friction takes off before that
     size: FloatArray
     std: FloatArray
+    shift: FloatArray  # of that friction
 
     def beyond(self, chance: float) -> float:
         """What the gain has beyond what as many sizes gain from noise with a chance."""
         return self.gain - chi_square_limit(chance, len(self.size))
 
 
-def _chosen(
-    sizes: Mapping[NamedEffect, Sequence[Key]], whole: FloatArray, fit: Fit
-) -> Iterator[Tested]:
+def _chosen(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
     """One after the other, each given those before it as long as they are evident."""
-    n = len(fit.objective.space.unknowns)
-    factor, columns, places, at = whole[n:, n:], {}, {}, 0
-    for one, own in sizes.items():
-        end = at + len(own)
-        columns[one], places[one] = _seen(whole, n, slice(n + at, n + end)), slice(n + at, n + end)
-        at = end
-    left, target = list(sizes), factor[:, -1]
-    taken = np.zeros((len(target), 0))
-    alone: dict[NamedEffect, float] = {}
-    chance = FALSE_ALARMS / len(sizes)
+    left, chance = list(columns.sizes), FALSE_ALARMS / len(columns.sizes)
+    taken = np.zeros((len(columns.target), 0))
+    alone = {one: _step(columns, one, taken) for one in left}
+    steps = list(alone.values())
     while left:
-        steps = [_step(one, sizes[one], columns[one], taken, target) for one in left]
-        alone = alone or {step.candidate: step.gain for step in steps}
         best = max(steps, key=lambda step: step.beyond(chance))
         one = best.candidate
-        moved = _moved(fit, whole[:n, :n], whole[:n, places[one]] @ best.size)
-        found = _scored(best, fit, moved, chance)
-        yield Tested(found, alone[one], moved)
+        found = _scored(best, fit, _moved(columns, best, fit), chance)
+        yield Tested(found, alone[one].gain, alone[one].rigid, _reached(columns, alone[one], fit))
         left.remove(one)
         if found.evident:
-            taken = np.column_stack([taken, columns[one]])
+            taken = np.column_stack([taken, columns.seen(one), columns.friction(one)])
+            steps = [_step(columns, other, taken) for other in left]
+        else:
+            steps = [step for step in steps if step is not best]
 
 
-def _seen(whole: FloatArray, n: int, place: slice) -> FloatArray:
-    """What n unknowns leave of an effect's columns: zero where that is rounding."""
-    left = whole[n:, place].copy()
-    size = np.linalg.norm(whole[:, place], axis=0)
-    left[:, np.linalg.norm(left, axis=0) <= _ROUNDING * size] = 0.0
-    return left
+def _moved(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
+    """The unknowns after the linear step that makes room for an effect."""
+    move = columns.answer(step.candidate, step.size, step.shift)
+    space = fit.objective.space
+    return space.values(space.moved(fit.z, space.trusted(fit.z, move, 1.0)))
+
+
+def _reached(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
+    """Those, and such sizes as a fit may start from: without sign above zero."""
+    joint, effect = step.candidate[0], effect_named(step.candidate[1])
+    sizes: Values = {
+        (name, joint): value
+        for name, value in zip(step.names, step.size.tolist(), strict=True)
+        if effect.is_signed(name) or value > 0.0
+    }
+    return _moved(columns, step, fit) | sizes
 
 
 def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
@@ -203,13 +175,6 @@ def matter(moves: Sequence[ParameterShift]) -> bool:
     return any(abs(move.deviations) > _INTERVAL for move in moves)
 
 
-def _moved(fit: Fit, factor: FloatArray, by_effect: FloatArray) -> Values:
-    """The unknowns after the linear step that makes room for an effect."""
-    step = np.asarray(-np.linalg.lstsq(factor, by_effect)[0])
-    space = fit.objective.space
-    return space.values(space.moved(fit.z, space.trusted(fit.z, step, 1.0)))
-
-
 def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     """By how much the arm's parameters differ from a fit's, the most significant first.
 
@@ -242,23 +207,29 @@ def _is_primary(key: Key) -> bool:
     return not (name in others or name in of_effects or is_sensor_constant(key))
 
 
-def _step(
-    candidate: NamedEffect,
-    sizes: Sequence[Key],
-    columns: FloatArray,
-    taken: FloatArray,
-    target: FloatArray,
-) -> _Step:
-    """The best sizes of one effect beside those taken already; none below nothing."""
+def _step(columns: EffectColumns, one: NamedEffect, taken: FloatArray) -> _Step:
+    """The best sizes of one effect beside those taken already; none below nothing.
+
+    The rigid step's friction of the joint is free: it was found without the effect.
+    """
+    parts = (columns.friction(one), columns.seen(one), columns.target)
+    friction, seen, target = _beside(taken, *parts)
+    own, left = _beside(friction, seen, target)
+    names = tuple(name for name, _ in columns.sizes[one])
+    effect = effect_named(one[1])
+    size = least_squares(own, left, np.array([effect.is_signed(name) for name in names]))
+    gain = float(np.sum(left**2) - np.sum((left + own @ size) ** 2))
+    std = np.sqrt(np.diag(np.linalg.pinv(own.T @ own)))
+    shift = np.asarray(np.linalg.lstsq(friction, -(target + seen @ size))[0])
+    rigid = float(np.sum(target**2) - np.sum(left**2))
+    return _Step(one, names, gain, rigid, size, std, shift)
+
+
+def _beside(taken: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
+    """What a basis leaves of columns."""
     basis = np.linalg.qr(taken)[0]
-    columns = columns - basis @ (basis.T @ columns)
-    target = target - basis @ (basis.T @ target)
-    effect = effect_named(candidate[1])
-    signed = np.array([effect.is_signed(name) for name, _ in sizes])
-    size = least_squares(columns, target, signed)
-    gain = float(np.sum(target**2) - np.sum((target + columns @ size) ** 2))
-    std = np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)))
-    return _Step(candidate, tuple(name for name, _ in sizes), gain, size, std)
+    for columns in others:
+        yield columns - basis @ (basis.T @ columns)
 
 
 def least_squares(columns: FloatArray, target: FloatArray, signed: BoolArray) -> FloatArray:
