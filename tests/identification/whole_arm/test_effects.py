@@ -95,7 +95,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     units = ["N m", "rad/s", "N m", "rad", "rad", "rad"]
     assert [unknown.unit for unknown in space.unknowns[2:]] == units
     assert named_effects(Arm.of(study.arm)) == [(1, effect) for effect in ALL]
-    less = without(space, {(1, "stribeck"), (1, "kinematic-error")})
+    less = without(space, {(1, "stribeck"), (1, "kinematic-error")}, Arm.of(study.arm))
     assert less.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
     assert less.prior.rows.shape == (1, 4)
 

@@ -235,8 +235,8 @@ def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
     np.testing.assert_allclose(residual, space.parameters(z) / std)
     sure = 1e-4 * np.eye(4)
     assert list(idle(space, z, sure)) == [(1, "friction-by-record")]
-    assert without(space, {(1, "friction-by-record")}).keys == space.keys[2:]
-    assert without(space, {(1, "friction-by-record")}).own_prior[0].shape == (2, 2)
+    assert without(space, {(1, "friction-by-record")}, arm).keys == space.keys[2:]
+    assert without(space, {(1, "friction-by-record")}, arm).own_prior[0].shape == (2, 2)
 
 
 def test_friction_in_a_record_that_has_no_size_is_the_joint_s() -> None:

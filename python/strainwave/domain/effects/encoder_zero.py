@@ -12,6 +12,7 @@ class EncoderZero(RecordEffect):
 
     name = "encoder-zero"
     sizes = ("encoder_zero",)
+    misleads_inertias = True
     description = "an angle that is off by a constant"
     consequence = "inertia and gravity belong to other postures than those they are taken for"
     experiment = "lay the links along x by a straight edge, and read the encoders"

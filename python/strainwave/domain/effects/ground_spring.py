@@ -12,6 +12,7 @@ class GroundSpring(Effect):
 
     name = "ground-spring"
     sizes = ("ground_stiffness", "ground_preload")
+    misleads_inertias = True
     description = "a spring and a preload between the link and ground"
     consequence = "gravity torques and inertias of slow motion are biased"
     experiment = "hold the joint at several angles of its range, coming from either side"

@@ -51,6 +51,9 @@ class Effect(ABC):
     by_record: bool = False
     """Whether each record has sizes of its own, named by `of_record`."""
 
+    misleads_inertias: bool = False
+    """Whether its absence misleads the rigid step on inertias and gravity, not only on friction."""
+
     prior_std: float | None = None
     """Standard deviation of a size about zero, before any record; None: nothing is known."""
 

@@ -81,8 +81,22 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
         (one for one in tested if _promise(one) >= least and one.one not in named),
         key=lambda one: -_promise(one),
     )
-    found = [_refit(fit, one, arm, options) for one in rivals[:_RIVALS]]
-    likely = [one for one in found if one is not None and _shows(one, len(tested))]
+    found = _likely(fit, rivals[:_RIVALS], arm, options, len(tested))
+    if not found or found[0].share < _LITTLE:
+        joint = evident[0].test.joint  # whose effects a linear step may not see
+        others = [one for one in tested if one.test.joint == joint and one.one not in named]
+        others = [one for one in others if one not in rivals[:_RIVALS]]
+        others.sort(key=_promise, reverse=True)
+        found += _likely(fit, others[:_RIVALS], arm, options, len(tested))
+    return sorted(found, key=lambda one: -one.gain)
+
+
+def _likely(
+    fit: Fit, rivals: Sequence[Tested], arm: Arm, options: TuningOptions, n_tested: int
+) -> list[Refit]:
+    """Fits with each of some effects that explain more than chance, the most likely first."""
+    found = [_refit(fit, one, arm, options) for one in rivals]
+    likely = [one for one in found if one is not None and _shows(one, n_tested)]
     return sorted(likely, key=lambda one: -one.gain)
 
 
@@ -184,8 +198,6 @@ def with_demanded_effects(fit: Fit, selection: Selection) -> Fit:
     if not any(joint.selects_effects for joint in arm.joints):
         return fit
     for _ in range(_MOST):
-        if not fit.converged:
-            break
         tested = [
             one
             for one in score_tests_of(fit, arm)

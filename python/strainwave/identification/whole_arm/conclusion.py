@@ -121,7 +121,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
 def _criticism(fit: Fit, selection: Selection) -> Criticism:
     """What a fit leaves, and the effects that might explain it, the likeliest of them fitted."""
     tested = score_tests_of(fit, selection.arm)
-    refits = refits_of(fit, tested, selection.arm, selection.options) if fit.converged else []
+    refits = refits_of(fit, tested, selection.arm, selection.options)
     return Criticism(
         residual_tests(fit.objective, fit.z),
         tuple(one.test for one in tested),

@@ -74,7 +74,7 @@ def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
         return fit
     while gone := _idle(fit):
         values = fit.objective.space.values(fit.z)
-        space = without(fit.objective.space, gone)
+        space = without(fit.objective.space, gone, arm)
         objective = _on(fit.objective, space, arm)
         fit = fine_search(objective, space.coordinates(values), fit.iterations, selection.options)
     return fit

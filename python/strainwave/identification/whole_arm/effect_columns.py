@@ -14,6 +14,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
     records_with,
+    rigid_body,
     rigid_friction,
     sizes_of,
 )
@@ -28,14 +29,14 @@ _ROUNDING = 1e-7  # of a column: less is nothing that the unknowns could not imi
 class EffectColumns:
     """R of [unknowns sizes shifts residual], then the priors of sizes and shifts.
 
-    Sizes are those of effects, where they are zero; shifts those of the rigid step's friction,
-    joint by joint.
+    Sizes are those of effects, where they are zero; shifts those of what the rigid step says, first
+    of inertias and gravity and then of each joint's friction.
     """
 
     factor: FloatArray  # (n_rows, n_unknowns + n_sizes + n_shifts + 1)
     n_unknowns: int
     sizes: Mapping[NamedEffect, Sequence[Key]]
-    n_shifts: Sequence[int]  # of each joint
+    n_shifts: Sequence[int]  # of inertias and gravity, and of each joint
 
     @classmethod
     def of(cls, fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> EffectColumns:
@@ -60,7 +61,8 @@ class EffectColumns:
         numbers = range(1, arm.n_joints + 1)
         sizes = {one: sizes_of(one, fit.records) for one in candidates}
         keys = [key for own in sizes.values() for key in own]
-        shifts = [objective.space.prior.by_shifts(rigid_friction(arm, j)) for j in numbers]
+        groups = [rigid_body(arm), *(rigid_friction(arm, j) for j in numbers)]
+        shifts = [objective.space.prior.by_shifts(group) for group in groups]
         beforehand = np.concatenate([np.zeros((len(shifts[0]), len(keys))), *shifts], axis=1)
         width = beforehand.shape[1]
         absent = {name: value for effect in all_effects() for name, value in effect.absent.items()}
@@ -98,12 +100,12 @@ class EffectColumns:
         left[:, np.linalg.norm(left, axis=0) <= _ROUNDING * size] = 0.0
         return left
 
-    def friction(self, one: NamedEffect) -> FloatArray:
-        """What they leave of shifts of the rigid step's friction of an effect's joint."""
-        return self.factor[self.n_unknowns :, self._friction(one[0])]
+    def shifts(self, one: NamedEffect) -> FloatArray:
+        """What they leave of shifts of what the rigid step says wrongly for lack of an effect."""
+        return self.factor[self.n_unknowns :, self._shifts(one)]
 
     def answer(self, one: NamedEffect, size: FloatArray, shift: FloatArray) -> FloatArray:
-        """How the unknowns make room for an effect and for shifts of its joint's friction.
+        """How the unknowns make room for an effect and for shifts of what the rigid step says.
 
         Parameters
         ----------
@@ -118,7 +120,7 @@ class EffectColumns:
         """
         n = self.n_unknowns
         by_effect = self.factor[:n, self._place(one)] @ size
-        by_effect = by_effect + self.factor[:n, self._friction(one[0])] @ shift
+        by_effect = by_effect + self.factor[:n, self._shifts(one)] @ shift
         return np.asarray(-np.linalg.lstsq(self.factor[:n, :n], by_effect)[0])
 
     def _place(self, one: NamedEffect) -> slice:
@@ -130,6 +132,8 @@ class EffectColumns:
             at += count
         raise KeyError(one)
 
-    def _friction(self, joint: int) -> slice:
-        at = self.n_unknowns + sum(map(len, self.sizes.values())) + sum(self.n_shifts[: joint - 1])
-        return slice(at, at + self.n_shifts[joint - 1])
+    def _shifts(self, one: NamedEffect) -> list[int]:
+        first = self.n_unknowns + sum(map(len, self.sizes.values()))
+        ends = first + np.cumsum([0, *self.n_shifts])
+        groups = [0, one[0]] if effect_named(one[1]).misleads_inertias else [one[0]]
+        return [k for group in groups for k in range(ends[group], ends[group + 1])]

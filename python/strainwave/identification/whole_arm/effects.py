@@ -16,8 +16,6 @@ from strainwave.identification.closed_loop import with_known_effects
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.parametrisation import (
     COULOMB,
-    OFFSET,
-    VISCOUS,
     Key,
     ParameterSpace,
     Unknown,
@@ -102,16 +100,60 @@ def with_effects(
         for unknown, column in _of_rigid_records(one, arm, space, values, more):
             more[unknown.key], columns[unknown.key] = unknown, column
     rows = np.column_stack([space.prior.rows, *columns.values()])
-    prior = replace(space.prior, rows=rows).loosened(
-        {key for joint, effect in effects for key in rigid_friction(arm, joint)}
+    found = ParameterSpace(
+        (*space.unknowns, *more.values()), space.fixed, replace(space.prior, rows=rows)
     )
-    found = ParameterSpace((*space.unknowns, *more.values()), space.fixed, prior)
+    found = _trusting(found, arm)
     starts: Values = {key: unknown.start for key, unknown in more.items()}
     return found, found.coordinates(starts | values)
 
 
+def _trusting(space: ParameterSpace, arm: Arm) -> ParameterSpace:
+    """The unknowns, the rigid step trusted as far as the effects among them let it be."""
+    known = {(base_name(name), joint) for name, joint in space.keys}
+    has = [
+        (number, effect.name)
+        for number in range(1, arm.n_joints + 1)
+        for effect in all_effects()
+        if (effect.sizes[0], number) in known
+    ]
+    misled = {key for one in has for key in misled_by(one, arm)}
+    return replace(space, prior=space.prior.tightened().loosened(misled))
+
+
+def misled_by(one: NamedEffect, arm: Arm) -> set[Key]:
+    """What the rigid step, which knows no effects, says wrongly where there is one.
+
+    Parameters
+    ----------
+    one : (joint, effect)
+    arm : Arm
+
+    Returns
+    -------
+    set of (name, joint)
+    """
+    joint, effect = one
+    friction = rigid_friction(arm, joint)
+    return friction | rigid_body(arm) if effect_named(effect).misleads_inertias else friction
+
+
+def rigid_body(arm: Arm) -> set[Key]:
+    """The rigid model's parameters that are not friction.
+
+    Parameters
+    ----------
+    arm : Arm
+
+    Returns
+    -------
+    set of (name, joint)
+    """
+    return {column.key for column in arm.rigid_columns[: arm.n_body]}
+
+
 def rigid_friction(arm: Arm, joint: int) -> set[Key]:
-    """What the rigid step says of a joint's friction: without its effects that is wrong.
+    """The rigid model's friction of a joint.
 
     Parameters
     ----------
@@ -123,8 +165,7 @@ def rigid_friction(arm: Arm, joint: int) -> set[Key]:
     -------
     set of (name, joint)
     """
-    friction = {(name, joint) for name in (COULOMB, OFFSET, *VISCOUS)}
-    return {column.key for column in arm.rigid_columns if friction.issuperset(column.parts)}
+    return {column.key for column in arm.rigid_columns[arm.n_body :] if column.key[1] == joint}
 
 
 def _unknowns(
@@ -173,13 +214,14 @@ def _of_rigid_records(
             yield replace(like, name=of_record(name, RIGID)), column
 
 
-def without(space: ParameterSpace, effects: Collection[NamedEffect]) -> ParameterSpace:
+def without(space: ParameterSpace, effects: Collection[NamedEffect], arm: Arm) -> ParameterSpace:
     """The unknowns less those of some effects.
 
     Parameters
     ----------
     search : ParameterSpace
     effects : collection of (joint, effect)
+    arm : Arm
 
     Returns
     -------
@@ -188,7 +230,8 @@ def without(space: ParameterSpace, effects: Collection[NamedEffect]) -> Paramete
     gone = {(name, j) for j, effect in effects for name in effect_named(effect).names}
     kept = [k for k, (name, j) in enumerate(space.keys) if (base_name(name), j) not in gone]
     prior = replace(space.prior, rows=space.prior.rows[:, kept])
-    return ParameterSpace(tuple(space.unknowns[k] for k in kept), space.fixed, prior)
+    left = ParameterSpace(tuple(space.unknowns[k] for k in kept), space.fixed, prior)
+    return _trusting(left, arm)
 
 
 def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterator[NamedEffect]:

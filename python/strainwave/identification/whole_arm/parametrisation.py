@@ -30,9 +30,10 @@ __all__ = [
     "with_settling",
 ]
 
-_MISJUDGED, _VISCOUS_MISJUDGED = 0.03, 0.3
-"""Shares of Coulomb and viscous friction by which lack of an effect may mislead the rigid step."""
-_LEAST_MISJUDGED = 1e-12  # [SI] of friction that is nothing
+_MISLED = {COULOMB: 0.03, OFFSET: 0.03}
+_VISCOUS_MISLED, _BODY_MISLED = 0.3, 0.1
+"""Shares of values by which lack of an effect may mislead the rigid step; offsets' of Coulomb's."""
+_LEAST_MISLED = 1e-12  # [SI] of what is nothing
 
 SETTLING = "friction_settling_time"
 SETTLING_START = 1e-4
@@ -88,6 +89,8 @@ class Prior:
     factor: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(n_rows, n_rows) what a whitened row is multiplied by to have the parameters' units."""
     mean: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n_rows,) in those units
+    before: tuple[FloatArray, FloatArray] | None = None
+    """`factor` and `errors` before it was `loosened`; None if it is not."""
 
     def by_shifts(self, names: Collection[Key]) -> FloatArray:
         """Derivatives of the whitened rows by errors of some of the rigid model's parameters.
@@ -102,11 +105,11 @@ class Prior:
             Each per deviation that lack of an effect may make.
         """
         own = [k for k, name in enumerate(self.names) if name in names]
-        units = np.eye(len(self.names))[:, own] * self._misjudged[own]
+        units = np.eye(len(self.names))[:, own] * self._misled[own]
         return np.asarray(np.linalg.solve(self.factor, units))
 
     def loosened(self, names: Collection[Key]) -> Prior:
-        """The same, knowing less of some of the rigid model's friction, for lack of an effect.
+        """The same, knowing less of some of the rigid model's parameters, for lack of an effect.
 
         Parameters
         ----------
@@ -119,29 +122,38 @@ class Prior:
         own = [k for k, name in enumerate(self.names) if name in names]
         if not own:
             return self
-        covariance = self.factor @ self.factor.T
-        covariance[own, own] += self._misjudged[own] ** 2
-        factor = np.asarray(np.linalg.cholesky(covariance))
-        turn = np.linalg.solve(factor, self.factor)
+        off = np.zeros((len(self.names), len(own)))
+        off[own, range(len(own))] = self._misled[own]
+        factor = np.asarray(np.linalg.cholesky(self.factor @ self.factor.T + off @ off.T))
+        turn, misled = np.linalg.solve(factor, self.factor), np.linalg.solve(factor, off)
         return replace(
             self,
             rows=turn @ self.rows,
             target=turn @ self.target,
-            errors=turn @ self.errors @ turn.T,
+            errors=turn @ self.errors @ turn.T + misled @ misled.T,
             factor=factor,
+            before=self.before or (self.factor, self.errors),
         )
 
+    def tightened(self) -> Prior:
+        """The same as the rigid step gave it."""
+        if self.before is None:
+            return self
+        factor, errors = self.before
+        turn = np.linalg.solve(factor, self.factor)
+        rows, target = turn @ self.rows, turn @ self.target
+        return replace(self, rows=rows, target=target, errors=errors, factor=factor, before=None)
+
     @property
-    def _misjudged(self) -> FloatArray:
-        """(n_rows,) by which the rigid model's friction may be off for lack of an effect."""
+    def _misled(self) -> FloatArray:
+        """(n_rows,) by which the rigid model's parameters may be off for lack of an effect."""
         known = dict(zip(self.names, np.abs(self.mean).tolist(), strict=True))
-        off = [
-            _MISJUDGED * known.get((COULOMB, joint), 0.0)
-            if name in (COULOMB, OFFSET)
-            else _VISCOUS_MISJUDGED * known[name, joint]
-            for name, joint in self.names
-        ]
-        return np.asarray(np.maximum(off, _LEAST_MISJUDGED))
+        off = []
+        for name, joint in self.names:
+            size = known.get((COULOMB, joint), 0.0) if name == OFFSET else known[name, joint]
+            usual = _VISCOUS_MISLED if "viscous" in name else _BODY_MISLED
+            off.append(_MISLED.get(name, usual) * size)
+        return np.asarray(np.maximum(off, _LEAST_MISLED))
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,7 +46,7 @@ class Tested:
 
     test: ScoreTest
     alone: float  # what the effect takes off the cost with no other beside it
-    rigid: float  # and before that, not trusting the rigid step's friction of the joint
+    rigid: float  # and before that, not trusting what the rigid step says for lack of it
     values: Values  # of the unknowns, and of sizes, after that step alone
 
     @property
@@ -96,10 +96,10 @@ class _Step:
     candidate: NamedEffect
     names: tuple[str, ...]
     gain: float
-    rigid: float  # what mistrust of the rigid step's friction takes off before that
+    rigid: float  # what mistrust of the rigid step takes off before that
     size: FloatArray
     std: FloatArray
-    shift: FloatArray  # of that friction
+    shift: FloatArray  # of what that says
 
     def beyond(self, chance: float) -> float:
         """What the gain has beyond what as many sizes gain from noise with a chance."""
@@ -119,7 +119,7 @@ def _chosen(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
         yield Tested(found, alone[one].gain, alone[one].rigid, _reached(columns, alone[one], fit))
         left.remove(one)
         if found.evident:
-            taken = np.column_stack([taken, columns.seen(one), columns.friction(one)])
+            taken = np.column_stack([taken, columns.seen(one), columns.shifts(one)])
             steps = [_step(columns, other, taken) for other in left]
         else:
             steps = [step for step in steps if step is not best]
@@ -210,17 +210,17 @@ def _is_primary(key: Key) -> bool:
 def _step(columns: EffectColumns, one: NamedEffect, taken: FloatArray) -> _Step:
     """The best sizes of one effect beside those taken already; none below nothing.
 
-    The rigid step's friction of the joint is free: it was found without the effect.
+    What the rigid step says wrongly for lack of the effect is free.
     """
-    parts = (columns.friction(one), columns.seen(one), columns.target)
-    friction, seen, target = _beside(taken, *parts)
-    own, left = _beside(friction, seen, target)
+    parts = (columns.shifts(one), columns.seen(one), columns.target)
+    shifts, seen, target = _beside(taken, *parts)
+    own, left = _beside(shifts, seen, target)
     names = tuple(name for name, _ in columns.sizes[one])
     effect = effect_named(one[1])
     size = least_squares(own, left, np.array([effect.is_signed(name) for name in names]))
     gain = float(np.sum(left**2) - np.sum((left + own @ size) ** 2))
     std = np.sqrt(np.diag(np.linalg.pinv(own.T @ own)))
-    shift = np.asarray(np.linalg.lstsq(friction, -(target + seen @ size))[0])
+    shift = np.asarray(np.linalg.lstsq(shifts, -(target + seen @ size))[0])
     rigid = float(np.sum(target**2) - np.sum(left**2))
     return _Step(one, names, gain, rigid, size, std, shift)
 
