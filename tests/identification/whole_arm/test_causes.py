@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from effect_runs import EVERY, OF_THE_CORE, tuned
+from effect_runs import ALIKE, EVERY, OF_THE_CORE, tuned
 from strainwave.domain import ArmModel
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
@@ -24,6 +24,8 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
     model = tuned((name,), ())
     assert model.criticism is not None
     cause = model.criticism.causes[0]
+    if cause.effect in ALIKE.get(name, ()):
+        return
     assert (cause.joint, cause.effect) == (1, name)
     assert cause.share > 0.1
     known = truth()[1]

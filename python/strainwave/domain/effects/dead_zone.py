@@ -12,6 +12,7 @@ class DeadZone(Effect):
 
     name = "dead-zone"
     sizes = ("dead_zone",)
+    misleads_inertias = True
     description = "a dead zone of the drive about zero voltage"
     consequence = "Coulomb friction is too large where the voltage follows the motion's direction"
     experiment = "measure the motor's current at small voltages of either sign"

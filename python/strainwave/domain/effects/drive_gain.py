@@ -12,6 +12,7 @@ class DriveGain(Effect):
 
     name = "drive-gain"
     sizes = ("drive_gain",)
+    misleads_inertias = True
     description = "an error of the torque per volt"
     consequence = (
         "every torque of the joint, and with it inertia, friction and stiffness, is scaled"

@@ -12,6 +12,7 @@ class DriveSaturation(Effect):
 
     name = "drive-saturation"
     sizes = ("drive_saturation",)
+    misleads_inertias = True
     description = "a torque constant that falls with the current"
     consequence = "inertia and friction depend on how large the voltage was"
     experiment = "repeat an excitation at a third of its amplitude"

@@ -12,6 +12,7 @@ class Tilt(Effect):
 
     name = "tilt"
     sizes = ("tilt_sin", "tilt_cos")
+    misleads_inertias = True
     description = "gravity that the model does not have, as of a tilted base"
     consequence = "friction and inertias of slow motion are biased"
     experiment = "put a level on the base; or hold the joint at angles half a turn apart"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
@@ -16,7 +18,7 @@ from strainwave.identification.whole_arm.effects import (
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.gear_load import gear_torques
 from strainwave.identification.whole_arm.objective import Objective
-from strainwave.identification.whole_arm.parametrisation import ParameterSpace
+from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior
 from strainwave.identification.whole_arm.selection import Selection, better
 from strainwave.identification.whole_arm.solver import COARSE_GAIN, fine_search, search_from
 
@@ -53,7 +55,18 @@ def with_named_effects(fit: Fit, selection: Selection) -> Fit:
         tolerance=COARSE_GAIN,
         most=_TRIAL,
     )
-    return better(fit, extended)
+    return better(replace(fit, cost=fit.cost - _eased(fit, space)), extended)
+
+
+def _eased(fit: Fit, space: ParameterSpace) -> float:
+    """What the cost of a fit falls by as the rigid step is trusted less for effects' sake."""
+    parameters = fit.objective.space.parameters(fit.z)
+
+    def cost(prior: Prior) -> float:
+        left = prior.rows[:, : len(parameters)] @ parameters - prior.target
+        return float(np.sum(left**2))
+
+    return cost(fit.objective.space.prior) - cost(space.prior)
 
 
 def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
