@@ -39,6 +39,15 @@ class Runs:
         """Of the records."""
         return [log.name for log in self.logs]
 
+    def amplified(self, joint: int, gains: Sequence[float]) -> Runs:
+        """The same where a drive made so many times more of the voltages that were logged."""
+        pairs = zip(self.logs, gains, strict=True)
+        logs = [
+            replace(log, channels={**log.channels, u: log.channels[u] / (1.0 + gain)})
+            for (log, gain), u in zip(pairs, [f"u{joint}"] * len(gains), strict=True)
+        ]
+        return replace(self, logs=tuple(logs))
+
     def beside(self, channels: Mapping[str, float]) -> Runs:
         """The same with something added to some channels of all records."""
         logs = []

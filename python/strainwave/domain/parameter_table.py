@@ -65,6 +65,13 @@ _OF_RECORDS = (
         "any",
     ),
     ParameterDescription(
+        "drive_gain_change",
+        "g_r",
+        "relative change of a joint's torque per volt in one record",
+        ("1", "1"),
+        "any",
+    ),
+    ParameterDescription(
         "encoder_zero",
         "q_0",
         "what a joint's angle is more than its encoder says",

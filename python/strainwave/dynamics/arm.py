@@ -18,7 +18,7 @@ from strainwave.domain.combinations import (
     rigid_body_columns,
     rigid_columns,
 )
-from strainwave.domain.effects import effect_named
+from strainwave.domain.effects import RecordEffect, effect_named
 from strainwave.domain.kinds import Key, RigidColumn, Row, Values, kind_of
 from strainwave.domain.parameters import completed
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -138,7 +138,7 @@ class Arm(ArmDescription):
         InvalidInput
             A parameter the arm needs is not there.
         """
-        known = completed(values, self)
+        known = self._absent_effects | completed(values, self)
         missing = [key for key in self.parameter_names if key not in known and not _optional(key)]
         if missing:
             listed = ", ".join(
@@ -150,6 +150,17 @@ class Arm(ArmDescription):
                 remedy="give every parameter of docs/notation.md that this arm has",
             )
         return np.array([known.get(key, 0.0) for key in self.parameter_names])
+
+    @property
+    def _absent_effects(self) -> Values:
+        """Parameters of effects that act on single records alone."""
+        return {
+            (name, number): value
+            for number, joint in enumerate(self.joints, start=1)
+            for effect in map(effect_named, joint.effects)
+            if isinstance(effect, RecordEffect)
+            for name, value in effect.needs.items()
+        }
 
     def base_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray

@@ -10,6 +10,7 @@ from __future__ import annotations
 from strainwave.domain.effects.backlash import Backlash
 from strainwave.domain.effects.dead_zone import DeadZone
 from strainwave.domain.effects.drive_gain import DriveGain
+from strainwave.domain.effects.drive_gain_by_record import DriveGainByRecord
 from strainwave.domain.effects.drive_saturation import DriveSaturation
 from strainwave.domain.effects.encoder_zero import EncoderZero
 from strainwave.domain.effects.flexible_link import FlexibleLink
@@ -58,6 +59,7 @@ _EFFECTS = Registry[Effect](
         Tilt(),
         FlexibleLink(),
         FrictionByRecord(),
+        DriveGainByRecord(),
         EncoderZero(),
     ),
 )

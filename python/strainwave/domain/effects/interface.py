@@ -181,16 +181,19 @@ class Input:
 
 
 class RecordEffect(Effect):
-    """An effect that the core does not know: it changes what the core is given for a record.
+    """An effect that the core does not have: it changes what the core is given for a record.
 
     Derivatives by its sizes are combinations of those that the core has.
     """
 
     prior_std: float | None = 0.3
 
+    needs: Mapping[str, float] = {}
+    """Parameters of the core's effect that it acts through -> value where that is absent."""
+
     @property
     def core_name(self) -> str | None:
-        """None."""
+        """Name of the effect in the core that it acts through; None: of none."""
         return None
 
     @abstractmethod
