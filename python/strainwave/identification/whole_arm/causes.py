@@ -25,9 +25,8 @@ from strainwave.identification.whole_arm.gear_load import gear_torques
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.score_tests import (
     FALSE_ALARMS,
-    MATTERS,
     Tested,
-    matter,
+    matters,
     score_tests_of,
     shifts,
 )
@@ -36,6 +35,7 @@ from strainwave.identification.whole_arm.solver import fine_search, search_from
 from strainwave.numerics.distributions import chi_square_limit
 
 _RIVALS = 3  # effects that are fitted
+_OTHERS = 6  # of the same joint, where those leave much
 _AS_GOOD = 0.4  # share of the best one's gain that makes a rival
 _TRIAL = 12  # evaluations of each
 _GAIN = 0.1  # predicted, at which they end
@@ -87,7 +87,7 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
         others = [one for one in tested if one.test.joint == joint and one.one not in named]
         others = [one for one in others if one not in rivals[:_RIVALS]]
         others.sort(key=_promise, reverse=True)
-        found += _likely(fit, others[:_RIVALS], arm, options, len(tested))
+        found += _likely(fit, others[:_OTHERS], arm, options, len(tested))
     return sorted(found, key=lambda one: -one.gain)
 
 
@@ -141,7 +141,7 @@ def _shows(refit: Refit, n_tested: int) -> bool:
     """Whether a fitted effect explains more than chance, and something that matters."""
     degrees = len(_own_parameters(refit))
     significant = refit.gain + degrees > chi_square_limit(FALSE_ALARMS / n_tested, degrees)
-    return significant and (refit.share > MATTERS or matter(refit.shifts))
+    return significant and matters(refit.share, refit.shifts)
 
 
 def _own_parameters(refit: Refit) -> set[Key]:

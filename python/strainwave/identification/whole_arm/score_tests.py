@@ -37,6 +37,9 @@ FALSE_ALARMS = 1e-4
 MATTERS = 0.1
 """Share of the cost from which an effect matters, whatever it moves."""
 
+LEAST = 0.02
+"""Share of the cost below which none does: an error of another kind explains as much."""
+
 _INTERVAL = 1.96  # deviations by which moving another parameter does
 
 
@@ -148,7 +151,7 @@ def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
     joint, effect = step.candidate
     share = step.gain / max(fit.cost, 1e-300)
     significant = step.beyond(chance) > 0.0
-    moves = tuple(shifts(fit, moved)) if significant else ()
+    moves = tuple(shifts(fit, moved)) if significant and share > LEAST else ()
     return ScoreTest(
         joint=joint,
         effect=effect,
@@ -156,23 +159,26 @@ def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
         stds=dict(zip(step.names, step.std.tolist(), strict=True)),
         gain=step.gain,
         share=share,
-        evident=significant and (share > MATTERS or matter(moves)),
+        evident=significant and matters(share, moves),
         shifts=moves,
     )
 
 
-def matter(moves: Sequence[ParameterShift]) -> bool:
-    """Whether a parameter leaves its 95 % interval.
+def matters(share: float, moves: Sequence[ParameterShift]) -> bool:
+    """Whether an effect explains much, or something while a parameter leaves its 95 % interval.
 
     Parameters
     ----------
+    share : float
+        Of the cost.
     moves : sequence of ParameterShift
 
     Returns
     -------
     bool
     """
-    return any(abs(move.deviations) > _INTERVAL for move in moves)
+    moved = any(abs(move.deviations) > _INTERVAL for move in moves)
+    return share > MATTERS or (share > LEAST and moved)
 
 
 def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
