@@ -35,7 +35,8 @@ from strainwave.identification.whole_arm.solver import fine_search, search_from
 from strainwave.numerics.distributions import chi_square_limit
 
 _RIVALS = 3  # effects that are fitted
-_OTHERS = 6  # of the same joint, where those leave much
+_OTHERS = 4  # of the same joint, where those explain less than
+_HARDLY = 0.25  # of the cost
 _AS_GOOD = 0.4  # share of the best one's gain that makes a rival
 _TRIAL = 12  # evaluations of each
 _GAIN = 0.1  # predicted, at which they end
@@ -82,7 +83,7 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
         key=lambda one: -_promise(one),
     )
     found = _likely(fit, rivals[:_RIVALS], arm, options, len(tested))
-    if not found or found[0].share < _LITTLE:
+    if not found or found[0].share < _HARDLY:
         joint = evident[0].test.joint  # whose effects a linear step may not see
         others = [one for one in tested if one.test.joint == joint and one.one not in named]
         others = [one for one in others if one not in rivals[:_RIVALS]]
