@@ -57,7 +57,7 @@ class Refit:
 
 
 def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptions) -> list[Refit]:
-    """Fits with each of the effects that explain most, if any is evident.
+    """Fits with each of the effects that explain most, if any is promising.
 
     Parameters
     ----------
@@ -74,17 +74,17 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
         The most likely first; those that explain nothing beyond chance are left out.
     """
     named = named_effects(arm)
-    evident = [one for one in tested if one.test.evident and one.one not in named]
-    if not evident:
+    promising = [one for one in tested if one.promising and one.one not in named]
+    if not promising:
         return []
-    least = _AS_GOOD * max(map(_promise, evident))
+    least = _AS_GOOD * max(map(_promise, promising))
     rivals = sorted(
         (one for one in tested if _promise(one) >= least and one.one not in named),
         key=lambda one: -_promise(one),
     )
     found = _likely(fit, rivals[:_RIVALS], arm, options, len(tested))
     if not found or found[0].share < _HARDLY:
-        joint = evident[0].test.joint  # whose effects a linear step may not see
+        joint = promising[0].test.joint  # whose effects a linear step may not see
         others = [one for one in tested if one.test.joint == joint and one.one not in named]
         others = [one for one in others if one not in rivals[:_RIVALS]]
         others.sort(key=_promise, reverse=True)
@@ -103,7 +103,7 @@ def _likely(
 
 def _promise(tested: Tested) -> float:
     """What an effect takes off the cost alone, or beside a likelier one that hides it."""
-    return max(tested.alone, tested.test.gain if tested.test.evident else 0.0)
+    return max(tested.alone, tested.test.gain if tested.promising else 0.0)
 
 
 def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit | None:

@@ -57,6 +57,11 @@ class Tested:
         """The joint and the effect."""
         return self.test.joint, self.test.effect
 
+    @property
+    def promising(self) -> bool:
+        """Whether it is beyond noise and worth a fit, which may explain more than a linear step."""
+        return bool(self.test.shifts)
+
 
 def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     """The effects that no joint's model has yet, the most significant first.
