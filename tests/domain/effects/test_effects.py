@@ -190,6 +190,15 @@ def test_a_study_must_name_effects_that_there_are(named: str, tmp_path: Path) ->
     assert "line 8" in str(why.value)
 
 
+def test_effects_may_be_what_the_records_demand(tmp_path: Path) -> None:
+    for spring in ("linear", RIGID):
+        (joint,) = read_study(study(tmp_path, '"auto"', spring), logs_exist=False).arm.joints
+        assert joint.selects_effects
+        assert joint.named_effects == ()
+        possible = [e.name for e in EFFECTS if spring != RIGID or not e.needs_elastic_gear]
+        assert list(joint.possible_effects) == possible
+
+
 def test_effects_are_a_list(tmp_path: Path) -> None:
     with pytest.raises(
         InvalidInput,

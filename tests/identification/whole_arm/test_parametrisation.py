@@ -14,6 +14,7 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.parametrisation import (
+    COULOMB,
     SETTLING,
     VISCOUS,
     ParameterSpace,
@@ -279,6 +280,30 @@ def test_the_floor_widens_the_prior() -> None:
         off = space.prior.rows @ p - space.prior.target
         # gamma alone is off, by one deviation
         assert np.sum(off**2) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_what_the_rigid_step_says_may_be_off_for_lack_of_an_effect() -> None:
+    _, _, space = mixed()
+    prior, coulomb = space.prior, (COULOMB, 1)
+    at = prior.names.index(coulomb)
+    less = prior.loosened({coulomb})
+    more = less.factor @ less.factor.T - prior.factor @ prior.factor.T
+    expected = np.zeros_like(more)
+    expected[at, at] = (0.03 * prior.mean[at]) ** 2
+    np.testing.assert_allclose(more, expected, atol=1e-9 * expected[at, at])
+    known = [one.factor @ one.errors @ one.factor.T for one in (prior, less)]
+    np.testing.assert_allclose(known[1] - known[0], expected, atol=1e-9 * expected[at, at])
+    for one in (prior, less):
+        np.testing.assert_allclose(one.factor @ one.target, prior.mean, rtol=1e-9)
+        np.testing.assert_allclose(one.factor @ one.rows, prior.factor @ prior.rows, atol=1e-12)
+    again = less.tightened()
+    for name in ("rows", "target", "errors", "factor"):
+        np.testing.assert_allclose(getattr(again, name), getattr(prior, name), atol=1e-9)
+    assert again.tightened() is again
+    assert prior.loosened(set()) is prior
+    (column,) = prior.by_shifts({coulomb}).T
+    shifted = prior.mean + 0.03 * prior.mean[at] * np.eye(len(prior.mean))[at]
+    np.testing.assert_allclose(column, np.linalg.solve(prior.factor, shifted) - prior.target)
 
 
 def test_what_the_rigid_model_does_not_show_is_no_row() -> None:
