@@ -186,7 +186,7 @@ class Reader:
             raise InvalidInput(
                 f"'effects' is {_shown(further)}, but it should be a list of effects or \"auto\"",
                 where=self.place("joint", index, "effects"),
-                remedy=f'put it in brackets: effects = ["{further}"]',
+                remedy='give a list such as effects = ["stribeck"], or effects = "auto"',
             )
         if isinstance(further, list):
             self._registered(further, effects.names(), further, index, "effects")

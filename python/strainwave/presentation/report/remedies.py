@@ -130,6 +130,7 @@ MILD = frozenset(
     {
         "equivalent-stiffness",
         "effect-left-out",
+        "effect-taken-up",
         "friction-settles",
         "elastic-not-validated",
         "nothing-to-predict",
