@@ -41,7 +41,7 @@ _AS_GOOD = 0.4  # share of the best one's gain that makes a rival
 _TRIAL = 12  # evaluations of each
 _GAIN = 0.1  # predicted, at which they end
 _MOST = 4  # effects that a fit takes up by itself
-_MOVES = 3  # parameters that a warning names
+_MOVES = 3  # parameters that a warning names, of the effect and of the arm
 _LITTLE = 0.5  # share of the cost below which more than the named effect is missing
 
 
@@ -228,10 +228,9 @@ def cause_warnings(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
     """
     for cause in causes[:1]:
         effect = effect_named(cause.effect)
+        known = [p for p in cause.parameters if p.value is not None and p.std is not None]
         sizes = ", ".join(
-            f"{p.name} {p.value:.2g} +- {p.std:.1g} {p.unit}".rstrip()
-            for p in cause.parameters
-            if p.value is not None and p.std is not None
+            f"{p.name} {p.value:.2g} +- {p.std:.1g} {p.unit}".rstrip() for p in known[:_MOVES]
         )
         text = f"{cause.effect} would explain {100.0 * cause.share:.2g} % of the residuals"
         text += f" ({sizes})"

@@ -25,6 +25,8 @@ from strainwave.presentation.report.blocks import (
 from strainwave.presentation.report.predictions import unit_of
 
 _CHANCE = 1e-3  # probabilities below are not separated
+_SHOWN = 6  # score tests that are shown at first
+_LISTED = 3  # sizes of an effect that are listed
 _MOVES = 4  # parameters that are named of those that an effect moves
 
 
@@ -47,14 +49,14 @@ def criticised(criticism: Criticism) -> Iterator[Block]:
         label = f"What the fit leaves, all {len(tests)} tests"
         yield Fold(f"All {len(tests)} tests", tuple(_tests(label, tests, heading=False)))
     share = number("share of the cost")
-    heads: Row = ("effect", "joint", "of the size", number("standard deviations"), share, "here")
-    rows = map(_further, criticism.score_tests)
-    yield from table("What further effects would explain of them", heads, rows)
-    heads = ("effect", "joint", "its parameters", share, "moves")
-    yield from table(
-        "What the model most likely lacks, each fitted", heads, map(_fitted, criticism.causes)
-    )
+    heads: Row = ("effect", "joint", "its parameters", share, "moves")
+    fitted = map(_fitted, criticism.causes)
+    yield from table("What the model most likely lacks, each fitted", heads, fitted)
     yield from map(_in_words, dict.fromkeys(cause.effect for cause in criticism.causes))
+    yield from _score_tests("What further effects would explain", criticism.score_tests[:_SHOWN])
+    if len(criticism.score_tests) > _SHOWN:
+        label = f"All {len(criticism.score_tests)} effects that were tested"
+        yield Fold(label, tuple(_score_tests(label, criticism.score_tests, heading=False)))
     for test in worst:
         label = f"{test.experiment}, {test.channel}: residuals over frequency"
         words = f"The residuals are {_loudness(test):.2g} times the sensor's noise, and exceed it"
@@ -66,6 +68,14 @@ def _tests(title: str, tests: Sequence[ResidualTest], *, heading: bool = True) -
     numbers = map(number, ("times its noise", "most at", "like noise"))
     heads: Row = ("record", "channel", *numbers, "follows an input")
     return table(title, heads, map(_row, tests), heading=heading)
+
+
+def _score_tests(
+    title: str, tests: Sequence[ScoreTest], *, heading: bool = True
+) -> Iterator[Table]:
+    numbers = (number("standard deviations"), number("share of the cost"))
+    heads: Row = ("effect", "joint", *numbers, "here", "of the size")
+    return table(title, heads, map(_further, tests), heading=heading)
 
 
 def spectrum(test: ResidualTest) -> Figure:
@@ -105,30 +115,36 @@ def _row(test: ResidualTest) -> Row:
 
 def _further(one: ScoreTest) -> Row:
     prefix = one.effect.replace("-", "_") + "_"
-    sizes = ", ".join(
+    sizes = [
         f"{name.removeprefix(prefix)} {' ± '.join(plus_minus(size, one.stds[name]))}"
         for name, size in one.sizes.items()
-    )
+    ]
     return (
         one.effect,
         str(one.joint),
-        sizes,
         number(f"{np.sqrt(max(one.gain, 0.0)):.2g}"),
         number(f"{100.0 * one.share:.2g} %"),
         "likely" if one.evident else "no sign of it",
+        _listed(sizes),
     )
+
+
+def _listed(parts: Sequence[str]) -> str:
+    """The first few of them: some effects have one for each record."""
+    more = len(parts) - _LISTED
+    return ", ".join(parts[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _fitted(cause: Cause) -> Row:
     prefix = cause.effect.replace("-", "_") + "_"
-    own = ", ".join(
+    own = [
         f"{p.name.removeprefix(prefix)} {' ± '.join(plus_minus(p.value, p.std))} {p.unit}".rstrip()
         for p in cause.parameters
         if p.value is not None and p.std is not None
-    )
+    ]
     moves = ", ".join(map(_move, cause.shifts[:_MOVES]))
     share = number(f"{100.0 * cause.share:.2g} %")
-    return (cause.effect, str(cause.joint), own or "not identified", share, moves)
+    return (cause.effect, str(cause.joint), _listed(own) or "not identified", share, moves)
 
 
 def _move(move: ParameterShift) -> str:
