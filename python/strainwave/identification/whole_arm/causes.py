@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from strainwave.domain import Cause, Diagnostic, ParameterShift, TuningOptions
 from strainwave.domain.effects import effect_named
 from strainwave.domain.parameter_table import base_name
+from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.effects import (
@@ -40,6 +41,7 @@ _HARDLY = 0.25  # of the cost
 _AS_GOOD = 0.4  # share of the best one's gain that makes a rival
 _TRIAL = 12  # evaluations of each
 _GAIN = 0.1  # predicted, at which they end
+_KEPT = 0.5  # share of what a linear step promised that a fit from there must gain
 _MOST = 4  # effects that a fit takes up by itself
 _MOVES = 3  # parameters that a warning names, of the effect and of the arm
 _LITTLE = 0.5  # share of the cost below which more than the named effect is missing
@@ -107,24 +109,45 @@ def _promise(tested: Tested) -> float:
 
 
 def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit | None:
-    """The fit with an effect, from where its linear step leads; None where no arm can be there."""
-    one, space = tested.one, fit.objective.space
-    values = fit.objective.space.values(fit.z)
-    largest = gear_torques(fit.objective.records, values).tolist()
-    extended, begin = with_effects(space, [one], arm, tested.values, largest, fit.records)
+    """The fit with an effect; None where no arm can be there.
+
+    From where the effect's linear step leads, and where that gains less than it promised, from
+    the fit without it.
+    """
+    n = len(fit.objective.space.unknowns)
+    here = fit.objective.space.values(fit.z)
+    sizes = {key: value for key, value in tested.values.items() if key not in here}
+    found: Fit | None = None
+    for start in (tested.values, here | sizes):
+        other = _fitted_with(fit, tested.one, start, arm, options)
+        if other is not None and (found is None or other.cost < found.cost):
+            found = other
+        if found is not None and fit.cost - tested.rigid - found.cost > _KEPT * tested.alone:
+            break
+    if found is None:
+        return None
+    gain = fit.cost - tested.rigid - found.cost
+    moved = tuple(shifts(fit, found.objective.space.values(found.z)))
+    more = len(found.objective.space.unknowns) - n
+    return Refit(tested.one, found, gain - more, gain / max(fit.cost, 1e-300), moved)
+
+
+def _fitted_with(
+    fit: Fit, one: NamedEffect, start: Values, arm: Arm, options: TuningOptions
+) -> Fit | None:
+    """A short search with one more effect from given values."""
+    space = fit.objective.space
+    largest = gear_torques(fit.objective.records, space.values(fit.z)).tolist()
+    extended, begin = with_effects(space, [one], arm, start, largest, fit.records)
     objective = replace(
         fit.objective.for_unknowns(extended),
         records=records_with(fit.objective.records, _having(arm, one), extended.keys),
     )
     try:
         search = replace(options, max_iterations=_TRIAL)
-        found = search_from(objective, begin, 0, search, tolerance=_GAIN)
+        return search_from(objective, begin, 0, search, tolerance=_GAIN)
     except NotIdentifiable:
         return None
-    more = len(extended.unknowns) - len(space.unknowns)
-    gain = fit.cost - tested.rigid - found.cost
-    moved = tuple(shifts(fit, found.objective.space.values(found.z)))
-    return Refit(one, found, gain - more, gain / max(fit.cost, 1e-300), moved)
 
 
 def _having(arm: Arm, one: NamedEffect) -> Arm:
