@@ -34,10 +34,10 @@ from strainwave.numerics.distributions import chi_square_limit
 FALSE_ALARMS = 1e-4
 """Of a fit whose residuals are noise, the odds that any effect seems to be there."""
 
-MATTERS = 0.1
+MATTERS = 0.04
 """Share of the cost from which an effect matters, whatever it moves."""
 
-LEAST = 0.02
+LEAST = 0.01
 """Share of the cost below which none does: an error of another kind explains as much."""
 
 _INTERVAL = 1.96  # deviations by which moving another parameter does
