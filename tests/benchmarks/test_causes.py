@@ -19,7 +19,9 @@ from strainwave.virtual.records import Simulator
 
 SAMPLES = 400
 _FINE = 1e12  # counts
-SHARED = tuple(name for name in causes("own") if name != NOTHING)
+APART = ("tilt", "flexible-link")
+"""Causes that MuJoCo has by geometry, an angle and a stiffness, and our plant as effects."""
+SHARED = tuple(name for name in causes("own") if name not in (NOTHING, *APART))
 
 
 def horizontal(name: str, joint: int | None = None) -> Run:

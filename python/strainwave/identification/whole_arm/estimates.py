@@ -96,7 +96,8 @@ def parameters_of(
         W = np.vstack([W, mounted.slopes])
         values = np.concatenate([values, mounted.values])
     covariance = W @ fit.confidence.combined @ W.T
-    deviation = np.sqrt(np.diag(covariance))
+    variance = np.diag(covariance)
+    deviation = np.sqrt(np.where(variance >= 0.0, variance, np.inf))  # below only by rounding
     deviation[[identified.get(name, name) is None for name in names]] = np.inf
     found = tuple(
         _parameter(name, joint, unit, float(value), float(std))
