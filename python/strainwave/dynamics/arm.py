@@ -157,7 +157,7 @@ class Arm(ArmDescription):
         return {
             (name, number): value
             for number, joint in enumerate(self.joints, start=1)
-            for effect in map(effect_named, joint.effects)
+            for effect in map(effect_named, joint.named_effects)
             if isinstance(effect, RecordEffect)
             for name, value in effect.needs.items()
         }

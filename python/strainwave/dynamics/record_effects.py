@@ -135,7 +135,7 @@ def inputs_in(arm: Arm, values: Values, record: str, *, hanging: bool) -> Record
     changed: dict[Key, tuple[Input, Mapping[str, str]]] = {
         (own.name, number): (own, names)
         for number, joint in enumerate(arm.joints, start=1)
-        for effect in map(effect_named, joint.effects)
+        for effect in map(effect_named, joint.named_effects)
         if isinstance(effect, RecordEffect)
         for own, names in _inputs_of(effect, number, joint.gear_ratio, values, record)
         if not (hanging and own.name == _LINK_ANGLE)

@@ -27,6 +27,7 @@ from strainwave.domain.effects.interface import Values
 from strainwave.domain.effects.stribeck import Stribeck
 from strainwave.domain.gear_laws import RIGID
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.record_effects import inputs_in
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.causes import cause_warnings
@@ -197,6 +198,15 @@ def test_effects_may_be_what_the_records_demand(tmp_path: Path) -> None:
         assert joint.named_effects == ()
         possible = [e.name for e in EFFECTS if spring != RIGID or not e.needs_elastic_gear]
         assert list(joint.possible_effects) == possible
+
+
+def test_an_arm_that_selects_its_effects_moves_without_any() -> None:
+    auto = arm().with_joints(replace(joint, effects="auto") for joint in arm().joints)
+    np.testing.assert_array_equal(
+        auto.parameter_vector(ELASTIC_JOINT), arm().parameter_vector(ELASTIC_JOINT)
+    )
+    inputs = inputs_in(auto, ELASTIC_JOINT, "prbs", hanging=True)
+    assert (inputs.values, inputs.offsets, inputs.slopes) == (ELASTIC_JOINT, {}, {})
 
 
 def test_effects_are_a_list(tmp_path: Path) -> None:
