@@ -17,6 +17,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
+    effects_in,
     named_effects,
     records_with,
     with_effects,
@@ -117,9 +118,10 @@ def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit 
     n = len(fit.objective.space.unknowns)
     here = fit.objective.space.values(fit.z)
     sizes = {key: value for key, value in tested.values.items() if key not in here}
+    largest = gear_torques(fit.objective.records, here).tolist()
     found: Fit | None = None
     for start in (tested.values, here | sizes):
-        other = _fitted_with(fit, tested.one, start, arm, options)
+        other = _fitted_with(fit, tested.one, start, largest, arm, options)
         if other is not None and (found is None or other.cost < found.cost):
             found = other
         if found is not None and fit.cost - tested.rigid - found.cost > _KEPT * tested.alone:
@@ -133,12 +135,16 @@ def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit 
 
 
 def _fitted_with(
-    fit: Fit, one: NamedEffect, start: Values, arm: Arm, options: TuningOptions
+    fit: Fit,
+    one: NamedEffect,
+    start: Values,
+    largest_torque: Sequence[float],
+    arm: Arm,
+    options: TuningOptions,
 ) -> Fit | None:
     """A short search with one more effect from given values."""
     space = fit.objective.space
-    largest = gear_torques(fit.objective.records, space.values(fit.z)).tolist()
-    extended, begin = with_effects(space, [one], arm, start, largest, fit.records)
+    extended, begin = with_effects(space, [one], arm, start, largest_torque, fit.records)
     objective = replace(
         fit.objective.for_unknowns(extended),
         records=records_with(fit.objective.records, _having(arm, one), extended.keys),
@@ -292,12 +298,9 @@ def taken_up(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
     ------
     Diagnostic
     """
-    keys = fit.objective.space.keys
-    for number, joint in enumerate(arm.joints, start=1):
-        for name in joint.possible_effects if joint.selects_effects else ():
+    for number, name in effects_in(fit.objective.space, arm):
+        if arm.joints[number - 1].selects_effects:
             effect = effect_named(name)
-            known = {(base_name(own), j) for own, j in keys}
-            if all((own, number) in known for own in effect.names):
-                text = f"{name}, {effect.description}, was taken into the model: without it"
-                text += f" {effect.consequence}; to be sure, {effect.experiment}"
-                yield Diagnostic("effect-taken-up", f"joint {number}", text)
+            text = f"{name}, {effect.description}, was taken into the model: without it"
+            text += f" {effect.consequence}; to be sure, {effect.experiment}"
+            yield Diagnostic("effect-taken-up", f"joint {number}", text)

@@ -46,6 +46,27 @@ def named_effects(arm: Arm) -> list[NamedEffect]:
     return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.named_effects]
 
 
+def effects_in(space: ParameterSpace, arm: Arm) -> list[NamedEffect]:
+    """The effects that are among the unknowns.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    arm : Arm
+
+    Returns
+    -------
+    list of (joint, effect)
+    """
+    known = {(base_name(name), joint) for name, joint in space.keys}
+    return [
+        (number, effect.name)
+        for number in range(1, arm.n_joints + 1)
+        for effect in all_effects()
+        if (effect.sizes[0], number) in known
+    ]
+
+
 def sizes_of(one: NamedEffect, records: Sequence[str] = ()) -> list[Key]:
     """The parameters that are zero where an effect is not there.
 
@@ -110,14 +131,7 @@ def with_effects(
 
 def _trusting(space: ParameterSpace, arm: Arm) -> ParameterSpace:
     """The unknowns, the rigid step trusted as far as the effects among them let it be."""
-    known = {(base_name(name), joint) for name, joint in space.keys}
-    has = [
-        (number, effect.name)
-        for number in range(1, arm.n_joints + 1)
-        for effect in all_effects()
-        if (effect.sizes[0], number) in known
-    ]
-    misled = {key for one in has for key in misled_by(one, arm)}
+    misled = {key for one in effects_in(space, arm) for key in misled_by(one, arm)}
     return replace(space, prior=space.prior.tightened().loosened(misled))
 
 

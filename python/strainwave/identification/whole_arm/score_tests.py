@@ -21,6 +21,7 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.effect_columns import EffectColumns
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
+    effects_in,
 )
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.parametrisation import (
@@ -88,12 +89,12 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
 
 
 def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
-    known = {(base_name(name), joint) for name, joint in fit.objective.space.keys}
+    known = effects_in(fit.objective.space, arm)
     return [
         (number, effect.name)
         for number, joint in enumerate(arm.joints, start=1)
         for effect in all_effects()
-        if joint.elastic and (effect.sizes[0], number) not in known
+        if joint.elastic and (number, effect.name) not in known
     ]
 
 
