@@ -217,7 +217,7 @@ def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, floa
 def known_joint(rig: Rig, joint: int) -> KnownJoint:
     """What effects take their typical sizes from, by the arm's truth."""
     arm = Arm.of(rig.study.arm)
-    largest = 0.0
+    torque = voltage = 0.0
     for experiment, plan in zip(rig.study.experiments, plans(rig, 0), strict=True):
         if experiment.use == "frequency" and experiment.joint == joint:
             run = simulate(
@@ -226,16 +226,18 @@ def known_joint(rig: Rig, joint: int) -> KnownJoint:
                 plan.drive,
                 sample_time=plan.sample_time,
                 samples=plan.samples,
-                record=["gear_torque"],
+                record=["gear_torque", "voltage"],
             )
-            largest = float(np.abs(run["gear_torque"][:, joint - 1]).max())
+            torque = float(np.abs(run["gear_torque"][:, joint - 1]).max())
+            voltage = float(np.abs(run["voltage"][:, joint - 1]).max())
     law = arm.joints[joint - 1].law
     stiffness: FloatArray = law.stiffness(law.of_joint(rig.values, joint), np.zeros(1))
     return KnownJoint(
         gear_ratio=arm.joints[joint - 1].gear_ratio,
         coulomb_friction=rig.values["motor_coulomb_friction", joint],
         stiffness=float(stiffness[0]),
-        largest_torque=largest,
+        largest_torque=torque,
+        largest_voltage=voltage,
     )
 
 

@@ -39,7 +39,13 @@ EFFECTS = effects.all_effects()
 OF_THE_CORE = [effect for effect in EFFECTS if not isinstance(effect, RecordEffect)]
 EACH = pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 EACH_OF_THE_CORE = pytest.mark.parametrize("effect", OF_THE_CORE, ids=lambda effect: effect.name)
-KNOWN = KnownJoint(gear_ratio=0.01, coulomb_friction=0.05, stiffness=2e4, largest_torque=30.0)
+KNOWN = KnownJoint(
+    gear_ratio=0.01,
+    coulomb_friction=0.05,
+    stiffness=2e4,
+    largest_torque=30.0,
+    largest_voltage=10.0,
+)
 DOCS = Path(__file__).parents[3] / "docs"
 STUDY = """
 [arm]
@@ -111,7 +117,7 @@ def test_a_size_may_be_zero_and_is_signed_where_the_core_says_so(effect: Effect)
 @EACH
 @pytest.mark.parametrize(
     "known",
-    [KNOWN, replace(KNOWN, stiffness=math.inf, largest_torque=0.1)],
+    [KNOWN, replace(KNOWN, stiffness=math.inf, largest_torque=0.1, largest_voltage=0.5)],
     ids=["elastic", "stiff"],
 )
 def test_starts_are_finite_and_inside_their_ranges(effect: Effect, known: KnownJoint) -> None:
@@ -127,6 +133,15 @@ def test_starts_are_finite_and_inside_their_ranges(effect: Effect, known: KnownJ
         assert is_physical(name, value)
         # the search goes by the logarithm of what has no sign
         assert value > 0.0 or effect.is_signed(name)
+
+
+@EACH
+def test_it_is_tested_at_shapes_of_its_own(effect: Effect) -> None:
+    sets = effect.tested_shapes(KNOWN)
+    assert all(list(shapes) == list(effect.shapes) for shapes in sets)
+    assert len({tuple(shapes.values()) for shapes in sets}) == len(sets) > 0
+    for name, value in (item for shapes in sets for item in shapes.items()):
+        assert is_physical(name, value)
 
 
 @EACH_OF_THE_CORE

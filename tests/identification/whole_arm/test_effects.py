@@ -23,9 +23,12 @@ from strainwave.identification.whole_arm.effects import (
     with_effects,
     without,
 )
+from strainwave.identification.whole_arm.loads import Loads
 from strainwave.identification.whole_arm.parametrisation import COULOMB, ParameterSpace, Prior
 from strainwave.identification.whole_arm.preparation import dataset_of
 from tuning_runs import linear_search, truth
+
+LOADS = Loads(torque=(30.0, 8.0), voltage=(10.0, 10.0))
 
 
 def reported_out(model: ArmModel) -> list[str]:
@@ -85,7 +88,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
     values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
     space, begin = with_effects(
-        base, named_effects(Arm.of(study.arm)), Arm.of(study.arm), values, [30.0, 8.0]
+        base, named_effects(Arm.of(study.arm)), Arm.of(study.arm), values, LOADS
     )
     assert space.keys[2:] == list(SIZES)
     np.testing.assert_allclose(
@@ -104,7 +107,7 @@ def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
     arm = Arm.of(rig(ALL).arm)
     known: Values = {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
-    space, z = with_effects(empty, named_effects(arm), arm, known, [30.0, 8.0])
+    space, z = with_effects(empty, named_effects(arm), arm, known, LOADS)
     z[-2:] = 2.0  # both parts of the kinematic error at 2e-4 rad
     values = space.parameters(z)
     sure = np.diag((values / 5.0) ** 2)

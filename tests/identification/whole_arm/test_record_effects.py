@@ -26,6 +26,7 @@ from strainwave.identification.whole_arm.effects import (
     with_effects,
     without,
 )
+from strainwave.identification.whole_arm.loads import Loads
 from strainwave.identification.whole_arm.parametrisation import COULOMB, Key, ParameterSpace, Prior
 from strainwave.identification.whole_arm.preparation import dataset_of
 from strainwave.virtual.records import Simulator
@@ -242,7 +243,8 @@ def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
     values: Values = {
         (name, j): v for j in (1, 2) for name, v in ((COULOMB, 0.05), (STIFFNESS, 2e4))
     }
-    space, z = with_effects(empty, named_effects(arm), arm, values, [30.0, 8.0], ["slow", "fast"])
+    loads = Loads(torque=(30.0, 8.0), voltage=(10.0, 10.0))
+    space, z = with_effects(empty, named_effects(arm), arm, values, loads, ["slow", "fast"])
     changes = ["friction_change[slow]", "friction_change[fast]"]
     assert space.keys == [(name, j) for j in (1, 2) for name in changes]
     np.testing.assert_array_equal(space.parameters(z), np.zeros(4))

@@ -28,6 +28,7 @@ class KnownJoint:
     coulomb_friction: float  # [N m] at the motor
     stiffness: float  # [N m/rad] of the gear without torsion, at the link; infinite if rigid
     largest_torque: float  # [N m] that the gear bears in the records, at the link
+    largest_voltage: float  # [V] that the records apply
 
 
 class Effect(ABC):
@@ -43,7 +44,7 @@ class Effect(ABC):
     """Parameters that are zero where the effect is absent; the first of the core's."""
 
     shapes: Mapping[str, float] = {}
-    """The core's other parameters -> value to start from, and at which a size of zero is tested."""
+    """The core's other parameters -> usual value; see `tested_shapes`."""
 
     needs_elastic_gear: bool = False
     """Whether a rigid gear cannot have it."""
@@ -107,7 +108,7 @@ class Effect(ABC):
 
     @property
     def absent(self) -> Values:
-        """Sizes of zero, at the shapes to start from."""
+        """Sizes of zero, at the usual shapes."""
         return dict.fromkeys(self.sizes, 0.0) | dict(self.shapes)
 
     def described(self, name: str) -> ParameterDescription:
@@ -154,8 +155,22 @@ class Effect(ABC):
             Size -> value above zero.
         """
 
+    def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
+        """Sets of shapes at which a size of zero is tested, the first one always.
+
+        Parameters
+        ----------
+        joint : KnownJoint
+
+        Returns
+        -------
+        tuple of dict
+            At least one; each shape -> value.
+        """
+        return (dict(self.shapes),)
+
     def starts(self, joint: KnownJoint) -> Values:
-        """Where a fit starts.
+        """Where a fit starts: at the first of the shapes that are tested.
 
         Parameters
         ----------
@@ -168,7 +183,7 @@ class Effect(ABC):
         """
         typical = self.typical_sizes(joint)
         sizes = {name: 0.0 if self.is_signed(name) else typical[name] for name in self.sizes}
-        return sizes | dict(self.shapes)
+        return sizes | self.tested_shapes(joint)[0]
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from strainwave.identification.whole_arm.effects import (
 )
 from strainwave.identification.whole_arm.estimates import Fit, parameters_of
 from strainwave.identification.whole_arm.gear_load import gear_torques
+from strainwave.identification.whole_arm.loads import Loads, loads_of
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.score_tests import (
     FALSE_ALARMS,
@@ -118,10 +119,10 @@ def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit 
     n = len(fit.objective.space.unknowns)
     here = fit.objective.space.values(fit.z)
     sizes = {key: value for key, value in tested.values.items() if key not in here}
-    largest = gear_torques(fit.objective.records, here).tolist()
+    loads = loads_of(fit.objective.records, here)
     found: Fit | None = None
     for start in (tested.values, here | sizes):
-        other = _fitted_with(fit, tested.one, start, largest, arm, options)
+        other = _fitted_with(fit, tested.one, start, loads, arm, options)
         if other is not None and (found is None or other.cost < found.cost):
             found = other
         if found is not None and fit.cost - tested.rigid - found.cost > _KEPT * tested.alone:
@@ -138,13 +139,13 @@ def _fitted_with(
     fit: Fit,
     one: NamedEffect,
     start: Values,
-    largest_torque: Sequence[float],
+    loads: Loads,
     arm: Arm,
     options: TuningOptions,
 ) -> Fit | None:
     """A short search with one more effect from given values."""
     space = fit.objective.space
-    extended, begin = with_effects(space, [one], arm, start, largest_torque, fit.records)
+    extended, begin = with_effects(space, [one], arm, start, loads, fit.records)
     objective = replace(
         fit.objective.for_unknowns(extended),
         records=records_with(fit.objective.records, _having(arm, one), extended.keys),

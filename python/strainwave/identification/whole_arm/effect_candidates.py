@@ -16,7 +16,7 @@ from strainwave.identification.whole_arm.effects import (
     without,
 )
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.gear_load import gear_torques
+from strainwave.identification.whole_arm.loads import loads_of
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior
 from strainwave.identification.whole_arm.selection import Selection, better
@@ -43,9 +43,9 @@ def with_named_effects(fit: Fit, selection: Selection) -> Fit:
         return fit
     selection.grant(selection.options.max_iterations)  # as many as the fit without them
     values = fit.objective.space.values(fit.z)
-    largest = gear_torques(fit.objective.records, values).tolist()
+    loads = loads_of(fit.objective.records, values)
     space, begin = with_effects(
-        fit.objective.space, named_effects(arm), arm, values, largest, fit.records
+        fit.objective.space, named_effects(arm), arm, values, loads, fit.records
     )
     extended = search_from(
         _on(fit.objective, space, arm),

@@ -14,6 +14,7 @@ from strainwave.domain.parameters import Values, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import with_known_effects
 from strainwave.identification.whole_arm.dataset import Dataset
+from strainwave.identification.whole_arm.loads import Loads
 from strainwave.identification.whole_arm.parametrisation import (
     COULOMB,
     Key,
@@ -89,7 +90,7 @@ def with_effects(
     effects: Sequence[NamedEffect],
     arm: Arm,
     values: Values,
-    largest_torque: Sequence[float],
+    loads: Loads,
     records: Sequence[str] = (),
 ) -> tuple[ParameterSpace, FloatArray]:
     """The unknowns of further effects beside those there are.
@@ -101,8 +102,8 @@ def with_effects(
     arm : Arm
     values : dict
         Where the fit without them ended, and values to start effects from in place of the usual.
-    largest_torque : sequence of float [N m]
-        That each gear carries in the records.
+    loads : Loads
+        Of the records.
     records : sequence of str
         Their names.
 
@@ -114,7 +115,7 @@ def with_effects(
     """
     more: dict[Key, Unknown] = {}
     for one in effects:
-        for unknown in _unknowns(one, arm, values, largest_torque[one[0] - 1], records):
+        for unknown in _unknowns(one, arm, values, loads, records):
             more.setdefault(unknown.key, unknown)
     columns = dict.fromkeys(more, np.zeros(len(space.prior.rows)))
     for one in effects:
@@ -133,6 +134,34 @@ def _trusting(space: ParameterSpace, arm: Arm) -> ParameterSpace:
     """The unknowns, the rigid step trusted as far as the effects among them let it be."""
     misled = {key for one in effects_in(space, arm) for key in misled_by(one, arm)}
     return replace(space, prior=space.prior.tightened().loosened(misled))
+
+
+def known_joint(arm: Arm, joint: int, values: Values, loads: Loads) -> KnownJoint:
+    """What effects are given of a joint.
+
+    Parameters
+    ----------
+    arm : Arm
+    joint : int
+        From 1.
+    values : dict
+        Of the arm without effects.
+    loads : Loads
+        Of the records.
+
+    Returns
+    -------
+    KnownJoint
+    """
+    own = arm.joints[joint - 1]
+    stiffness = own.law.stiffness(own.law.of_joint(values, joint), np.zeros(1))
+    return KnownJoint(
+        gear_ratio=own.gear_ratio,
+        coulomb_friction=values[COULOMB, joint],
+        stiffness=float(stiffness[0]),
+        largest_torque=loads.torque[joint - 1],
+        largest_voltage=loads.voltage[joint - 1],
+    )
 
 
 def misled_by(one: NamedEffect, arm: Arm) -> set[Key]:
@@ -183,18 +212,11 @@ def rigid_friction(arm: Arm, joint: int) -> set[Key]:
 
 
 def _unknowns(
-    one: NamedEffect, arm: Arm, values: Values, largest_torque: float, records: Sequence[str]
+    one: NamedEffect, arm: Arm, values: Values, loads: Loads, records: Sequence[str]
 ) -> Iterator[Unknown]:
     """An effect's parameters: signed ones about zero, all others by their logarithm."""
     number, effect = one[0], effect_named(one[1])
-    joint = arm.joints[number - 1]
-    stiffness = joint.law.stiffness(joint.law.of_joint(values, number), np.zeros(1))
-    known = KnownJoint(
-        gear_ratio=joint.gear_ratio,
-        coulomb_friction=values[COULOMB, number],
-        stiffness=float(stiffness[0]),
-        largest_torque=largest_torque,
-    )
+    joint, known = arm.joints[number - 1], known_joint(arm, number, values, loads)
     typical, starts = effect.typical_sizes(known), effect.starts(known)
     for name in (*effect.sizes_in(records), *effect.shapes):
         base = base_name(name)
