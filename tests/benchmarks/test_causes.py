@@ -113,7 +113,7 @@ def test_a_flexible_link_of_great_stiffness_is_a_rigid_one(joint: int) -> None:
 
 
 def test_a_clean_arm_is_identified_and_nothing_named() -> None:
-    found = judged(NOTHING, 3, engine="own", series=0)
+    found = judged(drawn(NOTHING, 3), engine="own", series=0)
     assert found["plain"]["status"] == "determined"
     assert found["plain"]["named"] is None
     assert not matters(found)

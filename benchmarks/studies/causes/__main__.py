@@ -12,6 +12,7 @@ from rich.console import Console
 from benchmarks.studies.arms import each
 from benchmarks.studies.causes.drawn import NOTHING, causes
 from benchmarks.studies.causes.judged import Engine, taking_turns
+from benchmarks.studies.causes.stated import STATED, before_and_after, tried
 from benchmarks.studies.causes.tables import tables
 from strainwave import __version__
 
@@ -25,6 +26,7 @@ def main() -> None:
     parser.add_argument("--engine", choices=("own", "mujoco"), default="own")
     parser.add_argument("--only", nargs="+", metavar="CAUSE")
     parser.add_argument("--clean", action="store_true", help="arms without a cause")
+    parser.add_argument("--stated", action="store_true", help="causes of sizes that rigs have")
     parser.add_argument("--plain", action="store_true", help="no fit with the cause named")
     parser.add_argument("--auto", action="store_true", help="a fit that selects effects as well")
     parser.add_argument("--at-once", type=int, default=1)
@@ -41,25 +43,29 @@ def main() -> None:
     unknown = set(names) - {NOTHING, *known}
     if unknown:
         parser.error(f"no such cause: {', '.join(sorted(unknown))}; known: {', '.join(known)}")
-    options = {
-        "engine": engine,
-        "series": chosen.seed,
-        "named": not chosen.plain,
-        "auto": chosen.auto,
-    }
-    work = partial(taking_turns, names=names, options=options)
+    options = {"engine": engine, "named": not chosen.plain, "auto": chosen.auto}
+    work = partial(taking_turns, names=names, series=chosen.seed, options=options)
+    n_runs = chosen.arms
+    if chosen.stated:
+        work, n_runs = partial(tried, engine=engine, series=chosen.seed), len(STATED)
     lines = chosen.out.with_suffix(".jsonl") if chosen.out else None
     console, found = Console(width=_WIDTH), []
-    for run in each(chosen.arms, work, lines, chosen.at_once):
+    for run in each(n_runs, work, lines, chosen.at_once):
         if "failure" in run:
             console.print(f"{run['cause']} {run['number']}: {run['failure']}")
         else:
             found.append(run)
-    made = tables(found)
+    made = [before_and_after(found)] if chosen.stated else tables(found)
     for table in made:
         console.print(table.on_screen())
     if chosen.out:
-        document = {"version": __version__, "options": options, "causes": names, "runs": found}
+        document = {
+            "version": __version__,
+            "options": options,
+            "seed": chosen.seed,
+            "causes": names,
+            "runs": found,
+        }
         chosen.out.write_text(json.dumps(document, indent=1) + "\n")
         text = "\n".join(table.markdown() for table in made)
         chosen.out.with_suffix(".md").write_text(text)

@@ -40,15 +40,13 @@ _SHARED = {"tilt", "soft-base", "encoder-zero"}  # causes that no single joint h
 
 
 def judged(
-    name: str, number: int, *, engine: Engine, series: int, named: bool = True, auto: bool = False
+    run: Run, *, engine: Engine, series: int, named: bool = True, auto: bool = False
 ) -> dict[str, Any]:
     """All that is counted of one run, as JSON can hold it.
 
     Parameters
     ----------
-    name : str
-        Of the cause.
-    number : int
+    run : Run
     engine : str
     series : int
     named : bool
@@ -60,12 +58,12 @@ def judged(
     -------
     dict
     """
-    run = drawn(name, number, series)
+    name = run.cause.name
     begin = time.process_time()
     logs = logs_of(run, engine, series)
     found: dict[str, Any] = {
         "cause": name,
-        "number": number,
+        "number": run.number,
         "joint": run.cause.joint,
         "sizes": dict(run.cause.sizes),
         "classes": run.rig.classes,
@@ -80,11 +78,14 @@ def judged(
     return found
 
 
-def taking_turns(seed: int, names: tuple[str, ...], options: dict[str, Any]) -> dict[str, Any]:
+def taking_turns(
+    seed: int, names: tuple[str, ...], series: int, options: dict[str, Any]
+) -> dict[str, Any]:
     """A run by its number in a study whose causes take turns; failures are found as well."""
     name, number = names[seed % len(names)], seed // len(names)
     try:
-        return {"seed": seed, **judged(name, number, **options)}
+        run = drawn(name, number, series)
+        return {"seed": seed, **judged(run, series=series, **options)}
     except Exception as failure:  # a study reports, it does not stop
         text = f"{type(failure).__name__}: {failure}"
         return {"seed": seed, "cause": name, "number": number, "failure": text}
