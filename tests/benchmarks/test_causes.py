@@ -10,6 +10,7 @@ import pytest
 from benchmarks.studies.causes.drawn import NOTHING, Run, causes, drawn, plans
 from benchmarks.studies.causes.in_own_plant import OwnPlant
 from benchmarks.studies.causes.judged import judged, matters, taken_up, verdict_on
+from benchmarks.studies.causes.stated import STATED, before_and_after
 from benchmarks.studies.causes.tables import tables
 
 from strainwave.domain import FloatArray
@@ -159,6 +160,28 @@ def test_what_is_said_of_a_run(value: float | None, named: Any, said: str, count
 def test_what_a_fit_takes_up_by_itself(effects: list[Any], said: str) -> None:
     found = {**finding("backlash", 1.0, None), "auto": {"effects": effects}}
     assert taken_up(found) == said
+
+
+def test_a_torque_constant_that_is_refused_by_name_counts_as_named() -> None:
+    found = finding("drive-gain", None, None)
+    found["plain"]["suspected"] = ["wrong-torque-constant"]
+    assert verdict_on(found) == "input fault"
+    assert verdict_on({**found, "cause": "backlash"}) == "refused"
+
+
+def test_what_is_wrong_before_and_after_stands_beside_what_is_named() -> None:
+    one = {**finding("backlash", 1.03, ["backlash", 1]), "text": "backlash of 0.2 mrad"}
+    one["auto"] = finding("backlash", 1.001, None)["plain"] | {"effects": [["backlash", 1]]}
+    (row,) = before_and_after([one]).rows
+    assert row[1] == "motor_inertia 1 +3 %"
+    assert row[2:] == ("backlash of joint 1", "backlash 1", "none")
+
+
+def test_every_stated_cause_has_its_kind_of_arm() -> None:
+    for stated in STATED:
+        run = stated.run(0)
+        assert run.cause.name in causes("mujoco")
+        assert run.rig.classes["gravity"] == stated.gravity
 
 
 def test_tables_count_what_is_taken_for_what() -> None:

@@ -36,6 +36,9 @@ PRIMARY = (
 
 _RARE = "gear_stiffness_k3"
 _NAMED = 5  # score tests that are kept, the most significant first
+_FAULTS = {"drive-gain": "wrong-torque-constant"}
+"""Causes that are refused by their name before any fit where two joints contradict each other."""
+
 _SHARED = {"tilt", "soft-base", "encoder-zero"}  # causes that no single joint has
 
 
@@ -232,9 +235,11 @@ def matters(found: dict[str, Any]) -> bool:
 
 def verdict_on(found: dict[str, Any]) -> str:
     """What the run without the cause says of it: one of `VERDICTS`."""
-    named = found["plain"]["named"]
+    named, suspected = found["plain"]["named"], found["plain"].get("suspected")
+    if suspected:
+        return "input fault" if _FAULTS.get(found["cause"]) in suspected else "refused"
     if named is None:
-        return "refused" if found["plain"].get("suspected") else "nothing"
+        return "nothing"
     if found["cause"] == NOTHING or named[0] != found["cause"]:
         return "another"
     at_joint = named[1] == found["joint"] or found["cause"] in _SHARED
@@ -252,4 +257,4 @@ def taken_up(found: dict[str, Any]) -> str:
 
 
 SELECTIONS = ("it alone", "it and others", "others", "none")
-VERDICTS = ("effect and joint", "effect", "another", "nothing", "refused")
+VERDICTS = ("effect and joint", "effect", "input fault", "another", "nothing", "refused")

@@ -13,11 +13,11 @@ from strainwave.signals.consistency import clipping
 TIME = np.arange(8000) / 4000.0
 
 
-def found(angle: FloatArray) -> list[str]:
+def found(values: FloatArray, channel: str = "theta_l1") -> list[str]:
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.1)
     study = Study(arm=ArmDescription("single-joint", (joint,)), experiments=())
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
-    log = Log(step, TIME, TIME[1], {"theta_l1": angle})
+    log = Log(step, TIME, TIME[1], {channel: values})
     return [each.where for each in clipping.clipped([log], Arm.of(study.arm))]
 
 
@@ -42,3 +42,35 @@ def test_an_angle_that_turns_is_not_clipped(
 def test_an_angle_at_its_end_is_clipped(share: float, hz: float) -> None:
     swing = np.sin(2.0 * np.pi * 1.0137 * hz * TIME)  # no period of whole samples
     assert found(rounded(np.clip(swing, -share, share), 131072)) == ["theta_l1"]
+
+
+def of_16_bits(acceleration: FloatArray, noise: float, seed: int = 0) -> FloatArray:
+    count = 40.0 / 2**16
+    noisy = acceleration + noise * count * np.random.default_rng(seed).standard_normal(len(TIME))
+    return np.asarray(count * np.round(noisy / count))
+
+
+@given(
+    size=st.floats(3.0, 20.0),
+    hz=st.floats(0.6, 3.0),
+    noise=st.floats(0.0, 2.0),
+    seed=st.integers(0, 1000),
+)
+def test_an_accelerometer_that_reads_a_slow_peak_many_times_is_not_clipped(
+    size: float, hz: float, noise: float, seed: int
+) -> None:
+    a = of_16_bits(size * np.sin(2.0 * np.pi * hz * TIME), noise, seed)
+    assert found(a, "a1") == []
+
+
+@given(
+    size=st.floats(3.0, 20.0),
+    hz=st.floats(0.6, 3.0),
+    noise=st.floats(0.0, 2.0),
+    share=st.floats(0.4, 0.9),
+)
+def test_an_accelerometer_at_its_end_is_clipped(
+    size: float, hz: float, noise: float, share: float
+) -> None:
+    a = of_16_bits(size * np.sin(2.0 * np.pi * 1.0137 * hz * TIME), noise)
+    assert found(np.clip(a, -share * size, share * size), "a1") == ["a1"]

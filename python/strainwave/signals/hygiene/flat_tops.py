@@ -34,7 +34,7 @@ def detect(log: Log, _: Arm) -> list[Defect]:
     found = []
     for name, x in of_kinds(log, NOISY).items():
         for ends in ends_of_range(x, rests=False):
-            runs = ends[_are_cut(x, ends)]
+            runs = cut(x, ends)
             samples = int((runs[:, 1] - runs[:, 0]).sum())
             if _FEWEST <= samples <= SHARE * len(x):
                 words = f"is at the end of its range, {x[runs[0, 0]]:.4g},"
@@ -45,12 +45,23 @@ def detect(log: Log, _: Arm) -> list[Defect]:
     return found
 
 
-def _are_cut(x: FloatArray, runs: IntArray) -> FloatArray:
-    """Which runs a signal enters or leaves faster than a peak of a smooth one."""
-    step = _CUT * resolution_of(x)
-    before = np.abs(x[np.maximum(runs[:, 0] - 1, 0)] - x[runs[:, 0]])
-    after = np.abs(x[np.minimum(runs[:, 1], len(x) - 1)] - x[runs[:, 0]])
-    return np.asarray(np.maximum(before, after) > step)
+def cut(values: FloatArray, runs: IntArray) -> IntArray:
+    """The runs that a signal enters or leaves faster than a peak of a smooth one.
+
+    Parameters
+    ----------
+    values : (n_samples,)
+    runs : (n_runs, 2)
+        First sample and the one behind the last of each.
+
+    Returns
+    -------
+    (n_cut, 2)
+    """
+    step = _CUT * resolution_of(values)
+    before = np.abs(values[np.maximum(runs[:, 0] - 1, 0)] - values[runs[:, 0]])
+    after = np.abs(values[np.minimum(runs[:, 1], len(values) - 1)] - values[runs[:, 0]])
+    return runs[np.maximum(before, after) > step]
 
 
 def ends_of_range(values: FloatArray, *, rests: bool) -> list[IntArray]:
@@ -79,10 +90,12 @@ def ends_of_range(values: FloatArray, *, rests: bool) -> list[IntArray]:
         if at_standstill or abs(extreme) < 1e-9 * size:
             continue
         at = np.abs(values - extreme) <= 1e-9 * size
-        if rests and at.sum() < _LONGER * _next_to(values, extreme, 1e-9 * size):
+        turns = at.sum() < _LONGER * _next_to(values, extreme, 1e-9 * size)
+        if rests and turns:
             continue
         runs = runs_of(at)
-        found.append(runs[runs[:, 1] - runs[:, 0] >= RUN])
+        runs = runs[runs[:, 1] - runs[:, 0] >= RUN]
+        found.append(cut(values, runs) if turns else runs)
     return found
 
 
