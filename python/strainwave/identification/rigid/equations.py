@@ -40,6 +40,7 @@ _STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
 _BLOCKS = 20
 _LOAD_SHARE = 0.5  # deviation of the prior of friction per load: gears have 0.03 to 0.3
 _STIFF = 0.25  # deviation of the prior of (bandwidth / anti-resonance)^2
+_NO_INERTIA = 1e-30  # [kg m^2] of a link, for which a trial may take one that is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,7 +475,7 @@ def _compliance_deviation(
     assert around is not None
     w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
     inertia = np.abs(arm.link_inertias(_base(arm, around)))
-    return np.asarray(_STIFF / (np.maximum(inertia, 1e-300) * w**2))
+    return np.asarray(_STIFF / (np.maximum(inertia, _NO_INERTIA) * w**2))
 
 
 def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray:
