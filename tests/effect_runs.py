@@ -72,6 +72,8 @@ WIDE = Experiment(
 
 Asked = tuple[EffectName, ...] | Literal["auto"]
 """As in a study."""
+Shapes = tuple[tuple[tuple[str, int], float], ...]
+"""Other values than those of `EVERY`: ((name, joint), value)."""
 
 
 def rig(effects: Asked) -> Study:
@@ -101,18 +103,26 @@ def shaken(study: Study, amplitudes: tuple[float, ...]) -> Study:
 
 
 @cache
-def records(effects: tuple[EffectName, ...]) -> tuple[Study, Values, tuple[Log, ...]]:
+def records(
+    effects: tuple[EffectName, ...], shapes: Shapes = ()
+) -> tuple[Study, Values, tuple[Log, ...]]:
     """Half a second of either joint in open loop, at each amplitude, with noise; see `shaken`."""
-    known = truth()[1] | EVERY
+    known = truth()[1] | EVERY | dict(shapes)
     amplitudes = max((AMPLITUDES.get(name, (8.0,)) for name in effects), key=len, default=(8.0,))
     study, logs = written_logs(shaken(rig(effects), amplitudes), known, noise=SensorNoise())
     return study, known, logs
 
 
 @cache
-def tuned(has: tuple[EffectName, ...], asked: Asked, most: int = 60) -> ArmModel:
+def tuned(
+    has: tuple[EffectName, ...],
+    asked: Asked,
+    most: int = 60,
+    shapes: Shapes = (),
+    cutoff_hz: float | None = None,
+) -> ArmModel:
     """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
-    study, known, logs = records(has)
+    study, known, logs = records(has, shapes)
     asks = replace(study, arm=replace(study.arm, joints=rig(asked).arm.joints))
     joints = joint_models(asks, known, 0.05, FACTORS)
     return tune(
@@ -120,7 +130,7 @@ def tuned(has: tuple[EffectName, ...], asked: Asked, most: int = 60) -> ArmModel
         rigid_model(asks, known, 0.01, 1.0),
         joints,
         Arm.of(asks.arm),
-        TuningOptions(max_iterations=most),
+        TuningOptions(max_iterations=most, cutoff_hz=cutoff_hz),
     )
 
 

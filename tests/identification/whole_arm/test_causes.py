@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
 from effect_runs import ALIKE, EVERY, OF_THE_CORE, tuned
 from strainwave.domain import ArmModel
-from strainwave.domain.effects import effect_named
+from strainwave.domain.effects import KnownJoint, all_effects, effect_named, names
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.effect_columns import EffectColumns, Hypothesis, Shapes
+from strainwave.identification.whole_arm.effects import NamedEffect
+from strainwave.identification.whole_arm.estimates import Fit
 from tuning_runs import truth
 
 MENDED = ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping")
@@ -46,6 +53,64 @@ def test_what_the_records_demand_is_taken_up(name: str) -> None:
     assert model.status == "converged"
     for other in MENDED:
         assert model.values[other, 1] == pytest.approx(truth()[1][other, 1], rel=0.005), other
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "value"),
+    [
+        ("flexible-link", "flexible_frequency", 15.0),
+        ("flexible-link", "flexible_frequency", 60.0),
+        ("torque-ripple", "torque_ripple_order", 4.0),
+    ],
+    ids=["a mode below", "a mode above", "another order"],
+)
+def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float) -> None:
+    model = tuned((name,), (), shapes=(((shape, 1), value),))
+    assert model.criticism is not None
+    first = model.criticism.score_tests[0]
+    assert first.evident
+    assert (first.joint, first.effect) == (1, name)
+    cause = model.criticism.causes[0]
+    assert (cause.joint, cause.effect) == (1, name)
+    known = EVERY | {(shape, 1): value}
+    for own in cause.parameters:
+        assert own.value == pytest.approx(known[own.name, 1], rel=0.1), own
+
+
+def test_what_is_of_unusual_shape_is_taken_up() -> None:
+    model = tuned(("flexible-link",), "auto", shapes=((("flexible_frequency", 1), 15.0),))
+    assert taken_up(model) == ["flexible-link"]
+    for other in MENDED:
+        assert model.values[other, 1] == pytest.approx(truth()[1][other, 1], rel=0.005), other
+
+
+@pytest.fixture
+def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[NamedEffect]:
+    """How many sets of shapes of each effect are tested from here on."""
+    columns_of, found = EffectColumns.of, Counter[NamedEffect]()
+
+    def counted(fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
+        found.update(one.one for one in tested)
+        return columns_of(fit, arm, tested)
+
+    monkeypatch.setattr(EffectColumns, "of", counted)
+    return found
+
+
+def test_of_noise_each_effect_is_tested_once(counts: Counter[NamedEffect]) -> None:
+    tuned((), (), most=59)
+    assert counts == {(joint, name): 1 for joint in (1, 2) for name in names()}
+
+
+@pytest.mark.parametrize(("cutoff_hz", "below"), [(50.0, 5), (80.0, 6)])
+def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
+    counts: Counter[NamedEffect], cutoff_hz: float, below: int
+) -> None:
+    tuned(("hysteresis",), (), cutoff_hz=cutoff_hz)
+    known = KnownJoint(0.01, 0.05, 2e4, 30.0, 10.0)
+    numbers = {one.name: len(one.tested_shapes(known)) for one in all_effects()}
+    numbers["flexible-link"] = below
+    assert counts == {(joint, name): k for joint in (1, 2) for name, k in numbers.items()}
 
 
 def test_two_effects_are_taken_up_one_after_the_other() -> None:

@@ -27,7 +27,6 @@ from strainwave.identification.whole_arm.gear_load import gear_torques
 from strainwave.identification.whole_arm.loads import Loads, loads_of
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.score_tests import (
-    FALSE_ALARMS,
     Tested,
     matters,
     score_tests_of,
@@ -86,22 +85,20 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
         (one for one in tested if _promise(one) >= least and one.one not in named),
         key=lambda one: -_promise(one),
     )
-    found = _likely(fit, rivals[:_RIVALS], arm, options, len(tested))
+    found = _likely(fit, rivals[:_RIVALS], arm, options)
     if not found or found[0].share < _HARDLY:
         joint = promising[0].test.joint  # whose effects a linear step may not see
         others = [one for one in tested if one.test.joint == joint and one.one not in named]
         others = [one for one in others if one not in rivals[:_RIVALS]]
         others.sort(key=_promise, reverse=True)
-        found += _likely(fit, others[:_OTHERS], arm, options, len(tested))
+        found += _likely(fit, others[:_OTHERS], arm, options)
     return sorted(found, key=lambda one: -one.gain)
 
 
-def _likely(
-    fit: Fit, rivals: Sequence[Tested], arm: Arm, options: TuningOptions, n_tested: int
-) -> list[Refit]:
+def _likely(fit: Fit, rivals: Sequence[Tested], arm: Arm, options: TuningOptions) -> list[Refit]:
     """Fits with each of some effects that explain more than chance, the most likely first."""
-    found = [_refit(fit, one, arm, options) for one in rivals]
-    likely = [one for one in found if one is not None and _shows(one, n_tested)]
+    found = [(_refit(fit, one, arm, options), one.chance) for one in rivals]
+    likely = [one for one, chance in found if one is not None and _shows(one, chance)]
     return sorted(likely, key=lambda one: -one.gain)
 
 
@@ -168,10 +165,10 @@ def _having(arm: Arm, one: NamedEffect) -> Arm:
     )
 
 
-def _shows(refit: Refit, n_tested: int) -> bool:
+def _shows(refit: Refit, chance: float) -> bool:
     """Whether a fitted effect explains more than chance, and something that matters."""
     degrees = len(_own_parameters(refit))
-    significant = refit.gain + degrees > chi_square_limit(FALSE_ALARMS / n_tested, degrees)
+    significant = refit.gain + degrees > chi_square_limit(chance, degrees)
     return significant and matters(refit.share, refit.shifts)
 
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray
-from strainwave.domain.effects import all_effects, effect_named, names
+from strainwave.domain import EffectName, FloatArray
+from strainwave.domain.effects import effect_named, names
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
     records_with,
@@ -24,6 +25,52 @@ from strainwave.identification.whole_arm.parametrisation import Key
 
 _ROUNDING = 1e-7  # of a column: less is nothing that the unknowns could not imitate
 
+Shapes = Mapping[str, float]
+"""Those of an effect: name -> value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """That a joint has an effect of certain shapes."""
+
+    joint: int  # from 1
+    effect: EffectName
+    number: int  # of the set of shapes among those that are tested, from 0
+
+    @property
+    def one(self) -> NamedEffect:
+        """The joint and the effect."""
+        return self.joint, self.effect
+
+
+@dataclass(frozen=True, slots=True)
+class _Pass:
+    """A simulation of the records with effects of size zero, each at one set of shapes."""
+
+    records: Sequence[Dataset]
+    values: Values
+    sizes: Mapping[Hypothesis, Sequence[Key]]
+
+    @classmethod
+    def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> _Pass:
+        """With some effects, no two of them the same of one joint."""
+        values = fit.objective.space.values(fit.z)
+        absent = {
+            (name, one.joint): value
+            for one, shapes in tested.items()
+            for name, value in {**effect_named(one.effect).absent, **shapes}.items()
+        }
+        values = absent | values
+        joints = tuple(replace(joint, effects=names()) for joint in arm.joints)
+        records = records_with(fit.objective.records, arm.with_joints(joints), values)
+        return cls(records, values, {one: sizes_of(one.one, fit.records) for one in tested})
+
+    def columns(self, k: int, begun: FloatArray) -> FloatArray:
+        """Derivatives by sizes in a record: (n_rows, n_channels, n_sizes)."""
+        record, keys = self.records[k], [key for own in self.sizes.values() for key in own]
+        own = record.linearised(self.values, begun[: len(record.local)], keys)[1]
+        return own[..., : len(keys)]
+
 
 @dataclass(frozen=True, slots=True)
 class EffectColumns:
@@ -35,18 +82,23 @@ class EffectColumns:
 
     factor: FloatArray  # (n_rows, n_unknowns + n_sizes + n_shifts + 1)
     n_unknowns: int
-    sizes: Mapping[NamedEffect, Sequence[Key]]
+    sizes: Mapping[Hypothesis, Sequence[Key]]
+    shapes: Mapping[Hypothesis, Shapes]
     n_shifts: Sequence[int]  # of inertias and gravity, and of each joint
 
     @classmethod
-    def of(cls, fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> EffectColumns:
+    def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
         """The columns of effects beside those of a fit.
+
+        All effects at the first of their shapes take one simulation, those of each further number
+        another.
 
         Parameters
         ----------
         fit : Fit
         arm : Arm
-        candidates : sequence of (joint, effect)
+        tested : dict
+            Hypothesis -> shapes.
 
         Returns
         -------
@@ -58,41 +110,36 @@ class EffectColumns:
             The arm with effects cannot be simulated.
         """
         objective, n = fit.objective, len(fit.objective.space.unknowns)
-        numbers = range(1, arm.n_joints + 1)
-        sizes = {one: sizes_of(one, fit.records) for one in candidates}
-        keys = [key for own in sizes.values() for key in own]
-        groups = [rigid_body(arm), *(rigid_friction(arm, j) for j in numbers)]
-        shifts = [objective.space.prior.by_shifts(group) for group in groups]
-        beforehand = np.concatenate([np.zeros((len(shifts[0]), len(keys))), *shifts], axis=1)
+        each = [
+            _Pass.of(fit, arm, {one: own for one, own in tested.items() if one.number == number})
+            for number in sorted({one.number for one in tested})
+        ]
+        sizes = {one: keys for run in each for one, keys in run.sizes.items()}
+        n_sizes = sum(map(len, sizes.values()))
+        frictions = (rigid_friction(arm, joint) for joint in range(1, arm.n_joints + 1))
+        shifts = [objective.space.prior.by_shifts(group) for group in (rigid_body(arm), *frictions)]
+        beforehand = np.concatenate([np.zeros((len(shifts[0]), n_sizes)), *shifts], axis=1)
         width = beforehand.shape[1]
-        absent = {name: value for effect in all_effects() for name, value in effect.absent.items()}
-        nothing = {(name, j): value for name, value in absent.items() for j in numbers}
-        values: Values = nothing | objective.space.values(fit.z)
-        joints = tuple(replace(joint, effects=names()) for joint in arm.joints)
-        rich = records_with(objective.records, arm.with_joints(joints), values)
 
         def tangent(k: int, _: Evaluated) -> FloatArray:
-            begun = objective.memory.own[k][: len(rich[k].local)]
-            found = rich[k].linearised(values, begun, keys)[1]
-            columns = np.zeros((*found.shape[:2], width))
-            columns[..., : len(keys)] = found[..., : len(keys)]
-            return columns
+            found = np.concatenate([run.columns(k, objective.memory.own[k]) for run in each], 2)
+            return np.concatenate([found, np.zeros((*found.shape[:2], width - n_sizes))], axis=2)
 
         whole = objective.bordered(fit.z, width, tangent, beforehand)
-        stds = [effect_named(one[1]).prior_std for one, own in sizes.items() for _ in own]
-        stds += [1.0] * (width - len(keys))
+        stds = [effect_named(one.effect).prior_std for one, own in sizes.items() for _ in own]
+        stds += [1.0] * (width - n_sizes)
         known = [k for k, std in enumerate(stds) if std is not None]
         prior = np.zeros((len(known), whole.shape[1]))
         prior[range(len(known)), [n + k for k in known]] = [1.0 / (stds[k] or 1.0) for k in known]
         factor = np.concatenate([whole, prior])
-        return cls(factor, n, sizes, [one.shape[1] for one in shifts])
+        return cls(factor, n, sizes, tested, [one.shape[1] for one in shifts])
 
     @property
     def target(self) -> FloatArray:
         """The residual that the unknowns leave."""
         return self.factor[self.n_unknowns :, -1]
 
-    def seen(self, one: NamedEffect) -> FloatArray:
+    def seen(self, one: Hypothesis) -> FloatArray:
         """What the unknowns leave of an effect's columns: zero where that is rounding."""
         place = self._place(one)
         left = self.factor[self.n_unknowns :, place].copy()
@@ -100,16 +147,16 @@ class EffectColumns:
         left[:, np.linalg.norm(left, axis=0) <= _ROUNDING * size] = 0.0
         return left
 
-    def shifts(self, one: NamedEffect) -> FloatArray:
+    def shifts(self, one: Hypothesis) -> FloatArray:
         """What they leave of shifts of what the rigid step says wrongly for lack of an effect."""
         return self.factor[self.n_unknowns :, self._shifts(one)]
 
-    def answer(self, one: NamedEffect, size: FloatArray, shift: FloatArray) -> FloatArray:
+    def answer(self, one: Hypothesis, size: FloatArray, shift: FloatArray) -> FloatArray:
         """How the unknowns make room for an effect and for shifts of what the rigid step says.
 
         Parameters
         ----------
-        one : (joint, effect)
+        one : Hypothesis
         size : (n_sizes,)
         shift : (n_shifts,)
 
@@ -123,7 +170,7 @@ class EffectColumns:
         by_effect = by_effect + self.factor[:n, self._shifts(one)] @ shift
         return np.asarray(-np.linalg.lstsq(self.factor[:n, :n], by_effect)[0])
 
-    def _place(self, one: NamedEffect) -> slice:
+    def _place(self, one: Hypothesis) -> slice:
         counts = {key: len(own) for key, own in self.sizes.items()}
         at = self.n_unknowns
         for key, count in counts.items():
@@ -132,8 +179,8 @@ class EffectColumns:
             at += count
         raise KeyError(one)
 
-    def _shifts(self, one: NamedEffect) -> list[int]:
+    def _shifts(self, one: Hypothesis) -> list[int]:
         first = self.n_unknowns + sum(map(len, self.sizes.values()))
         ends = first + np.cumsum([0, *self.n_shifts])
-        groups = [0, one[0]] if effect_named(one[1]).misleads_inertias else [one[0]]
+        groups = [0, one.joint] if effect_named(one.effect).misleads_inertias else [one.joint]
         return [k for group in groups for k in range(ends[group], ends[group + 1])]

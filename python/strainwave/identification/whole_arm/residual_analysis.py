@@ -20,6 +20,7 @@ _LEAST_SEGMENT = 64  # rows
 _BELOW = 0.8  # of the cut-off: the band in which colours are compared
 _DELAYS = 0.1  # [s] by which an input may come before what it explains
 _HIGH_VARIANCE = 3.0  # times the sensor's noise from which residuals are worth a word
+_EXCEEDS = 1.5  # times that noise from which more than half of the residuals' power is not noise
 _SURELY = 1e-3  # probability below which chance is no explanation
 
 
@@ -175,6 +176,29 @@ def follows(
         if odds < found[3] or (odds == found[3] and abs(correlation[at]) > abs(found[1])):
             found = (j + 1, float(correlation[at]), at * row_time, odds)
     return found
+
+
+def exceed_noise(objective: Objective, z: FloatArray) -> bool:
+    """Whether the residuals of any channel are more than its sensor's noise, most by power.
+
+    Less than what `residual_warnings` speaks of: an effect may be significant well below that.
+
+    Parameters
+    ----------
+    objective : Objective
+    z : (n_unknowns,)
+        Where the fit ended.
+
+    Returns
+    -------
+    bool
+    """
+    each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
+    return any(
+        bool(np.any((deviation >= _EXCEEDS * record.noise) & (record.noise > 0.0)))
+        for record, rows, weights in each
+        for deviation in [np.std(rows.residual * weights.deviation, axis=0)]
+    )
 
 
 def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iterator[Diagnostic]:

@@ -7,29 +7,32 @@ own derivatives as one more column. What it takes off the cost in one linear ste
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
-from strainwave.domain.effects import all_effects, effect_named
+from strainwave.domain.effects import Effect, all_effects, effect_named
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.effect_columns import EffectColumns
+from strainwave.identification.whole_arm.effect_columns import EffectColumns, Hypothesis, Shapes
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
     effects_in,
+    known_joint,
 )
 from strainwave.identification.whole_arm.estimates import Fit
+from strainwave.identification.whole_arm.loads import loads_of
 from strainwave.identification.whole_arm.parametrisation import (
     OFFSET,
     SETTLING,
     VISCOUS,
     Key,
 )
+from strainwave.identification.whole_arm.residual_analysis import exceed_noise
 from strainwave.numerics.distributions import chi_square_limit
 
 FALSE_ALARMS = 1e-4
@@ -49,9 +52,10 @@ class Tested:
     """A score test, and where its linear step leads."""
 
     test: ScoreTest
+    chance: float  # odds by which noise may pass for an effect, of each that is tested
     alone: float  # what the effect takes off the cost with no other beside it
     rigid: float  # and before that, not trusting what the rigid step says for lack of it
-    values: Values  # of the unknowns, and of sizes, after that step alone
+    values: Values  # of the unknowns, sizes and unusual shapes, after that step alone
 
     @property
     def one(self) -> NamedEffect:
@@ -66,6 +70,9 @@ class Tested:
 
 def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     """The effects that no joint's model has yet, the most significant first.
+
+    Where residuals exceed the sensors' noise, an effect is tested at each of its sets of shapes,
+    and the one that gains most alone is kept; else at the first of them.
 
     Parameters
     ----------
@@ -82,7 +89,7 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     if not candidates:
         return []
     try:
-        columns = EffectColumns.of(fit, arm, candidates)
+        columns = EffectColumns.of(fit, arm, _hypotheses(fit, arm, candidates))
     except (InvalidInput, NumericalFailure):
         return []
     return list(_chosen(columns, fit))
@@ -98,11 +105,35 @@ def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
     ]
 
 
+def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[Hypothesis, Shapes]:
+    """The sets of shapes at which effects are tested: one each where residuals are noise.
+
+    Further ones have frequencies within the band in which records are compared.
+    """
+    records, values = fit.objective.records, fit.objective.space.values(fit.z)
+    band = max(record.cutoff_hz for record in records)
+    loads, noise = loads_of(records, values), not exceed_noise(fit.objective, fit.z)
+    found: dict[Hypothesis, Shapes] = {}
+    for joint, name in candidates:
+        effect = effect_named(name)
+        first, *further = effect.tested_shapes(known_joint(arm, joint, values, loads))
+        seen = [one for one in further if not noise and _highest(effect, one) < band]
+        for number, shapes in enumerate((first, *seen)):
+            found[Hypothesis(joint, name, number)] = shapes
+    return found
+
+
+def _highest(effect: Effect, shapes: Shapes) -> float:
+    """The highest frequency among shapes [Hz]."""
+    found = (value for name, value in shapes.items() if effect.described(name).units[0] == "Hz")
+    return max(found, default=0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class _Step:
     """What one effect takes off the cost, and by which sizes."""
 
-    candidate: NamedEffect
+    candidate: Hypothesis
     names: tuple[str, ...]
     gain: float
     rigid: float  # what mistrust of the rigid step takes off before that
@@ -117,21 +148,32 @@ class _Step:
 
 def _chosen(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
     """One after the other, each given those before it as long as they are evident."""
-    left, chance = list(columns.sizes), FALSE_ALARMS / len(columns.sizes)
+    chance = FALSE_ALARMS / len(columns.sizes)
     taken = np.zeros((len(columns.target), 0))
-    alone = {one: _step(columns, one, taken) for one in left}
-    steps = list(alone.values())
+    alone = _best_shapes([_step(columns, one, taken) for one in columns.sizes])
+    left, steps = list(alone), list(alone.values())
     while left:
         best = max(steps, key=lambda step: step.beyond(chance))
         one = best.candidate
         found = _scored(best, fit, _moved(columns, best, fit), chance)
-        yield Tested(found, alone[one].gain, alone[one].rigid, _reached(columns, alone[one], fit))
+        reached = _reached(columns, alone[one], fit)
+        yield Tested(found, chance, alone[one].gain, alone[one].rigid, reached)
         left.remove(one)
         if found.evident:
             taken = np.column_stack([taken, columns.seen(one), columns.shifts(one)])
             steps = [_step(columns, other, taken) for other in left]
         else:
             steps = [step for step in steps if step is not best]
+
+
+def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
+    """Of each effect, the step at the shapes that gain most."""
+    best: dict[NamedEffect, _Step] = {}
+    for step in steps:
+        one = step.candidate.one
+        if one not in best or step.gain > best[one].gain:
+            best[one] = step
+    return {step.candidate: step for step in best.values()}
 
 
 def _moved(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
@@ -142,25 +184,29 @@ def _moved(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
 
 
 def _reached(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
-    """Those, and such sizes as a fit may start from: without sign above zero."""
-    joint, effect = step.candidate[0], effect_named(step.candidate[1])
+    """Those, and what a fit may start from: sizes, without sign above zero, and unusual shapes."""
+    one = step.candidate
+    joint, effect = one.joint, effect_named(one.effect)
+    usual = columns.shapes[replace(one, number=0)]
+    shapes: Values = {
+        (name, joint): value for name, value in columns.shapes[one].items() if value != usual[name]
+    }
     sizes: Values = {
         (name, joint): value
         for name, value in zip(step.names, step.size.tolist(), strict=True)
         if effect.is_signed(name) or value > 0.0
     }
-    return _moved(columns, step, fit) | sizes
+    return _moved(columns, step, fit) | sizes | shapes
 
 
 def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
     """A score test in words of the effect's parameters."""
-    joint, effect = step.candidate
     share = step.gain / max(fit.cost, 1e-300)
     significant = step.beyond(chance) > 0.0
     moves = tuple(shifts(fit, moved)) if significant and share > LEAST else ()
     return ScoreTest(
-        joint=joint,
-        effect=effect,
+        joint=step.candidate.joint,
+        effect=step.candidate.effect,
         sizes=dict(zip(step.names, step.size.tolist(), strict=True)),
         stds=dict(zip(step.names, step.std.tolist(), strict=True)),
         gain=step.gain,
@@ -219,7 +265,7 @@ def _is_primary(key: Key) -> bool:
     return not (name in others or name in of_effects or is_sensor_constant(key))
 
 
-def _step(columns: EffectColumns, one: NamedEffect, taken: FloatArray) -> _Step:
+def _step(columns: EffectColumns, one: Hypothesis, taken: FloatArray) -> _Step:
     """The best sizes of one effect beside those taken already; none below nothing.
 
     What the rigid step says wrongly for lack of the effect is free.
@@ -228,7 +274,7 @@ def _step(columns: EffectColumns, one: NamedEffect, taken: FloatArray) -> _Step:
     shifts, seen, target = _beside(taken, *parts)
     own, left = _beside(shifts, seen, target)
     names = tuple(name for name, _ in columns.sizes[one])
-    effect = effect_named(one[1])
+    effect = effect_named(one.effect)
     size = least_squares(own, left, np.array([effect.is_signed(name) for name in names]))
     gain = float(np.sum(left**2) - np.sum((left + own @ size) ** 2))
     std = np.sqrt(np.diag(np.linalg.pinv(own.T @ own)))
