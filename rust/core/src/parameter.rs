@@ -73,6 +73,8 @@ pub const TORQUE: [&str; 2] = ["N m", "N"];
 pub const DAMPING: [&str; 2] = ["N m s/rad", "N s/m"];
 /// N m/rad, or N/m.
 pub const STIFFNESS: [&str; 2] = ["N m/rad", "N/m"];
+/// rad/(N m), or m/N.
+pub const COMPLIANCE: [&str; 2] = ["rad/(N m)", "m/N"];
 /// rad, or m.
 pub const ANGLE: [&str; 2] = ["rad", "m"];
 /// rad/s, or m/s.

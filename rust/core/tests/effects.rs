@@ -329,6 +329,7 @@ fn impossible_effects_are_refused() {
         ("backlash", -1e-9),
         ("dead_zone", -1e-9),
         ("drive_saturation", -1e-9),
+        ("base_compliance", -1e-9),
     ] {
         let mut broken = values.clone();
         let names = config.parameter_names();
@@ -598,6 +599,101 @@ fn a_stiff_part_is_inertia_of_its_link() {
         // the gears' modes, at 30 Hz, are some thousandth of its own squared
         assert!(apart(&stiff, &heavy) < 0.01 * apart(&light, &heavy), "{i}");
     }
+}
+
+/// A link on a gear whose motor does not move rings with its base: two modes in closed form, from
+/// where the base bears the gear's torque at rest.
+#[test]
+fn a_soft_base_rings_with_its_link() {
+    let soft = EffectKinds {
+        soft_base: true,
+        ..none()
+    };
+    let (link, k, compliance, hz) = (1.5, 20e3, 2e-5, 40.0);
+    let drive = [link, 0.0, 1e12, 0.0, 0.0, 0.0, 0.0];
+    let parameters = [&drive[..], &[k, 0.0, 0.0, compliance, hz, 1e-12]].concat();
+    let begin = 1e-3;
+    let run = Run {
+        config: one_link(LINEAR, soft),
+        parameters: &parameters,
+        voltage: &[[0.0]],
+        steps_per_tick: 1,
+        initial: Initial {
+            link_angle: Some([begin]),
+            ..at_rest([0.0])
+        },
+        step: 1e-4,
+        steps: 4000,
+    };
+    let record = run.record(&[Quantity::LinkAngle, Quantity::GearTorque]);
+    // angles of link and base times the roots of their inertias obey x'' = -[[a, b], [b, d]] x
+    let base = 1.0 / (compliance * (std::f64::consts::TAU * hz).powi(2));
+    let (a, b) = (k / link, -k / (link * base).sqrt());
+    let d = (k + 1.0 / compliance) / base;
+    let (mean, apart) = (0.5 * (a + d), (0.25 * (a - d).powi(2) + b * b).sqrt());
+    let (slow, fast) = (mean - apart, mean + apart);
+    let torque = -begin / (1.0 / k + compliance);
+    let scaled = [link.sqrt() * begin, -base.sqrt() * compliance * torque];
+    let of_slow = [
+        ((fast - a) * scaled[0] - b * scaled[1]) / (fast - slow),
+        ((fast - d) * scaled[1] - b * scaled[0]) / (fast - slow),
+    ];
+    for step in 0..=run.steps {
+        let t = 1e-4 * step as f64;
+        let [one, other] = [slow, fast].map(|square| (square.sqrt() * t).cos());
+        let x = [0, 1].map(|i| of_slow[i] * (one - other) + scaled[i] * other);
+        let [psi, phi] = [x[0] / link.sqrt(), x[1] / base.sqrt()];
+        // (w h)^4 of 0.4 s at 60 Hz
+        assert!((record[0][step][0] - psi).abs() < 1e-6 * begin, "{step}");
+        let torque = k * (phi - psi);
+        assert!((record[1][step][0] - torque).abs() < 1e-5, "{step}");
+    }
+}
+
+/// A base that turns without delay is compliance of its gear, at rest and in motion.
+#[test]
+fn a_light_base_is_compliance_of_its_gear() {
+    let soft = EffectKinds {
+        soft_base: true,
+        ..none()
+    };
+    let plain = config::<TwoLink<true>, 2>([LINEAR; 2]);
+    let mut standing = plain;
+    standing.joints[0].effects = soft;
+    let mut stiff = scara(0.0, 1.0);
+    stiff[11] = 2.0; // gear_damping: so little that both dampers make one to first order
+    let compliance = 1e-5;
+    let mut softer = stiff.clone();
+    softer[10] = 1.0 / (1.0 / stiff[10] + compliance);
+    // of the torsion's rate a share is the gear's, the rest that of the base
+    let (hz, damping) = (1500.0, 0.5);
+    let of_base = 2.0 * damping / (std::f64::consts::TAU * hz * compliance);
+    let share = softer[10] / stiff[10];
+    softer[11] = share * share * stiff[11] + (1.0 - share).powi(2) * of_base;
+    let light = [&stiff[..13], &[compliance, hz, damping], &stiff[13..]].concat();
+    let motion = |config: Config<TwoLink<true>, 2>, parameters: &[f64]| {
+        let run = Run {
+            config,
+            parameters,
+            voltage: &telegraph(5, 50),
+            steps_per_tick: 64,
+            initial: at_rest([10.0, 20.0]),
+            step: 3.125e-5,
+            steps: 3200,
+        };
+        run.record(&[Quantity::LinkAngle]).remove(0)
+    };
+    let [stiff, softer, light] = [
+        motion(plain, &stiff),
+        motion(plain, &softer),
+        motion(standing, &light),
+    ];
+    assert!((light[0][0] - softer[0][0]).abs() < 1e-12);
+    let apart = |one: &[[f64; 2]], other: &[[f64; 2]]| {
+        let off = one.iter().zip(other).map(|(a, b)| (a[0] - b[0]).abs());
+        off.fold(0.0, f64::max)
+    };
+    assert!(apart(&light, &softer) < 0.01 * apart(&stiff, &softer));
 }
 
 /// Torque [N m] of a motor whose drive makes 0.1 N m of a volt, but for one effect, at voltages that

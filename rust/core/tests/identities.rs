@@ -186,6 +186,8 @@ fn energy_error<A: Arm<N>, const N: usize>(run: &Run<'_, A, N>) -> f64 {
             hysteresis: [0.0; N],
             part_angle: [0.0; N],
             part_velocity: [0.0; N],
+            base_torque: [0.0; N],
+            base_torque_rate: [0.0; N],
         };
         let without = plant.gear_torques(&x);
         for i in 0..N {
@@ -282,7 +284,9 @@ proptest! {
             joint.effects.hysteresis = !few;
             joint.effects.load_friction = !few;
             joint.effects.backlash = !few;
-            joint.effects.flexible_link = false; // no record has its part's motion
+            // no record has the motion of the link's part or of the base
+            joint.effects.flexible_link = false;
+            joint.effects.soft_base = false;
             values[5 + 8 * i + 2] *= f64::from(u8::from(!few));
         }
         let values = with_effects(&values, &config);
@@ -295,12 +299,14 @@ proptest! {
         prop_assert!(error < if few { 1e-6 } else { 0.02 }, "{}", error);
     }
 
-    /// A free arm of whose links parts swing by themselves: its energy goes into their dampers.
+    /// A free arm on soft bases of whose links parts swing by themselves: its energy goes into all
+    /// their dampers.
     #[test]
-    fn energy_is_kept_by_flexible_links((mut values, seed) in drawn_two_link()) {
+    fn energy_is_kept_by_flexible_links_and_soft_bases((mut values, seed) in drawn_two_link()) {
         let mut config = config::<TwoLink<true>, 2>([LINEAR; 2]);
         for (i, joint) in config.joints.iter_mut().enumerate() {
             joint.effects.flexible_link = true;
+            joint.effects.soft_base = true;
             values[5 + 8 * i + 2] = 0.0; // no Coulomb friction
         }
         let values = with_effects(&values, &config);
@@ -315,6 +321,8 @@ proptest! {
             hysteresis: [0.0; 2],
             part_angle: some(0.2),
             part_velocity: some(0.5),
+            base_torque: some(50.0),
+            base_torque_rate: some(5e3),
         };
         let none = [0.0; 2];
         let modes = Modes { direction: none, free: [1.0; 2] };

@@ -72,6 +72,7 @@ impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
                 joint.effects.kinematic_error = false;
                 joint.effects.load_friction = false;
                 joint.effects.backlash = false;
+                joint.effects.soft_base = false;
             }
             joint.current_loop_hz = Some(800.0 + 200.0 * draw.next());
             joint.accelerometer_hz = Some(300.0);
@@ -255,6 +256,9 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "flexible_inertia" => 0.2,
                 "flexible_frequency" => 40.0,
                 "flexible_damping" => 0.05,
+                "base_compliance" => either(1e-5, 4e-5),
+                "base_frequency" => 30.0,
+                "base_damping" => 0.1,
                 _ => unreachable!("{name}"),
             })
         })

@@ -310,6 +310,11 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
             &mut self.motion.state.part_velocity,
             &one.state.part_velocity,
         );
+        put(&mut self.motion.state.base_torque, &one.state.base_torque);
+        put(
+            &mut self.motion.state.base_torque_rate,
+            &one.state.base_torque_rate,
+        );
         put(&mut self.motion.torque, &one.torque);
         put(&mut self.motion.modes.direction, &one.modes.direction);
         put(&mut self.motion.modes.free, &one.modes.free);
@@ -521,6 +526,8 @@ fn one_of<R: Real, const N: usize>(all: &Motion<R, N>, lane: usize) -> Motion<R:
             hysteresis: own(&all.state.hysteresis),
             part_angle: own(&all.state.part_angle),
             part_velocity: own(&all.state.part_velocity),
+            base_torque: own(&all.state.base_torque),
+            base_torque_rate: own(&all.state.base_torque_rate),
         },
         torque: own(&all.torque),
         modes: crate::plant::Modes {
@@ -543,6 +550,8 @@ fn side_by_side<R: Real, const N: usize>(ones: &[Motion<R::One, N>]) -> Motion<R
             hysteresis: all(|one| &one.state.hysteresis),
             part_angle: all(|one| &one.state.part_angle),
             part_velocity: all(|one| &one.state.part_velocity),
+            base_torque: all(|one| &one.state.base_torque),
+            base_torque_rate: all(|one| &one.state.base_torque_rate),
         },
         torque: all(|one| &one.torque),
         modes: crate::plant::Modes {

@@ -26,6 +26,8 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
         hysteresis: [S::splat(0.0); N],
         part_angle: [S::splat(0.0); N],
         part_velocity: [S::splat(0.0); N],
+        base_torque: [S::splat(0.0); N],
+        base_torque_rate: [S::splat(0.0); N],
     };
     if initial.link_angle.is_none() {
         let hanging = hanging(plant, &state.motor_angle);
@@ -40,6 +42,7 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
         }
     }
     plant.carry_parts(&mut state);
+    plant.load_bases(&mut state);
     let torque = std::array::from_fn(|i| {
         let driven = plant.joints[i].driven::<EFFECTS>(S::splat(initial.voltage[i]));
         S::splat(current.torque_per_volt[i]) * driven
@@ -60,9 +63,10 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
 
 /// Link angles at which gravity's torques and the gears' balance, for motors held where they are.
 ///
-/// Each round takes gravity at the last angles and twists the gears by what holds it. Gravity's own
-/// stiffness is some thousandth of theirs, so a round gains three digits. Once the angles have
-/// settled it goes on as long again: a derivative that they carry settles as fast, but begins late.
+/// Each round takes gravity at the last angles and twists gears and turns bases by what holds it.
+/// Gravity's own stiffness is some thousandth of theirs, so a round gains three digits. Once the
+/// angles have settled it goes on as long again: a derivative that they carry settles as fast, but
+/// begins late.
 fn hanging<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     plant: &Plant<A, S, G, N, EFFECTS>,
     motor_angle: &[S; N],
@@ -81,7 +85,10 @@ fn hanging<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
         for i in 0..N {
             if !plant.is_rigid(i) {
                 let joint = &plant.joints[i];
-                let next = untwisted[i] - joint.torsion::<EFFECTS>(gravity[i]);
+                let mut next = untwisted[i] - joint.torsion::<EFFECTS>(gravity[i]);
+                if EFFECTS {
+                    next = next - joint.effects.base_turn(gravity[i]);
+                }
                 change = change.max((next - angle[i]).lane(0).abs());
                 angle[i] = next;
             }

@@ -6,13 +6,13 @@ pub mod rigid;
 
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
-use crate::joint::effects::{At, Lead, Twist};
+use crate::joint::effects::{At, BaseTorque, Lead, Twist};
 use crate::joint::gear::{Gears, Spring};
 use crate::joint::{Gear, Joint};
 use crate::scalar::{Real, Work, apart, solve};
 
-/// Angles [rad] and velocities [rad/s] of motors and links, what the gears remember, and the parts of
-/// links that swing by themselves.
+/// Angles [rad] and velocities [rad/s] of motors and links, what the gears remember, the parts of
+/// links that swing by themselves, and the springs that bases turn on.
 #[derive(Clone, Copy, Debug)]
 pub struct State<R, const N: usize> {
     /// theta_M.
@@ -29,6 +29,10 @@ pub struct State<R, const N: usize> {
     pub part_angle: [R; N],
     /// Their velocities.
     pub part_velocity: [R; N],
+    /// s [N m] in the springs that bases turn on; of no meaning where these are rigid.
+    pub base_torque: [R; N],
+    /// ds [N m/s].
+    pub base_torque_rate: [R; N],
 }
 
 /// Accelerations [rad/s^2] of motors and links.
@@ -40,6 +44,8 @@ pub struct Acceleration<R, const N: usize> {
     pub link: [R; N],
     /// Of the links' parts that swing by themselves.
     pub part: [R; N],
+    /// dds [N m/s^2] of the springs that bases turn on.
+    pub base: [R; N],
 }
 
 /// What each motor's friction does during a step.
@@ -156,10 +162,50 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     /// The `i`-th joint's gear.
     #[inline(always)]
     pub(crate) fn gear(&self, x: &State<R, N>, i: usize) -> Gear<R> {
-        self.joints[i].gear::<EFFECTS>(
-            [x.motor_angle[i], x.link_angle[i]],
-            [x.motor_velocity[i], x.link_velocity[i]],
-        )
+        let joint = &self.joints[i];
+        let (mut angle, mut velocity) = (x.link_angle[i], x.link_velocity[i]);
+        if EFFECTS {
+            angle = angle - joint.effects.base_turn(x.base_torque[i]);
+            velocity = velocity - joint.effects.base_turn(x.base_torque_rate[i]);
+        }
+        joint.gear::<EFFECTS>([x.motor_angle[i], angle], [x.motor_velocity[i], velocity])
+    }
+
+    /// The spring that the `i`-th joint's base turns on.
+    #[inline(always)]
+    fn base_torque(x: &State<R, N>, i: usize) -> BaseTorque<R> {
+        BaseTorque {
+            torque: x.base_torque[i],
+            rate: x.base_torque_rate[i],
+        }
+    }
+
+    /// Lets the bases stand still, each where its spring bears the gear's torque: s = -tau.
+    ///
+    /// Newton's method, by the stiffness of a gear that is strained by all of its torsion: a stiffer
+    /// one than it may be, for which a round gains less but never too much. Once the torque has
+    /// settled it goes on as long again, for the derivatives that it carries.
+    pub(crate) fn load_bases(&self, x: &mut State<R, N>) {
+        for i in (0..N).filter(|&i| !self.is_rigid(i)) {
+            let joint = &self.joints[i];
+            let compliance = joint.effects.base_turn(R::splat(1.0));
+            let mut settled = None;
+            for round in 0..400 {
+                let twist = self.gear(x, i).twist;
+                let torque = self.transmitted(x, i, &twist);
+                let strain = joint.effects.strain(twist.angle);
+                let slope = R::splat(1.0) + compliance * joint.spring.stiffness(strain);
+                let change = (torque + x.base_torque[i]) / slope;
+                x.base_torque[i] = x.base_torque[i] - change;
+                let size = 1e-14 * (1.0 + torque.lane(0).abs());
+                if change.lane(0).abs() < size && settled.is_none() {
+                    settled = Some(round);
+                }
+                if settled.is_some_and(|at| round > 2 * at) {
+                    break;
+                }
+            }
+        }
     }
 
     /// How the part of the `i`-th link that swings by itself is ahead of it.
@@ -280,7 +326,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ) -> Acceleration<R, N> {
         let mut inertia = self.arm.inertia(&self.base, at);
         let bias = self.arm.bias(&self.base, at, &x.link_velocity);
-        let [mut part, mut borne] = [[R::splat(0.0); N]; 2];
+        let [mut part, mut borne, mut base] = [[R::splat(0.0); N]; 3];
         if EFFECTS {
             [part, borne] = self.swinging(x);
         }
@@ -322,6 +368,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                     modes.free[i] * joint.motor_mobility * net,
                 );
                 force[i] = transmitted - load;
+                if EFFECTS {
+                    let bearing = Self::base_torque(x, i);
+                    base[i] = joint.effects.base_acceleration(&bearing, transmitted);
+                }
             }
         }
         let link = solve(&inertia, &force);
@@ -330,7 +380,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 motor[i] = link[i] / self.joints[i].ratio;
             }
         }
-        Acceleration { motor, link, part }
+        Acceleration {
+            motor,
+            link,
+            part,
+            base,
+        }
     }
 
     /// Torque [N m] that friction must take up at each motor to hold it, offset apart: to keep it
@@ -520,6 +575,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             z: x.hysteresis[i],
             lead: Self::lead(x, i),
             part_velocity: x.part_velocity[i],
+            base: Self::base_torque(x, i),
         }
     }
 
@@ -608,6 +664,8 @@ impl<R: Real, const N: usize> State<R, N> {
             if EFFECTS {
                 next.part_angle[i] = t.mul_add(self.part_velocity[i], self.part_angle[i]);
                 next.part_velocity[i] = t.mul_add(a.part[i], self.part_velocity[i]);
+                next.base_torque[i] = t.mul_add(self.base_torque_rate[i], self.base_torque[i]);
+                next.base_torque_rate[i] = t.mul_add(a.base[i], self.base_torque_rate[i]);
             }
         }
         (next, turned)
@@ -640,6 +698,11 @@ impl<R: Real, const N: usize> State<R, N> {
                     t.mul_add(self.part_velocity[i], self.part_angle[i]),
                 );
                 next.part_velocity[i] = r.mul_add(b.part[i], self.part_velocity[i]);
+                next.base_torque[i] = s.mul_add(
+                    a.base[i],
+                    t.mul_add(self.base_torque_rate[i], self.base_torque[i]),
+                );
+                next.base_torque_rate[i] = r.mul_add(b.base[i], self.base_torque_rate[i]);
             }
         }
         (next, turned)
@@ -655,6 +718,7 @@ impl<R: Real, const N: usize> Acceleration<R, N> {
             sum.link[i] = sum.link[i] + other.link[i];
             if EFFECTS {
                 sum.part[i] = sum.part[i] + other.part[i];
+                sum.base[i] = sum.base[i] + other.base[i];
             }
         }
         sum

@@ -363,6 +363,8 @@ fn lifted<S: Real, V: Real, const N: usize>(
             hysteresis: state.hysteresis.map(Dual::constant),
             part_angle: state.part_angle.map(Dual::constant),
             part_velocity: state.part_velocity.map(Dual::constant),
+            base_torque: state.base_torque.map(Dual::constant),
+            base_torque_rate: state.base_torque_rate.map(Dual::constant),
         },
         torque: pair(&nominal.torque, torque),
         modes: Modes {

@@ -8,7 +8,8 @@
 
 use crate::arm::Arm;
 use crate::joint::effects::{
-    Effect, EffectKinds, Effects, Enters, FlexibleLink, Hysteresis, Lead, Size,
+    BaseTorque, Effect, EffectKinds, Effects, Enters, FlexibleLink, Hysteresis, Lead, Size,
+    SoftBase,
 };
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::{Config, Role};
@@ -16,7 +17,7 @@ use crate::plant::{Modes, Plant, State, angle_in_space};
 use crate::scalar::{Jet, Real};
 use crate::sensitivity::forcing::{GEAR_EFFECTS, MOTOR_EFFECTS, Quads};
 use crate::sensitivity::holding::Holding;
-use crate::sensitivity::trace::{Stage, Trace};
+use crate::sensitivity::trace::{Stage, Stages, Trace};
 
 /// The effects that an arm lacks, joint by joint.
 pub(crate) struct EffectSensitivity<L, const N: usize> {
@@ -28,8 +29,15 @@ pub(crate) struct EffectSensitivity<L, const N: usize> {
     /// What the links' parts follow that swing by themselves.
     flexible: [Option<FlexibleLink<f64>>; N],
     /// Their angles and velocities in space at the beginning of the step.
-    part: [[f64; 2]; N],
+    part: [Swing; N],
+    /// What the springs follow that bases turn on.
+    soft: [Option<SoftBase<f64>>; N],
+    /// Their torques, and the rates of these, at the beginning of the step.
+    base: [Swing; N],
 }
+
+/// What obeys an equation of the second order by itself, and its rate.
+type Swing = [f64; 2];
 
 /// One size of an effect, which is nothing but moves.
 pub(crate) struct OneSize<L> {
@@ -55,6 +63,8 @@ struct Moment<R> {
     damping: R,
     /// Of the link's part that swings by itself.
     part_acceleration: R,
+    /// Of the spring that the base turns on.
+    base: BaseTorque<R>,
 }
 
 /// What a little of an effect adds, per size.
@@ -96,9 +106,12 @@ impl<R: Real> Adds<R> {
         if enters.gear {
             let [off, slope] = effects.error(angle).map(|one| one.tangent);
             let strain = effects.strain(Jet::constant(at.twist)).tangent;
-            let damped = at.damping * slope * at.motor_velocity;
+            let turn = |torque: R| effects.base_turn(Jet::constant(torque)).tangent;
+            let [turned, turning] = [turn(at.base.torque), turn(at.base.rate)];
+            let damped = at.damping * slope.mul_add(at.motor_velocity, turning);
             let remembered = effects.gear_torque(Jet::constant(at.z)).tangent;
-            adds.gear = at.stiffness.mul_add(off + strain, damped + remembered);
+            let strained = off + strain + turned;
+            adds.gear = at.stiffness.mul_add(strained, damped + remembered);
             adds.lever = slope;
         }
         if enters.link {
@@ -115,7 +128,12 @@ impl<R: Real> Adds<R> {
 
 impl<L: Real> OneSize<L> {
     /// What it adds where an event ends a stretch.
-    pub(crate) fn at_an_event<S: Real>(&self, held: &Holding<S>, z: f64) -> Adds<f64> {
+    pub(crate) fn at_an_event<S: Real>(
+        &self,
+        held: &Holding<S>,
+        z: f64,
+        base: BaseTorque<f64>,
+    ) -> Adds<f64> {
         let moment = Moment {
             motor_angle: held.motor_angle,
             motor_velocity: held.speed,
@@ -127,6 +145,7 @@ impl<L: Real> OneSize<L> {
             stiffness: held.stiffness,
             damping: held.damping,
             part_acceleration: 0.0,
+            base,
         };
         Adds::of(&self.at_once, self.size.enters, &moment)
     }
@@ -159,7 +178,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
             places.map(|k| parameters[k]).collect()
         };
         let mut own = std::array::from_fn(|_| Vec::new());
-        let (mut hysteresis, mut flexible) = ([None; N], [None; N]);
+        let (mut hysteresis, mut flexible, mut soft) = ([None; N], [None; N], [None; N]);
         for i in 0..N {
             let (kinds, values) = (config.joints[i].effects, values(i));
             for (place, (_, size)) in kinds.parameters().into_iter().enumerate() {
@@ -175,15 +194,27 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
             let effects: Effects<f64> = Effects::of(kinds, || *all.next().expect("a value"));
             hysteresis[i] = effects.hysteresis;
             flexible[i] = effects.flexible_link;
+            soft[i] = effects.soft_base;
         }
         let part = |i: usize| [begin.part_angle[i], begin.part_velocity[i]].map(|one| one.lane(0));
+        let base =
+            |i: usize| [begin.base_torque[i], begin.base_torque_rate[i]].map(|one| one.lane(0));
         Self {
             own,
             hysteresis,
             z: [0.0; N],
             flexible,
             part: std::array::from_fn(part),
+            soft,
+            base: std::array::from_fn(base),
         }
+    }
+
+    /// The spring that one joint's base turns on, at the beginning of the step.
+    #[inline(always)]
+    pub(crate) fn base(&self, joint: usize) -> BaseTorque<f64> {
+        let [torque, rate] = self.base[joint];
+        BaseTorque { torque, rate }
     }
 
     /// The sizes of one joint's effects.
@@ -205,6 +236,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         for i in 0..N {
             let z = self.remembered(trace, h, i);
             let swung = self.swung::<A>(trace, h, i);
+            let swayed = self.swayed(plant, trace, h, i);
             for first in (0..4).step_by(L::LANES) {
                 let each = |number: fn(&Stage<N>) -> &[f64; N]| {
                     trace.across::<L>(first, |stage| number(stage)[i])
@@ -225,6 +257,10 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
                     stiffness: spring.stiffness(twist),
                     damping: joint.gear_damping,
                     part_acceleration: L::load(&swung[first..]),
+                    base: BaseTorque {
+                        torque: L::load(&swayed.place[first..]),
+                        rate: L::load(&swayed.rate[first..]),
+                    },
                 };
                 let direction = L::splat(modes.direction[i].lane(0));
                 for own in &self.own[i] {
@@ -255,44 +291,65 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
     }
 
     /// Accelerations of the part of one link that swings by itself, at the stages of a step of length
-    /// `h`: the integrator's own step of its equation.
+    /// `h`.
     #[inline(always)]
-    fn swung<A: Arm<N>>(&self, trace: &Trace<N>, h: f64, i: usize) -> [f64; 4] {
+    fn swung<A: Arm<N>>(&self, trace: &Trace<N>, h: f64, i: usize) -> Stages {
         let Some(law) = &self.flexible[i] else {
             return [0.0; 4];
         };
-        let [angle, velocity] = self.part[i];
-        let at = |k: usize, [angle, velocity]: [f64; 2]| {
+        let at = |k: usize, [angle, velocity]: Swing| {
             let stage = &trace.stages[k];
-            let lead = Lead {
+            law.part_acceleration(&Lead {
                 angle: angle - angle_in_space::<A, f64, N>(&stage.angle, i),
                 rate: velocity - angle_in_space::<A, f64, N>(&stage.velocity, i),
-            };
-            law.part_acceleration(&lead)
+            })
         };
-        let half = 0.5 * h;
-        let middle = angle + half * velocity;
-        let a1 = at(0, self.part[i]);
-        let a2 = at(1, [middle, velocity + half * a1]);
-        let a3 = at(2, [middle + half * half * a1, velocity + half * a2]);
-        let a4 = at(3, [angle + h * velocity + h * half * a2, velocity + h * a3]);
-        [a1, a2, a3, a4]
+        Swaying::over(self.part[i], h, at).acceleration
     }
 
-    /// The step is made: what gears remember and parts of links swing by, where it ended.
+    /// The torque in the spring that one joint's base turns on, at the stages of a step of length
+    /// `h`.
     #[inline(always)]
-    pub(crate) fn passed<A: Arm<N>, S: Real>(
+    fn swayed<A: Arm<N>, G: Gears>(
+        &self,
+        plant: &Plant<A, L, G, N>,
+        trace: &Trace<N>,
+        h: f64,
+        i: usize,
+    ) -> Swaying {
+        let Some(law) = &self.soft[i] else {
+            return Swaying::NONE;
+        };
+        let joint = &plant.joints[i];
+        let mut gear = [0.0; 4];
+        for first in (0..4).step_by(L::LANES) {
+            let twist = trace.across(first, |stage| stage.twist[i]);
+            let rate = trace.across(first, |stage| stage.rate[i]);
+            let torque: L = joint.gear_damping.mul_add(rate, joint.spring.torque(twist));
+            torque.store(&mut gear[first..]);
+        }
+        Swaying::over(self.base[i], h, |k, [torque, rate]| {
+            law.base_acceleration(&BaseTorque { torque, rate }, gear[k])
+        })
+    }
+
+    /// The step is made: what gears remember, parts of links swing by and bases turn on, where it
+    /// ended.
+    #[inline(always)]
+    pub(crate) fn passed<A: Arm<N>, S: Real, G: Gears>(
         &mut self,
+        plant: &Plant<A, L, G, N>,
         trace: &Trace<N>,
         end: &State<S, N>,
         h: f64,
     ) {
         for i in 0..N {
             if self.flexible[i].is_some() {
-                let [a1, a2, a3, a4] = self.swung::<A>(trace, h, i);
-                let [angle, velocity] = &mut self.part[i];
-                *angle += h * *velocity + h * h / 6.0 * (a1 + a2 + a3);
-                *velocity += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4);
+                self.part[i] = moved_on(self.part[i], &self.swung::<A>(trace, h, i), h);
+            }
+            if self.soft[i].is_some() {
+                let swayed = self.swayed(plant, trace, h, i);
+                self.base[i] = moved_on(self.base[i], &swayed.acceleration, h);
             }
             if let Some(law) = &self.hysteresis[i] {
                 let to = trace.twist_of(i, end);
@@ -300,6 +357,49 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
             }
         }
     }
+}
+
+/// What obeys an equation of the second order by itself, at the stages of a step.
+struct Swaying {
+    place: Stages,
+    rate: Stages,
+    acceleration: Stages,
+}
+
+impl Swaying {
+    const NONE: Self = Self {
+        place: [0.0; 4],
+        rate: [0.0; 4],
+        acceleration: [0.0; 4],
+    };
+
+    /// The integrator's own step of length `h`.
+    #[inline(always)]
+    fn over([place, rate]: Swing, h: f64, at: impl Fn(usize, Swing) -> f64) -> Self {
+        let half = 0.5 * h;
+        let middle = place + half * rate;
+        let a1 = at(0, [place, rate]);
+        let second = [middle, rate + half * a1];
+        let a2 = at(1, second);
+        let third = [middle + half * half * a1, rate + half * a2];
+        let a3 = at(2, third);
+        let fourth = [place + h * rate + h * half * a2, rate + h * a3];
+        let a4 = at(3, fourth);
+        Self {
+            place: [place, second[0], third[0], fourth[0]],
+            rate: [rate, second[1], third[1], fourth[1]],
+            acceleration: [a1, a2, a3, a4],
+        }
+    }
+}
+
+/// Where it is at the end of a step of length `h`, from its accelerations at the stages.
+#[inline(always)]
+fn moved_on([place, rate]: Swing, &[a1, a2, a3, a4]: &Stages, h: f64) -> Swing {
+    [
+        place + h * rate + h * h / 6.0 * (a1 + a2 + a3),
+        rate + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4),
+    ]
 }
 
 /// The configuration and the parameters without the effects, if none of these has any size.

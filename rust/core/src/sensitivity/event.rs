@@ -125,7 +125,7 @@ fn by_parameters<S: Real<One = S>, L: Real, const N: usize>(
     by[next + 1] = -speed * held.settling * held.settling * held.inertia;
     if let Some(effects) = effects {
         for own in effects.of(held.joint) {
-            let adds = own.at_an_event(held, effects.z[held.joint]);
+            let adds = own.at_an_event(held, effects.z[held.joint], effects.base(held.joint));
             let gear = by_gear * adds.gear - by_torque * adds.lever * held.transmitted;
             by[next + 2 + own.place] = gear + by_torque * adds.motor - scale * adds.friction;
         }

@@ -162,10 +162,9 @@ impl<
         self.linear
             .update(&self.trace, &now.posture, &before.modes, h);
         self.propagate(event, &before, &now);
-        if let Some(effects) = &mut self.linear.effects
-            && self.nominal.stretches.is_empty()
-        {
-            effects.passed::<A, S>(&self.trace, &self.nominal.motion.state, h);
+        if self.nominal.stretches.is_empty() {
+            self.linear
+                .passed(&self.trace, &self.nominal.motion.state, h);
         }
     }
 
@@ -252,9 +251,7 @@ impl<
         let (end, _) = plant.retrace(from, target, current, whole, trace);
         let begin = plant.arm.posture(&from.state.link_angle);
         self.linear.update(trace, &begin, &from.modes, duration);
-        if let Some(effects) = &mut self.linear.effects {
-            effects.passed::<A, S>(trace, &end.state, duration);
-        }
+        self.linear.passed(trace, &end.state, duration);
         let lasting = Dual {
             value: S::splat(duration),
             tangent: S::splat(1.0),

@@ -136,6 +136,14 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         }
     }
 
+    /// The step is made: the effects that are asked about go on from where it ended.
+    #[inline(always)]
+    pub(crate) fn passed<S: Real>(&mut self, trace: &Trace<N>, end: &State<S, N>, h: f64) {
+        if let Some(effects) = &mut self.effects {
+            effects.passed(&self.plant, trace, end, h);
+        }
+    }
+
     /// One motor, which slides or is held.
     #[inline(always)]
     fn motor<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, i: usize, h: f64) {

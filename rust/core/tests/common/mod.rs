@@ -198,6 +198,9 @@ pub fn with_effects<A: Arm<N>, const N: usize>(plain: &[f64], config: &Config<A,
         "flexible_inertia" => 0.2,
         "flexible_frequency" => 40.0,
         "flexible_damping" => 0.05,
+        "base_compliance" => 1e-5,
+        "base_frequency" => 30.0,
+        "base_damping" => 0.1,
         _ => *plain.next().expect("a value for every other name"),
     };
     config.parameter_names().iter().map(value).collect()

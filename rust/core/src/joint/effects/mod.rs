@@ -16,6 +16,7 @@ mod hysteresis;
 mod kinematic_error;
 mod load_friction;
 mod power_friction;
+mod soft_base;
 mod stribeck;
 mod tilt;
 mod torque_ripple;
@@ -30,6 +31,7 @@ pub use hysteresis::Hysteresis;
 pub use kinematic_error::KinematicError;
 pub use load_friction::LoadFriction;
 pub use power_friction::PowerFriction;
+pub use soft_base::SoftBase;
 pub use stribeck::Stribeck;
 pub use tilt::Tilt;
 pub use torque_ripple::TorqueRipple;
@@ -101,6 +103,15 @@ pub struct Lead<R> {
     pub rate: R,
 }
 
+/// Torque [N m] in the spring that a joint's base turns on, and the rate of that [N m/s].
+#[derive(Clone, Copy, Debug)]
+pub struct BaseTorque<R> {
+    /// s.
+    pub torque: R,
+    /// ds.
+    pub rate: R,
+}
+
 /// A joint at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct At<R> {
@@ -120,6 +131,8 @@ pub struct At<R> {
     pub lead: Lead<R>,
     /// Velocity of that part in space [rad/s].
     pub part_velocity: R,
+    /// s and ds of the spring that the base turns on.
+    pub base: BaseTorque<R>,
 }
 
 /// An effect with its values. What it does not say is nothing; all methods that a step of the
@@ -172,6 +185,20 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     #[inline(always)]
     fn after(&self, z: R, _from: &Twist<R>, _to: &Twist<R>, _time: R) -> R {
         z
+    }
+
+    /// Second derivative [N m/s^2] of the torque in the spring that the base turns on, where the gear
+    /// passes a torque [N m]; enters by `gear`.
+    #[inline(always)]
+    fn base_acceleration(&self, _base: &BaseTorque<R>, _gear: R) -> R {
+        R::splat(0.0)
+    }
+
+    /// What the base turns by [rad] at a torque in its spring [N m], or the rates of both; linear,
+    /// enters by `gear`.
+    #[inline(always)]
+    fn base_turn(&self, _torque: R) -> R {
+        R::splat(0.0)
     }
 
     /// What the link bears [N m] at an angle of its joint [rad]; enters by `link`.
@@ -379,6 +406,34 @@ macro_rules! effects {
                 after
             }
 
+            /// Second derivative of the torque in the spring that the base turns on.
+            #[inline(always)]
+            pub(crate) fn base_acceleration(&self, base: &BaseTorque<R>, gear: R) -> R {
+                let mut sum = R::splat(0.0);
+                $(
+                    if <$effect<R> as Effect<R>>::DECLARED.enters.gear
+                        && let Some(own) = &self.$field
+                    {
+                        sum = sum + own.base_acceleration(base, gear);
+                    }
+                )*
+                sum
+            }
+
+            /// What the base turns by.
+            #[inline(always)]
+            pub(crate) fn base_turn(&self, torque: R) -> R {
+                let mut sum = R::splat(0.0);
+                $(
+                    if <$effect<R> as Effect<R>>::DECLARED.enters.gear
+                        && let Some(own) = &self.$field
+                    {
+                        sum = sum + own.base_turn(torque);
+                    }
+                )*
+                sum
+            }
+
             /// What the link bears.
             #[inline(always)]
             pub(crate) fn load(&self, angle: R) -> R {
@@ -488,6 +543,7 @@ effects! {
     drive_saturation: DriveSaturation,
     tilt: Tilt,
     flexible_link: FlexibleLink,
+    soft_base: SoftBase,
 }
 
 /// A size that an effect has.

@@ -1,0 +1,87 @@
+//! A joint whose motor and gear stand on something that gives way.
+
+use super::{At, BaseTorque, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use crate::parameter::{COMPLIANCE, FREQUENCY, Parameter, Sign};
+use crate::scalar::Real;
+use std::f64::consts::TAU;
+
+/// A base that turns about the joint's axis by phi = c s on a spring of compliance c, whose torque
+/// s obeys dds = -w (2 zeta ds + w (s + tau)) under the torque tau of the gear: with nothing on it
+/// the base rings at f, w = 2 pi f, with a damping ratio zeta.
+#[derive(Clone, Copy, Debug)]
+pub struct SoftBase<R> {
+    /// c [rad/(N m)].
+    pub compliance: R,
+    /// w [rad/s].
+    pub rate: R,
+    /// zeta.
+    pub damping: R,
+}
+
+impl<R: Real> Effect<R> for SoftBase<R> {
+    const DECLARED: Declared = Declared {
+        name: "soft-base",
+        parameters: &[
+            Parameter::new(
+                "base_compliance",
+                "c_B",
+                "compliance of what the base turns on about the joint's axis",
+                COMPLIANCE,
+                Sign::NonNegative,
+            ),
+            Parameter::new(
+                "base_frequency",
+                "f_B",
+                "frequency at which the base rings with no link on it",
+                FREQUENCY,
+                Sign::Positive,
+            ),
+            Parameter::new(
+                "base_damping",
+                "zeta_B",
+                "damping ratio of the base with no link on it",
+                ["1", "1"],
+                Sign::Positive,
+            ),
+        ],
+        sizes: 1,
+        of_gear: true,
+        enters: Enters {
+            gear: true,
+            ..NOWHERE
+        },
+    };
+
+    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+        Self {
+            compliance: values[0],
+            rate: R::splat(TAU) * values[1],
+            damping: values[2],
+        }
+    }
+
+    /// -w (2 zeta ds + w (s + tau)).
+    #[inline(always)]
+    fn base_acceleration(&self, base: &BaseTorque<R>, gear: R) -> R {
+        let damped = (self.damping + self.damping) * base.rate;
+        -self.rate * self.rate.mul_add(base.torque + gear, damped)
+    }
+
+    #[inline(always)]
+    fn base_turn(&self, torque: R) -> R {
+        self.compliance * torque
+    }
+
+    /// c (s^2 + (ds / w)^2) / 2: the inertia is 1 / (c w^2).
+    fn energy(&self, at: &At<R>) -> R {
+        let moving = at.base.rate / self.rate;
+        let both = at.base.torque * at.base.torque + moving * moving;
+        R::splat(0.5) * self.compliance * both
+    }
+
+    /// 2 c zeta ds^2 / w.
+    fn loss(&self, at: &At<R>) -> R {
+        let damping = (self.compliance + self.compliance) * self.damping / self.rate;
+        damping * at.base.rate * at.base.rate
+    }
+}
