@@ -58,6 +58,9 @@ EVERY = SIZES | {
     ("flexible_inertia", 1): 0.03,
     ("flexible_frequency", 1): 40.0,
     ("flexible_damping", 1): 0.03,
+    ("base_compliance", 1): 4e-6,
+    ("base_frequency", 1): 20.0,
+    ("base_damping", 1): 0.05,
 }
 AMPLITUDES = dict.fromkeys(("dead-zone", "drive-gain", "drive-saturation"), (8.0, 4.0, 2.0))
 """Of the voltage [V], where an effect takes more than one to be seen."""

@@ -205,10 +205,10 @@ def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, floa
             "stiffness": between(rng, 2.0, 20.0),
             "damping_ratio": between(rng, 0.005, 0.03),
         },
-        "soft-base": lambda: {  # frequencies of the arm on its feet, masses over the links'
-            "frequency": between(rng, 15.0, 80.0),
+        "soft-base": lambda: {  # how its feet let it slide, its mass over the links'
+            "sliding_frequency": between(rng, 50.0, 200.0),
             "mass": between(rng, 2.0, 10.0),
-            "damping_ratio": between(rng, 0.01, 0.05),
+            "base_damping": between(rng, 0.01, 0.1),
         },
     }
     return sizes[name]() if name in sizes else {}

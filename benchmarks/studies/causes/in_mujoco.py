@@ -318,26 +318,29 @@ class _FlexibleLink(_Ailing):
 
 
 class _SoftBase(_Ailing):
-    """The first axis stands on a heavy base with springs in the plane and against turning."""
+    """The first axis stands on a heavy base that turns about it, and slides a little."""
 
     def edited(self, mjcf: str) -> str:
         root = ET.fromstring(mjcf)
         world = _found(root, "worldbody")
         link = _found(world, "body[@name='link1']")
         links = sum(float(each.attrib["mass"]) for each in link.iter("inertial"))
-        inertia = self.values["alpha", None] + self.values["beta", None]
-        mass, turning = self.sizes["mass"] * links, self.sizes["mass"] * inertia
+        stiffness = 1.0 / self.sizes["base_compliance"]
+        turning = stiffness / (math.tau * self.sizes["base_frequency"]) ** 2
+        mass = self.sizes["mass"] * links
         base = ET.SubElement(world, "body", name="base")
         base.set("pos", "0 0 0")
         ET.SubElement(base, "inertial", {"pos": "0 0 0", "mass": _text(mass)} | _turning(turning))
-        square = (2.0 * math.pi * self.sizes["frequency"]) ** 2
-        kinds = (("slide", "1 0 0"), ("slide", "0 1 0"), ("hinge", "0 0 1"))
-        for k, (kind, axis) in enumerate(kinds):
-            moved = (turning + inertia) if kind == "hinge" else mass + links
-            stiffness = moved * square
-            damping = 2.0 * self.sizes["damping_ratio"] * math.sqrt(stiffness * moved)
+        held = mass * (math.tau * self.sizes["sliding_frequency"]) ** 2
+        kinds = (
+            ("slide", "1 0 0", mass, held),
+            ("slide", "0 1 0", mass, held),
+            ("hinge", "0 0 1", turning, stiffness),
+        )
+        for k, (kind, axis, moved, spring) in enumerate(kinds):
+            damping = 2.0 * self.sizes["base_damping"] * math.sqrt(spring * moved)
             joint = {"name": f"base{k}", "type": kind, "axis": axis}
-            ET.SubElement(base, "joint", joint, stiffness=_text(stiffness), damping=_text(damping))
+            ET.SubElement(base, "joint", joint, stiffness=_text(spring), damping=_text(damping))
         world.remove(link)
         base.append(link)
         return ET.tostring(root, encoding="unicode")

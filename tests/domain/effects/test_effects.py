@@ -206,6 +206,32 @@ def test_a_study_must_name_effects_that_there_are(named: str, tmp_path: Path) ->
     assert "line 8" in str(why.value)
 
 
+OF_FIRST = [effect.name for effect in EFFECTS if effect.first_joint_only]
+
+
+@pytest.mark.parametrize("name", OF_FIRST)
+def test_what_bears_the_first_joint_is_refused_to_others(name: str, tmp_path: Path) -> None:
+    gear = '[[joint]]\nspring = "linear"\ngear_ratio = 0.01\n'
+    arm = '[arm]\nkind = "planar-two-link"\nlink_length = 0.35\n'
+    experiment = STUDY[STUDY.index("[[experiment]]") :]
+    path, own = tmp_path / "study.toml", f'effects = ["{name}"]\n'
+    path.write_text(arm + gear + own + gear + experiment, encoding="utf-8")
+    assert read_study(path, logs_exist=False).arm.joints[0].effects == (name,)
+    path.write_text(arm + gear + gear + own + experiment, encoding="utf-8")
+    with pytest.raises(InvalidInput, match=f"joint 2 has no {name.replace('-', ' ')}") as why:
+        read_study(path, logs_exist=False)
+    assert why.value.remedy == f"give joint 1 the effect '{name}'"
+
+
+@pytest.mark.parametrize("channel", ["theta_l1", "deflection1"])
+def test_what_moves_a_link_encoder_is_refused_one(channel: str, tmp_path: Path) -> None:
+    path = study(tmp_path, '["soft-base"]')
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text + f'\n[channels]\n{channel} = "angle"\n', encoding="utf-8")
+    with pytest.raises(InvalidInput, match=f"'{channel}' is no link angle in space"):
+        read_study(path, logs_exist=False)
+
+
 def test_effects_may_be_what_the_records_demand(tmp_path: Path) -> None:
     for spring in ("linear", RIGID):
         (joint,) = read_study(study(tmp_path, '"auto"', spring), logs_exist=False).arm.joints

@@ -21,6 +21,7 @@ from strainwave.domain.effects.interface import Effect, Input, KnownJoint, Recor
 from strainwave.domain.effects.kinematic_error import KinematicError
 from strainwave.domain.effects.load_friction import LoadFriction
 from strainwave.domain.effects.power_friction import PowerFriction
+from strainwave.domain.effects.soft_base import SoftBase
 from strainwave.domain.effects.stribeck import Stribeck
 from strainwave.domain.effects.tilt import Tilt
 from strainwave.domain.effects.torque_ripple import TorqueRipple
@@ -58,6 +59,7 @@ _EFFECTS = Registry[Effect](
         DriveSaturation(),
         Tilt(),
         FlexibleLink(),
+        SoftBase(),
         FrictionByRecord(),
         DriveGainByRecord(),
         EncoderZero(),

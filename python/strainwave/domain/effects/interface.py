@@ -49,6 +49,12 @@ class Effect(ABC):
     needs_elastic_gear: bool = False
     """Whether a rigid gear cannot have it."""
 
+    first_joint_only: bool = False
+    """Whether only what bears the first joint can have it."""
+
+    moves_link_encoder: bool = False
+    """Whether the zero of an encoder on the link moves: it then reads no angle in space."""
+
     by_record: bool = False
     """Whether each record has sizes of its own, named by `of_record`."""
 

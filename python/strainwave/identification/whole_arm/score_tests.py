@@ -97,11 +97,16 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
 
 def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
     known = effects_in(fit.objective.space, arm)
+    read = [channel for record in fit.objective.records for channel in record.channels]
+    encoders = {channel.joint for channel in read if channel.quantity == "link_angle"}
     return [
         (number, effect.name)
         for number, joint in enumerate(arm.joints, start=1)
         for effect in all_effects()
-        if joint.elastic and (number, effect.name) not in known
+        if joint.elastic
+        and (number, effect.name) not in known
+        and (number == 1 or not effect.first_joint_only)
+        and not (number in encoders and effect.moves_link_encoder)
     ]
 
 

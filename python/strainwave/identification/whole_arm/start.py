@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, TuningOptions
+from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_optional, nominal
 from strainwave.dynamics.mounting import START
-from strainwave.errors import NotIdentifiable, NumericalFailure
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import (
     velocity_band,
     with_known_effects,
@@ -155,6 +156,8 @@ def _records(
     cutoff = chosen.cutoff_hz or _cutoff(used, joints, arm)
     plain = with_known_effects(arm, ())
     records = tuple(dataset_of(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
+    for record in records:
+        _check_link_encoders(record, arm)
     return records, [coarsened(r, 1.0 / (_STEPS * cutoff)) for r in records]
 
 
@@ -173,6 +176,18 @@ def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> Floa
         if found is not None and found.cost < least:
             best, least = z, found.cost
     return best
+
+
+def _check_link_encoders(record: Dataset, arm: Arm) -> None:
+    for channel in record.channels:
+        for effect in arm.joints[channel.joint - 1].named_effects:
+            if channel.quantity == "link_angle" and effect_named(effect).moves_link_encoder:
+                raise InvalidInput(
+                    f"{channel.name} is no link angle in space where there is a "
+                    f"{effect.replace('-', ' ')}",
+                    where=record.log.name,
+                    remedy=f"log an accelerometer on that link, or leave '{effect}' out",
+                )
 
 
 def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], arm: Arm) -> float:

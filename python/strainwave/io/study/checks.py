@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from strainwave.domain import ArmDescription, Study, channel_names
@@ -72,6 +73,14 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",
                 where=reader.place("joint", index, "effects"),
                 remedy=f"leave '{of_a_gear[0]}' out, or give the gear a spring",
+            )
+        of_first = [name for name in joint.named_effects if effect_named(name).first_joint_only]
+        if of_first and index > 0:
+            raise InvalidInput(
+                f"joint {index + 1} has no {of_first[0].replace('-', ' ')}: only what bears the "
+                "first joint can have it",
+                where=reader.place("joint", index, "effects"),
+                remedy=f"give joint 1 the effect '{of_first[0]}'",
             )
     if arm.servo is not None:
         for key in ("kp", "ki", "position_gain"):
@@ -155,6 +164,13 @@ def _check_channels(study: Study, reader: Reader) -> None:
                 where=reader.place(table, at, name),
                 remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
             )
+    for table, at, name in named:
+        for effect in _moving_encoders(study.arm, name):
+            raise InvalidInput(
+                f"'{name}' is no link angle in space where there is a {effect.replace('-', ' ')}",
+                where=reader.place(table, at, name),
+                remedy=f"leave '{name}' out and map an accelerometer, or leave '{effect}' out",
+            )
     for name, channel in study.channels.items():
         if channel.scale == 0.0:
             raise InvalidInput(
@@ -162,6 +178,13 @@ def _check_channels(study: Study, reader: Reader) -> None:
                 where=reader.place("channels", None, name),
                 remedy="give the factor from the column's unit to SI",
             )
+
+
+def _moving_encoders(arm: ArmDescription, channel: str) -> Iterator[str]:
+    """The effects named that move the encoder on a link whose channel it is."""
+    for number, joint in enumerate(arm.joints, start=1):
+        if channel in (f"theta_l{number}", f"deflection{number}"):
+            yield from (e for e in joint.named_effects if effect_named(e).moves_link_encoder)
 
 
 def _check_experiments(study: Study, reader: Reader) -> None:
