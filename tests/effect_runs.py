@@ -38,6 +38,7 @@ SIZES: Values = {
     ("hysteresis_twist", 1): 1.5e-4,
     ("kinematic_error_cos", 1): 1e-4,
     ("kinematic_error_sin", 1): -5e-5,
+    ("kinematic_error_order", 1): 2.0,
 }
 """Of `ALL`."""
 EVERY = SIZES | {

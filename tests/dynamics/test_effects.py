@@ -35,6 +35,7 @@ EFFECTS: Values = {
     ("hysteresis_twist", 1): 1.5e-4,
     ("kinematic_error_cos", 1): 1e-4,
     ("kinematic_error_sin", 1): -5e-5,
+    ("kinematic_error_order", 1): 2.0,
 }
 ALL: tuple[EffectName, ...] = ("stribeck", "hysteresis", "kinematic-error")
 
@@ -57,8 +58,9 @@ def by_scipy(volts: float, seconds: FloatArray, values: Values) -> FloatArray:
     def slope(_: float, x: FloatArray) -> list[float]:
         motor, speed, link, link_speed, z = x
         cos, sin = p["kinematic_error_cos"], p["kinematic_error_sin"]
-        error = cos * np.cos(2.0 * motor) + sin * np.sin(2.0 * motor)
-        lever = RATIO + 2.0 * (sin * np.cos(2.0 * motor) - cos * np.sin(2.0 * motor))
+        order = p["kinematic_error_order"]
+        error = cos * np.cos(order * motor) + sin * np.sin(order * motor)
+        lever = RATIO + order * (sin * np.cos(order * motor) - cos * np.sin(order * motor))
         torsion, rate = RATIO * motor + error - link, lever * speed - link_speed
         gear = p["gear_stiffness"] * torsion + p["gear_damping"] * rate
         gear += p["hysteresis_torque"] * z
@@ -104,10 +106,9 @@ def test_an_arm_with_effects_moves_as_scipy_integrates_it() -> None:
 def test_every_effect_asks_for_its_parameters_and_changes_the_motion(effect: EffectName) -> None:
     study, volts = one_joint((effect,)), drive(np.full(200, 4.0))
     own = {key: value for key, value in EFFECTS.items() if key[0].startswith(effect[:9])}
-    assert len(own) == 2
-    names = Arm.of(study.arm).parameter_names
-    assert names[-2:] == tuple(own)
-    with pytest.raises(InvalidInput, match=f"lack {names[-2][0]} of joint 1, {names[-1][0]}"):
+    first, second, *_ = [name for name, _ in own]
+    assert Arm.of(study.arm).parameter_names[-len(own) :] == tuple(own)
+    with pytest.raises(InvalidInput, match=f"lack {first} of joint 1, {second}"):
         simulate(
             Arm.of(study.arm), VALUES, volts, sample_time=1e-3, samples=200, record=["encoder"]
         )
@@ -123,6 +124,18 @@ def test_every_effect_asks_for_its_parameters_and_changes_the_motion(effect: Eff
         for of in (study, one_joint(()))
     )
     assert np.abs(with_it["encoder"] - without["encoder"]).max() > 1e-3
+
+
+def test_an_error_of_the_gear_whose_order_is_not_given_has_two_lobes() -> None:
+    arm, volts = Arm.of(one_joint(("kinematic-error",)).arm), drive(np.full(200, 4.0))
+    order = ("kinematic_error_order", 1)
+    unnamed = VALUES | {key: value for key, value in EFFECTS.items() if key != order}
+    runs = [
+        simulate(arm, values, volts, sample_time=1e-3, samples=200, record=["encoder"])["encoder"]
+        for values in (unnamed, unnamed | {order: 2.0}, unnamed | {order: 4.0})
+    ]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert np.abs(runs[2] - runs[1]).max() > 1e-3
 
 
 def test_the_core_refuses_effects_that_are_none() -> None:

@@ -20,7 +20,7 @@ from strainwave.virtual.plans import Plan, invented
 NOTHING = "none"
 _SIZES = (0.3, 3.0)  # of an effect's typical sizes
 _SHAPES = 1.3  # times and over those that an effect starts from
-_OF_THE_MOTOR = {"torque_ripple_order"}  # a shape that is a whole number
+_OF_THE_MOTOR = {"torque_ripple_order", "kinematic_error_order"}  # shapes that are whole numbers
 _SEEDS = 1_000_000  # even: an arm that is drawn again has the same kind of spring
 _SERIES = 7000  # of the catalogue, from here on
 _FEWEST_COUNTS = 2000

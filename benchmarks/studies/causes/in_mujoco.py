@@ -198,8 +198,10 @@ class _KinematicError(_Gear):
     def act(self, model: Any, data: Any) -> None:
         q_m, w_m, q_l, w_l = self.middle(data)
         cos, sin = self.sizes["kinematic_error_cos"], self.sizes["kinematic_error_sin"]
-        error = cos * math.cos(2.0 * q_m) + sin * math.sin(2.0 * q_m)
-        slope = 2.0 * (sin * math.cos(2.0 * q_m) - cos * math.sin(2.0 * q_m))
+        order = self.sizes["kinematic_error_order"]
+        wave = math.cos(order * q_m), math.sin(order * q_m)
+        error = cos * wave[0] + sin * wave[1]
+        slope = order * (sin * wave[0] - cos * wave[1])
         damping, torsion = self.value("gear_damping"), self.ratio * q_m - q_l
         rate = self.ratio * w_m - w_l
         without = self.spring(torsion) + damping * rate

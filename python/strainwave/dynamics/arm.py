@@ -138,7 +138,7 @@ class Arm(ArmDescription):
         InvalidInput
             A parameter the arm needs is not there.
         """
-        known = self._absent_effects | completed(values, self)
+        known = self._effects_by_default | completed(values, self)
         missing = [key for key in self.parameter_names if key not in known and not _optional(key)]
         if missing:
             listed = ", ".join(
@@ -152,15 +152,14 @@ class Arm(ArmDescription):
         return np.array([known.get(key, 0.0) for key in self.parameter_names])
 
     @property
-    def _absent_effects(self) -> Values:
-        """Parameters of effects that act on single records alone."""
-        return {
-            (name, number): value
-            for number, joint in enumerate(self.joints, start=1)
-            for effect in map(effect_named, joint.named_effects)
-            if isinstance(effect, RecordEffect)
-            for name, value in effect.needs.items()
-        }
+    def _effects_by_default(self) -> Values:
+        """Parameters of effects that values need not have, and of those of single records."""
+        found: Values = {}
+        for number, joint in enumerate(self.joints, start=1):
+            for effect in map(effect_named, joint.named_effects):
+                needs = effect.needs if isinstance(effect, RecordEffect) else effect.defaults
+                found |= {(name, number): value for name, value in needs.items()}
+        return found
 
     def base_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray

@@ -47,7 +47,7 @@ def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
             effects=tuple(
                 effect
                 for effect in joint.possible_effects
-                if all((name, number) in known for name in effect_named(effect).names)
+                if all((name, number) in known for name in effect_named(effect).required)
             ),
         )
         for number, joint in enumerate(arm.joints, start=1)

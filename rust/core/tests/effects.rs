@@ -25,11 +25,11 @@ fn one_link(gear: Law, effects: EffectKinds) -> Config<OneLink<false>, 1> {
 }
 
 /// A link so heavy that it is a wall, no damping: the motor alone moves, on its gear's spring.
-fn against_a_wall(effect: [f64; 2]) -> Vec<f64> {
+fn against_a_wall(effect: &[f64]) -> Vec<f64> {
     let (motor, k) = (1.5e-4, 20e3);
     [
         &[1e12, 0.0, motor, 0.0, 0.0, 0.0, 0.0, k, 0.0, 0.0][..],
-        &effect,
+        effect,
     ]
     .concat()
 }
@@ -118,7 +118,7 @@ proptest! {
     #[test]
     fn the_gear_draws_dahls_loop(largest in 0.5..4.0f64, width in 0.3e-4..5e-4f64, twist in 0.5e-3..2e-3f64) {
         let effects = EffectKinds { hysteresis: true, ..none() };
-        let parameters = against_a_wall([largest, width]);
+        let parameters = against_a_wall(&[largest, width]);
         let run = Run {
             config: one_link(LINEAR, effects),
             parameters: &parameters,
@@ -153,13 +153,15 @@ proptest! {
     }
 
     #[test]
-    fn the_kinematic_error_pulls_at_link_and_motor(theta in -30.0..30.0f64, cos in -2e-4..2e-4f64, sin in -2e-4..2e-4f64) {
+    fn the_kinematic_error_pulls_at_link_and_motor(
+        theta in -30.0..30.0f64, cos in -2e-4..2e-4f64, sin in -2e-4..2e-4f64, k in 1..=4u8
+    ) {
         let effects = EffectKinds { kinematic_error: true, ..none() };
-        let parameters = against_a_wall([cos, sin]);
-        let (off, slope) = (
-            cos * (2.0 * theta).cos() + sin * (2.0 * theta).sin(),
-            2.0 * (sin * (2.0 * theta).cos() - cos * (2.0 * theta).sin()),
-        );
+        let order = f64::from(k);
+        let parameters = against_a_wall(&[cos, sin, order]);
+        let (wave_sin, wave_cos) = (order * theta).sin_cos();
+        let off = cos * wave_cos + sin * wave_sin;
+        let slope = order * (sin * wave_cos - cos * wave_sin);
         let twist = 1e-3;
         let start = |link: Option<[f64; 1]>| {
             let run = Run {
@@ -324,6 +326,7 @@ fn impossible_effects_are_refused() {
         ("hysteresis_torque", -1.0),
         ("hysteresis_twist", 0.0),
         ("kinematic_error_cos", f64::NAN),
+        ("kinematic_error_order", 0.0),
         ("load_friction", -1e-3),
         ("power_exponent", 0.0),
         ("backlash", -1e-9),

@@ -239,6 +239,7 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
                 "hysteresis_twist" => 1.5e-4,
                 "kinematic_error_cos" => 1e-4,
                 "kinematic_error_sin" => -5e-5,
+                "kinematic_error_order" => 2.0,
                 "load_friction" => 0.04,
                 "power_friction" => 0.03,
                 "power_exponent" => 0.5,

@@ -92,10 +92,10 @@ def test_the_unknowns_of_effects_start_small() -> None:
     )
     assert space.keys[2:] == list(SIZES)
     np.testing.assert_allclose(
-        space.parameters(begin), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0]
+        space.parameters(begin), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0, 2.0]
     )
-    np.testing.assert_array_equal(space.prior.rows, [[1.0, 1.0, *np.zeros(6)]])
-    units = ["N m", "rad/s", "N m", "rad", "rad", "rad"]
+    np.testing.assert_array_equal(space.prior.rows, [[1.0, 1.0, *np.zeros(7)]])
+    units = ["N m", "rad/s", "N m", "rad", "rad", "rad", "1"]
     assert [unknown.unit for unknown in space.unknowns[2:]] == units
     assert named_effects(Arm.of(study.arm)) == [(1, effect) for effect in ALL]
     less = without(space, {(1, "stribeck"), (1, "kinematic-error")}, Arm.of(study.arm))
@@ -108,7 +108,7 @@ def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     arm = Arm.of(rig(ALL).arm)
     known: Values = {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
     space, z = with_effects(empty, named_effects(arm), arm, known, LOADS)
-    z[-2:] = 2.0  # both parts of the kinematic error at 2e-4 rad
+    z[-3:-1] = 2.0  # both parts of the kinematic error at 2e-4 rad
     values = space.parameters(z)
     sure = np.diag((values / 5.0) ** 2)
     assert list(idle(space, z, sure)) == []

@@ -46,6 +46,9 @@ class Effect(ABC):
     shapes: Mapping[str, float] = {}
     """The core's other parameters -> usual value; see `tested_shapes`."""
 
+    defaults: Mapping[str, float] = {}
+    """Shapes that values need not have -> what they are then."""
+
     needs_elastic_gear: bool = False
     """Whether a rigid gear cannot have it."""
 
@@ -85,6 +88,11 @@ class Effect(ABC):
     def names(self) -> tuple[str, ...]:
         """Of the parameters, in the core's order, without those of records."""
         return (*self.sizes, *self.shapes)
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        """Parameters that values must have."""
+        return tuple(name for name in self.names if name not in self.defaults)
 
     def sizes_in(self, records: Sequence[str]) -> tuple[str, ...]:
         """Names of its sizes where some records are fitted.

@@ -1,9 +1,13 @@
-"""a cos 2 q_M + b sin 2 q_M in the gear's torsion: error at two per motor turn, (S12)."""
+"""a cos k q_M + b sin k q_M in the gear's torsion: error at two per motor turn, (S12)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from strainwave.domain.effects.interface import Effect, KnownJoint, Values
 
+_ORDER = "kinematic_error_order"
+_LOBES = 2.0  # of the wave generator
 _TYPICAL = 1e-4  # [rad] at the link, half an arc minute and less
 
 
@@ -12,12 +16,14 @@ class KinematicError(Effect):
 
     name = "kinematic-error"
     sizes = ("kinematic_error_cos", "kinematic_error_sin")
+    shapes: Mapping[str, float] = {_ORDER: _LOBES}
+    defaults: Mapping[str, float] = {_ORDER: _LOBES}
     needs_elastic_gear = True
-    description = "an error of the gear at two per motor turn"
+    description = "an error of the gear that repeats with the motor's angle, twice per turn or so"
     consequence = "what it excites at a resonance is taken for the gear's damping and stiffness"
     experiment = (
-        "turn the motor at a constant speed through many turns, and look for lines at two per turn"
-        " in the accelerometers"
+        "turn the motor at a constant speed through many turns, and look for lines per turn"
+        " in the accelerometers, most often at two"
     )
     record = "a record of slow, even turning"
 

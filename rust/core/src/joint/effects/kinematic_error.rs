@@ -4,24 +4,25 @@ use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{ANGLE, Parameter, Sign};
 use crate::scalar::Real;
 
-/// The link's angle is off by e = a cos(2 theta_M) + b sin(2 theta_M): the wave generator has two
-/// lobes, and no gear is round.
+/// The link's angle is off by e = a cos(k theta_M) + b sin(k theta_M): the wave generator has two
+/// lobes, k = 2, and no gear is round.
 #[derive(Clone, Copy, Debug)]
 pub struct KinematicError<R> {
     /// a [rad] at the link.
     pub cos: R,
     /// b [rad] at the link.
     pub sin: R,
+    /// k, periods in a turn of the motor.
+    pub order: R,
 }
 
 impl<R: Real> KinematicError<R> {
     /// e(theta_M) [rad] and its derivative e'(theta_M).
     #[inline(always)]
     pub fn at(&self, motor_angle: R) -> [R; 2] {
-        let (sin, cos) = (motor_angle + motor_angle).sin_cos();
+        let (sin, cos) = (self.order * motor_angle).sin_cos();
         let error = self.cos.mul_add(cos, self.sin * sin);
-        let half_slope = self.sin * cos - self.cos * sin;
-        [error, half_slope + half_slope]
+        [error, self.order * (self.sin * cos - self.cos * sin)]
     }
 }
 
@@ -43,6 +44,13 @@ impl<R: Real> Effect<R> for KinematicError<R> {
                 ANGLE,
                 Sign::Any,
             ),
+            Parameter::new(
+                "kinematic_error_order",
+                "k_e",
+                "periods of the gear's kinematic error in a turn of the motor",
+                ["1", "1"],
+                Sign::Positive,
+            ),
         ],
         sizes: 2,
         of_gear: true,
@@ -57,6 +65,7 @@ impl<R: Real> Effect<R> for KinematicError<R> {
         Self {
             cos: values[0],
             sin: values[1],
+            order: values[2],
         }
     }
 
@@ -73,13 +82,18 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_error_has_its_slope(theta in -50.0..50.0f64, cos in -2e-4..2e-4f64, sin in -2e-4..2e-4f64) {
-            let error = KinematicError { cos, sin };
+        fn the_error_has_its_slope(
+            theta in -50.0..50.0f64, cos in -2e-4..2e-4f64, sin in -2e-4..2e-4f64, k in 1..=6u8
+        ) {
+            let order = f64::from(k);
+            let error = KinematicError { cos, sin, order };
             let h = 1e-4;
             let slope = (error.at(theta + h)[0] - error.at(theta - h)[0]) / (2.0 * h);
-            // of a sine of 2 theta: h^2 / 6 of its third derivative, eightfold
-            prop_assert!((error.at(theta)[1] - slope).abs() < 1e-11);
-            prop_assert!((error.at(theta + std::f64::consts::PI)[0] - error.at(theta)[0]).abs() < 1e-17);
+            // of a sine of k theta: h^2 / 6 of its third derivative, k^3 fold
+            let off = 6.0 * 2e-4 * order.powi(3) * h * h / 6.0;
+            prop_assert!((error.at(theta)[1] - slope).abs() < off + 1e-11);
+            let turn = std::f64::consts::TAU / order;
+            prop_assert!((error.at(theta + turn)[0] - error.at(theta)[0]).abs() < 1e-16);
         }
     }
 }
