@@ -54,6 +54,9 @@ EVERY = SIZES | {
     ("dead_zone", 1): 0.15,
     ("drive_gain", 1): 0.04,
     ("drive_saturation", 1): 0.0125,  # 10 % at 8 V
+    ("drive_limit_loss", 1): 0.6,
+    ("drive_limit", 1): 6.0,
+    ("drive_lag", 1): 4e-4,
     ("tilt_sin", 1): 1.0,
     ("tilt_cos", 1): -1.5,
     ("flexible_inertia", 1): 0.03,
@@ -63,8 +66,12 @@ EVERY = SIZES | {
     ("base_frequency", 1): 20.0,
     ("base_damping", 1): 0.05,
 }
-AMPLITUDES = dict.fromkeys(("dead-zone", "drive-gain", "drive-saturation"), (8.0, 4.0, 2.0))
+AMPLITUDES = dict.fromkeys(("dead-zone", "drive-gain", "drive-saturation"), (8.0, 4.0, 2.0)) | {
+    "drive-limit": (8.0, 7.0, 4.0),
+}
 """Of the voltage [V], where an effect takes more than one to be seen."""
+SHARES = {"drive-limit": 0.04}
+"""Of the residuals that an effect explains at least, where records within its limit fit without it."""
 FAR = ("tilt",)
 """Effects that take motion over a wide range of angles to be seen."""
 ALIKE = {"ground-spring": ("tilt",)}

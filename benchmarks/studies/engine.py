@@ -50,6 +50,10 @@ class Plant:
         """Before the first step: links hang at standstill on their gears."""
         _hang(self.arm, self.values, drive, data)
 
+    def bandwidths(self) -> list[float]:
+        """Of the joints' current loops [Hz]; infinite where a current is there at once."""
+        return [joint.current_loop_hz or np.inf for joint in self.arm.joints]
+
     def amplified(self, commanded: FloatArray) -> FloatArray:
         """The voltage that drives the motors."""
         return commanded
@@ -76,7 +80,7 @@ def in_mujoco(
     own.begin(model, data, drive)
     per_tick, per_sample = round(drive.tick / STEP), round(sample_time / STEP)
     n = (samples - 1) * per_sample + 1
-    servo, current = _Servo(arm, drive), _CurrentLoop(arm, drive)
+    servo, current = _Servo(arm, drive), _CurrentLoop(own, drive)
     seen = np.empty((n, model.nsensordata))
     voltage = np.empty((n, arm.n_joints))
     motors = [model.joint(f"motor_joint{i}").qposadr[0] for i in joints]
@@ -147,9 +151,8 @@ def _hang(arm: Arm, values: Values, drive: Drive, data: Any) -> None:
 class _CurrentLoop:
     """Voltages that would bring a current at once where the loop's own lags."""
 
-    def __init__(self, arm: Arm, drive: Drive) -> None:
-        bandwidth = np.array([joint.current_loop_hz or np.inf for joint in arm.joints])
-        x = 2.0 * np.pi * bandwidth * STEP
+    def __init__(self, plant: Plant, drive: Drive) -> None:
+        x = 2.0 * np.pi * np.array(plant.bandwidths()) * STEP
         self.left, self.mean = np.exp(-x), -np.expm1(-x) / x
         self.now = np.array(drive.initial_voltage)
 

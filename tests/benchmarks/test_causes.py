@@ -20,8 +20,8 @@ from strainwave.virtual.records import Simulator
 
 SAMPLES = 400
 _FINE = 1e12  # counts
-APART = ("tilt", "flexible-link")
-"""Causes that MuJoCo has by geometry, an angle and a stiffness, and our plant as effects."""
+APART = ("tilt", "flexible-link", "drive-lag")
+"""Causes that MuJoCo has by an angle, a stiffness or another current loop, and our plant as effects."""
 SHARED = tuple(name for name in causes("own") if name not in (NOTHING, *APART))
 
 
@@ -82,6 +82,22 @@ def test_both_engines_mean_the_same_by_a_cause(name: str) -> None:
     # friction takes the engine two steps, by which both differ without a cause as well
     engines = np.linalg.norm(other_none - own_none)
     assert disagreement < 0.1 * np.linalg.norm(effect) + engines
+
+
+def test_a_slow_drive_has_the_current_loop_that_our_plant_would_have() -> None:
+    from benchmarks.studies.causes.in_mujoco import InMujoco
+
+    run = horizontal("drive-lag")
+    (k, plan), arm, place = shaken(run), run.rig.study.arm, run.cause.joint - 1
+    joints = list(arm.joints)
+    joints[place] = replace(joints[place], current_loop_hz=run.cause.sizes["bandwidth"])
+    study = replace(run.rig.study, arm=replace(arm, joints=tuple(joints)))
+    slow, none = replace(run, rig=replace(run.rig, study=study)), replace(run.cause, name=NOTHING)
+    own, own_none = (encoder(each, OwnPlant(none, k), plan) for each in (slow, run))
+    other, other_none = (encoder(run, InMujoco(each, k), plan) for each in (run.cause, none))
+    disagreement = np.linalg.norm(other - other_none - (own - own_none))
+    engines = np.linalg.norm(other_none - own_none)
+    assert disagreement < 0.1 * np.linalg.norm(own - own_none) + engines
 
 
 def bending(run: Run, stiffness: float) -> float:

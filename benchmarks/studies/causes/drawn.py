@@ -161,7 +161,7 @@ def _experiments(spring: Spring, clock: float, *, upright: bool) -> tuple[Experi
 
 def _sizes(name: str, joint: int, rig: Rig, rng: np.random.Generator) -> dict[str, float]:
     """Those of an effect about what it calls typical, of all others what rigs are known for."""
-    stated = _stated(name, rig.study, rng)
+    stated = _stated(name, rig, joint, rng)
     effect = effect_named(name) if name in names() else None
     if effect is None or effect.core_name is None:
         return stated
@@ -181,8 +181,9 @@ def _sizes(name: str, joint: int, rig: Rig, rng: np.random.Generator) -> dict[st
     return sizes | stated
 
 
-def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, float]:
+def _stated(name: str, rig: Rig, joint: int, rng: np.random.Generator) -> dict[str, float]:
     """Sizes that are not drawn about an effect's typical ones; those of effects by their names."""
+    study = rig.study
     limit = study.arm.servo.limit if study.arm.servo else 10.0
     sign, azimuth = float(rng.choice([-1.0, 1.0])), float(rng.uniform(-np.pi, np.pi))
     log_factors = rng.standard_normal(len(study.experiments))
@@ -196,6 +197,12 @@ def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, floa
         "drive-gain": lambda: {"gain": 1.0 + sign * between(rng, 0.01, 0.1)},
         # the torque constant falls with the current
         "drive-saturation": lambda: {"drive_saturation": between(rng, 0.02, 0.15) / limit},
+        "drive-limit": lambda: {  # it clips
+            "drive_limit_loss": 1.0,
+            "drive_limit": rng.uniform(0.6, 0.9) * known_joint(rig, joint).largest_voltage,
+        },
+        "drive-lag": lambda: _slower(between(rng, 60.0, 300.0), study, joint),
+        "kinematic-error": lambda: {"kinematic_error_order": float(rng.choice([2.0, 4.0]))},
         "dead-zone": lambda: {"dead_zone": between(rng, 0.003, 0.03) * limit},
         "tilt": lambda: {"angle": sign * np.radians(between(rng, 0.3, 3.0)), "azimuth": azimuth},
         "encoder-zero": lambda: {"angle": sign * np.radians(between(rng, 0.5, 5.0))},
@@ -212,6 +219,13 @@ def _stated(name: str, study: Study, rng: np.random.Generator) -> dict[str, floa
         },
     }
     return sizes[name]() if name in sizes else {}
+
+
+def _slower(bandwidth: float, study: Study, joint: int) -> dict[str, float]:
+    """A current loop of another bandwidth [Hz], and the lag beside the study's that is as late."""
+    stated = study.arm.joints[joint - 1].current_loop_hz or np.inf
+    lag = (1.0 / bandwidth - 1.0 / stated) / (2.0 * np.pi)
+    return {"bandwidth": bandwidth, "drive_lag": lag}
 
 
 def known_joint(rig: Rig, joint: int) -> KnownJoint:

@@ -263,6 +263,22 @@ class _DeadZone(_Drive):
         return math.copysign(max(0.0, abs(voltage) - self.sizes["dead_zone"]), voltage)
 
 
+class _DriveLimit(_Drive):
+    """An amplifier that clips."""
+
+    def given(self, voltage: float) -> float:
+        return float(np.clip(voltage, -self.sizes["drive_limit"], self.sizes["drive_limit"]))
+
+
+class _DriveLag(_Ailing):
+    """A current loop slower than the study has it."""
+
+    def bandwidths(self) -> list[float]:
+        found = super().bandwidths()
+        found[self.joint - 1] = self.sizes["bandwidth"]
+        return found
+
+
 class _Tilt(_Ailing):
     """Gravity that is not where the study says: turned in the plane, or not quite across it."""
 
@@ -388,6 +404,8 @@ _PLANTS: dict[str, Callable[..., Plant]] = {
     "drive-gain": _DriveGain,
     "drive-saturation": _DriveSaturation,
     "dead-zone": _DeadZone,
+    "drive-limit": _DriveLimit,
+    "drive-lag": _DriveLag,
     "tilt": _Tilt,
     "encoder-zero": _Ailing,
     "friction-by-record": _FrictionByRecord,

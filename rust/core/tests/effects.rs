@@ -187,7 +187,9 @@ proptest! {
     }
 }
 
-fn two_links(effects: EffectKinds) -> (Config<TwoLink<false>, 2>, Vec<f64>) {
+type TwoLinks = (Config<TwoLink<false>, 2>, Vec<f64>);
+
+fn two_links(effects: EffectKinds) -> TwoLinks {
     let mut config = config([LINEAR; 2]);
     config
         .joints
@@ -206,18 +208,17 @@ fn telegraph(seed: u64, ticks: usize) -> Vec<[f64; 2]> {
 
 /// Slope of the last state's error against step size, from 0.5 ms to 0.125 ms, on the mean over some
 /// voltages: in one of them an event of friction may be close to a step's end.
-fn order(effects: EffectKinds) -> f64 {
-    let slopes: Vec<f64> = (1..=8).map(|seed| order_at(effects, seed)).collect();
+fn order(arm: &TwoLinks) -> f64 {
+    let slopes: Vec<f64> = (1..=8).map(|seed| order_at(arm, seed)).collect();
     println!("{slopes:?}");
     slopes.iter().sum::<f64>() / slopes.len() as f64
 }
 
-fn order_at(effects: EffectKinds, seed: u64) -> f64 {
-    let (config, parameters) = two_links(effects);
+fn order_at((config, parameters): &TwoLinks, seed: u64) -> f64 {
     let last = |steps_per_tick: usize| {
         let run = Run {
-            config,
-            parameters: &parameters,
+            config: *config,
+            parameters,
             voltage: &telegraph(seed, 40),
             steps_per_tick,
             initial: at_rest([0.0; 2]),
@@ -243,15 +244,41 @@ fn the_order_stays_four_but_for_the_hysteresis_reversals() {
         hysteresis: false,
         load_friction: false,
         backlash: false,
+        drive_lag: false,
         ..ALL
     };
-    assert!(order(smooth) > 3.7, "{}", order(smooth));
+    assert!(
+        order(&two_links(smooth)) > 3.7,
+        "{}",
+        order(&two_links(smooth))
+    );
     // The stages within a step see a reversal at the accuracy of a stage: order three.
     let reversals = EffectKinds {
         hysteresis: true,
         ..smooth
     };
-    assert!(order(reversals) > 2.7, "{}", order(reversals));
+    assert!(
+        order(&two_links(reversals)) > 2.7,
+        "{}",
+        order(&two_links(reversals))
+    );
+}
+
+/// A voltage that lags acts by its mean over a step.
+#[test]
+fn the_order_of_a_lag_is_two_between_the_events_of_friction() {
+    let lag = EffectKinds {
+        drive_lag: true,
+        ..none()
+    };
+    let (config, mut parameters) = two_links(lag);
+    for (value, (name, _)) in parameters.iter_mut().zip(config.parameter_names()) {
+        if name == "motor_coulomb_friction" {
+            *value = 0.0;
+        }
+    }
+    let found = order(&(config, parameters));
+    assert!((found - 2.0).abs() < 0.1, "{found}");
 }
 
 #[test]
@@ -333,6 +360,9 @@ fn impossible_effects_are_refused() {
         ("dead_zone", -1e-9),
         ("drive_saturation", -1e-9),
         ("base_compliance", -1e-9),
+        ("drive_limit_loss", -1e-9),
+        ("drive_limit", 0.0),
+        ("drive_lag", -1e-9),
     ] {
         let mut broken = values.clone();
         let names = config.parameter_names();
@@ -701,10 +731,10 @@ fn a_light_base_is_compliance_of_its_gear() {
 
 /// Torque [N m] of a motor whose drive makes 0.1 N m of a volt, but for one effect, at voltages that
 /// are commanded one after the other.
-fn driven<const K: usize>(name: &str, size: f64, voltage: [f64; K]) -> [f64; K] {
+fn driven<const K: usize>(name: &str, own: &[f64], voltage: [f64; K]) -> [f64; K] {
     let mut effects = none();
     assert!(effects.add(name));
-    let parameters = [0.5, 0.0, 1e-4, 0.0, 0.0, 0.0, 0.0, size];
+    let parameters = [&[0.5, 0.0, 1e-4, 0.0, 0.0, 0.0, 0.0][..], own].concat();
     let run = Run {
         config: one_link(RIGID, effects),
         parameters: &parameters,
@@ -724,18 +754,59 @@ fn driven<const K: usize>(name: &str, size: f64, voltage: [f64; K]) -> [f64; K] 
 #[test]
 fn a_drive_makes_less_or_more_of_a_voltage() {
     let voltage = [10.0, 0.0, 0.2, -0.2, -10.0];
-    for (name, size, expected) in [
-        ("dead-zone", 0.5, [0.95, 0.0, 0.0, 0.0, -0.95]),
-        ("drive-gain", -0.1, [0.9, 0.0, 0.018, -0.018, -0.9]),
+    for (name, own, expected) in [
+        ("dead-zone", &[0.5][..], [0.95, 0.0, 0.0, 0.0, -0.95]),
+        ("drive-gain", &[-0.1], [0.9, 0.0, 0.018, -0.018, -0.9]),
         (
             "drive-saturation",
-            0.01,
+            &[0.01],
             [0.9, 0.0, 0.01996, -0.01996, -0.9],
         ),
+        ("drive-limit", &[0.5, 6.0], [0.8, 0.0, 0.02, -0.02, -0.8]),
+        ("drive-limit", &[1.0, 6.0], [0.6, 0.0, 0.02, -0.02, -0.6]),
     ] {
-        for (found, expected) in driven(name, size, voltage).iter().zip(expected) {
+        for (found, expected) in driven(name, own, voltage).iter().zip(expected) {
             assert!((found - expected).abs() < 1e-15, "{name}: {found}");
         }
+    }
+}
+
+/// A motion does not depend on how often a voltage that stays the same is commanded.
+#[test]
+fn a_lag_knows_no_ticks() {
+    let lag = EffectKinds {
+        drive_lag: true,
+        ..none()
+    };
+    let (config, parameters) = two_links(lag);
+    let run = |steps_per_tick: usize| {
+        let voltage = telegraph(3, 10);
+        let repeat = 16 / steps_per_tick;
+        let voltage: Vec<[f64; 2]> = voltage.iter().flat_map(|row| vec![*row; repeat]).collect();
+        let run = Run {
+            config,
+            parameters: &parameters,
+            voltage: &voltage,
+            steps_per_tick,
+            initial: at_rest([0.0; 2]),
+            step: 1.25e-4,
+            steps: 160,
+        };
+        run.record(&[Quantity::MotorVelocity])
+    };
+    assert_eq!(run(16), run(4));
+}
+
+/// A lag of one tick leaves 1/e of every jump, and 1 - 1/e of it on the mean.
+#[test]
+fn a_drive_follows_its_voltage_late() {
+    let voltage = [10.0, 0.0, 0.2, -0.2, -10.0];
+    let left = (-1.0f64).exp();
+    let mut behind = voltage[0];
+    for (found, voltage) in driven("drive-lag", &[1e-3], voltage).iter().zip(voltage) {
+        let mean = voltage + (1.0 - left) * (behind - voltage);
+        assert!((found - 0.1 * mean).abs() < 1e-15, "{voltage}: {found}");
+        behind = voltage + left * (behind - voltage);
     }
 }
 

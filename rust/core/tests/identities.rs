@@ -284,6 +284,7 @@ proptest! {
             joint.effects.hysteresis = !few;
             joint.effects.load_friction = !few;
             joint.effects.backlash = !few;
+            joint.effects.drive_lag = !few; // its torque goes by steps
             // no record has the motion of the link's part or of the base
             joint.effects.flexible_link = false;
             joint.effects.soft_base = false;

@@ -151,7 +151,8 @@ def test_of_size_zero_it_moves_nothing(effect: Effect) -> None:
 
 @EACH_OF_THE_CORE
 def test_of_its_typical_size_it_changes_the_motion(effect: Effect) -> None:
-    own = effect.typical_sizes(KNOWN) | dict(effect.shapes)
+    shapes = effect.tested_shapes(replace(KNOWN, largest_voltage=2.0))[0]
+    own = effect.typical_sizes(KNOWN) | shapes
     assert np.max(np.abs(motion((effect.name,), own) - motion((), {}))) > 1e-6
 
 

@@ -11,6 +11,8 @@ from strainwave.domain.effects.backlash import Backlash
 from strainwave.domain.effects.dead_zone import DeadZone
 from strainwave.domain.effects.drive_gain import DriveGain
 from strainwave.domain.effects.drive_gain_by_record import DriveGainByRecord
+from strainwave.domain.effects.drive_lag import DriveLag
+from strainwave.domain.effects.drive_limit import DriveLimit
 from strainwave.domain.effects.drive_saturation import DriveSaturation
 from strainwave.domain.effects.encoder_zero import EncoderZero
 from strainwave.domain.effects.flexible_link import FlexibleLink
@@ -57,6 +59,8 @@ _EFFECTS = Registry[Effect](
         DeadZone(),
         DriveGain(),
         DriveSaturation(),
+        DriveLimit(),
+        DriveLag(),
         Tilt(),
         FlexibleLink(),
         SoftBase(),

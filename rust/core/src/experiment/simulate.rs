@@ -8,6 +8,7 @@ use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::experiment::start::start;
 use crate::experiment::{Diverged, Event, Member, Quantity, RecordOf, Source, Task};
+use crate::joint::Joint;
 use crate::joint::gear::Gears;
 use crate::plant::friction::{Motion, Stretch, sign};
 use crate::plant::{Instant, Plant, State, Watch};
@@ -87,6 +88,11 @@ pub(crate) struct Group<
     standing: bool,
     pub(crate) target: [R; N],
     pub(crate) voltage: Vec<[R::One; N]>,
+    /// What each lane's drives make of their voltages [V], and what they remember of earlier ones.
+    driven: Vec<[R::One; N]>,
+    remembered: Vec<[R::One; N]>,
+    /// Whether any drive lags.
+    pub(crate) lags: bool,
     /// What each lane's controller remembers; nothing where there is none.
     servo: Vec<ServoMemory<R::One, N>>,
     pub(crate) sensors: Option<Sensors<R, N>>,
@@ -126,6 +132,15 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
             .map(|(member, plant)| start(plant, &single_current, &member.initial, given))
             .collect();
         let motion = side_by_side(&starts);
+        let driven = |(member, plant): (&Member<'a, N>, &Plant<A, R::One, G, N, EFFECTS>)| {
+            std::array::from_fn(|i| {
+                let before = R::One::splat(member.initial.voltage[i]);
+                plant.joints[i].driven::<EFFECTS>(before)
+            })
+        };
+        let driven: Vec<[R::One; N]> = members.iter().zip(&single).map(driven).collect();
+        let lag = |joint: &Joint<R::One, G>| joint.effects.drive_lag.is_some();
+        let lags = EFFECTS && single.iter().any(|plant| plant.joints.iter().any(lag));
         let mut group = Self {
             task,
             members,
@@ -140,6 +155,9 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 .iter()
                 .map(|member| member.initial.voltage.map(R::One::splat))
                 .collect(),
+            remembered: driven.clone(),
+            driven,
+            lags,
             servo: Vec::new(),
             sensors: None,
             stretches: Vec::new(),
@@ -168,6 +186,8 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
     fn step(&mut self, step: usize, event: &Event) {
         if event.commands {
             self.command(step, event.servo_reads);
+        } else if EFFECTS && self.lags {
+            self.hold();
         }
         let now = self.instant();
         self.sense(&now);
@@ -218,7 +238,21 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 None => *voltage = feed_forward.map(R::One::splat),
             }
             for i in 0..N {
-                let driven = self.single[lane].joints[i].driven::<EFFECTS>(voltage[i]);
+                let joint = &self.single[lane].joints[i];
+                self.driven[lane][i] = joint.driven::<EFFECTS>(voltage[i]);
+            }
+        }
+        self.hold();
+    }
+
+    /// Brings to the motors what acts over the next step of what the drives make of their voltages.
+    #[inline(always)]
+    pub(crate) fn hold(&mut self) {
+        for lane in 0..R::LANES {
+            for i in 0..N {
+                let (driven, memory) = (self.driven[lane][i], &mut self.remembered[lane][i]);
+                let joint = &self.single[lane].joints[i];
+                let driven = joint.held::<EFFECTS>(driven, memory, self.task.clock.step);
                 let torque = R::One::splat(self.current.torque_per_volt[i]) * driven;
                 self.target[i].set_one(lane, torque);
                 if self.current.bandwidth[i].is_infinite() {

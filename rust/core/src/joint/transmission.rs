@@ -124,6 +124,19 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
+    /// What acts on the mean of a driven voltage [V] that is held for a time [s], where the drive
+    /// remembers another; it remembers the new one.
+    #[inline(always)]
+    pub(crate) fn held<const EFFECTS: bool>(&self, driven: R, memory: &mut R, time: f64) -> R {
+        if EFFECTS {
+            let [mean, end] = self.effects.held(driven, *memory, time);
+            *memory = end;
+            mean
+        } else {
+            driven
+        }
+    }
+
     /// Link angle [rad] at which an elastic gear is not twisted: n theta_M + e(theta_M).
     pub fn untwisted<const EFFECTS: bool>(&self, motor_angle: R) -> R {
         let angle = self.ratio * motor_angle;

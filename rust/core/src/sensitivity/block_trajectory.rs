@@ -133,6 +133,21 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, G: Gears, const N: usize, const 
     pub(crate) fn command(&mut self, nominal: &Motion<S, N>, step: usize, servo_reads: bool) {
         self.dual.motion = self.lifted(nominal);
         self.dual.command(step, servo_reads);
+        self.take_torques();
+    }
+
+    /// What a drive that lags makes of them in the step after a command.
+    ///
+    /// A lag of no size has caught up by then: in later steps nothing changes.
+    pub(crate) fn hold(&mut self, nominal: &Motion<S, N>) {
+        if EFFECTS && self.driven && self.dual.lags {
+            self.dual.motion = self.lifted(nominal);
+            self.dual.hold();
+            self.take_torques();
+        }
+    }
+
+    fn take_torques(&mut self) {
         self.target = self.dual.target.map(|number| number.tangent);
         self.torque = self.dual.motion.torque.map(|number| number.tangent);
     }

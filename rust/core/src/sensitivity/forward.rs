@@ -85,6 +85,8 @@ struct Chain<
     task: &'a Task<A, N>,
     asked: &'a Task<A, N>,
     nominal: Group<'a, A, S, G, N>,
+    /// Whether voltages were commanded at the last step.
+    commanded: bool,
     /// What no parameter forces.
     unforced: TangentBlock<S, N>,
     /// Current loops over times that get longer.
@@ -130,6 +132,7 @@ impl<
             task,
             asked,
             nominal,
+            commanded: false,
             unforced: TangentBlock::new(&task.config, &[], Tangent::still()),
             longer: task.config.current_loop(task.clock.step),
             trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
@@ -144,7 +147,12 @@ impl<
     fn step(&mut self, step: usize, event: &Event) {
         if event.commands {
             self.command(step, event);
+        } else if EFFECTS && self.commanded {
+            for trajectory in &mut self.blocks {
+                trajectory.hold(&self.nominal.motion);
+            }
         }
+        self.commanded = event.commands;
         let now = self.nominal.instant();
         self.nominal.sense(&now);
         if event.samples {

@@ -9,6 +9,8 @@
 mod backlash;
 mod dead_zone;
 mod drive_gain;
+mod drive_lag;
+mod drive_limit;
 mod drive_saturation;
 mod flexible_link;
 mod ground_spring;
@@ -24,6 +26,8 @@ mod torque_ripple;
 pub use backlash::Backlash;
 pub use dead_zone::DeadZone;
 pub use drive_gain::DriveGain;
+pub use drive_lag::DriveLag;
+pub use drive_limit::DriveLimit;
 pub use drive_saturation::DriveSaturation;
 pub use flexible_link::FlexibleLink;
 pub use ground_spring::GroundSpring;
@@ -233,6 +237,14 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     #[inline(always)]
     fn drive(&self, voltage: R) -> R {
         voltage
+    }
+
+    /// What acts on the mean [V] over a step of the integrator [s] in which the drive is to follow a
+    /// voltage [V], and what the drive remembers at its end [V], from what it remembers at its
+    /// beginning; enters by `drive`.
+    #[inline(always)]
+    fn held(&self, voltage: R, memory: R, _time: f64) -> [R; 2] {
+        [voltage, memory]
     }
 
     /// What can be got back of the work done on it [J], the spring's apart.
@@ -504,6 +516,20 @@ macro_rules! effects {
                 driven
             }
 
+            /// What acts of a voltage while it is held, and what the drive remembers at the end.
+            #[inline(always)]
+            pub(crate) fn held(&self, voltage: R, memory: R, time: f64) -> [R; 2] {
+                let mut held = [voltage, memory];
+                $(
+                    if <$effect<R> as Effect<R>>::DECLARED.enters.drive
+                        && let Some(own) = &self.$field
+                    {
+                        held = own.held(held[0], held[1], time);
+                    }
+                )*
+                held
+            }
+
             /// What can be got back.
             pub(crate) fn energy(&self, at: &At<R>) -> R {
                 let mut sum = R::splat(0.0);
@@ -541,6 +567,8 @@ effects! {
     dead_zone: DeadZone,
     drive_gain: DriveGain,
     drive_saturation: DriveSaturation,
+    drive_limit: DriveLimit,
+    drive_lag: DriveLag,
     tilt: Tilt,
     flexible_link: FlexibleLink,
     soft_base: SoftBase,
