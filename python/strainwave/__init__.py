@@ -18,6 +18,7 @@ from strainwave.display import Display, register
 
 if TYPE_CHECKING:
     from strainwave.api import Result, identify, read_result, read_study
+    from strainwave.campaign.store import read_parameters, read_runs
     from strainwave.domain import (
         ArmDescription,
         Channel,
@@ -36,6 +37,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "strainwave.api": ("Result", "identify", "read_result", "read_study"),
+    "strainwave.campaign.store": ("read_parameters", "read_runs"),
     "strainwave.domain": (
         "ArmDescription",
         "Channel",
@@ -70,7 +72,9 @@ __all__ = [
     "Study",
     "__version__",
     "identify",
+    "read_parameters",
     "read_result",
+    "read_runs",
     "read_study",
 ]
 

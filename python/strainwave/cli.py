@@ -287,6 +287,90 @@ def demo(
     raise typer.Exit(identification.verdict.exit_code)
 
 
+@app.command(
+    short_help="Identify many studies, on one machine or a cluster.",
+    epilog="Example: strainwave campaign rigs/ --out store --workers 4",
+)
+def campaign(
+    studies: Annotated[
+        list[str],
+        typer.Argument(
+            help="Study files, folders, globs, tables of paths, URLs, or one campaign.toml.",
+            metavar="STUDIES...",
+        ),
+    ],
+    out: Annotated[
+        str, typer.Option("--out", help="The store: a folder, or a URL.", metavar="STORE")
+    ],
+    stages: Annotated[
+        str | None,
+        typer.Option("--stages", help="Run only the first stages, for example: rigid."),
+    ] = None,
+    options: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="An option of a stage, over the studies'.", metavar="STAGE.KEY=VALUE"
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, help="Studies at a time; one per core without."),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler", help="Of a running Dask cluster: tcp://host:8786.", metavar="ADDRESS"
+        ),
+    ] = None,
+    cluster: Annotated[
+        Path | None,
+        typer.Option(
+            "--cluster", help="A Dask cluster to start: class, arguments, workers.", metavar="FILE"
+        ),
+    ] = None,
+    time_limit: Annotated[
+        float, typer.Option("--time-limit", min=1.0, help="Of one study [s].")
+    ] = 600.0,
+    memory_limit: Annotated[
+        int | None, typer.Option("--memory-limit", min=1, help="Of one worker [MiB].")
+    ] = None,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Run again what is recorded as failed.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print one line at the end, and errors.")
+    ] = False,
+) -> None:
+    """Identify many studies and record each run in STORE; what is recorded is not run again."""
+    from strainwave import campaign as campaigns
+
+    if scheduler is not None and cluster is not None:
+        raise InvalidInput(
+            "--scheduler and --cluster are given together",
+            remedy="name a running scheduler, or a cluster to start",
+        )
+    settings = campaigns.Settings(
+        store=out,
+        stages=None if stages is None else [s.strip() for s in stages.split(",")],
+        options=options or (),
+        workers=workers,
+        scheduler=scheduler,
+        cluster=cluster,
+        limits=campaigns.Limits(time_s=time_limit, memory_mib=memory_limit),
+        retry_failed=retry_failed,
+        display=not quiet and sys.stderr.isatty(),
+    )
+    summary = campaigns.run(studies, settings)
+    typer.echo(summary.tally.line())
+    if not quiet and summary.exit_code != DONE:
+        for line in summary.tally.causes():
+            typer.echo(line)
+    for said in (summary.ended_early, summary.unmerged):
+        if said:
+            print(f"strainwave: {said}.", file=sys.stderr)
+    raise typer.Exit(summary.exit_code)
+
+
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[object], None]]:
     """One line on stderr that says what is being done, where a person watches."""

@@ -1,0 +1,148 @@
+"""What a run leaves, as rows of the store's tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from strainwave.campaign.cases import Opened
+from strainwave.campaign.schema import TIMED
+from strainwave.campaign.store import Record
+from strainwave.campaign.tasks import FAILED, Task
+from strainwave.domain import Identification, Parameter
+from strainwave.io.results import to_document, to_json
+
+
+def now() -> datetime:
+    """The time as the column `started` has it: UTC, without a zone.
+
+    Returns
+    -------
+    datetime
+    """
+    return datetime.now(UTC).replace(tzinfo=None)
+
+
+def worker_name(process: int | None = None) -> str:
+    """The column `worker`: host and process.
+
+    Parameters
+    ----------
+    process : int, optional
+        This one without.
+
+    Returns
+    -------
+    str
+    """
+    return f"{socket.gethostname()}:{os.getpid() if process is None else process}"
+
+
+def record_of(
+    task: Task, opened: Opened, found: Identification, *, started: datetime, seconds: float
+) -> Record:
+    """A run that came to a verdict.
+
+    Parameters
+    ----------
+    task : Task
+    opened : Opened
+        With the true values of a virtual arm.
+    found : Identification
+    started : datetime
+        UTC, without a zone.
+    seconds : float
+
+    Returns
+    -------
+    Record
+    """
+    verdict = found.verdict
+    known = task.row()
+    row = known | {
+        "status": verdict.status,
+        "exit_code": verdict.exit_code,
+        "message": "; ".join(verdict.reasons),
+        "started": started,
+        "seconds": seconds,
+        "worker": worker_name(),
+        "result": f"results/{task.run}/result.json",
+        "identified": list(verdict.identified),
+        "not_identified": list(verdict.not_identified),
+        "rejected": list(verdict.rejected),
+        "validated_rigid": verdict.validated.rigid,
+        "validated_elastic": verdict.validated.elastic,
+        "suspected": [each.code for each in verdict.suspected],
+        "warnings": [each.code for each in found.warnings],
+        "classes": json.dumps(dict(opened.classes)) if opened.classes else None,
+    }
+    row |= {f"{part}_s": found.timing_s.get(part) for part in TIMED}
+    keys = {"run": known["run"], "study": known["study"]}
+    parameters = [keys | _parameter(each, opened.truth) for each in found.parameters]
+    return Record(row, parameters, to_json(to_document(found)))
+
+
+def failure_of(
+    task: Task,
+    message: str,
+    *,
+    exit_code: int,
+    started: datetime,
+    seconds: float,
+    status: str = FAILED,
+    worker: str = "",
+) -> Record:
+    """A run that came to no verdict.
+
+    Parameters
+    ----------
+    task : Task
+    message : str
+        Why, in one sentence.
+    exit_code : int
+    started : datetime
+        UTC, without a zone.
+    seconds : float
+    status : str
+    worker : str, optional
+        This process without.
+
+    Returns
+    -------
+    Record
+    """
+    return Record(
+        task.row()
+        | {
+            "status": status,
+            "exit_code": exit_code,
+            "message": message,
+            "started": started,
+            "seconds": seconds,
+            "worker": worker or worker_name(),
+        }
+    )
+
+
+def _parameter(one: Parameter, truth: Mapping[tuple[str, int | None], float]) -> dict[str, Any]:
+    low, high = one.ci95 or (None, None)
+    true = truth.get((one.name, one.joint))
+    error = None
+    if true and one.value is not None:
+        error = 100.0 * (one.value - true) / abs(true)
+    return {
+        "name": one.name,
+        "joint": one.joint,
+        "value": one.value,
+        "std": one.std,
+        "ci95_low": low,
+        "ci95_high": high,
+        "unit": one.unit,
+        "stage": one.stage,
+        "true_value": true,
+        "error_percent": error,
+    }

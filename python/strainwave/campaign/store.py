@@ -1,0 +1,367 @@
+"""The store of a campaign: one Parquet file a run, merged into larger ones as they become many.
+
+    runs/<run>.parquet               one row: the run's record, written last
+    parameters/<run>.parquet         one row per parameter
+    results/<run>/result.json        the whole result
+    runs/part-<hash>.parquet         many runs merged, `parameters/part-...` likewise
+
+`run` is a hash of the work, so the same work done twice, by two campaigns or after a crash, has one
+name and one row. A merge writes the part first and deletes the small files then; what stands twice
+in between is read once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from strainwave.campaign.places import Folder, Place, place_of
+from strainwave.campaign.schema import PARAMETERS, RUNS
+from strainwave.errors import InvalidInput
+
+MERGE_AFTER = 1000
+"""Small files from which a campaign that goes on merges them."""
+_LARGE = {"runs": 20_000, "parameters": 500_000}  # rows of a part that is left alone
+_TRIES = 50  # to read a store while others merge it
+_READERS = 8  # threads that read small files
+_SCHEMAS = {"runs": RUNS, "parameters": PARAMETERS}
+_KEYS = {"runs": ["run"], "parameters": ["run", "name", "joint"]}
+
+Row = Mapping[str, Any]
+
+
+class Recorded(NamedTuple):
+    """What is known of a run without its row."""
+
+    status: str
+    exit_code: int
+    message: str
+    started: datetime
+
+
+@dataclass(frozen=True)
+class Record:
+    """All that a run leaves: its row, its parameters, its result."""
+
+    row: Row
+    parameters: Sequence[Row] = ()
+    result: bytes | None = None
+
+    @property
+    def run(self) -> str:
+        """The run's name."""
+        return str(self.row["run"])
+
+
+@dataclass(frozen=True)
+class Store:
+    """A store at a path or a URL."""
+
+    place: Place
+    _parts: dict[str, dict[str, Recorded]] = field(default_factory=dict, repr=False)
+    _mutex: Any = field(default_factory=threading.Lock, repr=False)
+
+    @classmethod
+    def at(cls, where: Path | str) -> Store:
+        """The store at a path or URL, which need not exist yet."""
+        return cls(place_of(where))
+
+    def write(self, record: Record) -> None:
+        """Write what a run leaves: result, parameters, and at last the row that makes it count.
+
+        Raises
+        ------
+        OSError
+            It cannot be written; no part of it can be read.
+        """
+        run = record.run
+        files = {f"runs/{run}.parquet": _file([record.row], RUNS)}
+        if record.result is not None:
+            parameters = _file(record.parameters, PARAMETERS)
+            files = {
+                f"results/{run}/result.json": record.result,
+                f"parameters/{run}.parquet": parameters,
+            } | files
+        begun: list[str] = []
+        try:
+            for name, data in files.items():
+                self.place.put(name, data)
+                begun.append(name)
+        except OSError:
+            if self.recorded(run) is None:
+                self.place.delete(begun)
+            raise
+
+    def recorded(self, run: str) -> Recorded | None:
+        """Status and begin of a run, whoever has recorded it; None where nobody has."""
+        own = self._of_file(f"runs/{run}.parquet").get(run)
+        with self._mutex:
+            found = self._in_parts(run)
+            if own is None and not found:
+                self._look_at_parts()
+                found = self._in_parts(run)
+        found += [own] if own else []
+        return max(found, key=lambda each: each.started, default=None)
+
+    def _in_parts(self, run: str) -> list[Recorded]:
+        return [part[run] for part in self._parts.values() if run in part]
+
+    def _look_at_parts(self) -> None:
+        names = [n for n in self.place.names("runs", ".parquet") if _is_part(n)]
+        for name in names:
+            if name not in self._parts:
+                self._parts[name] = self._of_file(name)
+        for name in set(self._parts) - set(names):
+            del self._parts[name]
+
+    def _of_file(self, name: str) -> dict[str, Recorded]:
+        try:
+            table = self._table(name, ["run", *Recorded._fields])
+        except FileNotFoundError:
+            return {}
+        known = zip(*(table[each].to_pylist() for each in Recorded._fields), strict=True)
+        return dict(zip(table["run"].to_pylist(), map(Recorded._make, known), strict=True))
+
+    def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
+        """All rows of `runs` or `parameters`, each once: of a run done again, the last.
+
+        Parameters
+        ----------
+        kind : str
+        columns : sequence of str, optional
+            Those wanted; all without.
+
+        Returns
+        -------
+        pyarrow.Table
+
+        Raises
+        ------
+        InvalidInput
+            A file is no table of a store.
+        """
+        wanted = None if columns is None else list(dict.fromkeys([*columns, *_ORDER[kind]]))
+        for _ in range(_TRIES):
+            names = self.place.names(kind, ".parquet")
+            if _parts_of(names) != _parts_of(self.place.names(kind, ".parquet")):
+                continue  # merged while they were listed
+            try:
+                found = self._all(names, kind, wanted)
+            except FileNotFoundError:  # merged since they were listed
+                continue
+            return found if columns is None else found.select(list(columns))
+        raise InvalidInput(
+            f"the {kind} change faster than they can be read",
+            where=str(self.place),
+            remedy="read them again",
+        )
+
+    def _all(self, names: Sequence[str], kind: str, columns: list[str] | None) -> pa.Table:
+        """Rows of all files; small files come first, as they are the last written."""
+        ordered = sorted(names, key=_is_part)
+        if len(ordered) > _READERS:
+            with ThreadPoolExecutor(_READERS) as pool:
+                tables = list(pool.map(lambda name: self._table(name, columns), ordered))
+        else:
+            tables = [self._table(name, columns) for name in ordered]
+        schema = _SCHEMAS[kind]
+        if columns is not None:
+            schema = pa.schema([schema.field(name) for name in columns])
+        tables = [_as_schema(each, schema) for each in tables]
+        joined = pa.concat_tables([schema.empty_table(), *tables])
+        return _once(joined, kind)
+
+    def _table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
+        try:
+            file = pq.ParquetFile(io.BytesIO(self.place.get(name)))
+            known = None
+            if columns is not None:
+                known = [each for each in columns if each in file.schema_arrow.names]
+            return file.read(columns=known, use_threads=False)
+        except pa.ArrowInvalid as error:
+            raise InvalidInput(
+                f"is no Parquet file ({error})",
+                where=f"{self.place}/{name}",
+                remedy="move it out of the store; its run is done again",
+            ) from error
+
+    def merge(self, *, at_least: int = 2) -> int:
+        """Merge small files into parts, where no other process does so and the store is local.
+
+        Parameters
+        ----------
+        at_least : int
+            Small files of runs, below which nothing is done.
+
+        Returns
+        -------
+        int
+            Runs that were in small files.
+
+        Raises
+        ------
+        OSError
+            A part cannot be written; all rows are where they were.
+        """
+        if not isinstance(self.place, Folder) or not self.place.path.is_dir():
+            return 0
+        small = [n for n in self.place.names("runs", ".parquet") if not _is_part(n)]
+        if len(small) < at_least:
+            return 0
+        with self.place.lock() as held:
+            if not held:
+                return 0
+            for kind in ("parameters", "runs"):  # no row stands without its parameters
+                self._merge(kind)
+        return len(small)
+
+    def _merge(self, kind: str) -> None:
+        names = self.place.names(kind, ".parquet")
+        chosen = [n for n in names if not _is_part(n) or self._rows(n) < _LARGE[kind]]
+        tables = {name: self._table(name) for name in chosen}
+        again = pa.concat_tables(
+            [
+                pa.table({"run": pa.array([], pa.string())}),
+                *(t.select(["run"]) for t in tables.values()),
+            ]
+        )["run"]
+        for name in set(names) - set(chosen):  # a run done again stands in a large part as well
+            known = self._table(name, ["run"])["run"]
+            if pc.any(pc.is_in(known, value_set=again.combine_chunks())).as_py():
+                tables[name] = self._table(name)
+        if len(tables) < 2:
+            return
+        schema = _SCHEMAS[kind]
+        ordered = [_as_schema(tables[name], schema) for name in sorted(tables, key=_is_part)]
+        data = _bytes_of(_once(pa.concat_tables(ordered), kind))
+        part = f"{kind}/part-{hashlib.sha256(data).hexdigest()[:32]}.parquet"
+        self.place.put(part, data)
+        self.place.delete(name for name in tables if name != part)
+
+    def _rows(self, name: str) -> int:
+        return int(pq.read_metadata(io.BytesIO(self.place.get(name))).num_rows)
+
+
+_ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
+
+
+def read_runs(store: Path | str) -> pa.Table:
+    """The runs of a campaign's store.
+
+    Parameters
+    ----------
+    store : Path or str
+        A folder, or a URL.
+
+    Returns
+    -------
+    pyarrow.Table
+        One row per run: study, hashes, status, message, times, verdict; see docs/campaign.md.
+
+    Raises
+    ------
+    InvalidInput
+        There is no store, or a file in it is none of its own.
+    """
+    return _existing(store).table("runs")
+
+
+def read_parameters(store: Path | str) -> pa.Table:
+    """The parameters of all runs of a campaign's store.
+
+    Parameters
+    ----------
+    store : Path or str
+        A folder, or a URL.
+
+    Returns
+    -------
+    pyarrow.Table
+        One row per parameter of a run: name, joint, value, std, 95 % interval, unit, stage.
+
+    Raises
+    ------
+    InvalidInput
+        There is no store, or a file in it is none of its own.
+    """
+    found = _existing(store)
+    parameters = found.table("parameters")  # first: each run's row is written after them
+    runs = found.table("runs", ["run"])["run"]
+    return parameters.filter(pc.is_in(parameters["run"], value_set=runs.combine_chunks()))
+
+
+def _existing(where: Path | str) -> Store:
+    store = Store.at(where)
+    if not store.place.names("runs", ".parquet"):
+        raise InvalidInput(
+            "holds no runs",
+            where=str(where),
+            remedy="name the store that strainwave campaign was given by --out",
+        )
+    return store
+
+
+def _is_part(name: str) -> bool:
+    return name.rsplit("/", 1)[-1].startswith("part-")
+
+
+def _parts_of(names: Sequence[str]) -> set[str]:
+    return {name for name in names if _is_part(name)}
+
+
+def _file(rows: Sequence[Row], schema: pa.Schema) -> bytes:
+    return _bytes_of(pa.Table.from_pylist(list(rows), schema=schema))
+
+
+def _bytes_of(table: pa.Table) -> bytes:
+    out = io.BytesIO()
+    large = table.num_rows > MERGE_AFTER
+    pq.write_table(
+        table,
+        out,
+        compression="zstd" if large else "none",
+        use_dictionary=large,
+        write_statistics=large,
+    )
+    return out.getvalue()
+
+
+def _as_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """The columns of today's schema: those of earlier versions that lack one have nulls."""
+    if table.schema.equals(schema):
+        return table
+    columns = [
+        table[field.name].cast(field.type)
+        if field.name in table.column_names
+        else pa.nulls(table.num_rows, field.type)
+        for field in schema
+    ]
+    return pa.table(columns, schema=schema)
+
+
+def _once(table: pa.Table, kind: str) -> pa.Table:
+    """Each run once, the last that began; of parameters, those that stand first."""
+    if table.num_rows == 0:
+        return table
+    numbered = table.append_column("_row", pa.array(range(table.num_rows), pa.int64()))
+    if kind == "runs":
+        by_time = numbered.sort_by([("started", "descending"), ("_row", "ascending")])
+        kept = by_time.group_by("run", use_threads=False).aggregate([("_row", "first")])
+        rows = kept["_row_first"]
+    else:
+        rows = numbered.group_by(_KEYS[kind]).aggregate([("_row", "min")])["_row_min"]
+    if len(rows) == table.num_rows:
+        return table
+    values = rows.combine_chunks()
+    return table.take(values.take(pc.sort_indices(values)))

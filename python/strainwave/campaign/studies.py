@@ -1,0 +1,242 @@
+"""What a campaign runs: study files, folders, globs, tables, URLs, or one campaign.toml."""
+
+from __future__ import annotations
+
+import csv
+import io
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from strainwave.campaign.cases import Case, StudyFile
+from strainwave.campaign.places import file_system, is_url
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, nearest, read_bytes
+
+_STUDY = "study.toml"
+_GLOB = set("*?[")
+_KEYS = ("stages", "options", "studies")
+
+
+@dataclass(frozen=True)
+class Found:
+    """Cases in order, and what a campaign.toml says of stages and options."""
+
+    cases: Sequence[Case]
+    stages: tuple[str, ...] | None = None
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def find(arguments: Sequence[str]) -> Found:
+    """The cases that the arguments name, each once.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Study files; folders, searched for files named study.toml; globs; tables, .txt with a path
+        a line or .csv with a column `study`; URLs of these; or one campaign.toml.
+
+    Returns
+    -------
+    Found
+
+    Raises
+    ------
+    InvalidInput
+        One names nothing, or a file is at fault.
+    """
+    documents = [path for path in map(Path, arguments) if _is_campaign(path)]
+    if documents:
+        if len(arguments) > 1:
+            raise InvalidInput(
+                "a campaign.toml stands among other arguments",
+                where=str(documents[0]),
+                remedy="give it alone, or list its studies beside the others",
+            )
+        return _of_document(documents[0])
+    return Found(_studies(arguments))
+
+
+def _studies(arguments: Sequence[str]) -> list[Case]:
+    found = [StudyFile(name, _absolute(name)) for each in arguments for name in _named(each)]
+    return list({case.location: case for case in found}.values())
+
+
+def _absolute(name: str) -> str:
+    return name if is_url(name) else str(Path(name).absolute())
+
+
+def _named(argument: str) -> list[str]:
+    """Paths or URLs of study files that one argument stands for."""
+    where = _Url(argument) if is_url(argument) else _Local(argument)
+    if _GLOB & set(argument) and not where.exists():
+        matches = where.matches()
+        if not matches:
+            raise InvalidInput("matches nothing", where=argument, remedy="check the pattern")
+        return [name for match in matches for name in _named(match)]
+    if where.is_folder():
+        names = where.search()
+        if not names:
+            raise InvalidInput(
+                f"there is no {_STUDY} in this folder or below",
+                where=argument,
+                remedy="name the study files, or a glob that matches them",
+            )
+        return names
+    if argument.endswith((".txt", ".csv")):
+        return _of_table(argument, where.read())
+    if not where.exists():
+        raise InvalidInput("does not exist", where=argument, remedy=where.hint())
+    return [argument]
+
+
+def _of_table(table: str, data: bytes) -> list[str]:
+    """Paths in a table; relative ones are beside it."""
+    text = decode(data, Path(table))
+    if table.endswith(".csv"):
+        rows = csv.DictReader(io.StringIO(text))
+        if "study" not in (rows.fieldnames or ()):
+            raise InvalidInput(
+                "has no column 'study'",
+                where=table,
+                remedy="name the column of the study files' paths 'study'",
+            )
+        paths = [(row["study"] or "").strip() for row in rows]
+    else:
+        paths = [line.strip() for line in text.splitlines()]
+    beside = table.rsplit("/", 1)[0] if is_url(table) else str(Path(table).parent)
+    named = [path for path in paths if path and not path.startswith("#")]
+    if not named:
+        raise InvalidInput("lists no studies", where=table, remedy="write a path a line")
+    return [_relative_to(beside, path) for path in named]
+
+
+def _relative_to(folder: str, path: str) -> str:
+    if is_url(path) or Path(path).is_absolute():
+        return path
+    return f"{folder}/{path}" if is_url(folder) else str(Path(folder) / path)
+
+
+@dataclass(frozen=True)
+class _Local:
+    """A path on this machine."""
+
+    text: str
+
+    def exists(self) -> bool:
+        return Path(self.text).exists()
+
+    def is_folder(self) -> bool:
+        return Path(self.text).is_dir()
+
+    def search(self) -> list[str]:
+        return [str(path) for path in sorted(Path(self.text).rglob(_STUDY))]
+
+    def matches(self) -> list[str]:
+        path = Path(self.text)
+        pattern = str(path.relative_to(path.anchor))
+        return [str(each) for each in sorted(Path(path.anchor).glob(pattern))]
+
+    def read(self) -> bytes:
+        return read_bytes(Path(self.text), "the list of studies")
+
+    def hint(self) -> str:
+        path = Path(self.text)
+        return f"check the name{nearest(path.name, [p.name for p in path.parent.glob('*')])}"
+
+
+@dataclass(frozen=True)
+class _Url:
+    """A URL that fsspec reads."""
+
+    text: str
+
+    def exists(self) -> bool:
+        system, path = file_system(self.text)
+        return bool(system.exists(path))
+
+    def is_folder(self) -> bool:
+        system, path = file_system(self.text)
+        return bool(system.isdir(path))
+
+    def search(self) -> list[str]:
+        system, path = file_system(self.text)
+        found = sorted(p for p in system.find(path) if p.rsplit("/", 1)[-1] == _STUDY)
+        return [str(system.unstrip_protocol(each)) for each in found]
+
+    def matches(self) -> list[str]:
+        system, path = file_system(self.text)
+        return [str(system.unstrip_protocol(each)) for each in sorted(system.glob(path))]
+
+    def read(self) -> bytes:
+        system, path = file_system(self.text)
+        try:
+            return bytes(system.cat_file(path))
+        except OSError as error:
+            raise InvalidInput(
+                f"cannot be read ({error})", where=self.text, remedy="check the URL"
+            ) from error
+
+    def hint(self) -> str:
+        return "check the URL"
+
+
+def _is_campaign(path: Path) -> bool:
+    """Whether a file is a campaign.toml: one with studies or a family, and no arm."""
+    if path.suffix != ".toml" or not path.is_file():
+        return False
+    if path.name == "campaign.toml":
+        return True
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False  # its reader says what is wrong with it
+    return "arm" not in document and bool({"studies", "family"} & set(document))
+
+
+def _of_document(path: Path) -> Found:
+    text = decode(read_bytes(path, "the campaign"), path)
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InvalidInput(
+            f"is not valid TOML ({error})", where=str(path), remedy="mend that line"
+        ) from error
+    for key in document:
+        if key not in _KEYS:
+            raise InvalidInput(
+                f"unknown key '{key}'",
+                where=str(path),
+                remedy=f"use {', '.join(_KEYS)}{nearest(key, _KEYS)}",
+            )
+    stages, options = document.get("stages"), document.get("options", {})
+    if stages is not None and not _is_list_of_text(stages):
+        raise _wrong(path, "stages", 'a list of names, for example ["rigid"]')
+    if not isinstance(options, dict) or not all(isinstance(o, dict) for o in options.values()):
+        raise _wrong(path, "options", "one table a stage, as in a study file")
+    return Found(
+        _listed(document.get("studies"), path),
+        stages=None if stages is None else tuple(stages),
+        options=options,
+    )
+
+
+def _listed(table: Any, path: Path) -> list[Case]:
+    """The cases of `[studies]`; relative paths are beside the campaign.toml."""
+    if not isinstance(table, dict) or set(table) != {"paths"} or not table["paths"]:
+        raise _wrong(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
+    if not _is_list_of_text(table["paths"]):
+        raise _wrong(path, "studies.paths", "a list of paths, folders, globs or URLs")
+    return _studies([_relative_to(str(path.parent), each) for each in table["paths"]])
+
+
+def _is_list_of_text(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(each, str) for each in value)
+
+
+def _wrong(path: Path, key: str, wanted: str) -> InvalidInput:
+    return InvalidInput(
+        f"'{key}' is missing or of another form", where=str(path), remedy=f"give {wanted}"
+    )
