@@ -99,7 +99,7 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
             "a cluster needs Dask, which is not installed",
             remedy='pip install "strainwave[cluster]"',
         ) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it says, one sentence says
+    _silence()
     cluster = None if description is None else _started(description)
     try:
         try:
@@ -119,6 +119,13 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
         if cluster is not None:
             with suppress(Exception):
                 cluster.close()
+
+
+def _silence() -> None:
+    """What Dask logs of a scheduler that has gone, one sentence says."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @dataclass(frozen=True)

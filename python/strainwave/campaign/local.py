@@ -11,6 +11,8 @@ from strainwave.campaign.plan import Plan
 from strainwave.campaign.runner import Runner, Stopping
 from strainwave.campaign.tasks import Limits, Outcome
 
+_GRACE = 0.5  # [s] for a slot to clear up after its process has been ended
+
 
 def run(
     cases: Iterable[Case],
@@ -59,14 +61,15 @@ def run(
                 ended.put(task if isinstance(task, Outcome) else runner.run(task))
             runner.close()
         except Stopping:
-            pass
+            runner.close()
         except BaseException as error:  # raised again where outcomes are waited for
             ended.put(error)
         finally:
             ended.put(None)
 
-    for runner in runners:
-        threading.Thread(target=slot, args=(runner,), daemon=True).start()
+    threads = [threading.Thread(target=slot, args=(each,), daemon=True) for each in runners]
+    for thread in threads:
+        thread.start()
     try:
         busy = workers
         while busy:
@@ -81,3 +84,5 @@ def run(
         left.set()
         for runner in runners:
             runner.stop()
+        for thread in threads:
+            thread.join(_GRACE)

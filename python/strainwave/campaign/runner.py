@@ -148,10 +148,10 @@ class Runner:
         arguments = [*self._entry, "--time-limit", str(self._limits.time_s)]
         if self._limits.memory_mib is not None:
             arguments += ["--memory-limit", str(self._limits.memory_mib)]
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
         with self._mutex:
             if self._stopped:
                 raise Stopping
+            self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
             self._child = subprocess.Popen(
                 [sys.executable, *arguments],
                 stdin=subprocess.PIPE,

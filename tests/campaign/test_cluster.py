@@ -1,0 +1,217 @@
+"""A campaign on Dask: workers, the scheduler and the driver are killed, and nothing is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import strainwave as sw
+from campaign_commands import COUNT, begun, campaign, running, wait_for
+from campaign_rigs import rig, rigs
+from strainwave.campaign import cluster
+from strainwave.campaign.plan import Plan
+from strainwave.campaign.store import Store
+from strainwave.campaign.studies import find
+from strainwave.campaign.tasks import Task
+
+QUIET = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error"}
+
+
+@dataclass
+class Dask:
+    """A scheduler and its workers, a process each."""
+
+    address: str
+    scheduler: subprocess.Popen[bytes]
+    workers: list[subprocess.Popen[bytes]]
+
+
+@contextmanager
+def dask(folder: Path, workers: int = 2) -> Iterator[Dask]:
+    file = folder / "scheduler.json"
+    common = ["--scheduler-file", str(file), "--no-dashboard"]
+    begun = []
+
+    def start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
+        line = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *common, *arguments]
+        environment = os.environ | QUIET | {"PYTHONWARNINGS": "ignore"}
+        process = subprocess.Popen(line, cwd=folder, env=environment, stderr=subprocess.DEVNULL)
+        begun.append(process)
+        return process
+
+    try:
+        scheduler = start("scheduler", "--port", "0", "--host", "127.0.0.1")
+        threads = ["--nthreads", "1", "--no-nanny"]
+        started = [start("worker", *threads, "--name", str(n)) for n in range(workers)]
+        until = time.monotonic() + 60.0
+        while not file.exists():
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        yield Dask(json.loads(file.read_text())["address"], scheduler, started)
+    finally:
+        for process in begun:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = rigs(tmp_path_factory.mktemp("studies"), COUNT)
+    (folder / "rig-003" / "motion.csv").write_text("t,theta_m1\n0.0,1.0\n0.001")
+    return folder
+
+
+def failures(store: Path) -> list[dict[str, Any]]:
+    return [row for row in sw.read_runs(store).to_pylist() if row["status"] != "determined"]
+
+
+def test_a_worker_and_then_the_driver_are_killed(studies: Path, tmp_path: Path) -> None:
+    """The other worker does what the one was at; another driver goes on with the same cluster."""
+    out = tmp_path / "store"
+    with dask(tmp_path) as it:
+        arguments = (studies, "--out", out, "--scheduler", it.address)
+        with running(*arguments, "--workers", "4") as driver:
+            wait_for(out, 3)
+            it.workers[0].kill()
+            wait_for(out, 8)
+            driver.kill()
+        first = {row["run"]: row["started"] for row in sw.read_runs(out).to_pylist()}
+        again = campaign(*arguments)
+    assert again.returncode == 3, again.stderr
+    assert f"{COUNT} of {COUNT} studies" in again.stdout
+    assert "1 failed" in again.stdout
+    assert set(begun(out).values()) == {1}
+    assert len(begun(out)) == COUNT
+    (failed,) = failures(out)
+    assert "rig-003" in failed["study"]
+    assert failed["exit_code"] == 2
+    found = {row["run"]: row["started"] for row in sw.read_runs(out).to_pylist()}
+    assert {run: found[run] for run in first} == first
+
+
+def test_the_scheduler_is_killed_and_a_cluster_of_its_own_goes_on(
+    studies: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "store"
+    with (
+        dask(tmp_path) as it,
+        running(studies, "--out", out, "--scheduler", it.address, "--workers", "2") as driver,
+    ):
+        wait_for(out, 3)
+        it.scheduler.kill()
+        _, errors = driver.communicate(timeout=60.0)
+    assert driver.returncode == 3
+    assert errors.count("\n") == 1, errors
+    assert "the Dask scheduler has gone; the same command goes on" in errors
+    recorded = sw.read_runs(out).num_rows
+    assert 3 <= recorded < COUNT
+    description = tmp_path / "cluster.toml"
+    description.write_text(
+        'class = "distributed.LocalCluster"\n'
+        'arguments = { n_workers = 1, threads_per_worker = 2, dashboard_address = "" }\n'
+    )
+    again = campaign(studies, "--out", out, "--cluster", description)
+    assert again.returncode == 3, again.stderr
+    assert again.stderr == ""
+    assert len(begun(out)) == COUNT
+    assert set(begun(out).values()) == {1}
+    assert len(failures(out)) == 1
+
+
+class Future:
+    """A Dask future that has ended."""
+
+    def __init__(self, status: str, error: Exception | None = None) -> None:
+        self.status, self._error = status, error
+
+    def exception(self) -> Exception | None:
+        return self._error
+
+
+def planned(folder: Path) -> tuple[Any, Plan]:
+    plan = Plan(Store.at(folder / "store"), "test", ("rigid",), {})
+    found = cluster._plan(plan, find([str(rig(folder / "rig"))]).cases[0])
+    return found, plan
+
+
+def test_a_study_whose_workers_die_again_and_again_has_failed(tmp_path: Path) -> None:
+    from distributed import KilledWorker
+
+    task, plan = planned(tmp_path)
+    outcome = cluster._outcome(task, Future("error", KilledWorker("key", None, 3)), plan)
+    assert (outcome.status, outcome.exit_code) == ("failed", 1)
+    assert "died, 4 in a row" in outcome.message
+    (row,) = failures(tmp_path / "store")
+    assert row["message"] == outcome.message
+
+
+def test_a_run_that_a_dying_worker_ended_is_not_done_again(tmp_path: Path) -> None:
+    found, plan = planned(tmp_path)
+    task: Task = found.task
+    limits = {"time_s": 60.0, "memory_mib": None, "tasks": 100}
+    first = cluster.perform(task.to_json(), limits, found.since.isoformat())
+    started = sw.read_runs(tmp_path / "store")["started"].to_pylist()
+    again = cluster.perform(task.to_json(), limits, found.since.isoformat())
+    cluster._own.runner.close()
+    assert json.loads(again)["status"] == json.loads(first)["status"] == "determined"
+    assert sw.read_runs(tmp_path / "store")["started"].to_pylist() == started
+    assert plan.store.recorded(task.run) is not None
+
+
+@pytest.mark.parametrize(
+    ("future", "error", "said"),
+    [
+        (Future("error", ModuleNotFoundError("No module 's'")), sw.InvalidInput, "No module 's'"),
+        (Future("error", sw.InvalidInput("does not start")), sw.InvalidInput, "does not start"),
+        (Future("cancelled"), cluster.ClusterLost, "scheduler has gone"),
+    ],
+)
+def test_other_faults_of_the_workers_end_the_campaign(
+    future: Future, error: type[Exception], said: str, tmp_path: Path
+) -> None:
+    task, plan = planned(tmp_path)
+    with pytest.raises(error, match=said):
+        cluster._outcome(task, future, plan)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("class = ", "is not valid TOML"),
+        ("klass = 'a'", "unknown key 'klass'.*did you mean 'class'"),
+        ("workers = 3", "'class' is missing"),
+        ("class = 'dask_jobqueue.Nothing'", "cannot be made"),
+        (
+            "class = 'distributed.LocalCluster'\narguments = 3",
+            "'arguments' is missing or of another",
+        ),
+        ("class = 'distributed.LocalCluster'\narguments = { foo = 3 }", "cannot be made"),
+    ],
+)
+def test_a_description_at_fault_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "cluster.toml"
+    path.write_text(text)
+    with (
+        pytest.raises(sw.InvalidInput, match=rf"cluster\.toml: .*{said}"),
+        cluster.connected(None, path),
+    ):
+        pass
+
+
+def test_nobody_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT", 0.5)
+    with (
+        pytest.raises(sw.InvalidInput, match="no Dask scheduler answers there"),
+        cluster.connected("tcp://127.0.0.1:9", None),
+    ):
+        pass

@@ -1,0 +1,126 @@
+"""The command: exit codes, what it prints, faults in its arguments."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+import strainwave as sw
+from campaign_commands import campaign, command
+from campaign_rigs import log, rig, rigs
+from strainwave.campaign.progress import Tally, _display, cause
+from strainwave.campaign.tasks import Outcome
+
+
+def test_the_exit_code_says_whether_all_are_determined(tmp_path: Path) -> None:
+    rigs(tmp_path / "rigs", 2)
+    done = campaign(tmp_path / "rigs", "--out", tmp_path / "store")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("2 of 2 studies: 2 determined; ")
+    one_way = rig(tmp_path / "rigs" / "one-way")
+    (one_way.parent / "motion.csv").write_bytes(log(0.02, backwards=False))
+    broken = rig(tmp_path / "rigs" / "broken")
+    (broken.parent / "motion.csv").write_bytes(b"")
+    done = campaign(tmp_path / "rigs", "--out", tmp_path / "store")
+    assert (done.returncode, done.stderr) == (3, "")
+    counts = "2 determined, 1 partly-determined, 1 failed"
+    assert done.stdout.startswith(f"4 of 4 studies, 2 of them recorded before: {counts}; ")
+    assert done.stdout.count("\n") == 3
+    assert "  1 failed: ..." in done.stdout
+    again = campaign(tmp_path / "rigs", "--out", tmp_path / "store", "--quiet")
+    assert (again.returncode, again.stderr) == (3, "")
+    assert again.stdout.startswith(f"4 of 4 studies, 4 of them recorded before: {counts}; ")
+    assert again.stdout.count("\n") == 1
+    codes = dict(
+        zip(
+            *(sw.read_runs(tmp_path / "store")[c].to_pylist() for c in ("status", "exit_code")),
+            strict=True,
+        )
+    )
+    assert codes == {"determined": 0, "partly-determined": 3, "failed": 2}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["absent"], "absent: does not exist"),
+        (["rigs", "--stages", "tuned"], "cannot run the stages tuned"),
+        (["rigs", "--set", "rigid.bandwith_hz=3"], "did you mean 'bandwidth_hz'"),
+        (["rigs", "--set", "rigid"], "stage.key=value"),
+        (["rigs", "--scheduler", "tcp://x:1", "--cluster", "c.toml"], "are given together"),
+        (["rigs", "--cluster", "c.toml"], "the cluster's description does not exist"),
+        (["rigs", "--workers", "0"], "--workers"),
+    ],
+)
+def test_faults_exit_with_two_and_write_nothing(
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig(tmp_path / "rigs")
+    import subprocess
+
+    line = [*command(*arguments), "--out", "store"]
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.glob("store/*/*"))
+
+
+def test_a_store_that_cannot_be_made(tmp_path: Path) -> None:
+    rig(tmp_path / "rigs")
+    (tmp_path / "store").write_text("a file")
+    done = campaign(tmp_path / "rigs", "--out", tmp_path / "store")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "cannot write there" in done.stderr
+
+
+def test_options_of_the_command_are_of_every_study(tmp_path: Path) -> None:
+    rig(tmp_path / "rigs")
+    campaign(tmp_path / "rigs", "--out", tmp_path / "store")
+    done = campaign(tmp_path / "rigs", "--out", tmp_path / "store", "--set", "rigid.bandwidth_hz=9")
+    assert done.returncode == 0
+    rows = sw.read_runs(tmp_path / "store").to_pylist()
+    assert len({row["options_sha256"] for row in rows}) == 2
+    bandwidths = {
+        sw.read_result(tmp_path / "store" / row["result"]).document["options"]["rigid"][
+            "bandwidth_hz"
+        ]
+        for row in rows
+    }
+    assert bandwidths == {None, 9.0}
+
+
+def outcome(status: str, message: str = "", *, skipped: bool = False) -> Outcome:
+    code = 0 if status == "determined" else 3
+    return Outcome(
+        run=message, study="s", status=status, exit_code=code, message=message, skipped=skipped
+    )
+
+
+def test_the_display_counts_by_cause() -> None:
+    tally = Tally(9)
+    for number in range(3):
+        tally.add(outcome("failed", f"/rigs/{number}/motion.csv: has {number} rows. Remedy: more"))
+    tally.add(outcome("determined", skipped=True))
+    tally.add(outcome("partly-determined", "not identified: gear_damping 1"))
+    assert (tally.done, tally.skipped) == (4, 1)
+    assert tally.seconds_left == pytest.approx(4 / tally.rate, rel=0.1)
+    out = io.StringIO()
+    Console(file=out, width=100).print(_display(tally, "http://host:8787/status"))
+    shown = out.getvalue()
+    assert "5 of 9 studies" in shown
+    assert "1 determined, 1 partly-determined, 3 failed" in shown
+    assert "  3 failed: ... has # rows." in shown
+    assert "http://host:8787/status" in shown
+    assert Tally(9).seconds_left is None
+
+
+def test_a_cause_leaves_out_what_differs_by_study() -> None:
+    one = cause("a/study.toml, line 3: unknown key 'x'. Remedy: mend line 3")
+    assert one == cause("b/c/study.toml, line 17: unknown key 'x'. Remedy: mend line 17")
+    assert len(cause("word " * 100)) <= 90

@@ -1,0 +1,122 @@
+"""kill -9 of a worker process or of the driver in the middle: the same command goes on."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+import strainwave as sw
+from campaign_commands import COUNT, begun, campaign, running, wait_for, workers_of
+from campaign_rigs import rigs
+
+
+@pytest.fixture(scope="module")
+def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return rigs(tmp_path_factory.mktemp("studies"), COUNT)
+
+
+def test_a_worker_that_is_killed_is_one_failed_study(studies: Path, tmp_path: Path) -> None:
+    with running(studies, "--out", tmp_path, "--workers", "2") as driver:
+        wait_for(tmp_path, 4)
+        workers_of(driver)[0].kill()
+        said, _ = driver.communicate()
+    rows = sw.read_runs(tmp_path).to_pylist()
+    assert set(begun(tmp_path).values()) == {1}
+    assert len(rows) == COUNT
+    failed = [row for row in rows if row["status"] == "failed"]
+    # killed between two studies, it cost none
+    assert len(failed) <= 1
+    for row in failed:
+        assert row["exit_code"] == 137
+        assert "SIGKILL" in row["message"]
+    assert driver.returncode == (3 if failed else 0)
+    assert f"{COUNT} of {COUNT} studies" in said
+
+
+def test_a_driver_that_is_killed_loses_nothing(studies: Path, tmp_path: Path) -> None:
+    with running(studies, "--out", tmp_path, "--workers", "2") as driver:
+        wait_for(tmp_path, 4)
+        workers = workers_of(driver)
+        driver.kill()
+        driver.wait()
+    _, alive = psutil.wait_procs(workers, timeout=20.0)
+    assert alive == []  # each ended after its study
+    first = {row["run"]: row["started"] for row in sw.read_runs(tmp_path).to_pylist()}
+    assert 4 <= len(first) < COUNT
+    again = campaign(studies, "--out", tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert f"{len(first)} of them recorded before" in again.stdout
+    found = {row["run"]: row["started"] for row in sw.read_runs(tmp_path).to_pylist()}
+    assert len(found) == COUNT
+    assert {run: found[run] for run in first} == first  # none of them was run twice
+
+
+def test_ctrl_c_ends_the_workers_and_keeps_what_is_finished(studies: Path, tmp_path: Path) -> None:
+    with running(studies, "--out", tmp_path, "--workers", "2") as driver:
+        wait_for(tmp_path, 4)
+        workers = workers_of(driver)
+        begin = time.monotonic()
+        driver.send_signal(signal.SIGINT)
+        _, said = driver.communicate()
+        assert time.monotonic() - begin < 3.0
+    assert driver.returncode == 130
+    assert "stopped" in said
+    assert "runs" in said
+    _, alive = psutil.wait_procs(workers, timeout=5.0)
+    assert alive == []
+    rows = sw.read_runs(tmp_path).to_pylist()
+    assert 4 <= len(rows) < COUNT
+    assert {row["status"] for row in rows} == {"determined"}
+    assert campaign(studies, "--out", tmp_path).returncode == 0
+    assert begun(tmp_path).total() == COUNT
+
+
+def test_two_campaigns_into_one_store(studies: Path, tmp_path: Path) -> None:
+    with (
+        running(studies, "--out", tmp_path, "--workers", "1") as one,
+        running(studies, "--out", tmp_path, "--workers", "1") as other,
+    ):
+        for driver in (one, other):
+            _, errors = driver.communicate()
+            assert (driver.returncode, errors) == (0, "")
+    assert begun(tmp_path).total() == COUNT
+    assert set(begun(tmp_path).values()) == {1}
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of half a megabyte."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        pytest.skip("only root mounts a small disk")
+    if subprocess.run(mount, capture_output=True, check=False).returncode != 0:
+        pytest.skip("nothing can be mounted here")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_ends_a_campaign_that_goes_on_later(studies: Path, small_disk: Path) -> None:
+    filler = small_disk / "filler"
+    filler.write_bytes(bytes(350_000))
+    done = campaign(studies, "--out", small_disk / "store")
+    assert done.returncode == 3
+    assert done.stderr.count("\n") == 1
+    assert "No space left on device" in done.stderr
+    recorded = sw.read_runs(small_disk / "store").num_rows
+    assert 0 < recorded < COUNT
+    assert f"{recorded} of {COUNT} studies are recorded" in done.stderr
+    filler.unlink()
+    subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)
+    done = campaign(studies, "--out", small_disk / "store")
+    assert done.returncode == 0, done.stderr
+    assert begun(small_disk / "store").total() == COUNT

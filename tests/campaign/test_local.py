@@ -1,0 +1,221 @@
+"""Worker processes on this machine: what kills one of them is one study's failure."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from campaign_rigs import inertia_of, rig, rigs
+from strainwave.campaign import local
+from strainwave.campaign.plan import Plan
+from strainwave.campaign.runner import Runner
+from strainwave.campaign.store import Store, read_parameters, read_runs
+from strainwave.campaign.studies import find
+from strainwave.campaign.tasks import Limits, Outcome, Task
+from strainwave.errors import InvalidInput
+
+POISONED = partial(Runner, entry=("-m", "campaign_workers"))
+
+
+def plan(store: Path, **changes: Any) -> Plan:
+    settings: dict[str, Any] = {"campaign": "test", "stages": ("rigid",), "options": {}}
+    return Plan(Store.at(store), **(settings | changes))
+
+
+def run(studies: Path, store: Path, workers: int = 2, **changes: Any) -> dict[str, Outcome]:
+    limits = changes.pop("limits", Limits())
+    start = changes.pop("start", Runner)
+    cases = find([str(studies)]).cases
+    outcomes = local.run(cases, plan(store, **changes), workers, limits, start)
+    return {Path(each.study).parent.name: each for each in outcomes}
+
+
+def rows(store: Path) -> dict[str, dict[str, Any]]:
+    found = read_runs(store).to_pylist()
+    named = {Path(row["study"]).parent.name: row for row in found}
+    assert len(named) == len(found)
+    return named
+
+
+def test_each_study_is_a_row_with_its_parameters(tmp_path: Path) -> None:
+    rigs(tmp_path / "rigs", 3)
+    run(tmp_path / "rigs", tmp_path / "store")
+    found = rows(tmp_path / "store")
+    assert {row["status"] for row in found.values()} == {"determined"}
+    parameters = read_parameters(tmp_path / "store").to_pylist()
+    values = {p["run"]: p["value"] for p in parameters if p["name"] == "inertia"}
+    for number in range(3):
+        row = found[f"rig-{number:03d}"]
+        assert values[row["run"]] == pytest.approx(inertia_of(number), rel=1e-3)
+        assert (tmp_path / "store" / row["result"]).is_file()
+        assert row["exit_code"] == 0
+        assert row["seconds"] > row["rigid_s"] > 0.0
+        assert "inertia 1" in row["identified"]
+
+
+@pytest.fixture(scope="module")
+def poisoned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("poisoned")
+    for name in ("exits", "crashes", "killed", "hangs", "raises", "whole-1", "whole-2"):
+        rig(folder / "rigs" / name)
+    broken = rig(folder / "rigs" / "broken")
+    (broken.parent / "motion.csv").write_text("t,theta_m1\n0.0,1.0\n0.001")
+    (rig(folder / "rigs" / "no-log").parent / "motion.csv").unlink()
+    rig(folder / "rigs" / "no-toml").write_text("[arm")
+    run(folder / "rigs", folder / "store", 1, limits=Limits(time_s=4.0), start=POISONED)
+    return rows(folder / "store")
+
+
+@pytest.mark.parametrize(
+    ("name", "exit_code", "said"),
+    [
+        ("exits", 7, "exit code 7"),
+        ("crashes", 139, "SIGSEGV"),
+        ("killed", 137, "SIGKILL"),
+        ("hangs", 124, "longer than 4 s"),
+        ("raises", 1, "ZeroDivisionError"),
+        ("broken", 2, "motion.csv"),
+        ("no-log", 2, "motion.csv"),
+        ("no-toml", 2, "TOML"),
+    ],
+)
+def test_a_poisoned_study_is_a_failed_row(
+    poisoned: dict[str, dict[str, Any]], name: str, exit_code: int, said: str
+) -> None:
+    row = poisoned[name]
+    assert (row["status"], row["exit_code"]) == ("failed", exit_code)
+    assert said in row["message"]
+    assert "\n" not in row["message"]
+    assert row["result"] is None
+
+
+def test_the_others_go_on(poisoned: dict[str, dict[str, Any]]) -> None:
+    assert len(poisoned) == 10
+    assert {poisoned[name]["status"] for name in ("whole-1", "whole-2")} == {"determined"}
+
+
+def test_failed_runs_are_done_again_where_it_is_wanted(tmp_path: Path) -> None:
+    rig(tmp_path / "rigs" / "crashes")
+    rig(tmp_path / "rigs" / "whole")
+    run(tmp_path / "rigs", tmp_path / "store", start=POISONED)
+    first = rows(tmp_path / "store")
+    Store.at(tmp_path / "store").merge()
+    again = run(tmp_path / "rigs", tmp_path / "store")
+    assert all(outcome.skipped for outcome in again.values())
+    assert again["crashes"].status == "failed"
+    again = run(tmp_path / "rigs", tmp_path / "store", retry_failed=True)
+    assert again["whole"].skipped
+    second = rows(tmp_path / "store")
+    assert second["crashes"]["status"] == "determined"
+    assert second["crashes"]["run"] == first["crashes"]["run"]
+    Store.at(tmp_path / "store").merge(at_least=1)
+    assert rows(tmp_path / "store") == second
+
+
+def test_what_changes_the_answer_runs_anew(tmp_path: Path) -> None:
+    path, store = rig(tmp_path / "rigs" / "one"), tmp_path / "store"
+
+    def count(**changes: Any) -> int:
+        run(tmp_path / "rigs", store, **changes)
+        return read_runs(store).num_rows
+
+    assert count() == 1
+    assert count() == 1
+    path.write_text(path.read_text() + "# another text\n")
+    assert count() == 2
+    (path.parent / "motion.csv").write_bytes(b"t,theta_m1\n0.0,1.0\n")
+    assert count() == 3
+    assert count(options={"rigid": {"bandwidth_hz": 20.0}}) == 4
+    assert count(stages=("rigid", "decoupled")) == 5
+    case = find([str(path)]).cases[0]
+    task = plan(tmp_path / "other").next(case)
+    assert isinstance(task, Task)
+    assert replace(task, version="9.9.9").run != task.run
+
+
+def test_a_worker_of_another_version_refuses(tmp_path: Path) -> None:
+    case = find([str(rig(tmp_path / "one"))]).cases[0]
+    task = plan(tmp_path / "store").next(case)
+    assert isinstance(task, Task)
+    old = replace(task, version="0.0.1")
+    runner = Runner(Limits())
+    outcome = runner.run(old)
+    runner.close()
+    assert (outcome.status, outcome.exit_code) == ("failed", 2)
+    assert "the campaign 0.0.1" in outcome.message
+
+
+def test_a_process_is_used_again_and_replaced_in_time(tmp_path: Path) -> None:
+    rigs(tmp_path / "rigs", 7)
+    run(tmp_path / "rigs", tmp_path / "store", 1, limits=Limits(tasks=3))
+    ordered = sorted(rows(tmp_path / "store").values(), key=lambda row: row["started"])
+    workers = [row["worker"] for row in ordered]
+    assert [workers.count(each) for each in dict.fromkeys(workers)] == [3, 3, 1]
+
+
+def test_a_process_that_was_killed_while_it_waited_costs_no_study(tmp_path: Path) -> None:
+    rigs(tmp_path / "rigs", 2)
+    runner = Runner(Limits())
+    for case in find([str(tmp_path / "rigs")]).cases:
+        task = plan(tmp_path / "store").next(case)
+        assert isinstance(task, Task)
+        assert runner.run(task).status == "determined"
+        for child in psutil.Process().children():
+            child.kill()
+            child.wait(5.0)
+    runner.close()
+
+
+def test_a_memory_limit_is_one_study_s_failure(tmp_path: Path) -> None:
+    """The hoarder's 8 GiB are never touched: without a limit it gets them."""
+    rig(tmp_path / "rigs" / "hoards")
+    rig(tmp_path / "rigs" / "whole")
+    limits = Limits(memory_mib=4096)
+    run(tmp_path / "rigs", tmp_path / "store", 1, limits=limits, start=POISONED)
+    found = rows(tmp_path / "store")
+    assert found["whole"]["status"] == "determined"
+    assert (found["hoards"]["status"], found["hoards"]["exit_code"]) == ("failed", 1)
+    assert "more memory" in found["hoards"]["message"]
+
+
+def test_a_worker_that_does_not_start_ends_the_campaign(tmp_path: Path) -> None:
+    rigs(tmp_path / "rigs", 2)
+    absent = partial(Runner, entry=("-m", "no_such_module"))
+    with pytest.raises(InvalidInput, match=r"does not start: .*No module named no_such_module"):
+        run(tmp_path / "rigs", tmp_path / "store", start=absent)
+    assert not (tmp_path / "store" / "runs").exists()
+
+
+def test_who_leaves_ends_the_processes(tmp_path: Path) -> None:
+    rig(tmp_path / "rigs" / "hangs-1")
+    rig(tmp_path / "rigs" / "hangs-2")
+    rig(tmp_path / "rigs" / "a-whole")
+    cases = find([str(tmp_path / "rigs")]).cases
+    outcomes = local.run(cases, plan(tmp_path / "store"), 2, Limits(), POISONED)
+    assert next(outcomes).status == "determined"
+    begin = time.monotonic()
+    outcomes.close()
+    assert time.monotonic() - begin < 2.0
+    psutil.wait_procs(psutil.Process().children(), timeout=5.0)
+    running = [p for p in psutil.Process().children() if "campaign_workers" in p.cmdline()]
+    assert running == []
+    assert list(rows(tmp_path / "store")) == ["a-whole"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks /proc for the worker's limit")
+def test_a_worker_has_one_thread_for_blas(tmp_path: Path) -> None:
+    rig(tmp_path / "rigs" / "one")
+    task = plan(tmp_path / "store").next(find([str(tmp_path / "rigs")]).cases[0])
+    assert isinstance(task, Task)
+    runner = Runner(Limits())
+    runner.run(task)
+    (child,) = psutil.Process().children()
+    assert child.environ()["OPENBLAS_NUM_THREADS"] == "1"
+    runner.close()

@@ -1,0 +1,278 @@
+"""The store: no row lost, none twice, none half, whoever writes, merges or reads meanwhile."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from datetime import datetime, timedelta
+from multiprocessing import get_context
+from pathlib import Path
+
+import duckdb
+import fsspec
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import strainwave as sw
+from strainwave.campaign.schema import PARAMETERS, RUNS
+from strainwave.campaign.store import Record, Store
+
+DAY = datetime(2026, 1, 1)
+
+
+def record(run: str, seconds: float = 0.0, status: str = "determined") -> Record:
+    row = {"run": run, "study": f"{run}/study.toml", "status": status, "exit_code": 0}
+    row |= {"started": DAY + timedelta(seconds=seconds), "message": "", "seconds": 1.0}
+    parameters = [
+        {"run": run, "study": row["study"], "name": name, "joint": joint, "value": 1.5}
+        for name, joint in (("beta", None), ("motor_inertia", 1), ("motor_inertia", 2))
+    ]
+    return Record(row, parameters, b"{}")
+
+
+def runs(store: Path | str) -> list[str]:
+    return sorted(sw.read_runs(store)["run"].to_pylist())
+
+
+def write_many(folder: str, first: int, count: int, merging: bool) -> None:
+    """What one of several processes does at once."""
+    store = Store.at(folder)
+    for number in range(first, first + count):
+        store.write(record(f"run-{number:05d}", number))
+        if merging and number % 20 == 0:
+            store.merge()
+
+
+def test_many_writers_mergers_and_readers_at_once(tmp_path: Path) -> None:
+    """Four processes write 40 runs each, every run by two of them; all merge; one reads."""
+    seen = 0
+    with ProcessPoolExecutor(4, mp_context=get_context("spawn")) as pool:
+        work = [pool.submit(write_many, str(tmp_path), first, 40, True) for first in (0, 0, 40, 40)]
+        while not all(each.done() for each in work):
+            table = Store.at(tmp_path).table("runs", ["run"])["run"].to_pylist()
+            assert len(table) == len(set(table))
+            assert len(table) >= seen
+            seen = len(table)
+        for each in work:
+            each.result()
+    expected = [f"run-{number:05d}" for number in range(80)]
+    assert runs(tmp_path) == expected
+    assert sw.read_parameters(tmp_path).num_rows == 3 * 80
+    Store.at(tmp_path).merge(at_least=1)
+    assert runs(tmp_path) == expected
+    assert duckdb.sql(f"select count(*) from '{tmp_path}/runs/*.parquet'").fetchall() == [(80,)]
+
+
+@given(
+    steps=st.lists(
+        st.one_of(
+            st.tuples(st.just("write"), st.integers(0, 5), st.booleans()),
+            st.just(("merge", 0, False)),
+        ),
+        max_size=14,
+    )
+)
+@settings(max_examples=30)
+def test_a_run_stands_once_as_it_was_done_last(
+    steps: list[tuple[str, int, bool]], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("store")
+    store, expected = Store.at(folder), dict[str, str]()
+    for number, (what, run, good) in enumerate(steps):
+        if what == "merge":
+            store.merge(at_least=1)
+        else:
+            status = "determined" if good else "failed"
+            store.write(record(f"run-{run}", number, status))
+            expected[f"run-{run}"] = status
+        known = store.table("runs", ["run", "status"]).to_pylist()
+        assert {each["run"]: each["status"] for each in known} == expected
+        assert len(known) == len(expected)
+        assert store.table("parameters").num_rows == 3 * len(expected)
+        for run_name, status in expected.items():
+            found = Store.at(folder).recorded(run_name)
+            assert found is not None
+            assert found.status == status
+        assert store.recorded("another") is None
+
+
+def test_a_merge_that_was_cut_off_leaves_doubles_that_are_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store.at(tmp_path)
+    for number in range(4):
+        store.write(record(f"run-{number}", number))
+    with monkeypatch.context() as cut:
+        cut.setattr("strainwave.campaign.places.Folder.delete", lambda *_: None)
+        store.merge()
+    assert len(list((tmp_path / "runs").glob("*.parquet"))) == 5
+    assert runs(tmp_path) == [f"run-{number}" for number in range(4)]
+    assert sw.read_parameters(tmp_path).num_rows == 12
+    store.merge()
+    assert len(list((tmp_path / "runs").glob("*.parquet"))) == 1
+    assert len(list((tmp_path / "parameters").glob("*.parquet"))) == 1
+    assert runs(tmp_path) == [f"run-{number}" for number in range(4)]
+
+
+def test_what_has_no_row_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that is full when the row is written, or a process that is killed before."""
+    store = Store.at(tmp_path)
+    store.write(record("whole"))
+    from strainwave.campaign.places import Folder
+
+    put = Folder.put
+
+    def full(self: Folder, name: str, data: bytes) -> None:
+        if name.startswith("runs/"):
+            raise OSError(28, "No space left on device")
+        put(self, name, data)
+
+    with monkeypatch.context() as disk:
+        disk.setattr(Folder, "put", full)
+        with pytest.raises(OSError, match="No space"):
+            store.write(record("half"))
+        assert not [path for path in tmp_path.rglob("*half*") if path.is_file()]
+        assert not list(tmp_path.glob("results/half/*"))
+        disk.setattr(Folder, "delete", lambda *_: None)
+        with pytest.raises(OSError, match="No space"):
+            store.write(record("killed"))
+    assert list(tmp_path.glob("parameters/killed*"))
+    assert runs(tmp_path) == ["whole"]
+    assert set(sw.read_parameters(tmp_path)["run"].to_pylist()) == {"whole"}
+
+
+def test_a_file_written_aside_is_read_by_nobody(tmp_path: Path) -> None:
+    Store.at(tmp_path).write(record("whole"))
+    (tmp_path / "runs" / ".half.parquet.abc.aside").write_bytes(b"PAR1")
+    assert runs(tmp_path) == ["whole"]
+    assert duckdb.sql(f"select run from '{tmp_path}/runs/*.parquet'").fetchall() == [("whole",)]
+    assert len(pl.read_parquet(tmp_path / "runs" / "*.parquet")) == 1
+
+
+def test_a_foreign_file_is_named(tmp_path: Path) -> None:
+    Store.at(tmp_path).write(record("whole"))
+    (tmp_path / "runs" / "foreign.parquet").write_bytes(b"nothing")
+    with pytest.raises(sw.InvalidInput, match=r"foreign\.parquet: is no Parquet file"):
+        sw.read_runs(tmp_path)
+    with pytest.raises(sw.InvalidInput, match="holds no runs"):
+        sw.read_runs(tmp_path / "absent")
+
+
+def test_duckdb_pandas_and_polars_read_the_same_rows(tmp_path: Path) -> None:
+    """Also where a file's column has nothing but nulls, and others beside it do not."""
+    store = Store.at(tmp_path)
+    store.write(record("a", 1.0))
+    store.write(Record({"run": "b", "started": DAY, "status": "failed"}))
+    store.write(record("c", 2.0))
+    store.merge()
+    store.write(Record({"run": "d", "started": DAY, "warnings": ["clipped"], "tuned_s": 1.0}))
+    for kind, schema in (("runs", RUNS), ("parameters", PARAMETERS)):
+        pattern = str(tmp_path / kind / "*.parquet")
+        own: pa.Table = store.table(kind)
+        assert own.schema.equals(schema)
+        ours = own.sort_by([("run", "ascending")])
+        sql = f"select * from '{pattern}' order by run"
+        assert duckdb.sql(sql).fetchall() == [tuple(row.values()) for row in ours.to_pylist()]
+        assert pl.read_parquet(pattern).sort("run").equals(pl.DataFrame(pl.from_arrow(ours)))
+        frame = pd.read_parquet(tmp_path / kind).sort_values("run")
+        assert frame["run"].tolist() == ours["run"].to_pylist()
+        assert frame.columns.tolist() == schema.names
+    assert store.table("runs").num_rows == 4
+
+
+def test_columns_that_an_earlier_version_lacks_are_null(tmp_path: Path) -> None:
+    Store.at(tmp_path).write(record("new"))
+    old = pa.table({"run": ["old"], "started": pa.array([DAY], pa.timestamp("us"))})
+    pq.write_table(old, tmp_path / "runs" / "old.parquet")
+    assert runs(tmp_path) == ["new", "old"]
+    Store.at(tmp_path).merge()
+    assert runs(tmp_path) == ["new", "old"]
+    assert sw.read_runs(tmp_path).schema.equals(RUNS)
+
+
+def test_ten_thousand_runs_are_listed_in_a_second(tmp_path: Path) -> None:
+    """As a campaign leaves them: merged, but for the last thousand."""
+    rows = [record(f"run-{number:05d}", number).row for number in range(9000)]
+    (tmp_path / "runs").mkdir()
+    pq.write_table(pa.Table.from_pylist(rows, schema=RUNS), tmp_path / "runs" / "part-0.parquet")
+    store = Store.at(tmp_path)
+    for number in range(9000, 9990):
+        store.place.put(f"runs/run-{number:05d}.parquet", small(f"run-{number:05d}"))
+    begin = time.perf_counter()
+    found = store.table("runs", ["run", "study", "status"])
+    seconds = time.perf_counter() - begin
+    assert found.num_rows == 9990
+    assert seconds < 3.0  # 0.4 s on one free core; this machine may have others to serve
+    begin = time.perf_counter()
+    assert store.recorded("run-00017") is not None
+    assert time.perf_counter() - begin < 1.0
+
+
+def small(run: str) -> bytes:
+    from strainwave.campaign import store
+
+    return store._file([record(run).row], RUNS)
+
+
+@pytest.mark.parametrize("scheme", ["memory", "file"])
+def test_a_store_at_a_url(scheme: str, tmp_path: Path) -> None:
+    url = f"{scheme}://{tmp_path}/store"
+    store = Store.at(url)
+    assert store.recorded("a") is None
+    store.write(record("a"))
+    store.write(record("b", status="failed"))
+    store.write(record("b", 1.0))
+    assert store.merge(at_least=1) == 0  # it is left as it is
+    assert runs(url) == ["a", "b"]
+    assert sw.read_parameters(url).num_rows == 6
+    found = store.recorded("b")
+    assert found is not None
+    assert found.status == "determined"
+    names = sorted(Path(each.path).name for each in fsspec.open_files(f"{url}/runs/*"))
+    assert names == ["a.parquet", "b.parquet"]
+
+
+def test_a_lock_that_another_holds_is_not_waited_for(tmp_path: Path) -> None:
+    store = Store.at(tmp_path)
+    store.write(record("a"))
+    store.write(record("b"))
+    hold = "import fcntl, sys; f = open(sys.argv[1], 'ab'); fcntl.flock(f, 2); print(); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, str(tmp_path / ".lock")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        assert store.merge() == 0
+        other.communicate(b"\n")
+    assert store.merge() == 2
+    assert runs(tmp_path) == ["a", "b"]
+
+
+def test_a_full_disk(tmp_path: Path) -> None:
+    """Files beyond a size are refused by the system, as all are where there is no room."""
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))"
+    work = "import sys; from strainwave.campaign.store import Record, Store"
+    row = "Record({'run': 'big'}, (), b'x' * 10000)"
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            f"{limit}\n{work}\nStore.at(sys.argv[1]).write({row})",
+            str(tmp_path),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "File too large" in done.stderr
+    left = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert left == []

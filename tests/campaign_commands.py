@@ -1,0 +1,61 @@
+"""The command `strainwave campaign` as a process, watched from outside."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+
+import strainwave as sw
+from strainwave.campaign.store import Store
+
+COUNT = 24
+
+
+def command(*arguments: str | Path) -> list[str]:
+    return [sys.executable, "-m", "strainwave", "campaign", *map(str, arguments)]
+
+
+def campaign(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(*arguments, "--stages", "rigid"), capture_output=True, text=True, check=False
+    )
+
+
+@contextmanager
+def running(*arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(
+        command(*arguments, "--stages", "rigid"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as driver:
+        try:
+            yield driver
+        finally:
+            driver.kill()
+
+
+def wait_for(store: Path, count: int) -> None:
+    """Until so many runs are recorded."""
+    until = time.monotonic() + 60.0
+    while Store.at(store).table("runs", ["run"]).num_rows < count:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def workers_of(driver: subprocess.Popen[str]) -> list[psutil.Process]:
+    return [
+        p for p in psutil.Process(driver.pid).children() if "strainwave" in " ".join(p.cmdline())
+    ]
+
+
+def begun(store: Path) -> Counter[str]:
+    """How often each study was recorded, whichever file a row stands in."""
+    return Counter(sw.read_runs(store)["study"].to_pylist())

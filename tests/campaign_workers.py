@@ -1,0 +1,57 @@
+"""A worker process that does by a study's name what bugs and bad luck do to others.
+
+`python -m campaign_workers` in place of `python -m strainwave.campaign.worker`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+from strainwave.campaign import worker
+from strainwave.campaign.cases import StudyFile
+from strainwave.campaign.store import Record
+from strainwave.campaign.tasks import Task
+
+
+def poisoned(task: Task) -> Record:
+    name = task.case.name
+    if "exits" in name:
+        os._exit(7)
+    if "crashes" in name:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if "killed" in name:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if "hangs" in name:
+        time.sleep(3600.0)
+    return worker.perform(task)
+
+
+_whole = StudyFile.opened
+
+
+class _Broken:
+    """What a case of this name is opened by."""
+
+    def __enter__(self) -> None:
+        raise ZeroDivisionError("a bug\nof two lines")
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class _Greedy(_Broken):
+    def __enter__(self) -> None:
+        bytearray(2**33)
+
+
+def _opened(self: StudyFile) -> object:
+    if "raises" in self.name:
+        return _Broken()
+    return _Greedy() if "hoards" in self.name else _whole(self)
+
+
+if __name__ == "__main__":
+    StudyFile.opened = _opened  # type: ignore[method-assign, assignment]
+    worker.main(poisoned)
