@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from datetime import datetime, timedelta
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import fsspec
@@ -41,6 +42,11 @@ def runs(store: Path | str) -> list[str]:
     return sorted(sw.read_runs(store)["run"].to_pylist())
 
 
+def queried(sql: str) -> list[Any]:
+    """What DuckDB answers."""
+    return duckdb.connect().execute(sql).fetchall()
+
+
 def write_many(folder: str, first: int, count: int, merging: bool) -> None:
     """What one of several processes does at once."""
     store = Store.at(folder)
@@ -67,7 +73,7 @@ def test_many_writers_mergers_and_readers_at_once(tmp_path: Path) -> None:
     assert sw.read_parameters(tmp_path).num_rows == 3 * 80
     Store.at(tmp_path).merge(at_least=1)
     assert runs(tmp_path) == expected
-    assert duckdb.sql(f"select count(*) from '{tmp_path}/runs/*.parquet'").fetchall() == [(80,)]
+    assert queried(f"select count(*) from '{tmp_path}/runs/*.parquet'") == [(80,)]
 
 
 @given(
@@ -152,7 +158,7 @@ def test_a_file_written_aside_is_read_by_nobody(tmp_path: Path) -> None:
     Store.at(tmp_path).write(record("whole"))
     (tmp_path / "runs" / ".half.parquet.abc.aside").write_bytes(b"PAR1")
     assert runs(tmp_path) == ["whole"]
-    assert duckdb.sql(f"select run from '{tmp_path}/runs/*.parquet'").fetchall() == [("whole",)]
+    assert queried(f"select run from '{tmp_path}/runs/*.parquet'") == [("whole",)]
     assert len(pl.read_parquet(tmp_path / "runs" / "*.parquet")) == 1
 
 
@@ -179,7 +185,7 @@ def test_duckdb_pandas_and_polars_read_the_same_rows(tmp_path: Path) -> None:
         assert own.schema.equals(schema)
         ours = own.sort_by([("run", "ascending")])
         sql = f"select * from '{pattern}' order by run"
-        assert duckdb.sql(sql).fetchall() == [tuple(row.values()) for row in ours.to_pylist()]
+        assert queried(sql) == [tuple(row.values()) for row in ours.to_pylist()]
         assert pl.read_parquet(pattern).sort("run").equals(pl.DataFrame(pl.from_arrow(ours)))
         frame = pd.read_parquet(tmp_path / kind).sort_values("run")
         assert frame["run"].tolist() == ours["run"].to_pylist()
