@@ -10,8 +10,8 @@ import signal
 import time
 
 from strainwave.campaign import worker
-from strainwave.campaign.cases import StudyFile
 from strainwave.campaign.store import Record
+from strainwave.campaign.study_files import StudyFile
 from strainwave.campaign.tasks import Task
 
 

@@ -13,13 +13,21 @@ import psutil
 import pytest
 
 from campaign_rigs import inertia_of, rig, rigs
-from strainwave.campaign import local
+from strainwave.campaign import local, worker
 from strainwave.campaign.plan import Plan
 from strainwave.campaign.runner import Runner
 from strainwave.campaign.store import Store, read_parameters, read_runs
 from strainwave.campaign.studies import find
 from strainwave.campaign.tasks import Limits, Outcome, Task
 from strainwave.errors import InvalidInput
+
+
+class InProcess(Runner):
+    """Does without processes what their lives do not matter to."""
+
+    def run(self, task: Task) -> Outcome:
+        return worker.answer(task)
+
 
 POISONED = partial(Runner, entry=("-m", "campaign_workers"))
 
@@ -35,6 +43,13 @@ def run(studies: Path, store: Path, workers: int = 2, **changes: Any) -> dict[st
     cases = find([str(studies)]).cases
     outcomes = local.run(cases, plan(store, **changes), workers, limits, start)
     return {Path(each.study).parent.name: each for each in outcomes}
+
+
+def workers() -> list[psutil.Process]:
+    """Worker processes of this one that are alive."""
+    entries = {"strainwave.campaign.worker", "campaign_workers"}
+    children = [p for p in psutil.Process().children() if p.status() != psutil.STATUS_ZOMBIE]
+    return [child for child in children if entries & set(child.cmdline())]
 
 
 def rows(store: Path) -> dict[str, dict[str, Any]]:
@@ -107,10 +122,10 @@ def test_failed_runs_are_done_again_where_it_is_wanted(tmp_path: Path) -> None:
     run(tmp_path / "rigs", tmp_path / "store", start=POISONED)
     first = rows(tmp_path / "store")
     Store.at(tmp_path / "store").merge()
-    again = run(tmp_path / "rigs", tmp_path / "store")
+    again = run(tmp_path / "rigs", tmp_path / "store", start=InProcess)
     assert all(outcome.skipped for outcome in again.values())
     assert again["crashes"].status == "failed"
-    again = run(tmp_path / "rigs", tmp_path / "store", retry_failed=True)
+    again = run(tmp_path / "rigs", tmp_path / "store", start=InProcess, retry_failed=True)
     assert again["whole"].skipped
     second = rows(tmp_path / "store")
     assert second["crashes"]["status"] == "determined"
@@ -123,7 +138,7 @@ def test_what_changes_the_answer_runs_anew(tmp_path: Path) -> None:
     path, store = rig(tmp_path / "rigs" / "one"), tmp_path / "store"
 
     def count(**changes: Any) -> int:
-        run(tmp_path / "rigs", store, **changes)
+        run(tmp_path / "rigs", store, start=InProcess, **changes)
         return len(read_runs(store).to_pylist())
 
     assert count() == 1
@@ -167,7 +182,7 @@ def test_a_process_that_was_killed_while_it_waited_costs_no_study(tmp_path: Path
         task = plan(tmp_path / "store").next(case)
         assert isinstance(task, Task)
         assert runner.run(task).status == "determined"
-        for child in psutil.Process().children():
+        for child in workers():
             child.kill()
             child.wait(5.0)
     runner.close()
@@ -203,9 +218,8 @@ def test_who_leaves_ends_the_processes(tmp_path: Path) -> None:
     begin = time.monotonic()
     outcomes.close()
     assert time.monotonic() - begin < 2.0
-    psutil.wait_procs(psutil.Process().children(), timeout=5.0)
-    running = [p for p in psutil.Process().children() if "campaign_workers" in p.cmdline()]
-    assert running == []
+    psutil.wait_procs(workers(), timeout=5.0)
+    assert workers() == []
     assert list(rows(tmp_path / "store")) == ["a-whole"]
 
 
@@ -216,6 +230,6 @@ def test_a_worker_has_one_thread_for_blas(tmp_path: Path) -> None:
     assert isinstance(task, Task)
     runner = Runner(Limits())
     runner.run(task)
-    (child,) = psutil.Process().children()
+    (child,) = workers()
     assert child.environ()["OPENBLAS_NUM_THREADS"] == "1"
     runner.close()

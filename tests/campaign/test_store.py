@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
-from datetime import datetime, timedelta
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -22,20 +22,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import strainwave as sw
+from campaign_records import DAY, record, write_many
 from strainwave.campaign.schema import PARAMETERS, RUNS
 from strainwave.campaign.store import Record, Store
-
-DAY = datetime(2026, 1, 1)
-
-
-def record(run: str, seconds: float = 0.0, status: str = "determined") -> Record:
-    row = {"run": run, "study": f"{run}/study.toml", "status": status, "exit_code": 0}
-    row |= {"started": DAY + timedelta(seconds=seconds), "message": "", "seconds": 1.0}
-    parameters = [
-        {"run": run, "study": row["study"], "name": name, "joint": joint, "value": 1.5}
-        for name, joint in (("beta", None), ("motor_inertia", 1), ("motor_inertia", 2))
-    ]
-    return Record(row, parameters, b"{}")
 
 
 def runs(store: Path | str) -> list[str]:
@@ -47,20 +36,11 @@ def queried(sql: str) -> list[Any]:
     return duckdb.connect().execute(sql).fetchall()
 
 
-def write_many(folder: str, first: int, count: int, merging: bool) -> None:
-    """What one of several processes does at once."""
-    store = Store.at(folder)
-    for number in range(first, first + count):
-        store.write(record(f"run-{number:05d}", number))
-        if merging and number % 20 == 0:
-            store.merge()
-
-
 def test_many_writers_mergers_and_readers_at_once(tmp_path: Path) -> None:
     """Four processes write 40 runs each, every run by two of them; all merge; one reads."""
     seen = 0
     with ProcessPoolExecutor(4, mp_context=get_context("spawn")) as pool:
-        work = [pool.submit(write_many, str(tmp_path), first, 40, True) for first in (0, 0, 40, 40)]
+        work = [pool.submit(write_many, str(tmp_path), first, 40) for first in (0, 0, 40, 40)]
         while not all(each.done() for each in work):
             table = Store.at(tmp_path).table("runs", ["run"])["run"].to_pylist()
             assert len(table) == len(set(table))
@@ -156,10 +136,18 @@ def test_what_has_no_row_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_a_file_written_aside_is_read_by_nobody(tmp_path: Path) -> None:
     Store.at(tmp_path).write(record("whole"))
-    (tmp_path / "runs" / ".half.parquet.abc.aside").write_bytes(b"PAR1")
+    aside = tmp_path / "runs" / ".half.parquet.abc.aside"
+    aside.write_bytes(b"PAR1")
     assert runs(tmp_path) == ["whole"]
     assert queried(f"select run from '{tmp_path}/runs/*.parquet'") == [("whole",)]
     assert len(pl.read_parquet(tmp_path / "runs" / "*.parquet")) == 1
+    Store.at(tmp_path).write(record("other"))
+    Store.at(tmp_path).merge()
+    assert aside.exists()  # its writer may still be at it
+    os.utime(aside, (0.0, 0.0))
+    Store.at(tmp_path).write(record("third"))
+    Store.at(tmp_path).merge(at_least=1)
+    assert not aside.exists()
 
 
 def test_a_foreign_file_is_named(tmp_path: Path) -> None:
@@ -210,7 +198,8 @@ def test_ten_thousand_runs_are_listed_in_a_second(tmp_path: Path) -> None:
     pq.write_table(pa.Table.from_pylist(rows, schema=RUNS), tmp_path / "runs" / "part-0.parquet")
     store = Store.at(tmp_path)
     for number in range(9000, 9990):
-        store.place.put(f"runs/run-{number:05d}.parquet", small(f"run-{number:05d}"))
+        row = pa.Table.from_pylist([record(f"run-{number:05d}").row], schema=RUNS)
+        pq.write_table(row, tmp_path / "runs" / f"run-{number:05d}.parquet")
     begin = time.perf_counter()
     found = store.table("runs", ["run", "study", "status"])
     seconds = time.perf_counter() - begin
@@ -219,12 +208,6 @@ def test_ten_thousand_runs_are_listed_in_a_second(tmp_path: Path) -> None:
     begin = time.perf_counter()
     assert store.recorded("run-00017") is not None
     assert time.perf_counter() - begin < 1.0
-
-
-def small(run: str) -> bytes:
-    from strainwave.campaign import store
-
-    return store._file([record(run).row], RUNS)
 
 
 @pytest.mark.parametrize("scheme", ["memory", "file"])

@@ -10,9 +10,9 @@ import pytest
 
 import strainwave as sw
 from campaign_rigs import STUDY, rig, rigs
-from strainwave.campaign import cases
-from strainwave.campaign.cases import StudyFile
+from strainwave.campaign import kinds
 from strainwave.campaign.studies import Found, find
+from strainwave.campaign.study_files import StudyFile
 
 
 def names(found: Found, folder: Path | str) -> list[str]:
@@ -138,7 +138,7 @@ def test_a_folder_of_logs_is_hashed_file_by_file(tmp_path: Path) -> None:
 
 def test_a_case_goes_through_json(tmp_path: Path) -> None:
     case = find([str(rig(tmp_path))]).cases[0]
-    assert cases.from_json(cases.to_json(case)) == case
+    assert kinds.from_json(kinds.to_json(case)) == case
 
 
 CAMPAIGN = """\

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -83,11 +83,11 @@ def run(studies: Sequence[str], settings: Settings) -> Summary:
         raise InvalidInput("there is nothing to run", remedy="name study files, folders or a glob")
     plan = _plan(found, settings)
     tally = Tally(len(found.cases))
-    early = ""
-    with _outcomes(found, plan, settings) as (outcomes, dashboard):
-        shown = live(tally, dashboard) if settings.display else nullcontext(lambda: None)
-        with shown as refresh:
-            early = _follow(outcomes, plan.store, tally, refresh)
+    with (
+        _outcomes(found, plan, settings) as (outcomes, dashboard),
+        live(tally, dashboard) if settings.display else nullcontext(),
+    ):
+        early = _follow(outcomes, plan.store, tally)
     return Summary(tally, early, "" if early else _merged(plan.store))
 
 
@@ -134,9 +134,7 @@ def _outcomes(
         yield outcomes, client.dashboard_link
 
 
-def _follow(
-    outcomes: Iterator[Outcome], store: Store, tally: Tally, refresh: Callable[[], None]
-) -> str:
+def _follow(outcomes: Iterator[Outcome], store: Store, tally: Tally) -> str:
     """Count outcomes; why they ended early, or nothing."""
     try:
         for outcome in outcomes:
@@ -151,7 +149,6 @@ def _follow(
                 atomic_files.written.append(Path(str(store.place)) / "runs" / outcome.run)
                 if tally.done % MERGE_AFTER == 0:
                     _merged(store)
-            refresh()
     except cluster.ClusterLost as error:
         return f"{error}; the same command goes on from what is recorded"
     return ""

@@ -1,27 +1,19 @@
 """One case of a campaign: a study to identify, small enough to be sent to any worker.
 
-A worker opens the case and gets a study with its logs. Kinds of cases are listed in `KINDS`: a
-study file is one, and a virtual arm drawn by its number may be another.
+A worker opens the case and gets a study with its logs. `kinds` lists the kinds of cases: a study
+file is one, and a virtual arm drawn by its number may be another.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import tempfile
-import tomllib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
-from pathlib import Path, PurePosixPath
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol
 
-from strainwave.campaign.places import file_system, is_url
 from strainwave.domain import Study
-from strainwave.errors import InvalidInput
 from strainwave.io.logs.in_memory import Data
-
-_BLOCK = 2**20  # bytes read at a time
 
 
 class Hashes(NamedTuple):
@@ -65,8 +57,8 @@ class Case(Protocol):
             The place cannot be read at all.
         """
 
-    def opened(self) -> Any:
-        """A context manager that gives `Opened`, and removes what it fetched.
+    def opened(self) -> AbstractContextManager[Opened]:
+        """What a worker identifies; leaving removes what was fetched for it.
 
         Raises
         ------
@@ -76,194 +68,3 @@ class Case(Protocol):
 
     def fields(self) -> dict[str, Any]:
         """Plain JSON values from which the case is made again."""
-
-
-@dataclass(frozen=True)
-class StudyFile:
-    """A study file at a path or a URL, with the logs that it names beside it."""
-
-    name: str
-    location: str  # absolute, so that any process finds it
-    kind: ClassVar[str] = "study-file"
-
-    @property
-    def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """None: the file has its own."""
-        return {}
-
-    def fields(self) -> dict[str, Any]:
-        """Plain JSON values from which the case is made again."""
-        return asdict(self)
-
-    def hashes(self) -> Hashes:
-        """SHA-256 of the study file, and of its logs: contents of local ones.
-
-        Of a log at a URL the size and what the file system says of its version are hashed in place
-        of its contents.
-
-        Returns
-        -------
-        Hashes
-        """
-        try:
-            text = _read(self.location)
-        except OSError:
-            return Hashes(None, hashlib.sha256().hexdigest())
-        inputs = hashlib.sha256()
-        for name in _inputs(text):
-            inputs.update(f"{name}\0{_stamp(_beside(self.location, name))}\0".encode())
-        return Hashes(hashlib.sha256(text).hexdigest(), inputs.hexdigest())
-
-    @contextmanager
-    def opened(self) -> Iterator[Opened]:
-        """The study file; one at a URL is fetched with its logs to a folder of its own.
-
-        Raises
-        ------
-        InvalidInput
-            The study file cannot be read.
-        """
-        if not is_url(self.location):
-            yield Opened(Path(self.location))
-            return
-        with tempfile.TemporaryDirectory(prefix="strainwave-") as folder:
-            yield Opened(_fetched(self.location, Path(folder)))
-
-
-KINDS: dict[str, type] = {StudyFile.kind: StudyFile}
-"""Kinds of cases by name; a worker makes a case again from its kind and its fields."""
-
-
-def to_json(case: Case) -> dict[str, Any]:
-    """A case as plain JSON values.
-
-    Parameters
-    ----------
-    case : Case
-
-    Returns
-    -------
-    dict
-    """
-    return {"kind": case.kind, **case.fields()}
-
-
-def from_json(values: Mapping[str, Any]) -> Case:
-    """The case that `to_json` was given.
-
-    Parameters
-    ----------
-    values : mapping
-
-    Returns
-    -------
-    Case
-    """
-    own = dict(values)
-    case: Case = KINDS[own.pop("kind")](**own)
-    return case
-
-
-def digest(values: object) -> str:
-    """SHA-256 of plain JSON values.
-
-    Parameters
-    ----------
-    values : object
-
-    Returns
-    -------
-    str
-    """
-    text = json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _inputs(text: bytes) -> list[str]:
-    """Files that a study names, each once; none where it is no TOML."""
-    try:
-        document = tomllib.loads(text.decode("utf-8-sig"))
-    except (ValueError, RecursionError):
-        return []
-    experiments = document.get("experiment")
-    named = [
-        each.get("file")
-        for each in (experiments if isinstance(experiments, list) else [])
-        if isinstance(each, dict)
-    ]
-    return list(dict.fromkeys(name for name in named if isinstance(name, str) and name))
-
-
-def _beside(location: str, name: str) -> str:
-    if is_url(location):
-        return f"{location.rsplit('/', 1)[0]}/{name}"
-    return str(Path(location).parent / name)
-
-
-def _read(location: str) -> bytes:
-    if not is_url(location):
-        return Path(location).read_bytes()
-    system, path = file_system(location)
-    return bytes(system.cat_file(path))
-
-
-def _stamp(location: str) -> str:
-    """What changes when an input does; empty where there is none."""
-    try:
-        if is_url(location):
-            return _version_at_url(location)
-        path = Path(location)
-        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-        return "/".join(_sha256(each) for each in files)
-    except (OSError, ValueError):
-        return ""
-
-
-def _version_at_url(location: str) -> str:
-    system, path = file_system(location)
-    info = system.info(path)
-    versions = (
-        "ETag",
-        "etag",
-        "md5",
-        "checksum",
-        "LastModified",
-        "last_modified",
-        "mtime",
-        "created",
-    )
-    known = [str(info[key]) for key in versions if info.get(key) is not None]
-    return f"{info.get('size')} {' '.join(known)}"
-
-
-def _sha256(path: Path) -> str:
-    own = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            own.update(block)
-    return own.hexdigest()
-
-
-def _fetched(url: str, folder: Path) -> Path:
-    """Copy a study and the logs that exist; those that do not are found missing by its reader."""
-    try:
-        text = _read(url)
-    except OSError as error:
-        raise InvalidInput(
-            f"the study file cannot be read ({error})", where=url, remedy="check the URL"
-        ) from error
-    path = folder / url.rsplit("/", 1)[-1]
-    path.write_bytes(text)
-    for name in _inputs(text):
-        if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
-            raise InvalidInput(
-                f"the log {name!r} does not lie beside the study",
-                where=url,
-                remedy="give a name relative to the study file's folder",
-            )
-        system, source = file_system(_beside(url, name))
-        target = folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if system.exists(source):
-            system.get(source, str(target), recursive=bool(system.isdir(source)))
-    return path

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import tempfile
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from strainwave.errors import InvalidInput
+
+_ABANDONED = 3600.0  # [s] after which a file written aside has no writer
 
 
 def is_url(text: str) -> bool:
@@ -118,6 +121,14 @@ class Folder:
         """Remove files; those that are gone already do not matter."""
         for name in names:
             (self.path / name).unlink(missing_ok=True)
+
+    def sweep(self, folder: str) -> None:
+        """Remove what processes that died had written aside."""
+        before = time.time() - _ABANDONED
+        for path in (self.path / folder).glob(".*.aside"):
+            with suppress(OSError):  # renamed meanwhile
+                if path.stat().st_mtime < before:
+                    path.unlink()
 
     @contextmanager
     def lock(self) -> Iterator[bool]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from strainwave.campaign.cases import Case
 from strainwave.campaign.store import Store
-from strainwave.campaign.tasks import FAILED, Outcome, Task
+from strainwave.campaign.tasks import FAILED, Outcome, Task, merged
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Plan:
             study_sha256=hashes.study_sha256,
             inputs_sha256=hashes.inputs_sha256,
             stages=self.stages,
-            options=self.options,
+            options=merged([self.options, case.options]),
             store=str(self.store.place),
             campaign=self.campaign,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -90,7 +90,7 @@ def cause(message: str) -> str:
 
 
 @contextmanager
-def live(tally: Tally, dashboard: str | None) -> Iterator[Callable[[], None]]:
+def live(tally: Tally, dashboard: str | None) -> Iterator[None]:
     """Display a tally on stderr while it changes.
 
     Parameters
@@ -101,15 +101,14 @@ def live(tally: Tally, dashboard: str | None) -> Iterator[Callable[[], None]]:
 
     Yields
     ------
-    callable
-        To be called after each change.
+    None
     """
     from rich.console import Console
     from rich.live import Live
 
     console = Console(stderr=True, highlight=False)
-    with Live(console=console, get_renderable=lambda: _display(tally, dashboard)) as display:
-        yield display.refresh
+    with Live(console=console, get_renderable=lambda: _display(tally, dashboard)):
+        yield
 
 
 def _display(tally: Tally, dashboard: str | None) -> Any:

@@ -224,6 +224,7 @@ class Store:
                 return 0
             for kind in ("parameters", "runs"):  # no row stands without its parameters
                 self._merge(kind)
+                self.place.sweep(kind)
         return len(small)
 
     def _merge(self, kind: str) -> None:

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from strainwave.campaign.cases import Case, StudyFile
+from strainwave.campaign.cases import Case
 from strainwave.campaign.places import file_system, is_url
+from strainwave.campaign.study_files import StudyFile
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, nearest, read_bytes
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from strainwave import __version__
-from strainwave.campaign.cases import Case, digest, from_json, to_json
+from strainwave.campaign.cases import Case
+from strainwave.campaign.kinds import from_json, to_json
 from strainwave.campaign.store import Recorded
 
 FAILED = "failed"
@@ -40,13 +42,13 @@ class Task:
     @property
     def options_sha256(self) -> str:
         """Of stages and options."""
-        return digest([self.stages, self.options])
+        return _digest([self.stages, self.options])
 
     @property
     def run(self) -> str:
         """The same for the same work: case, study, logs, options and version."""
         identity = [self.case.name, self.study_sha256, self.inputs_sha256]
-        return digest([*identity, self.options_sha256, self.version])[:32]
+        return _digest([*identity, self.options_sha256, self.version])[:32]
 
     def row(self) -> dict[str, Any]:
         """The columns of a run's row that are known before it runs."""
@@ -128,3 +130,9 @@ def merged(
         for stage, own in table.items():
             found.setdefault(stage, {}).update(own)
     return found
+
+
+def _digest(values: object) -> str:
+    """SHA-256 of plain JSON values."""
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()

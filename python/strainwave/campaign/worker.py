@@ -21,7 +21,7 @@ from typing import TextIO
 from strainwave import __version__
 from strainwave.campaign.rows import failure_of, now, record_of
 from strainwave.campaign.store import Record, Store
-from strainwave.campaign.tasks import Outcome, Task, merged
+from strainwave.campaign.tasks import Outcome, Task
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 
 Perform = Callable[[Task], Record]
@@ -53,13 +53,12 @@ def perform(task: Task) -> Record:
 
     try:
         _check_version(task)
-        options = merged([task.options, task.case.options])
         with task.case.opened() as opened:
             found = pipeline.identify(
                 opened.study,
                 data=opened.data,
                 stages=task.stages,
-                options=options or None,
+                options=task.options or None,
                 threads=1,
             )
             seconds = time.perf_counter() - begin
