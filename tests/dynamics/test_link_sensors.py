@@ -16,6 +16,7 @@ from strainwave.dynamics.link_sensors import (
     is_drift,
     is_optional,
     is_sensor_constant,
+    mount_of,
     moved,
     nominal,
     scale_of,
@@ -66,6 +67,7 @@ def test_names() -> None:
     every += [("imu_accelerometer", 1), ("imu_gyro", 1)]
     names = {name for name, _ in constants_of(every)} | {TILT}
     names |= {key[0] for each in every if (key := bandwidth_of(*each)) is not None}
+    names |= {key[0] for each in every for key in mount_of(*each) or ()}
     of_axes = [scale_of(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]
     names |= {key[0] for key in of_axes if key is not None}
     axes = [(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]

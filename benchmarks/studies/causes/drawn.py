@@ -206,6 +206,10 @@ def _stated(name: str, rig: Rig, joint: int, rng: np.random.Generator) -> dict[s
         "dead-zone": lambda: {"dead_zone": between(rng, 0.003, 0.03) * limit},
         "tilt": lambda: {"angle": sign * np.radians(between(rng, 0.3, 3.0)), "azimuth": azimuth},
         "encoder-zero": lambda: {"angle": sign * np.radians(between(rng, 0.5, 5.0))},
+        "sensor-mount": lambda: {
+            "frequency": between(rng, 40.0, 200.0),
+            "damping_ratio": between(rng, 0.01, 0.1),
+        },
         "friction-by-record": lambda: by_record(0.05, 0.3),
         "drive-gain-by-record": lambda: by_record(0.01, 0.05),
         "flexible-link": lambda: {  # stiffness over that of the gear

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.studies.causes.drawn import NOTHING, Cause
-from benchmarks.studies.causes.in_own_plant import with_encoder_zero
+from benchmarks.studies.causes.in_own_plant import with_encoder_zero, with_sensor_mount
 from benchmarks.studies.engine import STEP, Plant, in_mujoco
 from strainwave.domain import FloatArray
 from strainwave.domain.parameters import Values
@@ -50,15 +50,19 @@ class InMujoco:
         record: Sequence[Quantity],
     ) -> Trajectory:
         """What the arm did, as its study's sensors show it."""
-        found = in_mujoco(
-            arm,
-            values,
-            drive,
-            sample_time=sample_time,
-            samples=samples,
-            record=record,
-            plant=partial(_PLANTS[self.cause.name], cause=self.cause, record=self.record),
-        )
+
+        def simulated(sample_time: float, samples: int) -> Trajectory:
+            return in_mujoco(
+                arm,
+                values,
+                drive,
+                sample_time=sample_time,
+                samples=samples,
+                record=record,
+                plant=partial(_PLANTS[self.cause.name], cause=self.cause, record=self.record),
+            )
+
+        found = with_sensor_mount(simulated, sample_time, samples, self.cause)
         return with_encoder_zero(found, arm, self.cause)
 
 
@@ -408,6 +412,7 @@ _PLANTS: dict[str, Callable[..., Plant]] = {
     "drive-lag": _DriveLag,
     "tilt": _Tilt,
     "encoder-zero": _Ailing,
+    "sensor-mount": _Ailing,
     "friction-by-record": _FrictionByRecord,
     "drive-gain-by-record": _DriveGainByRecord,
     "flexible-link": _FlexibleLink,

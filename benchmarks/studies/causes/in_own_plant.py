@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import lsim
 
 from benchmarks.studies.causes.drawn import NOTHING, Cause
 from strainwave.domain import FloatArray
@@ -12,8 +15,15 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
 
-_AROUND_IT = ("drive-gain", "encoder-zero", "friction-by-record", "drive-gain-by-record")
+_AROUND_IT = (
+    "drive-gain",
+    "encoder-zero",
+    "sensor-mount",
+    "friction-by-record",
+    "drive-gain-by-record",
+)
 """Causes that need no equation of the core."""
+_FINER = 10  # times the samples between which a mount's motion is straight lines
 
 
 def causes_of_the_plant() -> tuple[str, ...]:
@@ -55,7 +65,13 @@ class OwnPlant:
             own = _with_joint(arm, joint, effects=(cause.name,))
             names = effect_named(cause.name).names
             known |= {(name, joint): cause.sizes[name] for name in names}
-        found = simulate(own, known, drive, sample_time=sample_time, samples=samples, record=record)
+
+        def simulated(sample_time: float, samples: int) -> Trajectory:
+            return simulate(
+                own, known, drive, sample_time=sample_time, samples=samples, record=record
+            )
+
+        found = with_sensor_mount(simulated, sample_time, samples, cause)
         return with_encoder_zero(found, arm, cause)
 
 
@@ -66,6 +82,23 @@ def with_encoder_zero(found: Trajectory, arm: Arm, cause: Cause) -> Trajectory:
     encoder: FloatArray = found["encoder"].copy()
     encoder[:, cause.joint - 1] += cause.sizes["angle"] / arm.joints[cause.joint - 1].gear_ratio
     return replace(found, quantities=dict(found.quantities) | {"encoder": encoder})
+
+
+def with_sensor_mount(
+    simulated: Callable[[float, int], Trajectory], sample_time: float, samples: int, cause: Cause
+) -> Trajectory:
+    """What is simulated at a sample time, an accelerometer of it on a mount that rings."""
+    if cause.name != "sensor-mount":
+        return simulated(sample_time, samples)
+    fine = simulated(sample_time / _FINER, _FINER * samples)
+    read = {name: quantity.copy() for name, quantity in fine.quantities.items()}
+    if "accelerometer" in read:
+        w, zeta = 2.0 * np.pi * cause.sizes["frequency"], cause.sizes["damping_ratio"]
+        felt = read["accelerometer"][:, cause.joint - 1]
+        mount = ([w**2], [1.0, 2.0 * zeta * w, w**2])
+        felt[:] = felt[0] + lsim(mount, felt - felt[0], fine.time)[1]
+    coarse = {name: quantity[::_FINER] for name, quantity in read.items()}
+    return replace(fine, time=fine.time[::_FINER], quantities=coarse)
 
 
 def _with_joint(arm: Arm, joint: int, **keys: object) -> Arm:

@@ -158,8 +158,9 @@ def _tried(study: Study, logs: dict[str, dict[str, FloatArray]], run: Run) -> di
 
 
 def _named(found: Identification) -> list[Any] | None:
-    """The effect and the joint that the first warning of a likely effect names."""
+    """The cause and the joint that the first warning of an effect or of a mount names."""
     effects = {effect.warning_code: effect.name for effect in all_effects()}
+    effects |= {"sensor-mount": "sensor-mount"}
     for warning in found.warnings:
         if warning.code in effects:
             return [effects[warning.code], int(warning.where.rsplit(" ", 1)[-1])]

@@ -50,6 +50,19 @@ _OF_SENSORS = (
         "imu_gyro_bandwidth": ("", "bandwidth of the IMU's gyros"),
     }
     | {
+        f"{sensor}_mount_{what}": (symbol, f"{said} of the mount of the {words}")
+        for sensor, words in (
+            ("accelerometer", "accelerometer"),
+            ("gyro", "gyro"),
+            ("imu_accelerometer", "IMU's accelerometers"),
+            ("imu_gyro", "IMU's gyros"),
+        )
+        for what, symbol, said in (
+            ("frequency", "f_h", "natural frequency"),
+            ("damping", "zeta_h", "damping ratio"),
+        )
+    }
+    | {
         f"imu_{letter}{axis}_scale": ("", f"reading of the IMU's {axis} {sensor} over the motion")
         for letter, sensor in (("a", "accelerometer"), ("g", "gyro"))
         for axis in "xyz"

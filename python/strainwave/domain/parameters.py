@@ -29,6 +29,11 @@ SENSOR_PARAMETERS = (
     "imu_gyro_delay",
     *(f"imu_{axis}_scale" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),
     "imu_gyro_bandwidth",
+    *(
+        f"{sensor}_mount_{what}"
+        for sensor in ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")
+        for what in ("frequency", "damping")
+    ),
     "accelerometer_drift",
     "gyro_drift",
     *(f"imu_{axis}_drift" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),

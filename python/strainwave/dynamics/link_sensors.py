@@ -2,8 +2,8 @@
 
     y(t) = s x(t - D) + bias + r (t - t_m)
 
-x is the motion behind the sensor's own low-pass, as the study has it. Bias and drift r are those of
-one record, whose middle is t_m.
+x is the motion behind the sensor's own low-pass, as the study has it, and behind a mount that
+rings, if it has one. Bias and drift r are those of one record, whose middle is t_m.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.parameter_table import base_name, of_record
+from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.dynamics.mounting import TILT, is_mounting
 
 Key = tuple[str, int | None]
@@ -34,6 +35,8 @@ _SENSORS: Mapping[str, str] = {
 _COUNTED = ("link_encoder",)  # an encoder's scale is the number of its lines
 _BY_AXIS = ("imu_accelerometer", "imu_gyro")  # have one of each axis
 _AXES = ("imu_ax", "imu_ay", "imu_az", "imu_gx", "imu_gy", "imu_gz")
+_OF_MOUNTS = ("mount_frequency", "mount_damping")
+_NAMES_OF_MOUNTS = {f"{s}_{w}" for s in _SENSORS.values() if s not in _COUNTED for w in _OF_MOUNTS}
 _TAPS = 16  # samples to either side that make one between them
 _SHAPE = 9.0  # of the Kaiser window over them
 _DIFFERENCES = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)  # central, of eighth order
@@ -92,6 +95,66 @@ def bandwidth_of(quantity: str, joint: int) -> Key | None:
     """
     sensor = _SENSORS.get(quantity)
     return None if sensor is None or sensor in _COUNTED else (f"{sensor}_bandwidth", joint)
+
+
+def mount_of(quantity: str, joint: int) -> tuple[Key, Key] | None:
+    """The names of frequency and damping of the mount of the sensor that reads a quantity.
+
+    Parameters
+    ----------
+    quantity : str
+        That is read, or the name of an IMU's sensor.
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    ((name, joint), (name, joint)) or None
+        None where it has none.
+    """
+    sensor = _SENSORS.get(quantity)
+    if sensor is None or sensor in _COUNTED:
+        return None
+    frequency, damping = (f"{sensor}_{what}" for what in _OF_MOUNTS)
+    return (frequency, joint), (damping, joint)
+
+
+def mount_resonance(
+    quantity: str, joint: int, values: Mapping[Key, float]
+) -> MountResonance | None:
+    """How the sensor that reads a quantity rings on its mount; None where it sits firmly.
+
+    Parameters
+    ----------
+    quantity : str
+        That is read, or the name of an IMU's sensor.
+    joint : int
+        From 1.
+    values : dict
+        (name, joint) -> value.
+
+    Returns
+    -------
+    MountResonance or None
+    """
+    names = mount_of(quantity, joint)
+    if names is None or names[0] not in values:
+        return None
+    return MountResonance(*(values[name] for name in names))
+
+
+def is_of_mount(key: Key) -> bool:
+    """Whether it is the frequency or the damping of a sensor's mount.
+
+    Parameters
+    ----------
+    key : (name, joint)
+
+    Returns
+    -------
+    bool
+    """
+    return key[0].endswith(_OF_MOUNTS) and is_optional(key)
 
 
 def drift_of(quantity: str, joint: int, record: str) -> Key | None:
@@ -155,6 +218,7 @@ def is_optional(key: Key) -> bool:
     """
     sensor, _, what = base_name(key[0]).rpartition("_")
     single = what in ("delay", "scale", "bandwidth", "drift") and sensor in _SENSORS.values()
+    single = single or key[0] in _NAMES_OF_MOUNTS
     return key[0] == TILT or single or (what in ("scale", "drift") and sensor in _AXES)
 
 
@@ -175,7 +239,7 @@ def is_bandwidth(key: Key) -> bool:
 def nominal(key: Key) -> float:
     """The value of an optional sensor constant where nothing is wrong.
 
-    No delay, no tilt, no drift, a scale of one, a bandwidth beyond all that moves.
+    No delay, no tilt, no drift, a scale of one, a bandwidth and a mount beyond all that moves.
 
     Parameters
     ----------
@@ -187,7 +251,8 @@ def nominal(key: Key) -> float:
     """
     if key[0].endswith("_scale"):
         return 1.0
-    return np.inf if is_bandwidth(key) else 0.0
+    beyond = is_bandwidth(key) or key[0].endswith(_OF_MOUNTS[0])
+    return np.inf if beyond else 0.0
 
 
 def constants_of(channels: Iterable[tuple[str, int]]) -> Iterator[Key]:
@@ -262,7 +327,7 @@ def moved(samples: FloatArray, ahead: float) -> FloatArray:
 def as_read(
     samples: FloatArray, sample_time: float, joint: int, values: Mapping[Key, float]
 ) -> FloatArray:
-    """What an accelerometer with its delay and scale makes of what it should read.
+    """What an accelerometer with its mount, delay and scale makes of what it should read.
 
     Parameters
     ----------
@@ -279,4 +344,7 @@ def as_read(
     """
     delay = values.get(("accelerometer_delay", joint), 0.0)
     scale = values.get(("accelerometer_scale", joint), 1.0)
+    mount = mount_resonance("accelerometer", joint, values)
+    if mount is not None:
+        samples = mount.read(samples, sample_time)
     return np.asarray(scale * moved(samples, -delay / sample_time))

@@ -39,6 +39,7 @@ from strainwave.identification.whole_arm.residual_analysis import residual_tests
 from strainwave.identification.whole_arm.score_tests import score_tests_of
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.sensor_gains import sensor_gains
+from strainwave.identification.whole_arm.sensor_mounts import mount_warnings
 from strainwave.identification.whole_arm.sensors import (
     sensor_warnings,
 )
@@ -106,6 +107,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *left_out(fit.objective.space, arm),
             *taken_up(fit, arm),
             *sensor_warnings(parameters),
+            *mount_warnings(parameters),
             *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
             *cause_warnings(criticism.causes),
         ),

@@ -20,10 +20,14 @@ from strainwave.dynamics.link_sensors import (
     delay_of,
     drift_of,
     is_bandwidth,
+    is_of_mount,
     is_sensor_constant,
+    mount_of,
+    mount_resonance,
     scale_of,
     slope_of_rows,
 )
+from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.dynamics.mounting import (
     TILT,
     Axis,
@@ -46,6 +50,7 @@ BEGINNING = 0.02
 _SHORTER = 4.0  # times shorter steps, whose error no longer counts
 _SHORT_STEPS = 120.0  # nor that of so many in a period of the cut-off, 600 in one of a resonance
 _WIDER = 1e-3  # share by which a bandwidth is varied for its slope
+Key = tuple[str, int | None]
 _SENSORS = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")  # that have a bandwidth
 
 
@@ -151,6 +156,7 @@ class Dataset:
         inputs = self._inputs(values)
         simulated = [key for key in directions if not is_sensor_constant(key)]
         given = inputs.directions(simulated)
+        ringing = self._rings(values)
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
@@ -160,11 +166,11 @@ class Dataset:
             samples=len(self.log),
             record=self.quantities(),
             longest_step=self.longest_step,
-            low_pass=self.low_pass(),
+            low_pass=None if ringing else self.low_pass(),
         )
-        rows = {name: run[0] for name, run in runs.items()}
-        seen = self._by_channel(rows, values) + self.lacking
-        tangent = self._by_channel({name: run[1] for name, run in runs.items()}, values)
+        motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
+        by_channel = self.seen if ringing else self._by_channel
+        seen, tangent = by_channel(motion, values) + self.lacking, by_channel(slopes, values)
         tangent = inputs.by_parameters(tangent, given, simulated)
         scales = self.sensor_scales(values)
         if np.any(scales != 1.0):
@@ -172,7 +178,7 @@ class Dataset:
         if len(simulated) < len(directions):
             own = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
             keys = [directions[k] for k in own]
-            by_sensors = self._sensor_tangent(seen, rows, values, local, keys)
+            by_sensors = self._sensor_tangent(seen, motion, values, local, keys)
             whole = np.empty((*seen.shape, tangent.shape[2] + len(own)))
             whole[..., np.delete(np.arange(whole.shape[2]), own)] = tangent
             whole[..., own] = by_sensors
@@ -235,20 +241,24 @@ class Dataset:
         -------
         (n_rows, n_channels, n_keys)
         """
-        rows: Mapping[Quantity, FloatArray] = {}
-        if any(map(is_mounting, keys)):
-            rows = self._rows(self.run(values, local, self.quantities()))
-        return self._sensor_tangent(seen, rows, values, local, keys)
+        motion: Mapping[Quantity, FloatArray] = {}
+        if any(is_mounting(key) or is_of_mount(key) for key in keys):
+            motion = self.run(values, local, self.quantities())
+            motion = motion if self._rings(values) else self._rows(motion)
+        return self._sensor_tangent(seen, motion, values, local, keys)
 
     def _sensor_tangent(
         self,
         seen: FloatArray,
-        rows: Mapping[Quantity, FloatArray],
+        motion: Mapping[Quantity, FloatArray],
         values: Mapping[tuple[str, int | None], float],
         local: FloatArray,
         keys: Sequence[tuple[str, int | None]],
     ) -> FloatArray:
-        """The same, of rows (n_rows, n_joints) of each quantity."""
+        """The same, of samples (n_samples, n_joints) of each quantity where a mount rings.
+
+        Of rows (n_rows, n_joints) elsewhere.
+        """
         found, scales = np.zeros((*seen.shape, len(keys))), self.sensor_scales(values)
         row_time = self.kernels.step * self.log.sample_time
         mounting = [k for k, key in enumerate(keys) if is_mounting(key)]
@@ -260,21 +270,40 @@ class Dataset:
                     found[:, k, at] = self.since_middle
                 elif key == delay_of(channel.sensor, channel.joint):
                     found[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
+            for key, slope in self._by_mount(channel, motion, values, keys).items():
+                found[:, k, keys.index(key)] = scales[k] * slope
             if channel.axis is not None and mounting:
-                each = np.stack([rows[name][:, channel.joint - 1] for name in channel.reads], 1)
+                each = np.stack([motion[name][:, channel.joint - 1] for name in channel.reads], 1)
+                if self._rings(values):
+                    each = self.kernels.rows(self._behind(channel, each, values), rate=False)
                 by = slopes(channel.axis, self.arm, values, [keys[at] for at in mounting])
                 found[:, k, mounting] += scales[k] * each @ by
         bandwidths = [k for k, key in enumerate(keys) if is_bandwidth(key)]
         if bandwidths:
             wider = {keys[k]: (1.0 + _WIDER) * values[keys[k]] for k in bandwidths}
             runs = (self.run(at, local, self.quantities()) for at in ({**values, **wider}, values))
-            wide, own = (self._by_channel(self._rows(run), values) for run in runs)
+            wide, own = (self.seen(run, values) for run in runs)
             for k, channel in enumerate(self.channels):
                 for at in bandwidths:
                     if keys[at] == bandwidth_of(channel.sensor, channel.joint):
                         by = (wide[:, k] - own[:, k]) / (_WIDER * values[keys[at]])
                         found[:, k, at] = scales[k] * by
         return found
+
+    def _by_mount(
+        self,
+        channel: Channel,
+        motion: Mapping[Quantity, FloatArray],
+        values: Mapping[tuple[str, int | None], float],
+        keys: Sequence[tuple[str, int | None]],
+    ) -> dict[Key, FloatArray]:
+        """Derivatives of one channel's rows by its mount's constants, without scales."""
+        mount, names = self._mount(channel, values), mount_of(channel.sensor, channel.joint)
+        if mount is None or names is None or not any(name in keys for name in names):
+            return {}
+        slopes = mount.slopes(self._reading(channel, motion, values), self.log.sample_time)
+        pairs = zip(names, slopes, strict=True)
+        return {n: self.kernels.rows(x, rate=channel.rate) for n, x in pairs if n in keys}
 
     def sensor_constants(self) -> list[tuple[str, int | None]]:
         """What may be wrong with the link sensors among the channels: scales, tilts, drifts..."""
@@ -358,7 +387,8 @@ class Dataset:
         """
         scales = self.sensor_scales(values)
         left = [
-            self.log.channels[c.name] - scale * self._reading(c, runs, values)
+            self.log.channels[c.name]
+            - scale * self._behind(c, self._reading(c, runs, values), values)
             for c, scale in zip(self.channels, scales, strict=True)
         ]
         return noise_behind(self.channels, left, self.kernels, self.counts)
@@ -390,7 +420,62 @@ class Dataset:
 
         Of sensors whose place is unknown the values have the mounting.
         """
-        return self._by_channel(self._rows(runs), values or {})
+        known = values or {}
+        if not self._rings(known):
+            return self._by_channel(self._rows(runs), known)
+        read = [self._behind(c, self._reading(c, runs, known), known) for c in self.channels]
+        pairs = zip(read, self.channels, strict=True)
+        return np.stack([self.kernels.rows(x, rate=c.rate) for x, c in pairs], axis=1)
+
+    def ringing(
+        self,
+        values: Mapping[tuple[str, int | None], float],
+        local: FloatArray,
+        mounts: Mapping[Key, Sequence[MountResonance]],
+    ) -> FloatArray:
+        """What sensors that sit firmly would read more, each on some mounts, one at a time.
+
+        Parameters
+        ----------
+        values : dict
+        local : (n_local,)
+        mounts : dict
+            Name and joint of a sensor's mount's frequency -> mounts.
+
+        Returns
+        -------
+        (n_rows, n_channels, n_mounts)
+            Of all sensors, one after the other.
+        """
+        runs, scales = self.run(values, local, self.quantities()), self.sensor_scales(values)
+        tested = [(key, mount) for key, own in mounts.items() for mount in own]
+        found = np.zeros((len(self.time), len(self.channels), len(tested)))
+        for k, channel in enumerate(self.channels):
+            reading = self._reading(channel, runs, values)
+            for at, (key, mount) in enumerate(tested):
+                if key in (mount_of(channel.sensor, channel.joint) or ()):
+                    more = mount.read(reading, self.log.sample_time) - reading
+                    found[:, k, at] = scales[k] * self.kernels.rows(more, rate=channel.rate)
+        return found
+
+    def _mount(
+        self, channel: Channel, values: Mapping[tuple[str, int | None], float]
+    ) -> MountResonance | None:
+        return mount_resonance(channel.sensor, channel.joint, values)
+
+    def _rings(self, values: Mapping[tuple[str, int | None], float]) -> bool:
+        """Whether any sensor's mount does: what it reads needs samples, not rows."""
+        return any(self._mount(channel, values) for channel in self.channels)
+
+    def _behind(
+        self,
+        channel: Channel,
+        samples: FloatArray,
+        values: Mapping[tuple[str, int | None], float],
+    ) -> FloatArray:
+        """What a channel's sensor reads on its mount of samples (n_samples, ...)."""
+        mount = self._mount(channel, values)
+        return samples if mount is None else mount.read(samples, self.log.sample_time)
 
     def _rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
         """Rows (n_rows, n_joints, ...) of each quantity from its samples."""

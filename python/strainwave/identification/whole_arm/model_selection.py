@@ -19,6 +19,7 @@ from strainwave.identification.whole_arm.idle_curves import without_idle_curves
 from strainwave.identification.whole_arm.initial_motion import with_evident_initial_motion
 from strainwave.identification.whole_arm.mountings import with_better_mountings, with_evident_tilts
 from strainwave.identification.whole_arm.selection import Candidate, Selection
+from strainwave.identification.whole_arm.sensor_mounts import with_ringing_mounts
 from strainwave.identification.whole_arm.sensors import (
     with_bandwidths_apart,
     with_evident_sensors,
@@ -50,6 +51,7 @@ FINE: tuple[Candidate, ...] = (
     without_idle_effects,
     partial(with_evident_sensors, coarse=False),
     partial(with_bandwidths_apart, coarse=False),
+    with_ringing_mounts,
     with_evident_tilts,
     without_idle_sensors,
     without_idle_settling,

@@ -141,6 +141,10 @@ class Rows:
         """The soft L1 loss."""
         return _loss(self.residual, weights)
 
+    def costs(self, weights: Weights) -> FloatArray:
+        """That of each channel, (n_channels,)."""
+        return _losses(self.residual, weights)
+
 
 @dataclass
 class _Memory:
@@ -427,8 +431,13 @@ def _solved(
 
 def _loss(residual: FloatArray, weights: Weights) -> float:
     """Sum of 2 (sqrt(1 + r^2) - 1), over the repetitions."""
+    return float(np.sum(_losses(residual, weights)))
+
+
+def _losses(residual: FloatArray, weights: Weights) -> FloatArray:
+    """The same of each channel, (n_channels,)."""
     loss = np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0), axis=0)
-    return float(np.sum(loss / weights.repeats))
+    return np.asarray(loss / weights.repeats)
 
 
 def _weight(residual: FloatArray, weights: Weights) -> FloatArray:

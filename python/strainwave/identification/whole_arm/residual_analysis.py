@@ -9,7 +9,7 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, ResidualTest
+from strainwave.domain import BoolArray, Diagnostic, FloatArray, ResidualTest
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.objective import Objective, Rows, Weights, lagged_products
 from strainwave.numerics.parallel import side_by_side
@@ -193,12 +193,28 @@ def exceed_noise(objective: Objective, z: FloatArray) -> bool:
     -------
     bool
     """
+    return any(bool(np.any(beyond)) for beyond in beyond_noise(objective, z))
+
+
+def beyond_noise(objective: Objective, z: FloatArray) -> list[BoolArray]:
+    """Of each record, which channels have residuals that are more than their sensors' noise.
+
+    Parameters
+    ----------
+    objective : Objective
+    z : (n_unknowns,)
+        Where the fit ended.
+
+    Returns
+    -------
+    list of (n_channels,)
+    """
+    found = []
     each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
-    return any(
-        bool(np.any((deviation >= _EXCEEDS * record.noise) & (record.noise > 0.0)))
-        for record, rows, weights in each
-        for deviation in [np.std(rows.residual * weights.deviation, axis=0)]
-    )
+    for record, rows, weights in each:
+        deviation = np.std(rows.residual * weights.deviation, axis=0)
+        found.append((deviation >= _EXCEEDS * record.noise) & (record.noise > 0.0))
+    return found
 
 
 def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iterator[Diagnostic]:

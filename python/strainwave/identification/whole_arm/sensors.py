@@ -26,6 +26,7 @@ from strainwave.dynamics.link_sensors import (
     drift_of,
     is_bandwidth,
     is_drift,
+    is_of_mount,
     is_optional,
     nominal,
 )
@@ -97,8 +98,9 @@ def _unknown(key: Key, starts: Values) -> Unknown:
             return Unknown(name, joint, "m", start, start, False, _WIDE)
         unit = "m" if name in (DISTANCE, FROM_AXIS, *PLACE) else "1" if is_hidden(key) else "rad"
         return Unknown(name, joint, unit, start, max(abs(start), _SIZE), True, _FAR)
-    if is_bandwidth(key):
-        return Unknown(name, joint, "Hz", starts[key], starts[key], False, _WIDE)
+    if is_bandwidth(key) or is_of_mount(key):
+        unit = "1" if name.endswith("_damping") else "Hz"
+        return Unknown(name, joint, unit, starts[key], starts[key], False, _WIDE)
     if name == TILT:
         return Unknown(name, joint, "rad", 0.0, _LARGEST_TILT, True, 1.0)
     if is_drift(key):
@@ -220,7 +222,8 @@ def _idle(fit: Fit) -> dict[Key, float]:
     One at the end of its range is wrong, whatever its deviation by a fit that it spoils.
     """
     space = fit.objective.space
-    if not any(is_optional(key) for key in space.keys):
+    optional = [key for key in space.keys if is_optional(key) and not is_of_mount(key)]
+    if not optional:
         return {}
     deviation = np.sqrt(np.diag(fit.confidence.cautious))
     inside = (fit.z > _AT_END * space.lower) & (fit.z < _AT_END * space.upper)
@@ -228,7 +231,7 @@ def _idle(fit: Fit) -> dict[Key, float]:
     apart = {
         key: (value if is_bandwidth(key) else abs(value - nominal(key))) / std
         for key, value, std, within in rows
-        if is_optional(key) and (within or is_bandwidth(key))
+        if key in optional and (within or is_bandwidth(key))
     }
     for key in [key for key in apart if _twin(key) in apart and _twin(key) != key]:
         # a delay and a low-pass that cannot be separated both stay, and say so

@@ -74,6 +74,7 @@ _OF_DATA = {
     "sensor-delay": "Give the sensor's bandwidth in the study, or mend the latency of its bus.",
     "sensor-scale": "Check the sensor's calibration, its direction and its distance in the study.",
     "sensor-drift": "Let the sensor warm up before recording, and check its supply.",
+    "sensor-mount": "Glue or screw the sensor down, close to the link's structure.",
     "start-rejected": "Check the signs, units and assignment of the channels.",
     "no-link-sensor": "None is needed; with a sensor on that link intervals would be narrower.",
     "silent-command": "Check that the drive held its last command, and that its node lived.",

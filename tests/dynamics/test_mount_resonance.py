@@ -1,0 +1,81 @@
+"""A link sensor on a soft mount, against SciPy's simulation of the same system."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from strainwave.domain import FloatArray
+from strainwave.dynamics.link_sensors import as_read, mount_of, mount_resonance
+from strainwave.dynamics.mount_resonance import MountResonance
+
+T = 1e-3
+FINER = 50
+TIME: FloatArray = T * np.arange(600, dtype=np.float64)
+
+
+def motion(t: FloatArray) -> FloatArray:
+    """Band-limited, from standstill, which it leaves at once."""
+    rising = 1.0 - np.exp(-((t / 0.01) ** 2))
+    return np.asarray(3.0 + rising * (np.sin(210.0 * t) + 0.5 * np.sin(700.0 * t + 1.0)))
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(40.0, 0.01), (85.0, 0.05), (200.0, 0.7)])
+def test_a_mount_passes_a_motion_on_as_its_equation_says(frequency: float, damping: float) -> None:
+    fine: FloatArray = T / FINER * np.arange(FINER * len(TIME), dtype=np.float64)
+    w = 2.0 * np.pi * frequency
+    system = ([w**2], [1.0, 2.0 * damping * w, w**2])
+    expected = 3.0 + lsim(system, motion(fine) - 3.0, fine)[1][::FINER]
+    read = MountResonance(frequency, damping).read(motion(TIME), T)
+    # samples of a motion that ends are not quite band-limited
+    assert np.max(np.abs(read - expected)[:-20]) < 2e-3
+    assert np.max(np.abs(read - expected)) < 0.05
+
+
+def test_several_motions_at_once_pass_as_one_by_one() -> None:
+    mount = MountResonance(60.0, 0.03)
+    both = np.stack([motion(TIME), np.cos(90.0 * TIME)], axis=1)
+    read = mount.read(both, T)
+    for k in (0, 1):
+        np.testing.assert_allclose(read[:, k], mount.read(both[:, k], T), atol=1e-12)
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.4])
+def test_slopes_are_those_of_what_is_read(damping: float) -> None:
+    x, f = motion(TIME), 70.0
+    by_frequency, by_damping = MountResonance(f, damping).slopes(x, T)
+    # the length of what is added behind a record follows the mount: a thousandth of its ringing
+    for slope, step in ((by_frequency, (1e-3, 0.0)), (by_damping, (0.0, 1e-5))):
+        ends = [
+            MountResonance(f + sign * step[0], damping + sign * step[1]).read(x, T)
+            for sign in (1.0, -1.0)
+        ]
+        numeric = (ends[0] - ends[1]) / (2.0 * sum(step))
+        assert np.max(np.abs(slope - numeric)) < 2e-3 * np.max(np.abs(numeric))
+
+
+def test_a_motion_at_standstill_is_read_as_it_is() -> None:
+    still = np.full(200, 9.81)
+    assert MountResonance(50.0, 0.01).read(still, T) == pytest.approx(still)
+
+
+def test_an_accelerometer_on_its_mount_is_read_so() -> None:
+    names = mount_of("accelerometer", 2)
+    assert names is not None
+    values = dict(zip(names, (55.0, 0.04), strict=True))
+    mount = mount_resonance("accelerometer", 2, values)
+    assert mount == MountResonance(55.0, 0.04)
+    assert mount_resonance("accelerometer", 1, values) is None
+    x = motion(TIME)
+    np.testing.assert_array_equal(as_read(x, T, 2, values), mount.read(x, T))
+    np.testing.assert_array_equal(as_read(x, T, 1, values), x)
+
+
+def test_encoders_have_no_mount() -> None:
+    assert mount_of("link_angle", 1) is None
+    assert mount_of("motor_angle", 1) is None
+    assert mount_of("imu_gyro", 1) == (
+        ("imu_gyro_mount_frequency", 1),
+        ("imu_gyro_mount_damping", 1),
+    )

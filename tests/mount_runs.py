@@ -1,0 +1,55 @@
+"""Runs of virtual arms whose accelerometer rings on its mount, as another implementation has it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import lsim
+
+from strainwave.domain import FloatArray
+from strainwave.domain.parameters import Values
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
+
+_FINER = 10  # times the samples between which lsim draws straight lines
+
+
+@dataclass(frozen=True, slots=True)
+class OnMount:
+    """A simulator whose joint's accelerometer sits on a mount."""
+
+    joint: int
+    frequency: float  # [Hz]
+    damping: float
+
+    def __call__(
+        self,
+        arm: Arm,
+        values: Values,
+        drive: Drive,
+        /,
+        *,
+        sample_time: float,
+        samples: int,
+        record: Sequence[Quantity],
+    ) -> Trajectory:
+        """What the arm did, one of its accelerometers read on its mount."""
+        fine = simulate(
+            arm,
+            values,
+            drive,
+            sample_time=sample_time / _FINER,
+            samples=_FINER * samples,
+            record=record,
+        )
+        read: dict[Quantity, FloatArray] = {name: fine[name].copy() for name in record}
+        if "accelerometer" in read:
+            w, at = 2.0 * np.pi * self.frequency, self.joint - 1
+            felt = read["accelerometer"][:, at]
+            system = ([w**2], [1.0, 2.0 * self.damping * w, w**2])
+            rung = lsim(system, felt - felt[0], fine.time)[1]
+            read["accelerometer"][:, at] = rung + felt[0]
+        coarse = {name: samples[::_FINER] for name, samples in read.items()}
+        return replace(fine, time=fine.time[::_FINER], quantities=coarse)
