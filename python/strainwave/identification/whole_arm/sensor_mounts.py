@@ -27,11 +27,11 @@ from strainwave.identification.whole_arm.solver import fine_search, search_from
 from strainwave.numerics.distributions import chi_square_limit
 
 _FREQUENCIES = (30.0, 37.0, 45.0, 55.0, 67.0, 82.0, 100.0, 122.0, 150.0, 183.0, 223.0)  # [Hz]
-_DAMPING = 0.05  # at which they are tested
+_DAMPINGS = (0.05, 0.12)  # at each of them
 _BEYOND_BAND = 2.0  # times the low-pass's cut-off: beyond, only a quarter is left below it
 _FALSE_ALARMS = 1e-4  # odds that noise passes for a mount
 _SHARE = 0.1  # of its sensor's cost that a linear step must take off
-_STARTS = 3  # frequencies from which it is fitted
+_STARTS = 3  # mounts from which it is fitted
 _TRIAL = 12  # evaluations of each
 _GAIN = 0.1  # predicted, at which they end
 _LEFT = 0.3  # of its sensor's cost, at most, once it is fitted
@@ -106,16 +106,17 @@ def _promising(fit: Fit, selection: Selection) -> Mounts:
 
 def _tested(fit: Fit, selection: Selection) -> Mounts:
     """Of the sensors whose residuals are more than noise, and that have no mount yet."""
-    objective, found = fit.objective, {}
+    objective, found = fit.objective, Mounts()
     band = _BEYOND_BAND * max(record.cutoff_hz for record in objective.records)
     known = objective.space.keys
+    tested = [MountResonance(f, d) for f in _FREQUENCIES if f < band for d in _DAMPINGS]
     for record, beyond in zip(objective.records, beyond_noise(objective, fit.z), strict=True):
         for channel, more in zip(record.channels, beyond.tolist(), strict=True):
             names = mount_of(channel.sensor, channel.joint)
             if not more or names is None or any(is_held(k, selection.options) for k in names):
                 continue
             if names[0] not in known:
-                found[names[0]] = [MountResonance(f, _DAMPING) for f in _FREQUENCIES if f < band]
+                found[names[0]] = tested
     return found
 
 
