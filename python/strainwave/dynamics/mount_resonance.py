@@ -1,4 +1,4 @@
-"""A link sensor on a soft mount, which reads a motion as its mount passes it on, (S29).
+"""A link sensor on a soft mount, which reads a motion as its mount passes it on, (S31).
 
     H(s) = w^2 / (s^2 + 2 zeta w s + w^2)
 
