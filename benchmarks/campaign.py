@@ -183,11 +183,10 @@ def measured(studies: int, dask_tasks: int) -> list[Measured]:
         one, inside = campaigns(made, folder, 1)
         two, inside_two = campaigns(made, folder, 2)
         rows = store_times(folder)
-    overhead = one / studies - single
+    overhead = one / studies - inside  # what lies between two runs
     task = dask_overhead(dask_tasks)
-    own = max(overhead, 0.0)
     # a core works on a study or for the campaign; the scheduler serves all cores by itself
-    by_core = TYPICAL / (TYPICAL + own)
+    by_core = TYPICAL / (TYPICAL + overhead)
     by_scheduler = min(1.0, TYPICAL / task / CORES)
     return [
         Measured("identification alone, stages rigid", 1e3 * single, "ms"),
@@ -196,7 +195,7 @@ def measured(studies: int, dask_tasks: int) -> list[Measured]:
         Measured("campaign, 1 worker", studies / one, "runs/s"),
         Measured("campaign, 2 workers", studies / two, "runs/s"),
         Measured("efficiency of 2 workers against 1", 100.0 * one / two / 2.0, "%"),
-        Measured("overhead of a run: store, pipe, hashes", 1e3 * overhead, "ms"),
+        Measured("overhead per run, between two of one worker", 1e3 * overhead, "ms"),
         *rows,
         Measured("Dask, a task that does nothing", 1e3 * task, "ms"),
         Measured(

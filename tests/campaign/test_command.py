@@ -11,7 +11,10 @@ from rich.console import Console
 import strainwave as sw
 from campaign_commands import campaign, command
 from campaign_rigs import log, rig, rigs
+from strainwave.campaign import Settings
+from strainwave.campaign import run as run_campaign
 from strainwave.campaign.progress import Tally, _display, cause
+from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import Outcome
 
 
@@ -93,6 +96,38 @@ def test_options_of_the_command_are_of_every_study(tmp_path: Path) -> None:
         for row in rows
     }
     assert bandwidths == {None, 9.0}
+
+
+def test_small_files_are_merged_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    merged: list[int] = []
+    merge = Store.merge
+    monkeypatch.setattr("strainwave.campaign.MERGE_AFTER", 4)
+    monkeypatch.setattr(Store, "merge", lambda self: merged.append(merge(self)))
+    rigs(tmp_path / "rigs", 10)
+    settings = Settings(store=str(tmp_path / "store"), stages=("rigid",), workers=1)
+    summary = run_campaign([str(tmp_path / "rigs")], settings)
+    assert summary.exit_code == 0
+    assert summary.unmerged == ""
+    assert 2 <= len(merged) <= 3
+    assert sum(merged) == 10
+    (part,) = (tmp_path / "store" / "runs").glob("*.parquet")
+    assert part.name.startswith("part-")
+    assert sw.read_runs(tmp_path / "store").num_rows == 10
+
+
+def test_a_merge_without_room_is_said_and_costs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: Store) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Store, "merge", full)
+    rigs(tmp_path / "rigs", 2)
+    settings = Settings(store=str(tmp_path / "store"), stages=("rigid",), workers=1)
+    summary = run_campaign([str(tmp_path / "rigs")], settings)
+    assert (summary.exit_code, summary.ended_early) == (0, "")
+    assert "could not be merged (No space left on device)" in summary.unmerged
+    assert sw.read_runs(tmp_path / "store").num_rows == 2
 
 
 def outcome(status: str, message: str = "", *, skipped: bool = False) -> Outcome:

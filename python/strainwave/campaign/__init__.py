@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -136,6 +137,7 @@ def _outcomes(
 
 def _follow(outcomes: Iterator[Outcome], store: Store, tally: Tally) -> str:
     """Count outcomes; why they ended early, or nothing."""
+    merging = _Merging(store)
     try:
         for outcome in outcomes:
             if outcome.unrecorded:
@@ -148,10 +150,30 @@ def _follow(outcomes: Iterator[Outcome], store: Store, tally: Tally) -> str:
             if not outcome.skipped:
                 atomic_files.written.append(Path(str(store.place)) / "runs" / outcome.run)
                 if tally.done % MERGE_AFTER == 0:
-                    _merged(store)
+                    merging.begin()
     except cluster.ClusterLost as error:
         return f"{error}; the same command goes on from what is recorded"
+    merging.wait()
     return ""
+
+
+class _Merging:
+    """Merges of the store while runs go on: beside the thread that hands out studies."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._thread = threading.Thread()
+
+    def begin(self) -> None:
+        """Begin one, unless one is going on."""
+        if not self._thread.is_alive():
+            self._thread = threading.Thread(target=_merged, args=(self._store,), daemon=True)
+            self._thread.start()
+
+    def wait(self) -> None:
+        """Until the one that is going on has ended."""
+        if self._thread.is_alive():
+            self._thread.join()
 
 
 def _merged(store: Store) -> str:

@@ -184,7 +184,7 @@ class Store:
 
     def _table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
         try:
-            file = pq.ParquetFile(io.BytesIO(self.place.get(name)))
+            file = pq.ParquetFile(pa.BufferReader(self.place.get(name)))
             known = None
             if columns is not None:
                 known = [each for each in columns if each in file.schema_arrow.names]
@@ -251,7 +251,7 @@ class Store:
         self.place.delete(name for name in tables if name != part)
 
     def _rows(self, name: str) -> int:
-        return int(pq.read_metadata(io.BytesIO(self.place.get(name))).num_rows)
+        return int(pq.read_metadata(pa.BufferReader(self.place.get(name))).num_rows)
 
 
 _ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
@@ -355,6 +355,7 @@ def _once(table: pa.Table, kind: str) -> pa.Table:
     """Each run once, the last that began; of parameters, those that stand first."""
     if table.num_rows == 0:
         return table
+    table = table.combine_chunks()  # to take rows of many chunks is slow
     numbered = table.append_column("_row", pa.array(range(table.num_rows), pa.int64()))
     if kind == "runs":
         by_time = numbered.sort_by([("started", "descending"), ("_row", "ascending")])
