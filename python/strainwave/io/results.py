@@ -34,6 +34,7 @@ from strainwave.domain import (
 )
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.io.joint_covariance import covariance_document, joint_covariance
 
 Record = TypeVar("Record")
 
@@ -87,6 +88,7 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "reason": "; ".join(verdict.reasons) or None,
         "verdict": _verdict(verdict),
         "parameters": [_parameter(p) for p in identification.parameters],
+        "covariance": covariance_document(joint_covariance(identification)),
         "stages": stages,
         "checks": [
             {"experiment": name, "fit_percent": fits}
