@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import compared_results
 import studies
 from strainwave.io.study import write_study
 from strainwave.virtual import experiments as virtual
@@ -261,3 +262,38 @@ def test_version_help_and_wrong_usage() -> None:
     wrong = run("identify")
     assert wrong.returncode == 2
     assert "Traceback" not in wrong.stderr
+
+
+def test_compare_exits_by_whether_results_differ(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    S = compared_results.covariance(rng)
+    january, june = (
+        str(compared_results.write(compared_results.drawn(rng, S), tmp_path / month))
+        for month in ("january", "june")
+    )
+    worn = compared_results.drawn(rng, S, {"gear_stiffness 1": 0.98})
+    november = str(compared_results.write(worn, tmp_path / "november") / "result.json")
+    done = run("compare", january, june, "--out", str(tmp_path / "same"))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "no difference at the level of 5 %" in done.stdout
+    assert {p.name for p in (tmp_path / "same").iterdir()} == {"comparison.html", "comparison.json"}
+    done = run("compare", january, june, november, "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (4, "", "")
+
+
+def test_compare_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
+    S = compared_results.covariance(np.random.default_rng(5))
+    document = compared_results.drawn(np.random.default_rng(0), S)
+    one = str(compared_results.write(document, tmp_path / "one"))
+    none = str(compared_results.write(document | {"parameters": []}, tmp_path / "none"))
+    for arguments, code, said in (
+        ((one,), 2, "needs two results"),
+        ((one, one, "--level", "5"), 2, "no probability"),
+        ((one, str(tmp_path / "missing")), 2, "does not exist"),
+        ((one, none), 3, "nothing to compare"),
+    ):
+        done = run("compare", *arguments, "--out", str(tmp_path / "out"))
+        assert done.returncode == code
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1
+        assert not (tmp_path / "out").exists()

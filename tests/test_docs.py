@@ -229,4 +229,4 @@ def test_every_exit_code_is_explained() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
     table = page.split("## Exit codes")[1].split("## ")[0]
     reported = {int(code) for code in re.findall(r"^\| (\d) \|", table, re.MULTILINE)}
-    assert reported == {cli.DONE, cli.AT_FAULT, cli.NOT_ANSWERED, 1}
+    assert reported == {cli.DONE, cli.AT_FAULT, cli.NOT_ANSWERED, cli.CHANGED, 1}

@@ -1,7 +1,7 @@
 """The command line: arguments, progress, exit codes. No arithmetic.
 
-Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data cannot answer the question; 130 the
-user stopped it by Ctrl-C.
+Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data cannot answer the question; 4 what
+was compared differs or changes; 130 the user stopped it by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Figures = Annotated[
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensors' noise and of the motions.")]
 
-DONE, AT_FAULT, NOT_ANSWERED = 0, 2, 3
+DONE, AT_FAULT, NOT_ANSWERED, CHANGED = 0, 2, 3, 4
 
 
 @app.callback(invoke_without_command=True)
@@ -235,6 +235,42 @@ def excite(
         from strainwave.experiment_design.summary import print_design
 
         print_design(planned, out)
+
+
+@app.command(
+    short_help="Compare results of one arm: what has changed?",
+    epilog="Example: strainwave compare january/result.json june/result.json --out compared",
+)
+def compare(
+    results: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Two or more result.json of one arm, or directories with one.", metavar="RESULT..."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", help="Directory for comparison.json and comparison.html.", metavar="DIR"
+        ),
+    ] = None,
+    level: Annotated[
+        float,
+        typer.Option("--level", help="Probability of naming a difference where there is none."),
+    ] = 0.05,
+    quiet: Quiet = False,
+) -> None:
+    """Compare results of one arm; exit code 0 where they agree, 4 where they differ."""
+    from strainwave.monitoring import comparison_output
+    from strainwave.monitoring.comparison import compare as compare_results
+    from strainwave.monitoring.estimates import read_estimates
+
+    found = compare_results(read_estimates(results), level)
+    if out is not None:
+        comparison_output.write(found, out)
+    if not quiet:
+        comparison_output.print_comparison(found, out)
+    raise typer.Exit(CHANGED if found.differs else DONE)
 
 
 @app.command(

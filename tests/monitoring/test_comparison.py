@@ -1,0 +1,213 @@
+"""Comparisons of results: false alarms as promised, changes found, refusals."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+import strainwave as sw
+from compared_results import NAMES, covariance, drawn, estimates, write
+from strainwave.domain import Parameter
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.monitoring.comparison import DIFFERS, SAME, ResultComparison, compare
+from strainwave.monitoring.estimates import Estimates, degrees_of, estimates_of, read_estimates
+from virtual_arms import MOTION, motion_log, rigid_two_link, values_of
+
+SURE = 1e-4  # probability that a test with a fresh seed fails though all is well
+
+
+def pair(rng: np.random.Generator, *, factor: float = 1.0, others: int = 1) -> ResultComparison:
+    results = [estimates(drawn(rng, covariance(rng)), "first")]
+    for k in range(others):
+        changed = {"gear_stiffness 1": factor}
+        results.append(estimates(drawn(rng, covariance(rng), changed), f"other {k}"))
+    return compare(results)
+
+
+@pytest.mark.parametrize("others", [1, 3])
+def test_false_alarms_are_as_rare_as_promised(others: int) -> None:
+    seed = secrets.randbits(32)
+    rng = np.random.default_rng(seed)
+    runs = 600
+    found = [pair(rng, others=others) for _ in range(runs)]
+    alarms = sum(one.differs for one in found)
+    assert alarms <= stats.binom.ppf(1.0 - SURE, runs, 0.05), seed
+    assert alarms > 0, seed  # of five tests and more, 2 % of all runs and more have one by chance
+    tests = [one.homogeneity if others > 1 else one.pairs[0].joint for one in found]
+    p = [test.p for test in tests if test is not None]
+    assert len(p) == runs
+    assert stats.kstest(p, "uniform").pvalue > SURE, seed
+    singles = [one.p for each in found for one in each.pairs[0].parameters[:1]]
+    assert stats.kstest(singles, "uniform").pvalue > SURE, seed
+
+
+def test_two_percent_of_stiffness_are_found_and_named() -> None:
+    """Ten standard deviations of a value, seven of the change."""
+    found = pair(np.random.default_rng(5), factor=0.98)
+    assert found.differs
+    verdicts = {one.first.label: found.verdict(one) for one in found.pairs[0].parameters}
+    assert verdicts == {name: DIFFERS if name == "gear_stiffness 1" else SAME for name in NAMES}
+    one = found.pairs[0].parameters[1]
+    assert one.percent == pytest.approx(-2.0, abs=0.8)
+    assert one.z == pytest.approx(one.change / one.std)
+
+
+def test_changes_that_only_their_sum_shows() -> None:
+    """Errors nearly opposite, changes alike: each is within its deviation, both are not."""
+    S = np.diag([1.0, 1.0, 1.0, 1.0, 1.0])
+    S[0, 1] = S[1, 0] = -0.999
+    first, second = (drawn(np.random.default_rng(0), S) for _ in range(2))
+    for one, two in zip(first["parameters"], second["parameters"], strict=True):
+        one["value"], two["value"] = 10.0, 10.5
+    found = compare([estimates(first, "a"), estimates(second, "b")])
+    assert all(found.verdict(one) == SAME for one in found.pairs[0].parameters)
+    assert found.pairs[0].joint is not None
+    assert found.verdict(found.pairs[0].joint) == DIFFERS
+    assert found.differs
+
+
+def test_the_joint_test_counts_what_is_independent() -> None:
+    found = pair(np.random.default_rng(2), others=2)
+    assert found.pairs[0].joint is not None
+    assert found.homogeneity is not None
+    assert (found.pairs[0].joint.rank, found.pairs[0].joint.n_values) == (4, 5)
+    assert (found.homogeneity.rank, found.homogeneity.n_values) == (8, 10)
+
+
+@given(st.permutations(range(3)), st.integers(0, 1000))
+def test_homogeneity_does_not_depend_on_the_order(order: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    results = [estimates(drawn(rng, covariance(rng)), f"{k}") for k in range(3)]
+    found = [compare(each).homogeneity for each in (results, [results[k] for k in order])]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[0].statistic == pytest.approx(found[1].statistic, rel=1e-5)
+
+
+def test_results_without_covariance_are_compared_by_their_deviations() -> None:
+    rng = np.random.default_rng(1)
+    S = covariance(rng)
+    old = {key: value for key, value in drawn(rng, S).items() if key != "covariance"}
+    changed = drawn(rng, S, {"gear_stiffness 1": 0.98})
+    found = compare([estimates(old, "old"), estimates(changed, "new")])
+    assert found.pairs[0].joint is None
+    assert found.differs
+    assert any("old" in note and "standard deviations alone" in note for note in found.notes)
+
+
+def test_what_one_result_lacks_is_left_out_with_the_reason() -> None:
+    rng = np.random.default_rng(1)
+    first, second = (drawn(rng, covariance(rng)) for _ in range(2))
+    second["parameters"][0]["value"] = None
+    second["parameters"][1]["std"] = None
+    second["parameters"][2]["unit"] = "kg"
+    del second["parameters"][3]
+    (pair,) = compare([estimates(first, "a"), estimates(second, "b")]).pairs
+    assert [one.first.label for one in pair.parameters] == ["sum 1"]
+    assert dict(pair.left_out) == {
+        "beta": "not identified in b",
+        "gear_stiffness 1": "without standard deviation in b",
+        "motor_inertia 1": "in kg m^2 and in kg",
+        "motor_viscous_friction 1": "not identified in b",
+    }
+
+
+def test_what_describes_one_record_is_not_compared() -> None:
+    one = drawn(np.random.default_rng(0), np.eye(5))
+    one["parameters"][0]["name"] = "accelerometer_drift"
+    one["parameters"][1]["name"] = "friction_change[motion]"
+    assert [p.label for p in estimates(one, "a").parameters] == list(NAMES[2:])
+
+
+def test_a_value_that_may_be_zero_has_no_change_in_percent() -> None:
+    S = np.diag([1.0, 1.0, 1.0, 1.0, 1.0])
+    one = drawn(np.random.default_rng(0), S)
+    one["parameters"][0]["value"] = 1.5
+    (pair,) = compare([estimates(one, "a"), estimates(one, "b")]).pairs
+    assert pair.parameters[0].percent is None
+    assert pair.parameters[1].percent == 0.0
+
+
+def test_refusals() -> None:
+    one = estimates(drawn(np.random.default_rng(0), np.eye(5)), "a")
+    with pytest.raises(InvalidInput, match="level"):
+        compare([one, one], level=0.0)
+    with pytest.raises(InvalidInput, match="two results"):
+        compare([one])
+    with pytest.raises(NotIdentifiable, match="nothing to compare"):
+        compare([one, replace(one, parameters=())])
+
+
+def test_notes_on_doubtful_results_and_on_the_same_logs() -> None:
+    one = estimates(drawn(np.random.default_rng(0), np.eye(5)), "a")
+    same = replace(one, study=("study.toml", "12ab"), status="partly-determined")
+    notes = compare([same, replace(same, label="b")]).notes
+    assert "a is partly-determined" in notes
+    assert any("not independent" in note for note in notes)
+
+
+def test_labels_distinguish_files(tmp_path: Path) -> None:
+    document = drawn(np.random.default_rng(0), np.eye(5))
+    folders = [write(document, tmp_path / year / "arm") for year in ("2025", "2026")]
+    found = read_estimates([folders[0], folders[1] / "result.json"])
+    assert [one.label for one in found] == [str(folder / "result.json") for folder in folders]
+    assert found[0].covariance is not None
+    other = write(document, tmp_path / "other")
+    assert [one.label for one in read_estimates([folders[0], other])] == ["arm", "other"]
+
+
+def test_broken_files_are_named(tmp_path: Path) -> None:
+    document = drawn(np.random.default_rng(0), np.eye(5))
+    fine = write(document, tmp_path / "fine")
+    broken = write(document | {"covariance": {"names": []}}, tmp_path / "broken")
+    with pytest.raises(InvalidInput, match="broken"):
+        read_estimates([fine, broken])
+    with pytest.raises(InvalidInput, match="missing"):
+        read_estimates([fine, tmp_path / "missing"])
+
+
+@pytest.mark.parametrize("nu", [1.0, 2.0, 7.0, 19.0, 60.0])
+def test_degrees_follow_from_the_interval(nu: float) -> None:
+    reach = 2.5 * float(stats.t.ppf(0.975, nu))
+    p = Parameter("beta", None, 1.0, 2.5, "kg m^2", "rigid", (1.0 - reach, 1.0 + reach))
+    assert degrees_of(p) == pytest.approx(nu, rel=1e-3)
+    assert degrees_of(replace(p, ci95=(1.0 - 4.9, 1.0 + 4.9))) == float("inf")
+
+
+def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> Estimates:
+    """The built-in arm with rigid gears in a motion of its own, identified: the rigid step."""
+    study = rigid_two_link()
+    values = values_of(study, 5)
+    values["motor_coulomb_friction", 1] *= friction
+    log = motion_log(study, values, seed)
+    table = {"t": log.time, **log.channels}
+    for name in ("u1", "u2"):
+        table[name] = table[name] + rng.normal(scale=0.02, size=len(log.time))
+    only = replace(study, experiments=(MOTION,))
+    found = sw.identify(only, data={"motion": table}, stages=("rigid",), threads=1)
+    return estimates_of(found.document, Path(f"{seed}/result.json"))
+
+
+def test_repeats_of_an_arm_agree_as_often_as_promised() -> None:
+    """40 pairs of visits to an unchanged arm at 5 %: two alarms are expected at most."""
+    seed = secrets.randbits(20)
+    rng = np.random.default_rng(seed)
+    found = [compare([repeat(seed + k, rng), repeat(seed + 100 + k, rng)]) for k in range(40)]
+    alarms = sum(one.differs for one in found)
+    assert alarms <= stats.binom.ppf(1.0 - SURE, 40, 0.05), seed
+    z = [one.z for each in found for one in each.pairs[0].parameters]
+    assert 0.6 < float(np.std(z)) < 1.5, seed  # deviations are neither invented nor inflated
+
+
+def test_ten_percent_more_friction_is_found_in_a_repeat() -> None:
+    rng = np.random.default_rng(4)
+    found = compare([repeat(1, rng), repeat(2, rng, friction=1.1)])
+    named = [one.first.label for one in found.pairs[0].parameters if found.verdict(one) == DIFFERS]
+    assert named == ["motor_coulomb_friction 1"]

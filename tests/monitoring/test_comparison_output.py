@@ -1,0 +1,88 @@
+"""What a comparison writes and prints."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from compared_results import NAMES, covariance, drawn, estimates
+from strainwave.monitoring import comparison_output as output
+from strainwave.monitoring.comparison import DIFFERS, ResultComparison, compare
+from strainwave.presentation.figures import Markers
+
+
+def made(factor: float, others: int = 1) -> ResultComparison:
+    rng = np.random.default_rng(5)
+    results = [estimates(drawn(rng, covariance(rng)), "<january>")]
+    for k in range(others):
+        changed = {"gear_stiffness 1": factor}
+        results.append(estimates(drawn(rng, covariance(rng), changed), f"visit {k}"))
+    return compare(results)
+
+
+def printed(found: ResultComparison, folder: Path | None = None) -> str:
+    text = io.StringIO()
+    output.print_comparison(found, folder, console=Console(file=text, width=100, highlight=False))
+    return text.getvalue()
+
+
+def test_the_document_has_every_test(tmp_path: Path) -> None:
+    found = made(0.98, others=2)
+    output.write(found, tmp_path)
+    document = json.loads((tmp_path / "comparison.json").read_text())
+    assert document["schema"] == "strainwave/comparison/1"
+    assert document["differs"] is True
+    assert [one["label"] for one in document["results"]] == ["<january>", "visit 0", "visit 1"]
+    first = document["pairs"][0]["parameters"][1]
+    assert (first["name"], first["joint"], first["verdict"]) == ("gear_stiffness", 1, DIFFERS)
+    assert first["z"] == pytest.approx(first["change"] / first["change_std"])
+    assert document["pairs"][1]["joint_test"]["rank"] == 4
+    assert document["homogeneity"]["degrees_of_freedom"] is None
+
+
+def test_the_page_escapes_and_names_what_differs() -> None:
+    page = output.render(made(0.98))
+    assert "<january>" not in page
+    assert "&lt;january&gt;" in page
+    assert "The results differ at the level of 5 %: gear_stiffness 1." in page
+    for name in NAMES:
+        assert name.replace("_", "_<wbr>") in page
+    assert "No difference at the level of 5 %." in output.render(made(1.0))
+
+
+def test_the_terminal_has_a_row_per_parameter_and_the_verdict() -> None:
+    text = printed(made(0.98), Path("out"))
+    rows = {line[:24].strip(): line for line in text.splitlines()}
+    assert rows["gear_stiffness 1"].split()[-1] == DIFFERS
+    assert rows["beta"].split()[-1] == "agrees"
+    assert "all at once:" in text
+    assert "verdict: the results differ at the level of 5 %: gear_stiffness 1" in text
+    assert "written: out/comparison.html" in text
+    assert "verdict: no difference at the level of 5 %" in printed(made(1.0, others=2))
+
+
+def test_the_forest_keeps_what_differs_in_sight() -> None:
+    found = made(0.5)
+    drawn_ = output.forest(found, found.pairs[0])
+    assert drawn_ is not None
+    upper, lower = drawn_.panels
+    assert [getattr(mark, "name", "") for mark in upper.marks] == [DIFFERS, "agrees"]
+    assert upper.axis.range is not None
+    assert upper.axis.range[1] > 50.0
+    mark = lower.marks[0]
+    assert isinstance(mark, Markers)
+    assert mark.x == ("gear_stiffness 1",)
+    assert mark.error is not None
+    assert mark.error[0] == 1.96
+
+
+@pytest.mark.parametrize(
+    ("p", "text"), [(1.0, "1"), (0.0312, "0.031"), (2.2e-6, "2e-06"), (0.0, "<1e-16")]
+)
+def test_probabilities_in_words(p: float, text: str) -> None:
+    assert output.probability(p) == text

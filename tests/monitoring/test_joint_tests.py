@@ -1,0 +1,90 @@
+"""Tests of several differences at once, against their distributions and against SciPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from strainwave.monitoring.joint_tests import holm, joint_test, welch_test
+
+KNOWN = float("inf")
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 12))
+def test_the_statistic_is_that_of_a_solved_system(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(n, n)) + 2.0 * np.eye(n)
+    S, d = root @ root.T, rng.normal(size=n)
+    found = joint_test(d, [S], [KNOWN])
+    assert found is not None
+    if np.linalg.cond(S) < 1e6:  # beyond it, directions count as dependent
+        expected = float(d @ np.linalg.solve(S, d))
+        assert found.statistic == pytest.approx(expected, rel=1e-6)
+        assert found.rank == n
+        assert found.p == pytest.approx(stats.chi2.sf(expected, n), rel=1e-5)
+
+
+def test_what_follows_from_others_is_not_counted_and_units_do_not_matter() -> None:
+    rng = np.random.default_rng(3)
+    W = np.vstack([np.eye(3), [1.0, 2.0, 0.0]])
+    root = rng.normal(size=(3, 3))
+    S3, d3 = root @ root.T, rng.normal(size=3)
+    units = np.diag([1e-6, 1e4, 1.0, 1e3])
+    found = joint_test(units @ W @ d3, [units @ W @ S3 @ W.T @ units], [KNOWN])
+    plain = joint_test(d3, [S3], [KNOWN])
+    assert found is not None
+    assert plain is not None
+    assert (found.rank, found.n_values) == (3, 4)
+    assert found.statistic == pytest.approx(plain.statistic, rel=1e-6)
+
+
+def test_estimated_covariances_keep_their_promise() -> None:
+    """Each covariance from 12 samples: an exact chi-square would reject a fifth of all."""
+    rng = np.random.default_rng(8)
+    nu, n, runs = 12, 4, 2000
+    p, naive = np.empty(runs), np.empty(runs)
+    for k in range(runs):
+        parts = [np.cov(rng.normal(size=(nu + 1, n)), rowvar=False) * scale for scale in (1.0, 3.0)]
+        d = rng.normal(size=n) + np.sqrt(3.0) * rng.normal(size=n)
+        found, plain = joint_test(d, parts, [nu, nu]), joint_test(d, parts, [KNOWN, KNOWN])
+        assert found is not None
+        assert plain is not None
+        p[k], naive[k] = found.p, plain.p
+    # 99.9 % of a binomial of 2000 at 5 %, and half a per cent for the approximation
+    low, high = stats.binom.ppf([5e-4, 1 - 5e-4], runs, 0.05) / runs
+    assert low - 0.005 < np.mean(p < 0.05) < high + 0.005
+    assert np.mean(naive < 0.05) > 0.12
+
+
+def test_too_few_degrees_answer_nothing() -> None:
+    assert joint_test(np.zeros(5), [np.eye(5)], [4.0]) is None
+    assert joint_test(np.zeros(0), [np.zeros((0, 0))], [KNOWN]) is None
+    assert joint_test(np.zeros(2), [np.diag([1.0, 0.0])], [KNOWN]) is None
+
+
+def test_one_difference_is_welch_s() -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=9), 3.0 * rng.normal(size=15)
+    deviations = [float(np.std(x, ddof=1) / np.sqrt(len(x))) for x in (a, b)]
+    _, p = welch_test(float(b.mean() - a.mean()), deviations, [8.0, 14.0])
+    assert p == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue, rel=1e-9)
+    z, p = welch_test(3.0, [0.0, 1.5], [KNOWN, KNOWN])
+    assert z == 2.0
+    assert p == pytest.approx(2.0 * stats.norm.sf(2.0))
+
+
+def test_holm_s_example_and_order() -> None:
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([]) == []
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))
+def test_holm_raises_and_keeps_the_order(p: list[float]) -> None:
+    adjusted = holm(p)
+    assert all(a >= b for a, b in zip(adjusted, p, strict=True))
+    assert min(adjusted) == pytest.approx(min(1.0, len(p) * min(p)))
+    order = np.argsort(p, kind="stable")
+    assert np.all(np.diff(np.array(adjusted)[order]) >= 0.0)
