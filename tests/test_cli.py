@@ -14,6 +14,7 @@ import pytest
 
 import compared_results
 import studies
+import visited_arms
 from strainwave.io.study import write_study
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
@@ -294,6 +295,33 @@ def test_compare_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
     ):
         done = run("compare", *arguments, "--out", str(tmp_path / "out"))
         assert done.returncode == code
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
+
+def test_trend_exits_by_whether_an_arm_changes(tmp_path: Path) -> None:
+    factors = {"arm-1": visited_arms.healthy, "arm-2": visited_arms.softening}
+    store = str(visited_arms.fleet(tmp_path / "store", factors, seed=3))
+    done = run("trend", store, "--out", str(tmp_path / "out"))
+    assert (done.returncode, done.stderr) == (4, "")
+    assert "1 of 2 arms changes at the level of 1 % per arm: arm-2" in done.stdout
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"trend.html", "trend.json"}
+    done = run("trend", store, "--arm", "(arm-1)/", "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_trend_refuses_what_it_cannot_follow(tmp_path: Path) -> None:
+    few = {"arm-1": visited_arms.healthy}
+    store = str(visited_arms.fleet(tmp_path / "store", few, visits=3))
+    for arguments, code, said in (
+        ((str(tmp_path),), 2, "holds no runs"),
+        ((store, "--arm", "("), 2, "no regular expression"),
+        ((store, "--covariates", str(tmp_path / "none.csv")), 2, "does not exist"),
+        ((store,), 3, "visits enough"),
+    ):
+        done = run("trend", *arguments, "--out", str(tmp_path / "out"))
+        assert done.returncode == code, done.stderr
         assert said in done.stderr
         assert done.stderr.count("\n") == 1
         assert not (tmp_path / "out").exists()

@@ -274,6 +274,55 @@ def compare(
 
 
 @app.command(
+    short_help="Follow arms over their visits: does anything change?",
+    epilog="Example: strainwave trend store --covariates visits.csv --out trend",
+)
+def trend(
+    store: Annotated[str, typer.Argument(help="Of strainwave campaign.", metavar="STORE")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Directory for trend.json and trend.html.", metavar="DIR"),
+    ] = None,
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            "--arm",
+            help="What names an arm: a column of the runs, or an expression with a group, searched "
+            "for in the study's path; its folder without.",
+            metavar="COLUMN|REGEX",
+        ),
+    ] = None,
+    covariates: Annotated[
+        Path | None,
+        typer.Option(
+            "--covariates",
+            help="A table with columns study, time and numbers to regress out.",
+            metavar="FILE.csv",
+        ),
+    ] = None,
+    level: Annotated[
+        float, typer.Option("--level", help="Probability of a false alarm, per arm.")
+    ] = 0.01,
+    quiet: Quiet = False,
+) -> None:
+    """Follow arms over their visits; exit code 0 where none changes, 4 where one does."""
+    from strainwave.monitoring import trend_output
+    from strainwave.monitoring.trend import trend as trend_of
+    from strainwave.monitoring.visits import read_histories
+
+    with _progress(quiet) as follow:
+        follow("reading the store")
+        histories = read_histories(store, arm=arm, covariates=covariates)
+        follow("looking for changes")
+        found = trend_of(histories, level)
+        if out is not None:
+            trend_output.write(found, out)
+    if not quiet:
+        trend_output.print_trend(found, out)
+    raise typer.Exit(CHANGED if found.concern else DONE)
+
+
+@app.command(
     short_help="Identify the built-in arm, compare with the truth.",
     epilog="Example: strainwave demo --as-published --seeds 10 --out demo",
 )

@@ -153,6 +153,15 @@ def test_notes_on_doubtful_results_and_on_the_same_logs() -> None:
     assert any("not independent" in note for note in notes)
 
 
+def test_values_of_different_stages_are_noted() -> None:
+    first, second = (drawn(np.random.default_rng(0), np.eye(5)) for _ in range(2))
+    second["parameters"][0]["stage"] = "rigid"
+    notes = compare([estimates(first, "a"), estimates(second, "b")]).notes
+    assert len(notes) == 1
+    assert "different stages" in notes[0]
+    assert "beta (tuned, rigid)" in notes[0]
+
+
 def test_labels_distinguish_files(tmp_path: Path) -> None:
     document = drawn(np.random.default_rng(0), np.eye(5))
     folders = [write(document, tmp_path / year / "arm") for year in ("2025", "2026")]

@@ -237,8 +237,13 @@ def _notes(results: Sequence[Estimates], pairs: Sequence[Pair]) -> Iterator[str]
         if one.status not in ("", "determined"):
             yield f"{one.label} is {one.status}"
     for pair in pairs:
-        parted = _with_covariance(results, pair)
-        if pair.joint is None and parted:
+        unlike = [one for one in pair.parameters if one.first.stage != one.second.stage]
+        if unlike:
+            listed = ", ".join(
+                f"{one.first.label} ({one.first.stage}, {one.second.stage})" for one in unlike
+            )
+            yield f"{pair.second}: of different stages, whose systematic errors differ: {listed}"
+        if pair.joint is None and _with_covariance(results, pair):
             yield (
                 f"{pair.second}: too few degrees of freedom behind the covariances to test all "
                 "parameters at once"

@@ -269,7 +269,7 @@ def render(comparison: ResultComparison) -> str:
     lead = [paragraph(Span(f"{said[0].upper()}{said[1:]}.", strong=True))]
     if comparison.homogeneity is not None:
         lead.append(paragraph(f"All results at once: {_said(comparison, comparison.homogeneity)}."))
-    lead += [paragraph(f"{note[0].upper()}{note[1:]}.") for note in comparison.notes]
+    lead += [paragraph(f"Note: {note}.") for note in comparison.notes]
     sections = [
         Section(
             f"pair-{k}", f"{pair.second} against {pair.first}", tuple(_blocks(comparison, pair))

@@ -89,11 +89,23 @@ def estimates_of(document: Mapping[str, Any], path: Path) -> Estimates:
         created=str(document.get("created", "")),
         status=str(document.get("status", "")),
         study=(str(study.get("path", "")), str(study.get("sha256", ""))),
-        parameters=tuple(
-            p for p in results.parameters_of(document) if not _OF_ONE_RECORD.fullmatch(p.name)
-        ),
+        parameters=tuple(p for p in results.parameters_of(document) if not of_one_record(p.name)),
         covariance=covariance_of(document),
     )
+
+
+def of_one_record(name: str) -> bool:
+    """Whether a parameter describes one record and not the arm, as a sensor's drift does.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    bool
+    """
+    return _OF_ONE_RECORD.fullmatch(name) is not None
 
 
 def degrees_of(parameter: Parameter) -> float:

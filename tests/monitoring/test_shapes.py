@@ -1,0 +1,198 @@
+"""Changes over time: against textbook tests, false alarms as promised, changes found."""
+
+from __future__ import annotations
+
+import secrets
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from strainwave.domain import FloatArray
+from strainwave.monitoring.shapes import (
+    FEWEST,
+    Change,
+    Series,
+    Shape,
+    change_of,
+    fitted_line,
+    moment_variance,
+    regressors,
+    student_tails,
+    union_of_caps,
+)
+
+SURE = 1e-4  # probability that a test with a fresh seed fails though all is well
+
+
+def series(
+    value: FloatArray, std: FloatArray | float = 1.0, covariates: FloatArray | None = None
+) -> Series:
+    n = len(value)
+    given_ = np.empty((n, 0)) if covariates is None else covariates
+    return Series(
+        7.0 * np.arange(n, dtype=np.float64), value, np.broadcast_to(std, n).copy(), given_
+    )
+
+
+def found(one: Series, seed: int = 0) -> Change:
+    change = change_of(one, np.random.default_rng(seed))
+    assert change is not None
+    return change
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(8, 30))
+def test_a_drift_is_a_regression_where_visits_scatter(seed: int, n: int) -> None:
+    """Runs surer than visits agree, and all alike: ordinary least squares and Student's t."""
+    value = 100.0 + 50.0 * np.random.default_rng(seed).normal(size=n)
+    one = series(value, 0.01)
+    change, plain = found(one), stats.linregress(one.time, value)
+    assert change.drift == pytest.approx(plain.slope, rel=1e-6)
+    assert change.drift_std == pytest.approx(plain.stderr, rel=1e-4)
+    assert change.drift_p == pytest.approx(plain.pvalue, rel=1e-3)
+
+
+def test_runs_own_deviations_are_the_least() -> None:
+    """Values that agree better than their deviations allow: no change is surer than these."""
+    n = 20
+    value = 100.0 + 1e-3 * np.random.default_rng(0).normal(size=n) + 0.1 * (np.arange(n) >= 10)
+    change = found(series(value, 1.0))
+    assert change.p > 0.9
+    assert change.size_std == pytest.approx(np.sqrt(1 / 10 + 1 / 10), rel=0.3)
+    assert found(series(value, 1e-4)).p < 1e-12
+
+
+@pytest.mark.parametrize("between", [0.0, 1.0, 5.0])
+@pytest.mark.parametrize("n", [7, 16])
+def test_false_alarms_are_as_rare_as_promised(n: int, between: float) -> None:
+    """Runs of unlike deviations and a covariate; conservative where visits scatter by nothing."""
+    seed = secrets.randbits(32)
+    rng = np.random.default_rng(seed)
+    runs = 300
+    p = np.empty(runs)
+    for k in range(runs):
+        std = np.exp(0.5 * rng.normal(size=n))
+        warm = rng.normal(size=(n, 1))
+        value = 50.0 + 3.0 * warm[:, 0] + between * rng.normal(size=n) + std * rng.normal(size=n)
+        change = change_of(series(value, std, warm), rng)
+        assert change is not None
+        p[k] = change.p
+    for level in (0.2, 0.05):
+        alarms = int(np.sum(p < level))
+        # weights are estimated as well: a fifth more than promised would pass unnoticed
+        assert alarms <= stats.binom.ppf(1.0 - SURE, runs, 1.2 * level), (seed, level)
+    if between == 5.0:  # and not rarer where the scatter between visits is what counts
+        assert np.sum(p < 0.2) >= stats.binom.ppf(SURE, runs, 0.2 / 1.5), seed
+
+
+def test_a_step_is_found_where_it_is() -> None:
+    rng = np.random.default_rng(3)
+    value = 100.0 + 0.3 * rng.normal(size=24)
+    value[15:] -= 2.0
+    change = found(series(value, 0.2))
+    assert change.shape == Shape("step", 15)
+    assert change.size == pytest.approx(-2.0, abs=4.0 * change.size_std)
+    assert change.level == pytest.approx(100.0, abs=0.4)
+    assert change.p < 1e-5
+    assert 0.1 < change.repeatability < 0.5
+
+
+def test_wear_that_begins_is_dated() -> None:
+    value = 10.0 + 0.01 * np.random.default_rng(1).normal(size=24)
+    value[12:] += 0.1 * np.arange(1, 13)
+    change = found(series(value, 0.005))
+    assert change.shape.kind == "drift since"
+    assert abs(change.shape.first - 11) <= 1
+    assert change.size == pytest.approx(1.2, rel=0.05)
+    line = list(fitted_line(change, series(value)))
+    assert line[0][1] == line[1][1] == change.level
+    assert line[-1] == (7.0 * 23, change.level + change.size)
+
+
+def test_a_covariate_that_explains_it_takes_the_alarm_away() -> None:
+    rng = np.random.default_rng(2)
+    warm = 20.0 + np.linspace(0.0, 8.0, 20) + 3.0 * rng.normal(size=20)
+    value = 0.06 * (1.0 - 0.01 * (warm - 20.0)) + 1e-4 * rng.normal(size=20)
+    assert found(series(value, 5e-5)).p < 0.01
+    assert found(series(value, 5e-5, warm[:, None])).p > 0.05
+
+
+def test_covariates_that_say_nothing_new_are_dropped() -> None:
+    rng = np.random.default_rng(0)
+    warm = rng.normal(size=12)
+    table = np.column_stack([warm, np.full(12, 3.0), 2.0 * warm - 5.0, rng.normal(size=12)])
+    X = regressors(series(np.zeros(12), 1.0, table))
+    assert X.shape == (12, 3)
+    np.testing.assert_allclose(X[:, 1:].mean(axis=0), 0.0, atol=1e-12)
+
+
+def test_time_that_a_covariate_is_leaves_no_answer() -> None:
+    one = series(np.arange(10.0), 1.0, np.arange(10.0)[:, None])
+    assert change_of(one, np.random.default_rng(0)) is None
+
+
+def test_too_few_visits_or_one_time_leave_no_answer() -> None:
+    rng = np.random.default_rng(0)
+    assert change_of(series(np.zeros(FEWEST)), rng) is None
+    assert change_of(series(rng.normal(size=FEWEST + 1)), rng) is not None
+    still = Series(np.zeros(12), rng.normal(size=12), np.ones(12), np.empty((12, 0)))
+    assert change_of(still, rng) is None
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 4.0))
+def test_the_moments_are_kept(seed: int, between: float) -> None:
+    rng = np.random.default_rng(seed)
+    std = np.exp(rng.normal(size=15))
+    value = between * rng.normal(size=15) + std * rng.normal(size=15)
+    X = np.column_stack([np.ones(15), np.arange(15.0)])
+    tau2 = moment_variance(value, std, X)
+    root = 1.0 / np.sqrt(std**2 + tau2)
+    left = root * value - (X * root[:, None]) @ np.linalg.lstsq(X * root[:, None], root * value)[0]
+    total = float(left @ left)
+    assert total == pytest.approx(13.0, rel=1e-6) if tau2 > 0.0 else total <= 13.0
+
+
+def test_the_moments_are_unbiased() -> None:
+    rng = np.random.default_rng(0)
+    std = np.exp(0.5 * rng.normal(size=30))
+    X = np.ones((30, 1))
+    found_ = [
+        moment_variance(2.0 * rng.normal(size=30) + std * rng.normal(size=30), std, X)
+        for _ in range(400)
+    ]
+    assert float(np.mean(found_)) == pytest.approx(4.0, rel=0.08)  # four standard errors
+
+
+def test_the_union_of_caps_is_counted_by_brute_force() -> None:
+    """Steps and drifts in 12 visits; a million directions at 5 %."""
+    rng = np.random.default_rng(7)
+    n = 12
+    columns = np.column_stack(
+        [np.arange(n), *((np.arange(n) >= k).astype(float) for k in range(2, n))]
+    )
+    whole = np.linalg.qr(np.ones((n, 1)), mode="complete")[0]
+    free = whole[:, 1:]
+    directions = free @ (free.T @ columns)
+    directions /= np.sqrt(np.sum(directions**2, axis=0))
+    u = rng.normal(size=(1_000_000, n - 1))
+    u /= np.sqrt(np.sum(u * u, axis=1))[:, None]
+    share = np.max((u @ (free.T @ directions)) ** 2, axis=1)
+    for quantile in (0.5, 0.95, 0.999):
+        limit = float(np.quantile(share, quantile))
+        p = union_of_caps(limit, directions, free, rng)
+        assert p == pytest.approx(
+            1.0 - quantile, rel=0.08
+        )  # 3 % of 1000 counts, as much of samples
+
+
+def test_one_direction_is_student_s_and_far_tails_are_the_sum() -> None:
+    rng = np.random.default_rng(0)
+    free, apart = np.eye(9), np.eye(9)[:, :4]
+    for t2 in (0.3, 9.0, 400.0):
+        share = t2 / (t2 + 8.0)
+        assert union_of_caps(share, apart[:, :1], free, rng) == pytest.approx(student_tails(t2, 8))
+    assert union_of_caps(share, apart, free, rng) == pytest.approx(4.0 * student_tails(t2, 8))
+    assert union_of_caps(1.0, apart, free, rng) == 0.0
+    assert union_of_caps(0.0, apart, free, rng) == pytest.approx(1.0)

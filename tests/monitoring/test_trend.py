@@ -1,0 +1,110 @@
+"""Trends of a fleet: who is named, in what order, what is written and printed."""
+
+from __future__ import annotations
+
+import io
+import json
+import secrets
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.trend import CASES, PATIENCE, delay, false_alarms, healthy_arm, step
+from rich.console import Console
+from scipy import stats
+
+import visited_arms
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.monitoring import trend_output as output
+from strainwave.monitoring.trend import Trend, trend
+from strainwave.monitoring.visits import Histories, read_histories
+
+SURE = 1e-4  # probability that a test with a fresh seed fails though all is well
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Trend:
+    factors = {
+        "arm-<1>": visited_arms.healthy,
+        "arm-2": visited_arms.softening,
+        "arm-3": visited_arms.rubbing,
+        "arm-4": visited_arms.healthy,
+    }
+    store = visited_arms.fleet(tmp_path_factory.mktemp("store"), factors, seed=3)
+    return trend(read_histories(store))
+
+
+def test_the_worn_arms_come_first(fleet: Trend) -> None:
+    named = {arm.history.arm: fleet.concerns(arm) for arm in fleet.arms}
+    assert list(named)[:2] == ["arm-3", "arm-2"]
+    assert [one.history.label for one in named["arm-3"]] == ["motor_coulomb_friction 1"]
+    (softer,) = named["arm-2"]
+    assert softer.history.label == "gear_stiffness 1"
+    assert softer.words == "step at 2026-04-27"  # visit 16 of weekly ones
+    assert softer.percent == pytest.approx(-2.0, abs=0.5)
+    assert not named["arm-<1>"]
+    assert not named["arm-4"]
+    assert [arm.p for arm in fleet.arms] == sorted(arm.p for arm in fleet.arms)
+    assert fleet.concern
+
+
+def test_the_same_store_gives_the_same_answer(fleet: Trend) -> None:
+    again = trend(Histories(tuple(arm.history for arm in fleet.arms), (), "recorded"))
+    assert [arm.p for arm in again.arms] == [arm.p for arm in fleet.arms]
+
+
+def test_healthy_arms_are_named_as_rarely_as_promised() -> None:
+    """200 arms of 12 correlated parameters, at the 1 % of the command."""
+    seed = secrets.randbits(32)
+    counted = false_alarms(np.random.default_rng(seed), 200)
+    named = sum(alarms for _, alarms in counted.values())
+    assert named <= stats.binom.ppf(1.0 - SURE, 200, 0.012), seed
+
+
+def test_a_loss_of_stiffness_is_named_within_few_visits() -> None:
+    what, size, own, between, _, wear = CASES[2]
+    assert (what, between, wear) == ("stiffness -2 %", 0.002, step)
+    rng = np.random.default_rng(1)
+    delays = [delay(rng, size, own, between, wear) for _ in range(20)]
+    assert np.median(delays) <= 2
+    assert max(delays) < PATIENCE
+
+
+def test_refusals(tmp_path: Path) -> None:
+    histories = healthy_arm(np.random.default_rng(0), 10)
+    with pytest.raises(InvalidInput, match="no probability"):
+        trend(histories, level=1.0)
+    few = visited_arms.fleet(tmp_path, {"a": visited_arms.healthy}, visits=4)
+    with pytest.raises(NotIdentifiable, match="at most 4 visit"):
+        trend(read_histories(few))
+
+
+def test_the_document_holds_every_visit(fleet: Trend, tmp_path: Path) -> None:
+    output.write(fleet, tmp_path)
+    document = json.loads((tmp_path / "trend.json").read_text())
+    assert document["schema"] == "strainwave/trend/1"
+    assert document["concern"] is True
+    worst = document["arms"][0]["parameters"][0]
+    assert (worst["name"], worst["joint"]) == ("motor_coulomb_friction", 1)
+    assert worst["change"]["kind"] in ("drift", "drift since", "step")
+    assert len(worst["visits"]) == document["arms"][0]["visits"] == 24
+    assert worst["drift"]["per_day"] * 161 == pytest.approx(0.4 * 0.06, rel=0.3)
+
+
+def test_the_page_has_a_row_per_arm_and_escapes(fleet: Trend) -> None:
+    page = output.render(fleet)
+    assert "arm-<1>" not in page
+    assert "arm-&lt;1&gt;" in page
+    assert "2 of 4 arms change at the level of 1 % per arm: arm-3, arm-2." in page
+    assert 'id="arm-arm-3"' in page
+    assert page.count('class="plot"') >= 6
+
+
+def test_the_terminal_lists_the_fleet(fleet: Trend) -> None:
+    text = io.StringIO()
+    output.print_trend(fleet, Path("out"), console=Console(file=text, width=100, highlight=False))
+    lines = text.getvalue().splitlines()
+    assert lines[1].split()[:4] == ["arm-3", "24", "motor_coulomb_friction", "1"]
+    assert "step at 2026-04-27" in lines[2]
+    assert any(line.startswith("verdict: 2 of 4 arms change") for line in lines)
+    assert "written: out/trend.html" in text.getvalue()

@@ -1,0 +1,151 @@
+"""A store read as arms and visits: names, times, covariates, what is left out, faults."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import visited_arms
+from strainwave.errors import InvalidInput
+from strainwave.monitoring.visits import as_time, read_conditions, read_histories
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    factors = {"arm-1": visited_arms.healthy, "arm-2": visited_arms.softening}
+    return visited_arms.fleet(tmp_path_factory.mktemp("store"), factors, visits=6)
+
+
+def table(path: Path, *lines: str) -> Path:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_an_arm_is_the_folder_of_its_studies(store: Path) -> None:
+    found = read_histories(store)
+    assert sorted(arm.arm for arm in found.arms) == ["arm-1", "arm-2"]
+    arm = found.arms[0]
+    assert [visit.study for visit in arm.visits] == [
+        f"fleet/{arm.arm}/visit-{k:03d}.toml" for k in range(6)
+    ]
+    stiffness = next(p for p in arm.parameters if p.label == "gear_stiffness 1")
+    np.testing.assert_allclose(stiffness.series.time, 7.0 * np.arange(6))
+    assert stiffness.series.covariates.shape == (6, 0)
+    assert any("not recorded" in note for note in found.notes)
+
+
+def test_an_arm_by_column_or_expression(store: Path) -> None:
+    assert [arm.arm for arm in read_histories(store, arm="worker").arms] == ["here:1"]
+    by_number = read_histories(store, arm=r"arm-(\d)/")
+    assert sorted(arm.arm for arm in by_number.arms) == ["1", "2"]
+    only = read_histories(store, arm=r"(?P<arm>arm-1)/")
+    assert [arm.arm for arm in only.arms] == ["arm-1"]
+
+
+def test_a_time_in_the_path(tmp_path: Path) -> None:
+    runs, parameters = visited_arms.rows("a", 3, np.random.default_rng(0))
+    for run, day in zip(runs, ("2026-03-01", "2026-01-01", "2026-02-01"), strict=True):
+        run["study"] = f"fleet/a/{day}/study.toml"
+    visited_arms.write(tmp_path, runs, parameters)
+    found = read_histories(tmp_path, arm=r"fleet/(?P<arm>[^/]+)/(?P<time>[\d-]+)/")
+    assert [f"{visit.time:%m}" for visit in found.arms[0].visits] == ["01", "02", "03"]
+    assert found.time_from == "recorded"
+    assert not found.notes
+    with pytest.raises(InvalidInput, match="is no time"):
+        read_histories(tmp_path, arm=r"(?P<time>fleet)")
+
+
+def test_covariates_and_times_by_the_end_of_the_path(store: Path, tmp_path: Path) -> None:
+    lines = [f"arm-1/visit-{k:03d}.toml,2025-0{k + 1}-01,{20 + k}" for k in range(6)]
+    lines[2] = "fleet/arm-1/visit-002.toml,2025-03-01,"
+    path = table(tmp_path / "visits.csv", "study,time,temperature", *lines)
+    found = read_histories(store, covariates=path)
+    assert found.covariates == ("temperature",)
+    (arm,) = found.arms
+    assert [visit.covariates for visit in arm.visits] == [
+        (20.0,),
+        (21.0,),
+        (23.0,),
+        (24.0,),
+        (25.0,),
+    ]
+    assert arm.start == datetime(2025, 1, 1, tzinfo=UTC)
+    assert any("7 visits have no complete row" in note for note in found.notes)
+
+
+def test_failed_and_repeated_runs_are_left_out(tmp_path: Path) -> None:
+    runs, parameters = visited_arms.rows("a", 4, np.random.default_rng(0))
+    runs[0]["status"] = "failed"
+    runs[2]["study"] = runs[1]["study"]  # done again later
+    visited_arms.write(tmp_path, runs, parameters)
+    found = read_histories(tmp_path)
+    assert [visit.run for visit in found.arms[0].visits] == ["a-2", "a-3"]
+    assert any("1 of 4 runs did not answer" in note for note in found.notes)
+    assert any("earlier ones of the same study" in note for note in found.notes)
+
+
+def test_values_of_another_stage_or_without_deviation_are_left_out(tmp_path: Path) -> None:
+    runs, parameters = visited_arms.rows("a", 5, np.random.default_rng(0))
+    stiffness = [p for p in parameters if p["name"] == "gear_stiffness"]
+    stiffness[0]["stage"] = "decoupled"
+    stiffness[1]["value"] = None
+    stiffness[2]["std"] = 0.0
+    for one in parameters:
+        if one["name"] == "friction_offset":
+            one["name"] = "gyro_drift"
+    visited_arms.write(tmp_path, runs, parameters)
+    (arm,) = read_histories(tmp_path).arms
+    own = {p.label: p for p in arm.parameters}
+    assert [visit.run for visit in own["gear_stiffness 1"].visits] == ["a-3", "a-4"]
+    assert own["gear_stiffness 1"].stage == "tuned"
+    assert "gyro_drift 1" not in own
+
+
+def test_merged_files_that_double_a_run_count_once(tmp_path: Path) -> None:
+    runs, parameters = visited_arms.rows("a", 3, np.random.default_rng(0))
+    visited_arms.write(tmp_path, runs, parameters)
+    for kind in ("runs", "parameters"):
+        one = tmp_path / kind / "a-1.parquet"
+        (tmp_path / kind / "part-1.parquet").write_bytes(one.read_bytes())
+    (arm,) = read_histories(tmp_path).arms
+    assert len(arm.visits) == 3
+    assert {len(p.visits) for p in arm.parameters} == {3}
+
+
+@pytest.mark.parametrize(
+    ("arm", "said"),
+    [
+        ("(", "no regular expression"),
+        ("status2", "neither a column"),
+        ("(nothing)", "fits no study"),
+    ],
+)
+def test_expressions_at_fault(store: Path, arm: str, said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        read_histories(store, arm=arm)
+
+
+def test_tables_at_fault(store: Path, tmp_path: Path) -> None:
+    path = tmp_path / "visits.csv"
+    for lines, said in (
+        (("arm,temperature", "a,1"), "no column 'study'"),
+        (("study,temperature", "a,warm"), "line 2: 'warm' is no finite number"),
+        (("study,time", "a,yesterday"), "is no time"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            read_conditions(table(path, *lines))
+    with pytest.raises(InvalidInput, match="no study of the table"):
+        read_histories(store, covariates=table(path, "study,temperature", "elsewhere,1"))
+
+
+def test_a_folder_that_is_no_store(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="holds no runs"):
+        read_histories(tmp_path)
+
+
+def test_times_without_zone_are_utc() -> None:
+    assert as_time("2026-01-05", "") == datetime(2026, 1, 5, tzinfo=UTC)
+    assert as_time("2026-01-05T01:00+01:00", "") == datetime(2026, 1, 5, tzinfo=UTC)
