@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from strainwave.campaign.store import read_parameters, read_runs
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, nearest, read_bytes
@@ -114,7 +115,8 @@ def read_histories(
     InvalidInput
         The store, the expression or the table is at fault.
     """
-    runs, parameters = _tables(store)
+    runs = read_runs(store).to_pylist()
+    parameters = read_parameters(store).to_pylist()
     known = Conditions((), {}, {}) if covariates is None else read_conditions(covariates)
     answered = [row for row in runs if row.get("status") in _ANSWERED]
     notes = []
@@ -225,29 +227,6 @@ def _number(cell: str, where: str) -> float:
     if not np.isfinite(found):
         raise InvalidInput(f"{cell!r} is no finite number", where=where, remedy="write a number")
     return found
-
-
-def _tables(store: Path | str) -> tuple[list[Row], list[Row]]:
-    """Rows of runs and of parameters."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    found = []
-    for kind in ("runs", "parameters"):
-        files = sorted(Path(store).glob(f"{kind}/*.parquet"))
-        if not files:
-            raise InvalidInput(
-                f"holds no {kind}",
-                where=str(store),
-                remedy="name the store that strainwave campaign was given by --out",
-            )
-        table = pa.concat_tables([pq.read_table(f) for f in files], promote_options="default")
-        found.append(table.to_pylist())
-    runs, parameters = found
-    return (
-        list({row["run"]: row for row in runs}.values()),
-        list({(row["run"], row["name"], row["joint"]): row for row in parameters}.values()),
-    )
 
 
 def _namer(arm: str | None, columns: set[str]) -> Callable[[Row], tuple[str | None, str | None]]:
