@@ -20,7 +20,6 @@ from strainwave.campaign.plan import Plan
 from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import Task
 
-
 Truth = dict[tuple[str, int | None], float]
 
 
