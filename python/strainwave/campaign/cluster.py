@@ -17,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -63,13 +64,19 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
         An outcome as JSON.
     """
     task = Task.from_json(line)
-    known = Store.at(task.store).recorded(task.run)
+    known = _store(task.store).recorded(task.run)
     if known and (known.status != FAILED or known.started >= datetime.fromisoformat(since)):
         return Outcome.of(task.run, task.case.name, known).to_json()
     if getattr(_own, "limits", None) != limits:
         _own.limits, _own.runner = limits, Runner(Limits(**limits))
     runner: Runner = _own.runner
     return runner.run(task).to_json()
+
+
+@cache
+def _store(where: str) -> Store:
+    """One for all tasks of a Dask worker: what it has read of merged files it keeps."""
+    return Store.at(where)
 
 
 @contextmanager
