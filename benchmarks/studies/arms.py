@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,22 +16,11 @@ import numpy as np
 
 from strainwave.domain import Experiment, Prbs, Spring, Study
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.simulation import SensorNoise, simulate
+from strainwave.dynamics.simulation import simulate
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
+from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.records import Simulator
-
-
-@dataclass(frozen=True, slots=True)
-class Rig:
-    """A drawn arm, its sensors' noise and how fast it is sampled."""
-
-    study: Study
-    values: Values
-    noise: SensorNoise = field(default_factory=SensorNoise)
-    sample_time: float = 2.5e-4  # [s] of records that excite the gears
-    classes: dict[str, str] = field(default_factory=dict)  # what it is counted under
-
 
 Work = Callable[[Path, Values], dict[str, Any]]
 Change = Callable[[Path, Rig], None]

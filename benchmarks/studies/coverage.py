@@ -18,14 +18,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies.arms import Rig, each, rig, with_logs
-from benchmarks.studies.catalogue import drawn as of_catalogue
+from benchmarks.studies.arms import each, rig, with_logs
 from strainwave.domain import Parameter
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import simulate
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
+from strainwave.virtual.families.catalogue import drawn as of_catalogue
+from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.records import Simulator
 
 EXACT_STEP = 4e-6

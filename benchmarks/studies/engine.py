@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
-from benchmarks.studies.arms import Rig, drawn, each, with_logs
+from benchmarks.studies.arms import drawn, each, with_logs
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
@@ -32,6 +32,7 @@ from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
+from strainwave.virtual.families.rigs import Rig
 
 STEP = 5e-5  # [s] of the engine
 

@@ -10,8 +10,6 @@ it, and *silent* otherwise. Arms without a fault count too: there every finding 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,186 +18,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies import arms, catalogue
-from strainwave.domain import FloatArray, Log, Study
+from benchmarks.studies import arms
 from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import STAGES, identify
 from strainwave.virtual.experiments import derived
+from strainwave.virtual.families import catalogue
+from strainwave.virtual.families.input_faults import Fault, drawn_faults
 
 _HARMLESS = 0.03  # of a value
 _SOURCES = {"rig": arms.rig, "catalogue": catalogue.drawn}
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """Something wrong with the input."""
-
-    kind: str
-    size: str
-    codes: tuple[str, ...]  # that name it; empty: it is to be corrected or noticed without harm
-    logs: tuple[Log, ...]
-    study: Study
-
-
-def drawn_faults(logs: tuple[Log, ...], study: Study, rng: np.random.Generator) -> Iterator[Fault]:
-    """Every kind of fault once, in random order, its joint and size by chance."""
-    kinds: list[Callable[[tuple[Log, ...], Study, int, np.random.Generator], Fault]] = [
-        _time_unit,
-        _time_scale,
-        _angle_unit,
-        _angle_sign,
-        _accelerometer_unit,
-        _accelerometer_sign,
-        _voltage_sign,
-        _swapped,
-        _gear_ratio,
-        _distance,
-        _torque_constant,
-        _late,
-        _drift,
-        _clipped,
-    ]
-    for k in rng.permutation(len(kinds)).tolist():
-        yield kinds[k](logs, study, int(rng.integers(1, study.arm.n_joints + 1)), rng)
-
-
-def _changed(
-    logs: tuple[Log, ...], change: Callable[[Log, dict[str, FloatArray]], None]
-) -> tuple[Log, ...]:
-    found = []
-    for log in logs:
-        channels = dict(log.channels)
-        change(log, channels)
-        found.append(replace(log, channels=channels))
-    return tuple(found)
-
-
-def _times(logs: tuple[Log, ...], name: str, factor: float) -> tuple[Log, ...]:
-    def change(_: Log, channels: dict[str, FloatArray]) -> None:
-        channels[name] = factor * channels[name]
-
-    return _changed(logs, change)
-
-
-def _timed(logs: tuple[Log, ...], factor: float) -> tuple[Log, ...]:
-    return tuple(
-        replace(log, time=factor * log.time, sample_time=factor * log.sample_time) for log in logs
-    )
-
-
-def _time_unit(logs: Any, study: Study, _: int, rng: np.random.Generator) -> Fault:
-    factor, unit = [(1e3, "ms"), (1e6, "us")][int(rng.integers(2))]
-    return Fault("time unit", unit, ("wrong-unit",), _timed(logs, factor), study)
-
-
-def _time_scale(logs: Any, study: Study, _: int, rng: np.random.Generator) -> Fault:
-    factor = 1.0 + float(rng.choice([-1.0, 1.0]) * rng.uniform(0.005, 0.05))
-    return Fault(
-        "all stamps fast or slow", f"{factor:.3f}", ("clock-drift",), _timed(logs, factor), study
-    )
-
-
-def _angle_unit(logs: Any, study: Study, joint: int, rng: np.random.Generator) -> Fault:
-    counts = float(study.arm.joints[joint - 1].encoder_counts or 8192.0)
-    units = {"degrees": 180.0 / np.pi, "counts": counts / (2 * np.pi), "turns": 0.5 / np.pi}
-    unit = str(rng.choice(list(units)))
-    changed = _times(logs, f"theta_m{joint}", units[unit])
-    return Fault("motor angle's unit", unit, ("wrong-unit",), changed, study)
-
-
-def _angle_sign(logs: Any, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _times(logs, f"theta_m{joint}", -1.0)
-    return Fault("motor angle's sign", "-1", ("wrong-sign",), changed, study)
-
-
-def _accelerometer_unit(logs: Any, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _times(logs, f"a{joint}", 1.0 / 9.80665)
-    return Fault("accelerometer's unit", "g", ("wrong-unit",), changed, study)
-
-
-def _accelerometer_sign(logs: Any, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _times(logs, f"a{joint}", -1.0)
-    return Fault("accelerometer's sign", "-1", ("wrong-sign",), changed, study)
-
-
-def _voltage_sign(logs: Any, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    return Fault("voltage's sign", "-1", ("wrong-sign",), _times(logs, f"u{joint}", -1.0), study)
-
-
-def _swapped(logs: Any, study: Study, _: int, rng: np.random.Generator) -> Fault:
-    kind = str(rng.choice(["a", "u", "theta_m"]))
-
-    def change(_: Log, channels: dict[str, FloatArray]) -> None:
-        channels[f"{kind}1"], channels[f"{kind}2"] = channels[f"{kind}2"], channels[f"{kind}1"]
-
-    return Fault("swapped joints", kind, ("swapped-channels",), _changed(logs, change), study)
-
-
-def _with_joint(study: Study, joint: int, **keys: Any) -> Study:
-    joints = list(study.arm.joints)
-    joints[joint - 1] = replace(joints[joint - 1], **keys)
-    return replace(study, arm=replace(study.arm, joints=tuple(joints)))
-
-
-def _gear_ratio(logs: Any, study: Study, joint: int, rng: np.random.Generator) -> Fault:
-    n = study.arm.joints[joint - 1].gear_ratio
-    wrong, size = [(1.0, "left at 1"), (2.0 * n, "doubled"), (0.5 * n, "halved")][
-        int(rng.integers(3))
-    ]
-    changed = _with_joint(study, joint, gear_ratio=wrong)
-    return Fault("gear ratio", size, ("wrong-gear-ratio",), logs, changed)
-
-
-def _distance(logs: Any, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    distance = float(study.arm.joints[joint - 1].accelerometer_distance or 0.0)
-    length = float(study.arm.link_length or 0.0)
-    changed = _with_joint(study, joint, accelerometer_distance=distance + length)
-    size = f"x {1.0 + length / distance:.2f}"
-    return Fault("distance from the wrong axis", size, ("wrong-geometry",), logs, changed)
-
-
-def _torque_constant(logs: Any, study: Study, joint: int, rng: np.random.Generator) -> Fault:
-    factor = float(rng.choice([0.9, 1.1]))
-    e = float(study.arm.joints[joint - 1].torque_per_volt or 1.0)
-    changed = _with_joint(study, joint, torque_per_volt=factor * e)
-    return Fault("torque constant", f"x {factor}", ("wrong-torque-constant",), logs, changed)
-
-
-def _warped(logs: Any, delay: float, fast: float) -> tuple[Log, ...]:
-    def change(log: Log, channels: dict[str, FloatArray]) -> None:
-        time = log.time - log.time[0]
-        at = time * (1.0 + fast) - delay
-        link = {name: v for name, v in channels.items() if name.startswith(("a", "gyro"))}
-        channels.update({name: np.interp(at, time, values) for name, values in link.items()})
-
-    return _changed(logs, change)
-
-
-def _late(logs: Any, study: Study, _: int, rng: np.random.Generator) -> Fault:
-    delay = float(rng.choice([1e-3, 2e-2]))
-    codes = () if delay < 5e-3 else ("misaligned",)
-    changed = _warped(logs, delay, 0.0)
-    return Fault("link sensors late", f"{1e3 * delay:g} ms", codes, changed, study)
-
-
-def _drift(logs: Any, study: Study, _: int, __: np.random.Generator) -> Fault:
-    return Fault(
-        "link sensors' clock fast", "0.1 %", ("clock-drift",), _warped(logs, 0.0, 1e-3), study
-    )
-
-
-def _clipped(logs: Any, study: Study, joint: int, rng: np.random.Generator) -> Fault:
-    share = float(rng.uniform(0.4, 0.7))
-    name = f"a{joint}"
-    limit = share * max(float(np.abs(log.channels[name]).max()) for log in logs)
-
-    def change(_: Log, channels: dict[str, FloatArray]) -> None:
-        channels[name] = np.clip(channels[name], -limit, limit)
-
-    return Fault("clipped sensor", f"at {share:.2f}", ("clipped",), _changed(logs, change), study)
 
 
 def tried(n_faults: int, seed: int, stages: tuple[str, ...], path: Path, values: Values) -> Any:

@@ -21,8 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies import arms, catalogue
-from benchmarks.studies.injected import SIZES, Injected, injected
+from benchmarks.studies import arms
 from strainwave.domain import Identification, Log, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
@@ -30,6 +29,8 @@ from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.signals import hygiene
+from strainwave.virtual.families import catalogue
+from strainwave.virtual.families.sensor_defects import SIZES, Injected, injected
 
 _OF_INTEREST = ("inertia", "alpha", "beta", "gamma", "gear_stiffness")
 _SMALL = 0.01  # of a value, up to which it may move

@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies.arms import Rig, each, with_logs
+from benchmarks.studies.arms import each, with_logs
 from benchmarks.studies.convergence import SAME
 from benchmarks.studies.coverage import EXACT_STEP, OF_THE_ENGINE, drawn_rig, kind_of, rows_of
 from strainwave.domain import Channel, FloatArray, Identification, JointModel, Study
@@ -35,6 +35,7 @@ from strainwave.io import logs
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
+from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.records import Simulator
 
 LINKS: Mapping[str, tuple[str, ...]] = {

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.studies.causes.drawn import NOTHING, Run, causes, drawn, plans
-from benchmarks.studies.causes.in_own_plant import OwnPlant
+from benchmarks.studies.causes.drawn import Run, causes, drawn
 from benchmarks.studies.causes.judged import judged, matters, taken_up, verdict_on
 from benchmarks.studies.causes.stated import STATED, before_and_after
 from benchmarks.studies.causes.tables import tables
 
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
+from strainwave.virtual.families.causes import NOTHING, OwnPlant
+from strainwave.virtual.families.short_records import plans
 from strainwave.virtual.plans import Plan
 from strainwave.virtual.records import Simulator
 

@@ -10,11 +10,12 @@ from pathlib import Path
 from rich.console import Console
 
 from benchmarks.studies.arms import each
-from benchmarks.studies.causes.drawn import NOTHING, causes
+from benchmarks.studies.causes.drawn import causes
 from benchmarks.studies.causes.judged import Engine, taking_turns
 from benchmarks.studies.causes.stated import STATED, before_and_after, tried
 from benchmarks.studies.causes.tables import tables
 from strainwave import __version__
+from strainwave.virtual.families.causes import NOTHING
 
 _WIDTH = 200
 

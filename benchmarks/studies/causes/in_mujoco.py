@@ -16,13 +16,17 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
-from benchmarks.studies.causes.drawn import NOTHING, Cause
-from benchmarks.studies.causes.in_own_plant import with_encoder_zero, with_sensor_mount
 from benchmarks.studies.engine import STEP, Plant, in_mujoco
 from strainwave.domain import FloatArray
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory
+from strainwave.virtual.families.causes import (
+    NOTHING,
+    Cause,
+    with_encoder_zero,
+    with_sensor_mount,
+)
 
 _SETTLING_STEPS = 8000
 _SETTLING_LOSS = 0.995  # of the links' velocities that a settling step leaves

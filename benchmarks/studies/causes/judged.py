@@ -9,8 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from benchmarks.studies.causes.drawn import NOTHING, Run, can_be_named, drawn, plans
-from benchmarks.studies.causes.in_own_plant import OwnPlant
+from benchmarks.studies.causes.drawn import Run, can_be_named, drawn
 from strainwave.domain import FloatArray, Identification, Study
 from strainwave.domain.effects import all_effects
 from strainwave.domain.parameter_table import base_name
@@ -19,6 +18,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
+from strainwave.virtual.families.causes import NOTHING, OwnPlant
+from strainwave.virtual.families.short_records import plans
 from strainwave.virtual.records import Simulator, recorded
 
 Engine = Literal["own", "mujoco"]

@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from benchmarks.studies.causes.drawn import Cause, Run, drawn
+from benchmarks.studies.causes.drawn import Run, drawn
 from benchmarks.studies.causes.judged import Engine, error_percent, is_sound, judged
 from benchmarks.studies.causes.tables import Counted
+from strainwave.virtual.families.causes import Cause
 
 Sizes = Mapping[str, float]
 _MOST_DRAWN = 60

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.studies.causes.drawn import NOTHING
 from benchmarks.studies.causes.judged import (
     SELECTIONS,
     VERDICTS,
@@ -19,6 +18,7 @@ from benchmarks.studies.causes.judged import (
     taken_up,
     verdict_on,
 )
+from strainwave.virtual.families.causes import NOTHING
 
 _UNNAMED = "nothing"
 _FITS = ("plain", "with_it", "auto")

@@ -6,11 +6,12 @@ and wind the gears up past their knees at full voltage. So a drawn arm is one th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.studies.arms import Rig
 from strainwave.domain import (
     ArmDescription,
     Control,
@@ -24,6 +25,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import SensorNoise
+from strainwave.virtual.families.rigs import Rig, between
 
 GEARS = {
     # size: T1, T2 [N m], then K1, K2, K3 [10^4 N m/rad] at ratios of 80 and above, and at 50
@@ -45,6 +47,19 @@ _RANGES = tuple(9.81 * g for g in (2.0, 5.0, 10.0, 20.0, 50.0, 200.0, 1000.0))  
 _VOLTS = 10.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choices:
+    """What an arm is drawn from."""
+
+    sizes: Sequence[int] = tuple(GEARS)  # ascending
+    ratios: Sequence[float] = RATIOS
+    counts: Sequence[float] = COUNTS
+    sample_times: Sequence[float] = SAMPLE_TIMES  # [s]
+    payload: tuple[float, float] | None = None  # [kg] at the tip
+    coulomb: tuple[float, float] = (1.0, 1.0)  # factors on the catalogue's friction
+    viscous: tuple[float, float] = (1.0, 1.0)
+
+
 def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
     """One arm of the catalogue, with its sensors and experiments.
 
@@ -61,36 +76,56 @@ def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
     Rig
     """
     rng = np.random.default_rng([8, 40, series, seed])
-    spring = SPRINGS[seed % len(SPRINGS)]
-    sizes = list(GEARS)
+    return of_choices(rng, SPRINGS[seed % len(SPRINGS)], Choices(), small=small)
+
+
+def of_choices(
+    rng: np.random.Generator, spring: Spring, choices: Choices, *, small: bool = False
+) -> Rig:
+    """One arm of the catalogue, drawn from some of what there is.
+
+    The gear of joint 2 is of the same size as that of joint 1 or up to two smaller in the list. A
+    payload m at the tip adds m l1^2, m l2^2 and m l1 l2 to alpha, beta and gamma before motors and
+    gains are chosen: what carries it is built for it.
+
+    Parameters
+    ----------
+    rng : Generator
+    spring : str
+        Gear law of both joints: "linear" or "three-slope".
+    choices : Choices
+    small : bool
+        Sizes 8 to 14, anti-resonances above 25 Hz and 2,000 counts, sampled at 4 kHz.
+
+    Returns
+    -------
+    Rig
+    """
+    sizes = list(choices.sizes)
     largest = sizes.index(SMALL) + 1 if small else len(sizes)
     base = int(rng.integers(1 if small else 0, largest))
     outer = int(rng.integers(max(0, base - 2), base + 1))
-    ratios = rng.choice(RATIOS, 2)
-    counts = 2000 if small else int(rng.choice(COUNTS))
-    sample_time = 2.5e-4 if small else float(rng.choice(SAMPLE_TIMES))
-    bandwidth = _between(rng, 50.0, 1000.0)
+    ratios = rng.choice(choices.ratios, 2)
+    counts = 2000 if small else int(rng.choice(choices.counts))
+    sample_time = 2.5e-4 if small else float(rng.choice(choices.sample_times))
+    bandwidth = between(rng, 50.0, 1000.0)
     lowest, highest = (25.0, 45.0) if small else (7.0, min(45.0, 0.04 / sample_time))
-    frequency = [_between(rng, lowest, highest) for _ in range(2)]
+    frequency = [between(rng, lowest, highest) for _ in range(2)]
     slopes = [_slopes(sizes[k], int(ratio)) for k, ratio in zip((base, outer), ratios, strict=True)]
     inertia = [k[1] / (2.0 * np.pi * f) ** 2 for k, f in zip(slopes, frequency, strict=True)]
-    beta = min(inertia[1], inertia[0] / 3.0)  # what joint 2 carries, joint 1 carries as well
-    coupling = float(rng.uniform(0.3, 0.75))
-    root = -coupling * np.sqrt(beta) + np.sqrt(coupling**2 * beta + inertia[0] - beta)
-    values: Values = {("alpha", None): root**2, ("beta", None): beta}
-    values["gamma", None] = coupling * root * np.sqrt(beta)
-    load = (inertia[0], beta)
-    joints, length = [], (_between(rng, 0.1, 1.0), _between(rng, 0.1, 1.0))
+    values, load, length, payload = _links(rng, inertia, choices.payload)
+    joints = []
     gains: list[tuple[float, float]] = []
     peak = 0.0
     for i, (size, ratio) in enumerate(zip((sizes[base], sizes[outer]), ratios, strict=True)):
         n, knees = 1.0 / float(ratio), GEARS[size][0]
         torque = float(rng.uniform(2.0, 4.5)) * knees[1] * n  # of the motor at full voltage
-        motor = n**2 * load[i] * _between(rng, 0.2, 1.2)
-        coulomb = float(rng.uniform(0.04, 0.12)) * torque
-        viscous = coulomb * n * float(rng.uniform(0.15, 0.5))
+        motor = n**2 * load[i] * between(rng, 0.2, 1.2)
+        dry = float(rng.uniform(0.04, 0.12)) * torque
+        viscous = dry * n * float(rng.uniform(0.15, 0.5)) * _factor(rng, choices.viscous)
+        coulomb = dry * _factor(rng, choices.coulomb)
         stiffness = slopes[i][1]
-        damping = 2.0 * _between(rng, 0.015, 0.05) * np.sqrt(stiffness * load[i])
+        damping = 2.0 * between(rng, 0.015, 0.05) * np.sqrt(stiffness * load[i])
         own = {
             "motor_inertia": motor,
             "motor_viscous_friction": viscous,
@@ -115,7 +150,7 @@ def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
                 spring=spring,
                 gear_ratio=n,
                 torque_per_volt=per_volt,
-                current_loop_hz=_between(rng, 500.0, 1000.0),
+                current_loop_hz=between(rng, 500.0, 1000.0),
                 encoder_counts=counts,
                 accelerometer_distance=distance,
                 accelerometer_hz=bandwidth,
@@ -148,8 +183,29 @@ def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
         "bandwidth": _class(bandwidth, (100.0, 300.0), ("up to 100 Hz", "to 300 Hz", "more")),
         "spring": spring,
     }
+    if choices.payload:
+        classes["payload"] = f"{payload:.3g} kg"
     noise = SensorNoise(accelerometer_range=reach)
     return Rig(study, values, noise, sample_time, classes)
+
+
+def _links(
+    rng: np.random.Generator, inertia: Sequence[float], payloads: tuple[float, float] | None
+) -> tuple[Values, tuple[float, float], tuple[float, float], float]:
+    """Base parameters (3), inertia at each joint of the stretched arm, lengths, payload."""
+    beta = min(inertia[1], inertia[0] / 3.0)  # what joint 2 carries, joint 1 carries as well
+    coupling = float(rng.uniform(0.3, 0.75))
+    root = -coupling * np.sqrt(beta) + np.sqrt(coupling**2 * beta + inertia[0] - beta)
+    alpha, gamma = root**2, coupling * root * np.sqrt(beta)
+    length = (between(rng, 0.1, 1.0), between(rng, 0.1, 1.0))
+    payload = float(rng.uniform(*payloads)) if payloads else 0.0
+    values: Values = {
+        ("alpha", None): alpha + payload * length[0] ** 2,
+        ("beta", None): beta + payload * length[1] ** 2,
+        ("gamma", None): gamma + payload * length[0] * length[1],
+    }
+    load = (inertia[0] + payload * sum(length) ** 2, values["beta", None])
+    return values, load, length, payload
 
 
 def _slopes(size: int, ratio: int) -> tuple[float, float, float]:
@@ -159,9 +215,9 @@ def _slopes(size: int, ratio: int) -> tuple[float, float, float]:
     return 1e4 * first, 1e4 * second, 1e4 * third
 
 
-def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    """Drawn evenly among logarithms."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+def _factor(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
+    """Drawn within its bounds; where they are one, nothing is drawn."""
+    return between(rng, *bounds) if bounds[0] < bounds[1] else bounds[0]
 
 
 def _class(value: float, edges: tuple[float, float], names: tuple[str, str, str]) -> str:

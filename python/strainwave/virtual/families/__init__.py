@@ -1,0 +1,12 @@
+"""Families of virtual arms: drawn over a gear catalogue, each by its number alone.
+
+`description` says what is drawn, `drawing` draws. Arms have their experiments run in memory; some
+have a fault in their input, or an effect that their study does not mention.
+"""
+
+from __future__ import annotations
+
+from strainwave.virtual.families.description import Family, family_of, fields_of
+from strainwave.virtual.families.drawing import Recorded, VirtualArm, draw, record
+
+__all__ = ["Family", "Recorded", "VirtualArm", "draw", "family_of", "fields_of", "record"]

@@ -1,0 +1,153 @@
+"""What a family of virtual arms is drawn from: `[family]` of a campaign.toml."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Le, MinLen
+
+from strainwave.domain.arm import NonNegative, Positive
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import nearest
+from strainwave.io.study.reader import Reader
+from strainwave.virtual.families.catalogue import GEARS, RATIOS, SPRINGS
+from strainwave.virtual.families.causes import causes_of_the_plant
+from strainwave.virtual.families.input_faults import INPUT_FAULTS
+from strainwave.virtual.families.sensor_defects import SIZES
+
+Share = Annotated[float, Ge(0.0), Le(1.0)]
+Range = tuple[Positive, Positive]
+LinkSensors = Literal["accelerometer", "gyro", "accelerometer-and-gyro", "encoder", "none"]
+
+FAULTS: tuple[str, ...] = (*INPUT_FAULTS, *SIZES)
+"""Kinds of faults: slips of the study and its logs, then defects of sensors."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Friction:
+    """Factors on the catalogue's friction, lowest and highest: `friction`."""
+
+    coulomb: Range = (1.0, 1.0)
+    viscous: Range = (1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensors:
+    """Noise and link sensors: `sensors`."""
+
+    noise: Range = (1.0, 1.0)  # factors on the densities of `SensorNoise`
+    link: Annotated[tuple[LinkSensors, ...], MinLen(1)] = ("accelerometer",)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Family:
+    """What arms are drawn from; each arm follows from the seed and its number alone."""
+
+    arms: Annotated[int, Ge(1)]  # how many
+    seed: Annotated[int, Ge(0)] = 0
+    sizes: Annotated[tuple[int, ...], MinLen(1)] = tuple(GEARS)  # of gears
+    ratios: Annotated[tuple[Annotated[float, Ge(10.0), Le(500.0)], ...], MinLen(1)] = RATIOS
+    springs: Annotated[tuple[str, ...], MinLen(1)] = SPRINGS
+    counts: Annotated[tuple[Annotated[int, Ge(100)], ...], MinLen(1)] = (
+        *(2000, 4096, 8192),
+        *(65536, 1_000_000),
+    )
+    sample_times: Annotated[
+        tuple[Annotated[float, Ge(2e-5), Le(2e-3)], ...], MinLen(1)  # [s]
+    ] = (2e-3, 1e-3, 5e-4)
+    payload: tuple[NonNegative, NonNegative] | None = None  # [kg] at the tip
+    gravity: Share = 0.0  # share of arms that stand upright
+    friction: Friction | None = None  # None: the catalogue's
+    sensors: Sensors | None = None  # None: those of a decent rig
+    faults: Share | tuple[str, ...] = 0.0  # share of arms with one of any kind; or kinds
+    effects: Share | tuple[str, ...] = 0.0  # that the study does not mention; as faults
+
+
+def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
+    """The family that a `[family]` describes.
+
+    Parameters
+    ----------
+    table : mapping
+        As parsed.
+    path : Path
+        Of the file, for messages.
+    text : str
+        Of the file, for the lines of messages.
+
+    Returns
+    -------
+    Family
+
+    Raises
+    ------
+    InvalidInput
+        A key is missing, unknown, or of another type or range than it may have.
+    """
+    reader = Reader(path, text)
+    family = reader.record(Family, table, "family")
+    known: dict[str, tuple[Any, ...]] = {
+        "sizes": tuple(GEARS),
+        "springs": SPRINGS,
+        "faults": FAULTS,
+        "effects": causes_of_the_plant(),
+    }
+    for key, names in known.items():
+        chosen = getattr(family, key)
+        if isinstance(chosen, tuple):
+            _check_known(chosen, names, key, reader)
+    friction, sensors = family.friction or Friction(), family.sensors or Sensors()
+    ranges = {
+        "payload": family.payload,
+        "friction": friction.coulomb,
+        "sensors": sensors.noise,
+    }
+    for key, bounds in (*ranges.items(), ("friction", friction.viscous)):
+        if bounds is not None and bounds[0] > bounds[1]:
+            raise InvalidInput(
+                f"the range of '{key}' from {bounds[0]:g} to {bounds[1]:g} is empty",
+                where=reader.place("family", None, key),
+                remedy="give the lower bound first",
+            )
+    return family
+
+
+def _check_known(chosen: Iterable[Any], known: tuple[Any, ...], key: str, reader: Reader) -> None:
+    for one in chosen:
+        if one not in known:
+            near = nearest(one, known) if isinstance(one, str) else ""
+            raise InvalidInput(
+                f"'{key}' has {one!r}, which cannot be drawn",
+                where=reader.place("family", None, key),
+                remedy=f"choose among {', '.join(map(str, known))}{near}",
+            )
+
+
+def fields_of(family: Family) -> dict[str, Any]:
+    """A family as the table that it is read from: plain JSON values.
+
+    Parameters
+    ----------
+    family : Family
+
+    Returns
+    -------
+    dict
+    """
+    return _table(family)
+
+
+def _table(record: Any) -> dict[str, Any]:
+    own = {f.name: getattr(record, f.name) for f in fields(record)}
+    return {
+        key: _table(value)
+        if isinstance(value, Friction | Sensors)
+        else list(value)
+        if isinstance(value, tuple)
+        else value
+        for key, value in own.items()
+        if value is not None
+    }

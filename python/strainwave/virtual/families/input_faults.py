@@ -1,0 +1,194 @@
+"""Slips of units, signs, joints, geometry and clocks, put into clean logs or their study."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Log, Study
+
+Logs = tuple[Log, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something wrong with the input, and the input that has it."""
+
+    kind: str
+    size: str
+    codes: tuple[str, ...]  # that name it; empty: it is to be corrected or noticed without harm
+    logs: Logs
+    study: Study
+
+
+def _changed(logs: Logs, change: Callable[[Log, dict[str, FloatArray]], None]) -> Logs:
+    found = []
+    for log in logs:
+        channels = dict(log.channels)
+        change(log, channels)
+        found.append(replace(log, channels=channels))
+    return tuple(found)
+
+
+def _times(logs: Logs, name: str, factor: float) -> Logs:
+    def change(_: Log, channels: dict[str, FloatArray]) -> None:
+        channels[name] = factor * channels[name]
+
+    return _changed(logs, change)
+
+
+def _timed(logs: Logs, factor: float) -> Logs:
+    return tuple(
+        replace(log, time=factor * log.time, sample_time=factor * log.sample_time) for log in logs
+    )
+
+
+def _time_unit(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
+    factor, unit = [(1e3, "ms"), (1e6, "us")][int(rng.integers(2))]
+    return Fault("time-unit", unit, ("wrong-unit",), _timed(logs, factor), study)
+
+
+def _time_scale(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
+    factor = 1.0 + float(rng.choice([-1.0, 1.0]) * rng.uniform(0.005, 0.05))
+    return Fault("time-scale", f"{factor:.3f}", ("clock-drift",), _timed(logs, factor), study)
+
+
+def _angle_unit(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
+    counts = float(study.arm.joints[joint - 1].encoder_counts or 8192.0)
+    units = {"degrees": 180.0 / np.pi, "counts": counts / (2 * np.pi), "turns": 0.5 / np.pi}
+    unit = str(rng.choice(list(units)))
+    changed = _times(logs, f"theta_m{joint}", units[unit])
+    return Fault("angle-unit", unit, ("wrong-unit",), changed, study)
+
+
+def _angle_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+    changed = _times(logs, f"theta_m{joint}", -1.0)
+    return Fault("angle-sign", "-1", ("wrong-sign",), changed, study)
+
+
+def _accelerometer_unit(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+    changed = _times(logs, f"a{joint}", 1.0 / 9.80665)
+    return Fault("accelerometer-unit", "g", ("wrong-unit",), changed, study)
+
+
+def _accelerometer_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+    changed = _times(logs, f"a{joint}", -1.0)
+    return Fault("accelerometer-sign", "-1", ("wrong-sign",), changed, study)
+
+
+def _voltage_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+    return Fault("voltage-sign", "-1", ("wrong-sign",), _times(logs, f"u{joint}", -1.0), study)
+
+
+def _swapped(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
+    kind = str(rng.choice(["a", "u", "theta_m"]))
+
+    def change(_: Log, channels: dict[str, FloatArray]) -> None:
+        channels[f"{kind}1"], channels[f"{kind}2"] = channels[f"{kind}2"], channels[f"{kind}1"]
+
+    return Fault("swapped-joints", kind, ("swapped-channels",), _changed(logs, change), study)
+
+
+def _with_joint(study: Study, joint: int, **keys: Any) -> Study:
+    joints = list(study.arm.joints)
+    joints[joint - 1] = replace(joints[joint - 1], **keys)
+    return replace(study, arm=replace(study.arm, joints=tuple(joints)))
+
+
+def _gear_ratio(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
+    n = study.arm.joints[joint - 1].gear_ratio
+    wrong, size = [(1.0, "left at 1"), (2.0 * n, "doubled"), (0.5 * n, "halved")][
+        int(rng.integers(3))
+    ]
+    changed = _with_joint(study, joint, gear_ratio=wrong)
+    return Fault("gear-ratio", size, ("wrong-gear-ratio",), logs, changed)
+
+
+def _distance(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+    distance = float(study.arm.joints[joint - 1].accelerometer_distance or 0.0)
+    length = float(study.arm.link_length or 0.0)
+    changed = _with_joint(study, joint, accelerometer_distance=distance + length)
+    size = f"x {1.0 + length / distance:.2f}"
+    return Fault("geometry", size, ("wrong-geometry",), logs, changed)
+
+
+def _torque_constant(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
+    factor = float(rng.choice([0.9, 1.1]))
+    e = float(study.arm.joints[joint - 1].torque_per_volt or 1.0)
+    changed = _with_joint(study, joint, torque_per_volt=factor * e)
+    return Fault("torque-constant", f"x {factor}", ("wrong-torque-constant",), logs, changed)
+
+
+def _warped(logs: Logs, delay: float, fast: float) -> Logs:
+    def change(log: Log, channels: dict[str, FloatArray]) -> None:
+        time = log.time - log.time[0]
+        at = time * (1.0 + fast) - delay
+        link = {name: v for name, v in channels.items() if name.startswith(("a", "gyro"))}
+        channels.update({name: np.interp(at, time, values) for name, values in link.items()})
+
+    return _changed(logs, change)
+
+
+def _late(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
+    delay = float(rng.choice([1e-3, 2e-2]))
+    codes = () if delay < 5e-3 else ("misaligned",)
+    changed = _warped(logs, delay, 0.0)
+    return Fault("late-sensors", f"{1e3 * delay:g} ms", codes, changed, study)
+
+
+def _drift(logs: Logs, study: Study, _: int, __: np.random.Generator) -> Fault:
+    return Fault("fast-clock", "0.1 %", ("clock-drift",), _warped(logs, 0.0, 1e-3), study)
+
+
+def _clipped(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
+    share = float(rng.uniform(0.4, 0.7))
+    name = f"a{joint}"
+    limit = share * max(float(np.abs(log.channels[name]).max()) for log in logs)
+
+    def change(_: Log, channels: dict[str, FloatArray]) -> None:
+        channels[name] = np.clip(channels[name], -limit, limit)
+
+    return Fault("clipped-sensor", f"at {share:.2f}", ("clipped",), _changed(logs, change), study)
+
+
+Put = Callable[[Logs, Study, int, np.random.Generator], Fault]
+
+INPUT_FAULTS: Mapping[str, Put] = {
+    "time-unit": _time_unit,
+    "time-scale": _time_scale,
+    "angle-unit": _angle_unit,
+    "angle-sign": _angle_sign,
+    "accelerometer-unit": _accelerometer_unit,
+    "accelerometer-sign": _accelerometer_sign,
+    "voltage-sign": _voltage_sign,
+    "swapped-joints": _swapped,
+    "gear-ratio": _gear_ratio,
+    "geometry": _distance,
+    "torque-constant": _torque_constant,
+    "late-sensors": _late,
+    "fast-clock": _drift,
+    "clipped-sensor": _clipped,
+}
+"""Kinds by name: logs, study, joint from 1 and chance -> what has the fault."""
+
+
+def drawn_faults(logs: Logs, study: Study, rng: np.random.Generator) -> Iterator[Fault]:
+    """Every kind of fault once, in random order, its joint and size by chance.
+
+    Parameters
+    ----------
+    logs : tuple of Log
+        Clean.
+    study : Study
+    rng : Generator
+
+    Yields
+    ------
+    Fault
+    """
+    kinds = list(INPUT_FAULTS.values())
+    for k in rng.permutation(len(kinds)).tolist():
+        yield kinds[k](logs, study, int(rng.integers(1, study.arm.n_joints + 1)), rng)
