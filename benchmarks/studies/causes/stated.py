@@ -10,7 +10,7 @@ from typing import Any, Literal
 from benchmarks.studies.causes.drawn import Run, drawn
 from benchmarks.studies.causes.judged import Engine, error_percent, is_sound, judged
 from benchmarks.studies.causes.tables import Counted
-from strainwave.virtual.families.causes import Cause
+from strainwave.virtual.families.causes import Cause, slower
 
 Sizes = Mapping[str, float]
 _MOST_DRAWN = 60
@@ -96,7 +96,13 @@ STATED: Sequence[Stated] = (
         "base on soft feet, 12 Hz",
         "soft-base",
         1,
-        _always(frequency=12.0, mass=5.0, damping_ratio=0.02),
+        lambda run: {
+            "base_compliance": 1.0 / run.rig.values["gear_stiffness", 1],
+            "base_frequency": 12.0,
+            "base_damping": 0.02,
+            "sliding_frequency": 100.0,
+            "mass": 5.0,
+        },
     ),
     Stated("backlash of 0.2 mrad", "backlash", 1, _always(backlash=1e-4), spring="three-slope"),
     Stated(
@@ -134,6 +140,24 @@ STATED: Sequence[Stated] = (
         _by_record(1.15, 0.85),
     ),
     Stated("amplifier dead zone of 0.2 V", "dead-zone", 1, _always(dead_zone=0.2)),
+    Stated(
+        "amplifier clips at 8 of 10 V",
+        "drive-limit",
+        1,
+        lambda run: {"drive_limit": 0.8 * _limit(run), "drive_limit_loss": 1.0},
+    ),
+    Stated(
+        "current loop of 100 Hz, not 1000 Hz",
+        "drive-lag",
+        1,
+        lambda run: slower(100.0, run.rig.study, 1),
+    ),
+    Stated(
+        "accelerometer 1 rings on its mount at 90 Hz",
+        "sensor-mount",
+        1,
+        _always(frequency=90.0, damping_ratio=0.03),
+    ),
 )
 
 

@@ -113,16 +113,19 @@ def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
 def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[Hypothesis, Shapes]:
     """The sets of shapes at which effects are tested: one each where residuals are noise.
 
-    Further ones have frequencies within the band in which records are compared.
+    Further ones have frequencies within the band in which records are compared. Beside an effect
+    that the model has, every derivative takes a simulation of its own: there, too, one set is
+    tested.
     """
     records, values = fit.objective.records, fit.objective.space.values(fit.z)
     band = max(record.cutoff_hz for record in records)
-    loads, noise = loads_of(records, values), not exceed_noise(fit.objective, fit.z)
+    loads = loads_of(records, values)
+    once = bool(effects_in(fit.objective.space, arm)) or not exceed_noise(fit.objective, fit.z)
     found: dict[Hypothesis, Shapes] = {}
     for joint, name in candidates:
         effect = effect_named(name)
         first, *further = effect.tested_shapes(known_joint(arm, joint, values, loads))
-        seen = [one for one in further if not noise and _highest(effect, one) < band]
+        seen = [one for one in further if not once and _highest(effect, one) < band]
         for number, shapes in enumerate((first, *seen)):
             found[Hypothesis(joint, name, number)] = shapes
     return found

@@ -230,7 +230,7 @@ def _stated(name: str, rig: Rig, joint: int, rng: np.random.Generator) -> dict[s
             "drive_limit_loss": 1.0,
             "drive_limit": rng.uniform(0.6, 0.9) * known_joint(rig, joint).largest_voltage,
         },
-        "drive-lag": lambda: _slower(between(rng, 60.0, 300.0), study, joint),
+        "drive-lag": lambda: slower(between(rng, 60.0, 300.0), study, joint),
         "kinematic-error": lambda: {"kinematic_error_order": float(rng.choice([2.0, 4.0]))},
         "dead-zone": lambda: {"dead_zone": between(rng, 0.003, 0.03) * limit},
         "tilt": lambda: {"angle": sign * np.radians(between(rng, 0.3, 3.0)), "azimuth": azimuth},
@@ -254,8 +254,22 @@ def _stated(name: str, rig: Rig, joint: int, rng: np.random.Generator) -> dict[s
     return sizes[name]() if name in sizes else {}
 
 
-def _slower(bandwidth: float, study: Study, joint: int) -> dict[str, float]:
-    """A current loop of another bandwidth [Hz], and the lag beside the study's that is as late."""
+def slower(bandwidth: float, study: Study, joint: int) -> dict[str, float]:
+    """A current loop of another bandwidth, and the lag beside the study's that is as late.
+
+    Parameters
+    ----------
+    bandwidth : float
+        [Hz].
+    study : Study
+    joint : int
+        From 1.
+
+    Returns
+    -------
+    dict
+        `bandwidth` [Hz] and `drive_lag` [s].
+    """
     stated = study.arm.joints[joint - 1].current_loop_hz or np.inf
     lag = (1.0 / bandwidth - 1.0 / stated) / (2.0 * np.pi)
     return {"bandwidth": bandwidth, "drive_lag": lag}
