@@ -1,0 +1,46 @@
+"""The same input gives the same result.json but for time and paths, whatever runs how many."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+STUDY = Path(__file__).parent / "data" / "small-arm" / "study.toml"
+_RUN = """
+import sys
+import strainwave as sw
+sw.identify(sys.argv[1], threads=int(sys.argv[2])).save(sys.argv[3])
+"""
+
+
+def result(out: Path, *, threads: int, blas: int) -> dict[str, Any]:
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": str(blas), "OMP_NUM_THREADS": str(blas)}
+    subprocess.run(
+        [sys.executable, "-c", _RUN, str(STUDY), str(threads), str(out)],
+        env=environment,
+        check=True,
+        timeout=500,
+    )
+    document: dict[str, Any] = json.loads(out.read_text())
+    for varying in ("created", "timing_s"):
+        del document[varying]
+    del document["study"]["path"]
+    return document
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return result(tmp_path_factory.mktemp("alone") / "result.json", threads=1, blas=1)
+
+
+@pytest.mark.parametrize(("threads", "blas"), [(1, 1), (3, 1), (2, 4)])
+def test_the_same_input_gives_the_same_result(
+    alone: dict[str, Any], tmp_path: Path, threads: int, blas: int
+) -> None:
+    assert result(tmp_path / "result.json", threads=threads, blas=blas) == alone
