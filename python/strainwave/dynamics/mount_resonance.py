@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import next_fast_len
 
 from strainwave.domain import ComplexArray, FloatArray
 
@@ -83,6 +82,8 @@ class MountResonance:
         A spectrum is of a periodic signal: behind its end the motion goes back to where it began,
         and rests for as long as the mount takes to forget the record.
         """
+        from scipy.fft import next_fast_len
+
         lasts = min(_FORGOTTEN / (math.tau * self.frequency * self.damping), _LONGEST)
         n, more = len(motion), math.ceil(lasts / sample_time)
         along = (-1, *(1 for _ in motion.shape[1:]))
