@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from strainwave.campaign.cases import Case
+from strainwave.campaign.drawn_arms import DrawnArm
 from strainwave.campaign.study_files import StudyFile
 
-KINDS: dict[str, type] = {StudyFile.kind: StudyFile}
+KINDS: dict[str, type] = {StudyFile.kind: StudyFile, DrawnArm.kind: DrawnArm}
 """Kinds of cases by name; a worker makes a case again from its kind and its fields."""
 
 

@@ -95,6 +95,7 @@ def failure_of(
     seconds: float,
     status: str = FAILED,
     worker: str = "",
+    classes: Mapping[str, Any] | None = None,
 ) -> Record:
     """A run that came to no verdict.
 
@@ -110,6 +111,8 @@ def failure_of(
     status : str
     worker : str, optional
         This process without.
+    classes : mapping, optional
+        What a virtual arm was drawn with, where that is known.
 
     Returns
     -------
@@ -124,6 +127,7 @@ def failure_of(
             "started": started,
             "seconds": seconds,
             "worker": worker or worker_name(),
+            "classes": json.dumps(dict(classes)) if classes else None,
         }
     )
 

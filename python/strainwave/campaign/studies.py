@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.campaign.cases import Case
+from strainwave.campaign.drawn_arms import arms_of
 from strainwave.campaign.places import file_system, is_url
 from strainwave.campaign.study_files import StudyFile
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, nearest, read_bytes
+from strainwave.virtual.families import family_of
 
 _STUDY = "study.toml"
 _GLOB = set("*?[")
-_KEYS = ("stages", "options", "studies")
+_KEYS = ("stages", "options", "studies", "family")
 
 
 @dataclass(frozen=True)
@@ -218,10 +220,23 @@ def _of_document(path: Path) -> Found:
     if not isinstance(options, dict) or not all(isinstance(o, dict) for o in options.values()):
         raise _wrong(path, "options", "one table a stage, as in a study file")
     return Found(
-        _listed(document.get("studies"), path),
+        _cases(document, path, text),
         stages=None if stages is None else tuple(stages),
         options=options,
     )
+
+
+def _cases(document: Mapping[str, Any], path: Path, text: str) -> Sequence[Case]:
+    """Those of `[studies]`, or the arms of `[family]`."""
+    if "family" not in document:
+        return _listed(document.get("studies"), path)
+    if "studies" in document or not isinstance(document["family"], dict):
+        raise InvalidInput(
+            "[family] stands beside [studies], or is no table",
+            where=str(path),
+            remedy="give one table: [family], or [studies] in a campaign.toml of its own",
+        )
+    return arms_of(family_of(document["family"], path, text), path)
 
 
 def _listed(table: Any, path: Path) -> list[Case]:

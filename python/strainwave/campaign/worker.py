@@ -15,8 +15,8 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Callable
-from typing import TextIO
+from collections.abc import Callable, Mapping
+from typing import Any, TextIO
 
 from strainwave import __version__
 from strainwave.campaign.rows import failure_of, now, record_of
@@ -44,16 +44,23 @@ def perform(task: Task) -> Record:
     from strainwave import pipeline
 
     started, begin = now(), time.perf_counter()
+    classes: Mapping[str, Any] = {}
 
     def failed(message: str, exit_code: int, status: str = "failed") -> Record:
-        seconds = time.perf_counter() - begin
         return failure_of(
-            task, message, exit_code=exit_code, started=started, seconds=seconds, status=status
+            task,
+            message,
+            exit_code=exit_code,
+            started=started,
+            seconds=time.perf_counter() - begin,
+            status=status,
+            classes=classes,
         )
 
     try:
         _check_version(task)
         with task.case.opened() as opened:
+            classes = opened.classes
             found = pipeline.identify(
                 opened.study,
                 data=opened.data,

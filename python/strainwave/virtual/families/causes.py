@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lsim
 
 from strainwave.domain import ArmDescription, FloatArray, Study
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named, names
@@ -135,6 +134,8 @@ def with_sensor_mount(
     """
     if cause.name != "sensor-mount":
         return simulated(sample_time, samples)
+    from scipy.signal import lsim
+
     fine = simulated(sample_time / _FINER, _FINER * samples)
     read = {name: quantity.copy() for name, quantity in fine.quantities.items()}
     if "accelerometer" in read:

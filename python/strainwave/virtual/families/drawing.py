@@ -226,12 +226,12 @@ def _put(kind: str, logs: tuple[Log, ...], study: Study, rng: np.random.Generato
         return INPUT_FAULTS[kind](logs, study, joint, rng)
     defect: Kind = next(each for each in SIZES if each == kind)
     unit, sizes = SIZES[defect]
-    size = sizes[int(rng.integers(len(sizes)))]
-    put = injected(logs, Arm.of(study.arm), defect, size, rng)
-    if put is None:
-        return None
-    said = f"{size:g} {unit}, {put.channel} of {put.record}"
-    return Fault(kind, said, (kind,), put.logs, study)
+    for size in rng.permutation(sizes).tolist():  # a small one may show nowhere
+        put = injected(logs, Arm.of(study.arm), defect, size, rng)
+        if put is not None:
+            said = f"{size:g} {unit}, {put.channel} of {put.record}"
+            return Fault(kind, said, (kind,), put.logs, study)
+    return None
 
 
 def _as_data(logs: tuple[Log, ...]) -> dict[str, dict[str, FloatArray]]:

@@ -1,0 +1,144 @@
+"""Robustness figures: what is counted of runs whose outcome is known."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from benchmarks.robustness import OUTCOMES, Run, runs_of, tables, wilson
+
+Row = dict[str, Any]
+
+
+def run_of(name: str, **keys: Any) -> Row:
+    row = {
+        "run": name,
+        "study": f"campaign.toml#{name}",
+        "status": "determined",
+        "exit_code": 0,
+        "seconds": 4.0,
+        "identified": ["alpha", "gear_damping 1", "friction_offset 1"],
+        "suspected": [],
+        "warnings": [],
+        "classes": {"size": "small"},
+    } | keys
+    return row | {"classes": json.dumps(row["classes"]) if row["classes"] else None}
+
+
+def estimate(run: str, name: str, value: float | None, half: float, true: float = 1.0) -> Row:
+    joint = None if name == "alpha" else 1
+    low, high = (None, None) if value is None else (value - half, value + half)
+    own = {"run": run, "name": name, "joint": joint, "value": value, "true_value": true}
+    return own | {"ci95_low": low, "ci95_high": high}
+
+
+def only(row: Row, *parameters: Row) -> Run:
+    (found,) = runs_of([row], parameters)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "half", "accurate", "wrong"),
+    [
+        ("alpha", 1.009, 0.0, True, False),  # near
+        ("alpha", 1.03, 0.04, True, False),  # inside its interval
+        ("alpha", 1.03, 0.0, False, False),  # neither, and not far
+        ("alpha", 1.06, 0.01, False, True),
+        ("alpha", 0.94, 0.01, False, True),
+        ("alpha", 1.5, 0.6, True, False),  # far, and its interval says so
+        ("gear_damping", 1.04, 0.0, True, False),
+        ("gear_damping", 1.06, 0.0, False, True),
+    ],
+)
+def test_an_estimate_is_judged_by_error_and_interval(
+    name: str, value: float, half: float, accurate: bool, wrong: bool
+) -> None:
+    run = only(run_of("a"), estimate("a", name, value, half))
+    (own,) = run.estimates
+    assert (own.is_accurate, own.is_wrong) == (accurate, wrong)
+    assert (run.is_identified, run.is_silently_wrong) == (accurate, wrong)
+
+
+def test_only_what_is_published_and_primary_counts() -> None:
+    rows = [
+        estimate("a", "friction_offset", 2.0, 0.0),  # not primary
+        estimate("a", "gear_stiffness_k3", 2.0, 0.0),  # not among those identified
+        estimate("a", "gear_damping", None, 0.0),
+    ]
+    assert not only(run_of("a"), *rows).estimates
+
+
+def test_a_wrong_value_without_the_verdict_is_not_silent() -> None:
+    wrong = estimate("a", "alpha", 2.0, 0.1)
+    assert not only(run_of("a", status="partly-determined"), wrong).is_silently_wrong
+
+
+FAULT = {"fault": "angle-sign", "fault_codes": ["wrong-sign"]}
+RIGHT, WRONG = estimate("a", "alpha", 1.0, 0.1), estimate("a", "alpha", 2.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("keys", "parameter", "outcome"),
+    [
+        ({"suspected": ["wrong-sign"]}, RIGHT, "named"),
+        ({"warnings": ["wrong-sign"]}, RIGHT, "named"),
+        ({"suspected": ["wrong-unit"]}, RIGHT, "other code"),
+        ({"status": "failed", "exit_code": 2}, RIGHT, "refused"),
+        ({"status": "failed", "exit_code": 1}, RIGHT, "failed"),
+        ({"warnings": ["stribeck"]}, RIGHT, "harmless"),
+        ({"status": "partly-determined"}, WRONG, "wrong, not determined"),
+        ({}, WRONG, "silent"),
+    ],
+)
+def test_what_becomes_of_a_fault(keys: Row, parameter: Row, outcome: str) -> None:
+    run = only(run_of("a", classes=FAULT, **keys), parameter)
+    assert run.group == "faulty"
+    assert run.outcome == outcome
+    assert outcome in OUTCOMES
+
+
+def test_any_suspicion_names_a_fault_without_a_code() -> None:
+    late = {"fault": "late-sensors", "fault_codes": []}
+    assert only(run_of("a", classes=late, suspected=["misaligned"]), RIGHT).outcome == "named"
+    assert only(run_of("a", classes=late), RIGHT).outcome == "harmless"
+
+
+def test_groups_are_those_drawn() -> None:
+    assert only(run_of("a"), RIGHT).group == "clean"
+    assert only(run_of("a", classes={"effect": "backlash"}), RIGHT).group == "with an effect"
+    assert only(run_of("a", classes=None, status="failed")).group == "never opened"
+
+
+def test_runs_of_study_files_and_doubles_do_not_count() -> None:
+    own = run_of("b", study="rigs/study.toml", classes=None)
+    untrue = estimate("b", "alpha", 2.0, 0.0) | {"true_value": None}
+    assert len(runs_of([run_of("a"), run_of("a"), own], [RIGHT, untrue])) == 1
+
+
+def test_tables_count_known_cases() -> None:
+    rows = [run_of(str(k), classes=FAULT if k % 2 else {"size": "small"}) for k in range(20)]
+    values = [estimate(str(k), "alpha", 2.0 if k == 3 else 1.0, 0.1) for k in range(20)]
+    verdicts, published, faults, silent = tables(runs_of(rows, values))
+
+    def cells(table: Any) -> list[list[str]]:
+        return [list(row) for row in zip(*(column.cells for column in table.columns), strict=True)]
+
+    assert cells(verdicts)[0] == ["clean", "10", "100.0", "100.0", "4.0"]
+    assert cells(verdicts)[1] == ["faulty", "10", "100.0", "90.0", "4.0"]
+    assert cells(published)[1][:5] == ["faulty", "inertias", "10", "90.0", "90.0"]
+    harmless, quiet = OUTCOMES.index("harmless") + 2, OUTCOMES.index("silent") + 2
+    assert cells(faults)[0][0] == "angle-sign"
+    assert (cells(faults)[0][harmless], cells(faults)[0][quiet]) == ("9", "1")
+    assert [row[:4] for row in cells(silent)] == [
+        ["clean", "10", "0", "0"],
+        ["faulty", "10", "1", "1e+02"],
+    ]
+    assert [row[-1] for row in cells(silent)] == ["kept", "BROKEN"]
+
+
+def test_wilson_interval_of_a_rare_event() -> None:
+    """Of 0 in 1,000: z^2 / (n + z^2)."""
+    low, high = wilson(0, 1000)
+    assert low == pytest.approx(0.0, abs=1e-12)
+    assert high == pytest.approx(1.96**2 / (1000.0 + 1.96**2), rel=1e-3)

@@ -1,0 +1,78 @@
+"""A campaign on a family of virtual arms: cases by number, true values and classes in the store."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import strainwave as sw
+from strainwave.campaign import worker
+from strainwave.campaign.cases import Case
+from strainwave.campaign.plan import Plan
+from strainwave.campaign.store import Store
+from strainwave.campaign.studies import find
+from strainwave.campaign.tasks import Task
+from strainwave.errors import InvalidInput
+
+
+def cases(folder: Path, text: str) -> list[Case]:
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return list(find([str(path)]).cases)
+
+
+def task_of(case: Case, store: Path) -> Task:
+    task = Plan(Store.at(store), "test", ("rigid",), {}).next(case)
+    assert isinstance(task, Task)
+    return Task.from_json(task.to_json())
+
+
+def test_a_family_is_a_case_per_arm(tmp_path: Path) -> None:
+    found = cases(tmp_path, "[family]\narms = 12\n")
+    assert [case.name for case in found] == [f"{tmp_path}/campaign.toml#{n}" for n in range(12)]
+    assert len({case.hashes().inputs_sha256 for case in found}) == 12
+
+
+def test_more_arms_leave_those_that_are_recorded(tmp_path: Path) -> None:
+    few, many = (cases(tmp_path, f"[family]\narms = {count}\n") for count in (2, 12))
+    other = cases(tmp_path, "[family]\narms = 2\nseed = 1\n")
+    assert few[1].hashes() == many[1].hashes() != other[1].hashes()
+
+
+def test_true_values_and_the_fault_stand_in_the_store(tmp_path: Path) -> None:
+    text = '[family]\narms = 2\nfaults = ["angle-sign", "late-sensors"]\n'
+    for case in cases(tmp_path, text):
+        worker.answer(task_of(case, tmp_path / "store"))
+    rows = sw.read_runs(tmp_path / "store").to_pylist()
+    assert len(rows) == 2
+    classes = [json.loads(row["classes"]) for row in rows]
+    assert {own["fault"] for own in classes} <= {"angle-sign", "late-sensors"}
+    values = sw.read_parameters(tmp_path / "store").to_pylist()
+    assert all(row["true_value"] for row in values if row["name"] == "motor_inertia")
+
+
+def test_a_refused_run_says_its_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise InvalidInput("no", where="here", remedy="none")
+
+    monkeypatch.setattr("strainwave.pipeline.identify", refuse)
+    (case,) = cases(tmp_path, '[family]\narms = 1\nfaults = ["spikes"]\n')
+    assert worker.answer(task_of(case, tmp_path / "store")).status == "failed"
+    (row,) = sw.read_runs(tmp_path / "store").to_pylist()
+    assert json.loads(row["classes"])["fault"] == "spikes"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[family]\narms = 1\nseeds = 3\n", "the key 'seeds' is not known"),
+        ('[family]\narms = 1\n[studies]\npaths = ["a"]\n', "beside [studies]"),
+        ("family = 3\n", "is no table"),
+    ],
+)
+def test_a_wrong_family_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InvalidInput, match=r"campaign\.toml") as refused:
+        cases(tmp_path, text)
+    assert said in str(refused.value)

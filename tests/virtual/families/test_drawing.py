@@ -1,0 +1,185 @@
+"""Arms of a family: reproducible, within what they are drawn from, every key with an effect."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from strainwave.virtual.families import Family, Recorded, draw, record
+from strainwave.virtual.families.catalogue import GEARS
+from strainwave.virtual.families.causes import causes_of_the_plant
+from strainwave.virtual.families.description import FAULTS, Friction, Sensors
+from strainwave.virtual.families.drawing import VirtualArm
+
+BASE = Family(arms=6)
+CHANGED: dict[str, Any] = {
+    "seed": 1,
+    "sizes": (14,),
+    "ratios": (90.0,),
+    "springs": ("linear",),
+    "counts": (3000,),
+    "sample_times": (2.5e-4,),
+    "payload": (0.1, 0.2),
+    "gravity": 1.0,
+    "friction": Friction(coulomb=(2.0, 3.0)),
+    "sensors": Sensors(noise=(2.0, 3.0)),
+    "faults": 1.0,
+    "effects": ("dead-zone",),
+}
+SOME = range(40)
+
+
+def arms(family: Family, numbers: range = range(6)) -> list[VirtualArm]:
+    return [draw(family, number) for number in numbers]
+
+
+def same(one: Recorded, other: Recorded) -> bool:
+    """Whether the logs agree to the last bit."""
+    return all(
+        np.array_equal(one.data[name][channel], other.data[name][channel])
+        for name in one.data
+        for channel in one.data[name]
+    )
+
+
+def test_an_arm_and_its_logs_follow_from_seed_and_number() -> None:
+    family = replace(BASE, faults=1.0, effects=0.5, gravity=0.5)
+    assert draw(family, 3) == draw(replace(family, arms=1000), 3)
+    assert draw(family, 3) != draw(family, 4)
+    assert draw(family, 3) != draw(replace(family, seed=1), 3)
+    assert same(record(draw(family, 3)), record(draw(family, 3)))
+
+
+def test_every_key_has_a_change_here() -> None:
+    assert {field.name for field in fields(Family)} == {*CHANGED, "arms"}
+
+
+@pytest.mark.parametrize("key", CHANGED)
+def test_every_key_changes_the_arms(key: str) -> None:
+    assert arms(replace(BASE, **{key: CHANGED[key]})) != arms(BASE)
+
+
+@pytest.mark.parametrize(
+    ("key", "changed"),
+    [
+        ("friction", Friction(viscous=(2.0, 3.0))),
+        ("sensors", Sensors(link=("encoder",))),
+        ("sensors", Sensors(link=("none",))),
+    ],
+)
+def test_every_key_of_inner_tables_changes_the_arms(key: str, changed: Any) -> None:
+    assert arms(replace(BASE, **{key: changed})) != arms(BASE)
+
+
+def test_faults_and_effects_leave_the_arms_as_they_are() -> None:
+    with_both = replace(BASE, faults=1.0, effects=1.0)
+    for one, other in zip(arms(BASE), arms(with_both), strict=True):
+        assert one.rig == other.rig
+
+
+def test_arms_are_within_what_they_are_drawn_from() -> None:
+    family = Family(
+        arms=len(SOME),
+        sizes=(20, 14),
+        ratios=(50.0, 100.0),
+        springs=("three-slope",),
+        counts=(4096, 8192),
+        sample_times=(1e-3, 5e-4),
+    )
+    for arm in arms(family, SOME):
+        assert arm.sample_time in family.sample_times
+        assert arm.study.arm.gravity is None
+        for number, joint in enumerate(arm.study.arm.joints, start=1):
+            assert 1.0 / joint.gear_ratio == pytest.approx(50.0) or 1.0 / joint.gear_ratio == (
+                pytest.approx(100.0)
+            )
+            assert joint.spring == "three-slope"
+            assert joint.encoder_counts in family.counts
+            knees = (arm.values["gear_knee_t1", number], arm.values["gear_knee_t2", number])
+            assert knees in {GEARS[size][0] for size in family.sizes}
+            assert joint.accelerometer_distance
+
+
+def test_factors_are_within_their_ranges() -> None:
+    friction = Friction(coulomb=(2.0, 3.0), viscous=(0.2, 0.5))
+    sensors = Sensors(noise=(4.0, 5.0))
+    family = replace(BASE, friction=friction, sensors=sensors)
+    alone = replace(BASE, friction=replace(friction, coulomb=(1.0, 1.0)))
+    for number in range(6):
+        plain, own, other = draw(BASE, number), draw(family, number), draw(alone, number)
+        noise = own.noise.accelerometer_density / plain.noise.accelerometer_density
+        assert 4.0 <= noise <= 5.0
+        assert own.noise.accelerometer_range <= 5.0 * plain.noise.accelerometer_range
+        # what is drawn first does not depend on the factors
+        key = ("motor_viscous_friction", 1)
+        assert 0.2 <= other.values[key] / plain.values[key] <= 0.5
+        key = ("motor_coulomb_friction", 1)
+        assert 2.0 <= own.values[key] / plain.values[key] <= 3.0
+
+
+def test_a_payload_is_a_point_mass_at_the_tip() -> None:
+    loaded = replace(BASE, payload=(2.0, 2.0))
+    for number in range(6):
+        plain, own = draw(BASE, number).values, draw(loaded, number).values
+        added = {name: own[name, None] - plain[name, None] for name in ("alpha", "beta", "gamma")}
+        assert added["gamma"] ** 2 == pytest.approx(added["alpha"] * added["beta"])
+        length = draw(BASE, number).study.arm.link_length or 0.0
+        assert added["alpha"] == pytest.approx(2.0 * length**2)
+
+
+def test_shares_are_those_asked_for() -> None:
+    family = Family(arms=100, gravity=0.3, faults=0.5)
+    found = arms(family, range(100))
+    upright = sum(arm.study.arm.gravity is not None for arm in found)
+    assert 15 <= upright <= 45  # three deviations of a binomial count
+    assert 35 <= sum(arm.fault is not None for arm in found) <= 65
+    assert all(arm.fault is None for arm in arms(BASE))
+
+
+def test_kinds_listed_are_the_only_ones_drawn() -> None:
+    family = replace(BASE, faults=("spikes", "gear-ratio"), effects=("stribeck", "dead-zone"))
+    found = arms(family, SOME)
+    assert {arm.fault for arm in found} == {"spikes", "gear-ratio"}
+    assert {arm.cause.name for arm in found} == {"stribeck", "dead-zone"}
+
+
+def test_all_kinds_are_drawn_where_none_are_listed() -> None:
+    found = arms(Family(arms=400, faults=1.0), range(400))
+    assert {arm.fault for arm in found} == set(FAULTS)
+
+
+@pytest.mark.parametrize("name", causes_of_the_plant())
+def test_an_effect_changes_the_logs_and_not_the_study(name: str) -> None:
+    plain, own = draw(BASE, 1), draw(replace(BASE, effects=(name,)), 1)
+    recorded = record(own)
+    assert recorded.study == plain.study
+    assert recorded.classes["effect"] == name
+    assert not same(recorded, record(plain))
+
+
+@pytest.mark.parametrize(
+    ("link", "channels"),
+    [
+        ("accelerometer", {"a1", "a2"}),
+        ("gyro", {"gyro1", "gyro2"}),
+        ("accelerometer-and-gyro", {"a1", "a2", "gyro1", "gyro2"}),
+        ("encoder", {"theta_l1", "theta_l2"}),
+        ("none", set()),
+    ],
+)
+def test_link_sensors_are_those_drawn(link: Any, channels: set[str]) -> None:
+    recorded = record(draw(replace(BASE, sensors=Sensors(link=(link,))), 0))
+    own = {"t", "u1", "u2", "theta_m1", "theta_m2", "ref1", "ref2"}
+    assert set(recorded.data["motion"]) == own | channels
+    assert recorded.classes["link sensors"] == link
+    assert {name for name in channels if name.startswith("theta_l")} == set(recorded.study.channels)
+
+
+def test_truth_has_what_identification_reports() -> None:
+    arm = draw(replace(BASE, effects=("friction-by-record",)), 0)
+    assert ("rigid_inertia", 1) in arm.truth
+    assert ("motor_coulomb_friction", arm.cause.joint) not in arm.truth
+    assert ("motor_coulomb_friction", 3 - arm.cause.joint) in arm.truth

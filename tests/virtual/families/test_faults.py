@@ -1,0 +1,146 @@
+"""Each kind of fault changes what it says, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from strainwave.domain import FloatArray
+from strainwave.virtual.families import Family, Recorded, draw, record
+from strainwave.virtual.families.description import FAULTS, Sensors
+from strainwave.virtual.families.drawing import VirtualArm
+
+BASE = Family(arms=1, sizes=(14,), sample_times=(1e-3,), springs=("linear",))
+Pair = tuple[FloatArray, FloatArray]  # without the fault and with it
+
+
+def both(kind: str) -> tuple[VirtualArm, Recorded, Recorded]:
+    clean, own = draw(BASE, 0), draw(replace(BASE, faults=(kind,)), 0)
+    return clean, record(clean), record(own)
+
+
+def changed(kind: str) -> dict[str, list[Pair]]:
+    """Channels that differ: of each record the values without the fault and with it.
+
+    Reading a log makes its time uniform, which rounds it.
+    """
+    _, clean, own = both(kind)
+    found: dict[str, list[Pair]] = {}
+    for name, channels in clean.data.items():
+        for channel, values in channels.items():
+            if not np.allclose(values, own.data[name][channel], rtol=1e-12, atol=1e-12):
+                found.setdefault(channel, []).append((values, own.data[name][channel]))
+    return found
+
+
+def factor(pairs: list[Pair]) -> float:
+    """What all values were multiplied by."""
+    one, other = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    ratio = float(one @ other / (one @ one))
+    assert np.allclose(other, ratio * one, rtol=1e-9, atol=1e-9 * float(np.abs(other).max()))
+    return ratio
+
+
+def test_all_kinds_are_tested() -> None:
+    assert {*LOGS, *STUDY} == set(FAULTS)
+
+
+def of_one(channels: dict[str, list[Pair]], name: str) -> list[Pair]:
+    (channel,) = channels
+    assert channel[:-1] == name
+    return channels[channel]
+
+
+def is_scaled(name: str, *factors: float) -> Callable[[dict[str, list[Pair]]], bool]:
+    """Whether one channel of the name was multiplied by one of the factors."""
+    return lambda channels: any(
+        factor(of_one(channels, name)) == pytest.approx(each) for each in factors
+    )
+
+
+def is_swapped(channels: dict[str, list[Pair]]) -> bool:
+    one, other = sorted(channels)
+    pairs = zip(channels[one], channels[other], strict=True)
+    return one[:-1] == other[:-1] and all(
+        np.array_equal(a, d) and np.array_equal(b, c) for (a, b), (c, d) in pairs
+    )
+
+
+def is_late(channels: dict[str, list[Pair]]) -> bool:
+    return set(channels) == {"a1", "a2"} and all(
+        np.ptp(late) <= np.ptp(early) for early, late in channels["a1"]
+    )
+
+
+def is_clipped(channels: dict[str, list[Pair]]) -> bool:
+    pairs = of_one(channels, "a")
+    limit = max(float(np.abs(cut).max()) for _, cut in pairs)
+    return all(np.array_equal(cut, np.clip(whole, -limit, limit)) for whole, cut in pairs)
+
+
+def is_local(*names: str) -> Callable[[dict[str, list[Pair]]], bool]:
+    """Whether one channel of one record changed."""
+    return lambda channels: (
+        len(channels) == 1
+        and (next(iter(channels))[:-1] in names and len(next(iter(channels.values()))) == 1)
+    )
+
+
+COUNTS = float(draw(BASE, 0).study.arm.joints[0].encoder_counts or 0.0)
+LOGS: dict[str, Callable[[dict[str, list[Pair]]], bool]] = {
+    "time-unit": lambda channels: round(factor(channels["t"])) in (1000, 1_000_000),
+    "time-scale": lambda channels: 0.005 <= abs(factor(channels["t"]) - 1.0) <= 0.05,
+    "angle-unit": is_scaled("theta_m", 180.0 / np.pi, COUNTS / (2.0 * np.pi), 0.5 / np.pi),
+    "angle-sign": is_scaled("theta_m", -1.0),
+    "accelerometer-unit": is_scaled("a", 1.0 / 9.80665),
+    "accelerometer-sign": is_scaled("a", -1.0),
+    "voltage-sign": is_scaled("u", -1.0),
+    "swapped-joints": is_swapped,
+    "late-sensors": is_late,
+    "fast-clock": lambda channels: set(channels) == {"a1", "a2"},
+    "clipped-sensor": is_clipped,
+    "spikes": is_local("theta_m", "a"),
+    "frozen": is_local("theta_m", "a"),
+    "encoder-steps": is_local("theta_m"),
+    "flat-tops": is_local("a"),
+    "mains-hum": lambda channels: len(channels) == 1 and next(iter(channels))[0] == "a",
+}
+STUDY = {
+    "gear-ratio": "gear_ratio",
+    "geometry": "accelerometer_distance",
+    "torque-constant": "torque_per_volt",
+}
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_a_fault_of_logs_changes_what_it_says(kind: str) -> None:
+    arm, _, own = both(kind)
+    assert own.study == arm.study
+    assert own.classes["fault"] == kind
+    assert own.classes["fault_size"]
+    assert LOGS[kind](changed(kind))
+
+
+@pytest.mark.parametrize("kind", STUDY)
+def test_a_fault_of_the_study_changes_one_key_of_one_joint(kind: str) -> None:
+    arm, _, own = both(kind)
+    assert not changed(kind)
+    differs = [
+        (one, other)
+        for one, other in zip(arm.study.arm.joints, own.study.arm.joints, strict=True)
+        if one != other
+    ]
+    ((one, other),) = differs
+    assert replace(one, **{STUDY[kind]: getattr(other, STUDY[kind])}) == other
+
+
+def test_arms_have_no_faults_of_sensors_that_they_lack() -> None:
+    bare = Sensors(link=("none",))
+    family = Family(arms=200, faults=1.0, sensors=bare)
+    kinds = {draw(family, number).fault for number in range(200)}
+    lacking = {"accelerometer-unit", "accelerometer-sign", "geometry", "clipped-sensor"}
+    assert not kinds & (lacking | {"flat-tops", "late-sensors", "fast-clock", "mains-hum"})
+    assert "swapped-joints" in kinds
