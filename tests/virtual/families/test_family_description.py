@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from strainwave.errors import InvalidInput
 from strainwave.virtual.families import Family, family_of, fields_of
+from strainwave.virtual.families.description import FAULTS, Friction, Sensors
 
 PATH = Path("campaign.toml")
 EXAMPLES = Path(__file__).parents[3] / "examples" / "campaigns"
@@ -66,6 +68,12 @@ def test_what_cannot_be_drawn_is_refused_with_its_place(text: str, said: str) ->
     assert "[family]" in message
     assert refused.value.remedy
     assert "\n" not in message
+
+
+def test_every_key_and_kind_is_documented() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "families.md").read_text()
+    keys = [field.name for record in (Family, Friction, Sensors) for field in fields(record)]
+    assert [name for name in (*keys, *FAULTS) if f"`{name}`" not in page] == []
 
 
 def test_examples_describe_families_of_a_thousand() -> None:
