@@ -1,0 +1,39 @@
+"""All that is locked may be used by everyone, and what may not be is found."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from benchmarks.licences import EXAMINED, Licensed, of_python, of_rust
+
+
+def test_locked_packages_are_free() -> None:
+    found = list(of_python())
+    assert len(found) > 50
+    assert [one for one in found if not one.free and one.name not in EXAMINED] == []
+
+
+@pytest.mark.skipif(shutil.which("cargo") is None, reason="there is no cargo to ask")
+def test_locked_crates_are_free() -> None:
+    assert [one for one in of_rust() if not one.free] == []
+
+
+@pytest.mark.parametrize(
+    ("licence", "free"),
+    [
+        ("MIT", True),
+        ("Apache-2.0 WITH LLVM-exception", True),
+        ("MIT OR GPL-3.0-only", True),
+        ("MIT OR Apache-2.0 OR LGPL-2.1-or-later", True),
+        ("(MIT OR Apache-2.0) AND Unicode-3.0", True),
+        ("License :: OSI Approved :: BSD License", True),
+        ("GPL-3.0-only", False),
+        ("MIT AND AGPL-3.0-or-later", False),
+        ("License :: OSI Approved :: GNU General Public License v3 (GPLv3)", False),
+        ("Proprietary", False),
+        ("not said", False),
+    ],
+)
+def test_a_licence_is_free_where_one_alternative_is(licence: str, free: bool) -> None:
+    assert Licensed("one", "1", licence).free == free
