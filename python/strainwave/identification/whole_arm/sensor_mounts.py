@@ -2,7 +2,7 @@
 
 A mount changes the channels of one sensor and nothing else. What swings in the arm itself moves the
 motor as well, and is left to the effects: a mount joins only where, once fitted, it makes its
-sensor's residuals much smaller and no other's larger.
+sensor's residuals much smaller and others' hardly larger.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _STARTS = 3  # mounts from which it is fitted
 _TRIAL = 12  # evaluations of each
 _GAIN = 0.1  # predicted, at which they end
 _LEFT = 0.3  # of its sensor's cost, at most, once it is fitted
-_WORSE = 1.05  # times the cost of all other channels before
+_SPOILED = 0.2  # share of what it takes off that, by which the other channels' cost may rise
 
 Mounts = dict[Key, list[MountResonance]]
 """Of each sensor, by the name and the joint of its mount's frequency."""
@@ -142,9 +142,9 @@ def _fitted(
 
 
 def _explains(before: Fit, after: Fit, frequency: Key) -> bool:
-    """Whether a mount explains its sensor's residuals and spoils nobody else's."""
+    """Whether a mount explains its sensor's residuals and hardly spoils any other's."""
     (own, others), (left, beside) = (_cost(fit, frequency) for fit in (before, after))
-    return left < _LEFT * own and beside < _WORSE * others
+    return left < _LEFT * own and beside - others < _SPOILED * (own - left)
 
 
 def _cost(fit: Fit, frequency: Key) -> tuple[float, float]:
