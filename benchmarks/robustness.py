@@ -26,7 +26,7 @@ from strainwave.campaign.store import read_parameters, read_runs
 Row = dict[str, Any]
 Group = Literal["clean", "faulty", "with an effect", "never opened"]
 Outcome = Literal[
-    "named", "other code", "refused", "harmless", "wrong, not determined", "silent", "failed"
+    "named", "other code", "refused", "not determined", "harmless", "silent", "failed"
 ]
 
 KINDS = {
@@ -47,8 +47,7 @@ WRONG = 0.05
 PROMISED: dict[Group, int] = {"clean": 2, "faulty": 10}
 """Silent wrong answers in 1,000 runs, at most."""
 OUTCOMES: tuple[Outcome, ...] = (
-    *("named", "other code", "refused", "harmless", "wrong, not determined", "silent"),
-    "failed",
+    *("named", "other code", "refused", "not determined", "harmless", "silent", "failed"),
 )
 _REFUSED = 2  # exit code
 
@@ -121,9 +120,9 @@ class Run:
             return "named"
         if suspected:
             return "other code"
-        if not self.wrong:
-            return "harmless"
-        return "silent" if self.is_determined else "wrong, not determined"
+        if not self.is_determined:
+            return "not determined"
+        return "silent" if self.wrong else "harmless"
 
 
 def kind_of(name: str) -> str | None:

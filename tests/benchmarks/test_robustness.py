@@ -87,7 +87,8 @@ RIGHT, WRONG = estimate("a", "alpha", 1.0, 0.1), estimate("a", "alpha", 2.0, 0.1
         ({"status": "failed", "exit_code": 2}, RIGHT, "refused"),
         ({"status": "failed", "exit_code": 1}, RIGHT, "failed"),
         ({"warnings": ["stribeck"]}, RIGHT, "harmless"),
-        ({"status": "partly-determined"}, WRONG, "wrong, not determined"),
+        ({"status": "partly-determined"}, WRONG, "not determined"),
+        ({"status": "partly-determined"}, RIGHT, "not determined"),
         ({}, WRONG, "silent"),
     ],
 )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray
 from strainwave.virtual.families import Family, Recorded, draw, record
-from strainwave.virtual.families.description import FAULTS, Sensors
+from strainwave.virtual.families.description import FAULTS, LinkSensors, Sensors
 from strainwave.virtual.families.drawing import VirtualArm
 
 BASE = Family(arms=1, sizes=(14,), sample_times=(1e-3,), springs=("linear",))
@@ -144,3 +145,13 @@ def test_arms_have_no_faults_of_sensors_that_they_lack() -> None:
     lacking = {"accelerometer-unit", "accelerometer-sign", "geometry", "clipped-sensor"}
     assert not kinds & (lacking | {"flat-tops", "late-sensors", "fast-clock", "mains-hum"})
     assert "swapped-joints" in kinds
+
+
+def test_any_arm_of_a_faulty_family_can_be_recorded() -> None:
+    link = get_args(LinkSensors)
+    for kind in FAULTS:
+        family = Family(arms=4, faults=(kind,), sensors=Sensors(link=link), gravity=0.5)
+        for number in range(4):
+            arm = draw(family, number)
+            classes = record(arm).classes
+            assert classes.get("fault", arm.fault) == arm.fault

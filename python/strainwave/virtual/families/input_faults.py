@@ -84,7 +84,8 @@ def _voltage_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) 
 
 
 def _swapped(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
-    kind = str(rng.choice(["a", "u", "theta_m"]))
+    there = [name for name in ("a", "u", "theta_m") if f"{name}1" in logs[0].channels]
+    kind = str(rng.choice(there))
 
     def change(_: Log, channels: dict[str, FloatArray]) -> None:
         channels[f"{kind}1"], channels[f"{kind}2"] = channels[f"{kind}2"], channels[f"{kind}1"]
