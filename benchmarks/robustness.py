@@ -44,6 +44,7 @@ KINDS = {
 """What primary parameters are counted under, by how their names begin."""
 ACCURACY = {"gear damping": 0.05}  # of a value; of all others 1 %
 WRONG = 0.05
+_PROMISED_OF = 1000  # runs
 PROMISED: dict[Group, int] = {"clean": 2, "faulty": 10}
 """Silent wrong answers in 1,000 runs, at most."""
 OUTCOMES: tuple[Outcome, ...] = (
@@ -217,6 +218,13 @@ def _faults(runs: Sequence[Run]) -> Table:
     return table
 
 
+def said_of(wrong: int, runs: int, most: int) -> str:
+    """Whether a promise of so many in 1,000 is kept; of fewer runs no more than that it is not."""
+    if runs < _PROMISED_OF:
+        return "BROKEN" if 1e3 * wilson(wrong, runs)[0] > most else "too few runs"
+    return "kept" if 1e3 * wrong <= most * runs else "BROKEN"
+
+
 def _silent(runs: Sequence[Run], groups: Sequence[str]) -> Table:
     columns = ("runs", "wrong", "in 1,000", "95 % interval", "promised")
     table = Table("arms", *columns, "", box=None, title="SILENT WRONG ANSWERS")
@@ -225,7 +233,7 @@ def _silent(runs: Sequence[Run], groups: Sequence[str]) -> Table:
         wrong = sum(run.is_silently_wrong for run in own)
         low, high = wilson(wrong, len(own))
         most = next((most for name, most in PROMISED.items() if name == group), None)
-        said = "" if most is None else "kept" if 1e3 * wrong <= most * len(own) else "BROKEN"
+        said = "" if most is None else said_of(wrong, len(own), most)
         promised = "" if most is None else f"at most {most}"
         interval = f"{1e3 * low:.2g} to {1e3 * high:.2g}"
         share = f"{1e3 * wrong / len(own):.2g}"

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 import pytest
-from benchmarks.robustness import OUTCOMES, Run, runs_of, tables, wilson
+from benchmarks.robustness import OUTCOMES, Run, runs_of, said_of, tables, wilson
 
 Row = dict[str, Any]
 
@@ -135,7 +135,7 @@ def test_tables_count_known_cases() -> None:
         ["clean", "10", "0", "0"],
         ["faulty", "10", "1", "1e+02"],
     ]
-    assert [row[-1] for row in cells(silent)] == ["kept", "BROKEN"]
+    assert [row[-1] for row in cells(silent)] == ["too few runs", "BROKEN"]
 
 
 def test_wilson_interval_of_a_rare_event() -> None:
@@ -143,3 +143,17 @@ def test_wilson_interval_of_a_rare_event() -> None:
     low, high = wilson(0, 1000)
     assert low == pytest.approx(0.0, abs=1e-12)
     assert high == pytest.approx(1.96**2 / (1000.0 + 1.96**2), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "runs", "said"),
+    [
+        (2, 1000, "kept"),
+        (3, 1000, "BROKEN"),
+        (0, 999, "too few runs"),
+        (1, 999, "too few runs"),
+        (20, 500, "BROKEN"),
+    ],
+)
+def test_a_promise_of_a_thousand_runs_takes_a_thousand(wrong: int, runs: int, said: str) -> None:
+    assert said_of(wrong, runs, 2) == said
