@@ -83,11 +83,10 @@ def of_python() -> Iterator[Licensed]:
 
 
 def _of_metadata(said: metadata.PackageMetadata) -> str:
-    expression = said.get("License-Expression")
-    if expression:
-        return str(expression)
+    fields = said.json
     classes = [c for c in said.get_all("Classifier") or [] if c.startswith("License")]
-    return "; ".join(classes) or str(said.get("License") or "not said").splitlines()[0]
+    own = fields.get("license_expression") or "; ".join(classes) or fields.get("license")
+    return str(own or "not said").splitlines()[0]
 
 
 def of_rust() -> Iterator[Licensed]:
