@@ -61,8 +61,9 @@ def test_what_the_records_demand_is_taken_up(name: str) -> None:
         ("flexible-link", "flexible_frequency", 15.0),
         ("flexible-link", "flexible_frequency", 60.0),
         ("torque-ripple", "torque_ripple_order", 4.0),
+        ("kinematic-error", "kinematic_error_order", 4.0),
     ],
-    ids=["a mode below", "a mode above", "another order"],
+    ids=["a mode below", "a mode above", "another order", "another order of the gear"],
 )
 def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float) -> None:
     model = tuned((name,), (), shapes=(((shape, 1), value),))

@@ -8,6 +8,7 @@ from strainwave.domain.effects.interface import Effect, KnownJoint, Values
 
 _ORDER = "kinematic_error_order"
 _LOBES = 2.0  # of the wave generator
+_OTHERS = (1.0, 4.0)  # orders at which gears have errors as well: an axis off, twice the lobes
 _TYPICAL = 1e-4  # [rad] at the link, half an arc minute and less
 
 
@@ -30,3 +31,7 @@ class KinematicError(Effect):
     def typical_sizes(self, joint: KnownJoint) -> Values:
         """The same of every gear."""
         return dict.fromkeys(self.sizes, _TYPICAL)
+
+    def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
+        """A period apart an error leaves no trace of another: each order is tested."""
+        return tuple({_ORDER: order} for order in (_LOBES, *_OTHERS))
