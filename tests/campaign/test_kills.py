@@ -59,6 +59,15 @@ def test_a_driver_that_is_killed_loses_nothing(studies: Path, tmp_path: Path) ->
     assert {run: found[run] for run in first} == first  # none of them was run twice
 
 
+@pytest.fixture
+def heard() -> Iterator[None]:
+    """Ctrl-C counts in every child, even where the tests themselves run in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
 def test_ctrl_c_ends_the_workers_and_keeps_what_is_finished(studies: Path, tmp_path: Path) -> None:
     with running(studies, "--out", tmp_path, "--workers", "2") as driver:
         wait_for(tmp_path, 4)
