@@ -29,7 +29,7 @@ myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120
+nb_execution_timeout = 1800  # s; the page of effects fits an arm for each of them
 nb_merge_streams = True
 
 napoleon_use_param = False  # types are prose, "(n_samples, n_joints) [rad]", and not names
