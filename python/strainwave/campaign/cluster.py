@@ -11,7 +11,6 @@ import logging
 import queue
 import threading
 import time
-import tomllib
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -28,7 +27,8 @@ from strainwave.campaign.runner import Runner, failed
 from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import FAILED, Limits, Outcome, Task
 from strainwave.errors import InvalidInput, StrainwaveError
-from strainwave.io.atomic_files import decode, nearest, read_bytes
+from strainwave.io.atomic_files import decode, read_bytes
+from strainwave.io.toml_files import check_keys, parsed_toml
 
 _CONNECT = 10.0  # [s] for a scheduler to answer
 _POLL = 0.5  # [s] between two looks at whether it is still there
@@ -275,19 +275,8 @@ class _Room:
 def _started(path: Path) -> Any:
     """The cluster that a file describes."""
     text = decode(read_bytes(path, "the cluster's description"), path)
-    try:
-        document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InvalidInput(
-            f"is not valid TOML ({error})", where=str(path), remedy="mend that line"
-        ) from error
-    for key in document:
-        if key not in _KEYS:
-            raise InvalidInput(
-                f"unknown key '{key}'",
-                where=str(path),
-                remedy=f"use {', '.join(_KEYS)}{nearest(key, _KEYS)}",
-            )
+    document = parsed_toml(text, path)
+    check_keys(document, _KEYS, path)
     wanted = {"class": str, "arguments": dict, "workers": int}
     given: dict[str, Any] = {"arguments": {}, "workers": 0} | document
     for key, kind in wanted.items():

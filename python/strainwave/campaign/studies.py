@@ -16,6 +16,7 @@ from strainwave.campaign.places import file_system, is_url
 from strainwave.campaign.study_files import StudyFile
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, nearest, read_bytes
+from strainwave.io.toml_files import check_keys, parsed_toml
 from strainwave.virtual.families import family_of
 
 _STUDY = "study.toml"
@@ -201,19 +202,8 @@ def _is_campaign(path: Path) -> bool:
 
 def _of_document(path: Path) -> Found:
     text = decode(read_bytes(path, "the campaign"), path)
-    try:
-        document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InvalidInput(
-            f"is not valid TOML ({error})", where=str(path), remedy="mend that line"
-        ) from error
-    for key in document:
-        if key not in _KEYS:
-            raise InvalidInput(
-                f"unknown key '{key}'",
-                where=str(path),
-                remedy=f"use {', '.join(_KEYS)}{nearest(key, _KEYS)}",
-            )
+    document = parsed_toml(text, path)
+    check_keys(document, _KEYS, path)
     stages, options = document.get("stages"), document.get("options", {})
     if stages is not None and not _is_list_of_text(stages):
         raise _wrong(path, "stages", 'a list of names, for example ["rigid"]')

@@ -19,6 +19,7 @@ from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.study.checks import check_files, check_fit, check_options, check_sizes
 from strainwave.io.study.flags import Flag, parsed
 from strainwave.io.study.reader import Reader
+from strainwave.io.toml_files import parsed_toml
 
 __all__ = ["checked_study", "document_of", "read_study", "with_options", "write_study"]
 
@@ -51,12 +52,7 @@ def read_study(
     data = read_bytes(path, "the study file")
     text = decode(data, path)
     _check_filled_in(text, path)
-    try:
-        document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InvalidInput(
-            f"is not valid TOML ({error})", where=str(path), remedy="mend that line"
-        ) from error
+    document = parsed_toml(text, path)
     reader = Reader(path, text)
     sha256 = hashlib.sha256(data).hexdigest()
     study = reader.study(document, sha256, experiments_exist=experiments_exist)
