@@ -156,10 +156,10 @@ def test_derivatives_are_those_of_the_difference() -> None:
 def test_what_is_tested_is_what_a_mount_adds() -> None:
     study, known, logs = shaken(noisy=False, counts=False)
     record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
-    mounts = {names(2)[0]: [MountResonance(50.0, 0.05), MountResonance(90.0, 0.02)]}
+    mounts = {names(2): [MountResonance(50.0, 0.05), MountResonance(90.0, 0.02)]}
     added = record.ringing(known, np.zeros(0), mounts)
     firm = record.linearised(known, np.zeros(0), [])[0]
-    for k, mount in enumerate(mounts[names(2)[0]]):
+    for k, mount in enumerate(mounts[names(2)]):
         values = known | dict(zip(names(2), (mount.frequency, mount.damping), strict=True))
         rung = record.linearised(values, np.zeros(0), [])[0]
         np.testing.assert_allclose(added[..., k], rung - firm, atol=1e-6 * np.ptp(firm))

@@ -431,7 +431,7 @@ class Dataset:
         self,
         values: Mapping[tuple[str, int | None], float],
         local: FloatArray,
-        mounts: Mapping[Key, Sequence[MountResonance]],
+        mounts: Mapping[tuple[Key, Key], Sequence[MountResonance]],
     ) -> FloatArray:
         """What sensors that sit firmly would read more, each on some mounts, one at a time.
 
@@ -440,7 +440,7 @@ class Dataset:
         values : dict
         local : (n_local,)
         mounts : dict
-            Name and joint of a sensor's mount's frequency -> mounts.
+            Names and joints of the frequency and the damping of a sensor's mount -> mounts.
 
         Returns
         -------
@@ -448,12 +448,12 @@ class Dataset:
             Of all sensors, one after the other.
         """
         runs, scales = self.run(values, local, self.quantities()), self.sensor_scales(values)
-        tested = [(key, mount) for key, own in mounts.items() for mount in own]
+        tested = [(names, mount) for names, own in mounts.items() for mount in own]
         found = np.zeros((len(self.time), len(self.channels), len(tested)))
         for k, channel in enumerate(self.channels):
             reading = self._reading(channel, runs, values)
-            for at, (key, mount) in enumerate(tested):
-                if key in (mount_of(channel.sensor, channel.joint) or ()):
+            for at, (names, mount) in enumerate(tested):
+                if names == mount_of(channel.sensor, channel.joint):
                     more = mount.read(reading, self.log.sample_time) - reading
                     found[:, k, at] = scales[k] * self.kernels.rows(more, rate=channel.rate)
         return found

@@ -37,8 +37,10 @@ _GAIN = 0.1  # predicted, at which they end
 _LEFT = 0.3  # of its sensor's cost, at most, once it is fitted
 _SPOILED = 0.2  # share of what it takes off that, by which the other channels' cost may rise
 
-Mounts = dict[Key, list[MountResonance]]
-"""Of each sensor, by the name and the joint of its mount's frequency."""
+Names = tuple[Key, Key]
+"""Of the frequency and the damping of a sensor's mount."""
+
+Mounts = dict[Names, list[MountResonance]]
 
 
 def with_ringing_mounts(fit: Fit, selection: Selection) -> Fit:
@@ -67,9 +69,9 @@ def with_ringing_mounts(fit: Fit, selection: Selection) -> Fit:
 
 def _best(fit: Fit, selection: Selection) -> Fit | None:
     """The fit with the mount that explains most, of those that pass; None where none does."""
-    for frequency, mounts in _promising(fit, selection).items():
-        found = _fitted(fit, frequency, mounts, selection)
-        if found is not None and _explains(fit, found, frequency):
+    for names, mounts in _promising(fit, selection).items():
+        found = _fitted(fit, names, mounts, selection)
+        if found is not None and _explains(fit, found, names):
             return found
     return None
 
@@ -94,14 +96,14 @@ def _promising(fit: Fit, selection: Selection) -> Mounts:
     gains = np.where(projected.T @ target < 0.0, (projected.T @ target) ** 2, 0.0)
     gains /= np.where(square > 0.0, square, np.inf)
     each, limit = iter(gains.tolist()), chi_square_limit(_FALSE_ALARMS / n, 1)
-    found: list[tuple[float, Key, list[MountResonance]]] = []
-    for frequency, mounts in tested.items():
+    found: list[tuple[float, Names, list[MountResonance]]] = []
+    for names, mounts in tested.items():
         own = sorted(((next(each), mount) for mount in mounts), key=lambda one: -one[0])
-        least = max(limit, _SHARE * _cost(fit, frequency)[0])
+        least = max(limit, _SHARE * _cost(fit, names)[0])
         if own[0][0] > least:
-            found.append((own[0][0], frequency, [mount for _, mount in own[:_STARTS]]))
+            found.append((own[0][0], names, [mount for _, mount in own[:_STARTS]]))
     found.sort(key=lambda one: -one[0])
-    return {frequency: mounts for _, frequency, mounts in found}
+    return {names: mounts for _, names, mounts in found}
 
 
 def _tested(fit: Fit, selection: Selection) -> Mounts:
@@ -116,19 +118,18 @@ def _tested(fit: Fit, selection: Selection) -> Mounts:
             if not more or names is None or any(is_held(k, selection.options) for k in names):
                 continue
             if names[0] not in known:
-                found[names[0]] = tested
+                found[names] = tested
     return found
 
 
 def _fitted(
-    fit: Fit, frequency: Key, mounts: Sequence[MountResonance], selection: Selection
+    fit: Fit, names: Names, mounts: Sequence[MountResonance], selection: Selection
 ) -> Fit | None:
     """The best of short searches with a mount beside the unknowns, from some resonances."""
     best: Fit | None = None
     values = fit.objective.space.values(fit.z)
-    damping = frequency[0].replace("mount_frequency", "mount_damping"), frequency[1]
     for mount in mounts:
-        starts = {frequency: mount.frequency, damping: mount.damping}
+        starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
         space = with_sensors(fit.objective.space, list(starts), starts)
         objective, begin = fit.objective.for_unknowns(space), space.coordinates(values | starts)
         options = replace(selection.options, max_iterations=_TRIAL)
@@ -141,21 +142,20 @@ def _fitted(
     return best
 
 
-def _explains(before: Fit, after: Fit, frequency: Key) -> bool:
+def _explains(before: Fit, after: Fit, names: Names) -> bool:
     """Whether a mount explains its sensor's residuals and hardly spoils any other's."""
-    (own, others), (left, beside) = (_cost(fit, frequency) for fit in (before, after))
+    (own, others), (left, beside) = (_cost(fit, names) for fit in (before, after))
     return left < _LEFT * own and beside - others < _SPOILED * (own - left)
 
 
-def _cost(fit: Fit, frequency: Key) -> tuple[float, float]:
+def _cost(fit: Fit, names: Names) -> tuple[float, float]:
     """Of the channels of a mount's sensor, and of all others."""
     costs = np.zeros(2)
     objective = fit.objective
     every = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
     for record, weights, rows in every:
         for channel, cost in zip(record.channels, rows.costs(weights), strict=True):
-            names = mount_of(channel.sensor, channel.joint)
-            costs[0 if names is not None and names[0] == frequency else 1] += cost
+            costs[0 if mount_of(channel.sensor, channel.joint) == names else 1] += cost
     own, others = costs.tolist()
     return own, others
 
