@@ -79,10 +79,3 @@ def test_the_forest_keeps_what_differs_in_sight() -> None:
     assert mark.x == ("gear_stiffness 1",)
     assert mark.error is not None
     assert mark.error[0] == 1.96
-
-
-@pytest.mark.parametrize(
-    ("p", "text"), [(1.0, "1"), (0.0312, "0.031"), (2.2e-6, "2e-06"), (0.0, "<1e-16")]
-)
-def test_probabilities_in_words(p: float, text: str) -> None:
-    assert output.probability(p) == text

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from strainwave.domain.formatting import plus_minus
-from strainwave.io.atomic_files import write_whole
+from strainwave.monitoring import output
 from strainwave.monitoring.comparison import (
     DIFFERS,
     SAME,
@@ -23,17 +22,15 @@ from strainwave.monitoring.comparison import (
     ResultComparison,
 )
 from strainwave.monitoring.joint_tests import JointTest
+from strainwave.monitoring.output import REACH, probability
 from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, Markers, Panel
 from strainwave.presentation.report.blocks import (
     Block,
-    Callout,
     Cell,
     Facts,
-    Mark,
     Plot,
     Row,
     Section,
-    Span,
     number,
     paragraph,
     prose,
@@ -43,10 +40,8 @@ from strainwave.presentation.report.document import document as page_of
 
 SCHEMA = "strainwave/comparison/1"
 
-_REACH = 1.96  # deviations of a 95 % interval
 _WIDE = 4.0  # times the median interval, from which one is cut off by the figure's edge
 _JOINTLY = "all at once"
-_NEVER = 1e-16  # below it a p-value says nothing more
 
 
 def write(comparison: ResultComparison, folder: Path) -> None:
@@ -62,12 +57,7 @@ def write(comparison: ResultComparison, folder: Path) -> None:
     InvalidInput
         The folder cannot be written to.
     """
-    text = json.dumps(to_document(comparison), indent=2, ensure_ascii=False, allow_nan=False)
-    contents = {
-        "comparison.json": (text + "\n").encode(),
-        "comparison.html": render(comparison).encode(),
-    }
-    write_whole(folder, contents)
+    output.write("comparison", to_document(comparison), render(comparison), folder)
 
 
 def to_document(comparison: ResultComparison) -> dict[str, Any]:
@@ -162,12 +152,14 @@ def print_comparison(
     if comparison.homogeneity is not None:
         said = _said(comparison, comparison.homogeneity)
         console.print(Text(f"all {len(comparison.results)} results, {_JOINTLY}: {said}"))
-    for note in comparison.notes:
-        console.print(Text(f"note: {note}"), style="yellow")
-    console.print(Text(headline(comparison)), style="bold red" if comparison.differs else "bold")
-    if folder is not None:
-        for name in ("comparison.html", "comparison.json"):
-            console.print(Text(f"written: {folder / name}"), soft_wrap=True)
+    output.print_end(
+        console,
+        "comparison",
+        headline(comparison),
+        comparison.notes,
+        folder,
+        bad=comparison.differs,
+    )
 
 
 def headline(comparison: ResultComparison) -> str:
@@ -183,7 +175,7 @@ def headline(comparison: ResultComparison) -> str:
     """
     level = f"{100.0 * comparison.level:g} %"
     if not comparison.differs:
-        return f"verdict: no difference at the level of {level}"
+        return f"no difference at the level of {level}"
     named = list(
         dict.fromkeys(
             one.first.label
@@ -193,11 +185,11 @@ def headline(comparison: ResultComparison) -> str:
         )
     )
     said = ", ".join(named) or "no single parameter, but all at once"
-    return f"verdict: the results differ at the level of {level}: {said}"
+    return f"the results differ at the level of {level}: {said}"
 
 
 def _printed(comparison: ResultComparison, pair: Pair) -> Table:
-    found = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
+    found = output.printed_table()
     found.add_column("parameter", no_wrap=True)
     for head in (pair.first, pair.second, "change %", "z", "adj. p"):
         found.add_column(Text(head), justify="right", overflow="ellipsis")
@@ -214,23 +206,6 @@ def _tested(one: ParameterDifference) -> tuple[str, str, str]:
     """Change [%], its deviations and its adjusted p-value in words."""
     percent = "" if one.percent is None else f"{one.percent:+.{3 if abs(one.percent) < 1 else 2}f}"
     return percent, f"{one.z:+.1f}", probability(one.adjusted_p)
-
-
-def probability(p: float) -> str:
-    """A p-value in words.
-
-    Parameters
-    ----------
-    p : float
-
-    Returns
-    -------
-    str
-        With two digits, one where it is small.
-    """
-    if p < _NEVER:
-        return f"<{_NEVER:.0e}"
-    return f"{p:.2g}" if p >= 1e-4 else f"{p:.0e}"
 
 
 def _beside(comparison: ResultComparison, pair: Pair) -> Iterator[str]:
@@ -264,12 +239,9 @@ def render(comparison: ResultComparison) -> str:
     -------
     str
     """
-    mark: Mark = "bad" if comparison.differs else "good"
-    said = headline(comparison).removeprefix("verdict: ")
-    lead = [paragraph(Span(f"{said[0].upper()}{said[1:]}.", strong=True))]
-    if comparison.homogeneity is not None:
-        lead.append(paragraph(f"All results at once: {_said(comparison, comparison.homogeneity)}."))
-    lead += [paragraph(f"Note: {note}.") for note in comparison.notes]
+    whole = comparison.homogeneity
+    facts = [] if whole is None else [f"All results at once: {_said(comparison, whole)}"]
+    before = output.opening(headline(comparison), facts, comparison.notes, bad=comparison.differs)
     sections = [
         Section(
             f"pair-{k}", f"{pair.second} against {pair.first}", tuple(_blocks(comparison, pair))
@@ -278,8 +250,7 @@ def render(comparison: ResultComparison) -> str:
     ]
     sections.append(Section("results", "Results", tuple(_results(comparison))))
     title = " and ".join(one.label for one in comparison.results)
-    before = (Callout(mark, tuple(lead)),)
-    return page_of(title, "Results of one arm compared", sections, before=before)
+    return page_of(title, "Results of one arm compared", sections, before=(before,))
 
 
 def _blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
@@ -337,7 +308,7 @@ def forest(comparison: ResultComparison, pair: Pair) -> Figure | None:
     if not shown:
         return None
     percent = np.array([one.percent or 0.0 for one in shown])
-    reach = np.array([_REACH * (one.std_percent or 0.0) for one in shown])
+    reach = np.array([REACH * (one.std_percent or 0.0) for one in shown])
     groups = [
         (verdict, colour, [k for k, one in enumerate(shown) if comparison.verdict(one) == verdict])
         for verdict, colour in ((DIFFERS, MODEL), (SAME, MEASURED))
@@ -348,7 +319,7 @@ def forest(comparison: ResultComparison, pair: Pair) -> Figure | None:
             names = tuple(shown[k].first.label for k in own)
             upper.append(Markers(names, percent[own], verdict, colour, 7.0, error=reach[own]))
             z = np.array([shown[k].z for k in own])
-            lower.append(Markers(names, z, verdict, colour, 7.0, error=np.full(len(own), _REACH)))
+            lower.append(Markers(names, z, verdict, colour, 7.0, error=np.full(len(own), REACH)))
     ordinary = reach <= _WIDE * float(np.median(reach))
     widest = 1.1 * float(np.max(np.abs(percent[ordinary]) + reach[ordinary]))
     named = [abs(p) * 1.2 for p, one in zip(percent, shown, strict=True) if _named(comparison, one)]

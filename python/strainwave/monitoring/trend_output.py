@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from strainwave.domain.formatting import plus_minus
-from strainwave.io.atomic_files import write_whole
-from strainwave.monitoring.comparison_output import probability
+from strainwave.monitoring import output
+from strainwave.monitoring.output import REACH, probability
 from strainwave.monitoring.shapes import fitted_line
 from strainwave.monitoring.trend import ArmTrend, ParameterTrend, Trend
 from strainwave.presentation.figures import (
@@ -30,14 +28,12 @@ from strainwave.presentation.figures import (
 )
 from strainwave.presentation.report.blocks import (
     Block,
-    Callout,
     Cell,
     Fold,
     Mark,
     Plot,
     Row,
     Section,
-    Span,
     number,
     paragraph,
     prose,
@@ -48,7 +44,6 @@ from strainwave.presentation.report.document import document as page_of
 
 SCHEMA = "strainwave/trend/1"
 
-_REACH = 1.96  # deviations of a run's 95 % interval
 _MONTH = 30.0  # [days]
 _TOGETHER = 6  # panels of a figure
 
@@ -66,9 +61,7 @@ def write(found: Trend, folder: Path) -> None:
     InvalidInput
         The folder cannot be written to.
     """
-    text = json.dumps(to_document(found), indent=2, ensure_ascii=False, allow_nan=False)
-    contents = {"trend.json": (text + "\n").encode(), "trend.html": render(found).encode()}
-    write_whole(folder, contents)
+    output.write("trend", to_document(found), render(found), folder)
 
 
 def to_document(found: Trend) -> dict[str, Any]:
@@ -158,9 +151,9 @@ def headline(found: Trend) -> str:
     of = f"of {_counted(len(found.arms), 'arm')}"
     level = f"at the level of {100.0 * found.level:g} % per arm"
     if not named:
-        return f"verdict: none {of} changes clearly {level}"
+        return f"none {of} changes clearly {level}"
     changes = "changes" if len(named) == 1 else "change"
-    return f"verdict: {len(named)} {of} {changes} {level}: {', '.join(named)}"
+    return f"{len(named)} {of} {changes} {level}: {', '.join(named)}"
 
 
 def _counted(n: int, noun: str) -> str:
@@ -181,7 +174,7 @@ def print_trend(
         The terminal, if not standard output.
     """
     console = console or Console(highlight=False)
-    printed = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
+    printed = output.printed_table()
     printed.add_column("arm", no_wrap=True)
     printed.add_column("visits", justify="right")
     printed.add_column("parameter", no_wrap=True)
@@ -198,12 +191,7 @@ def print_trend(
         if not arm.parameters:
             printed.add_row(Text(arm.history.arm), str(len(arm.history.visits)), "too few visits")
     console.print(printed)
-    for note in found.notes:
-        console.print(Text(f"note: {note}"), style="yellow")
-    console.print(Text(headline(found)), style="bold red" if found.concern else "bold")
-    if folder is not None:
-        for name in ("trend.html", "trend.json"):
-            console.print(Text(f"written: {folder / name}"), soft_wrap=True)
+    output.print_end(console, "trend", headline(found), found.notes, folder, bad=found.concern)
 
 
 def _percent(one: ParameterTrend) -> str:
@@ -226,10 +214,6 @@ def render(found: Trend) -> str:
     -------
     str
     """
-    mark: Mark = "bad" if found.concern else "good"
-    said = headline(found).removeprefix("verdict: ")
-    lead = [paragraph(Span(f"{said[0].upper()}{said[1:]}.", strong=True))]
-    lead += [paragraph(f"Note: {note}.") for note in found.notes]
     worst = [arm for arm in found.arms if found.concerns(arm)]
     calm = [arm for arm in found.arms if not found.concerns(arm)]
     folds = tuple(
@@ -244,7 +228,8 @@ def render(found: Trend) -> str:
     ]
     visits = sum(len(arm.history.visits) for arm in found.arms)
     subtitle = f"{_counted(len(found.arms), 'arm')}, {_counted(visits, 'visit')}"
-    return page_of("Parameters over time", subtitle, sections, before=(Callout(mark, tuple(lead)),))
+    before = output.opening(headline(found), (), found.notes, bad=found.concern)
+    return page_of("Parameters over time", subtitle, sections, before=(before,))
 
 
 def _key(arm: ArmTrend) -> str:
@@ -352,9 +337,7 @@ def _panel(found: Trend, one: ParameterTrend) -> Panel:
     series, concern = one.history.series, one.adjusted_p < found.level
     time, value = np.array(list(fitted_line(one.change, series))).T
     colour = MODEL if concern else RESIDUAL
-    points = Markers(
-        series.time, series.value, "estimate", MEASURED, 5.0, error=_REACH * series.std
-    )
+    points = Markers(series.time, series.value, "estimate", MEASURED, 5.0, error=REACH * series.std)
     line = Line(time, value, "clearest change", colour, SOLID, 2.0, legend=False)
     axis = Axis(f"{one.history.label} [{one.history.unit}]")
     return Panel(axis, (points,) if one.is_likely_chance else (line, points))
