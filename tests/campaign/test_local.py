@@ -200,6 +200,20 @@ def test_a_memory_limit_is_one_study_s_failure(tmp_path: Path) -> None:
     assert "more memory" in found["hoards"]["message"]
 
 
+def test_a_worker_that_ended_itself_for_its_time_says_so(tmp_path: Path) -> None:
+    """As one does whose parent was stopped: its traceback's last line says nothing."""
+    script = (
+        "import faulthandler, time; print('{}', flush=True);"
+        "faulthandler.dump_traceback_later(0.1, exit=True); time.sleep(60.0)"
+    )
+    case = find([str(rig(tmp_path / "one"))]).cases[0]
+    task = plan(tmp_path / "store").next(case)
+    assert isinstance(task, Task)
+    outcome = Runner(Limits(), entry=("-c", script)).run(task)
+    assert (outcome.status, outcome.exit_code) == ("failed", 1)
+    assert "Timeout (0:00:00.1" in outcome.message
+
+
 def test_a_worker_that_does_not_start_ends_the_campaign(tmp_path: Path) -> None:
     rigs(tmp_path / "rigs", 2)
     absent = partial(Runner, entry=("-m", "no_such_module"))

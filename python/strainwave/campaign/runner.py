@@ -27,6 +27,7 @@ _ENTRY = ("-m", "strainwave.campaign.worker")
 _RESIDENT = 1024.0  # MiB that a worker may hold between tasks
 _FAREWELL = 5.0  # [s] for a worker without tasks to end
 _TAIL = 4096  # bytes of what a worker wrote to standard error last
+_SAYING = ("Fatal", "Timeout", "memory allocation")  # how a line begins that says why
 
 
 class Stopping(Exception):  # noqa: N818
@@ -203,7 +204,7 @@ class Runner:
         self._errors.seek(max(0, size - _TAIL))
         lines = self._errors.read().decode(errors="replace").splitlines()
         spoken = [line.strip() for line in lines if line.strip()]
-        fatal = [line for line in spoken if line.startswith(("Fatal", "memory allocation"))]
+        fatal = [line for line in spoken if line.startswith(_SAYING)]
         chosen = [*spoken[-1:], *fatal[-1:]]
         return f": {chosen[-1]}" if chosen else ""
 
