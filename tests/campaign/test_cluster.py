@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from strainwave.campaign import cluster
 from strainwave.campaign.plan import Plan
 from strainwave.campaign.store import Store
 from strainwave.campaign.studies import find
-from strainwave.campaign.tasks import Task
+from strainwave.campaign.tasks import Limits, Task
 
 QUIET = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error"}
 
@@ -45,7 +46,8 @@ def dask(folder: Path, workers: int = 2) -> Iterator[Dask]:
     def start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
         line = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *common, *arguments]
         environment = os.environ | QUIET | {"PYTHONWARNINGS": "ignore"}
-        process = subprocess.Popen(line, cwd=folder, env=environment, stderr=subprocess.DEVNULL)
+        with (folder / f"{kind}-{len(begun)}.txt").open("w") as errors:
+            process = subprocess.Popen(line, cwd=folder, env=environment, stderr=errors)
         begun.append(process)
         return process
 
@@ -55,7 +57,8 @@ def dask(folder: Path, workers: int = 2) -> Iterator[Dask]:
         started = [start("worker", *threads, "--name", str(n)) for n in range(workers)]
         until = time.monotonic() + 60.0
         while not file.exists():
-            assert time.monotonic() < until
+            late = scheduler.poll() is not None or time.monotonic() > until
+            assert not late, (folder / "scheduler-0.txt").read_text()
             time.sleep(0.05)
         yield Dask(json.loads(file.read_text())["address"], scheduler, started)
     finally:
@@ -110,7 +113,7 @@ def test_the_scheduler_is_killed_and_a_cluster_of_its_own_goes_on(
         wait_for(out, 3)
         it.scheduler.kill()
         _, errors = driver.communicate(timeout=60.0)
-    assert driver.returncode == 3
+    assert driver.returncode == 3, errors
     assert errors.count("\n") == 1, errors
     assert "the Dask scheduler has gone; the same command goes on" in errors
     recorded = sw.read_runs(out).num_rows
@@ -118,7 +121,7 @@ def test_the_scheduler_is_killed_and_a_cluster_of_its_own_goes_on(
     description = tmp_path / "cluster.toml"
     description.write_text(
         'class = "distributed.LocalCluster"\n'
-        'arguments = { n_workers = 1, threads_per_worker = 2, dashboard_address = "" }\n'
+        'arguments = { n_workers = 1, threads_per_worker = 2, dashboard_address = ":0" }\n'
     )
     again = campaign(studies, "--out", out, "--cluster", description)
     assert again.returncode == 3, again.stderr
@@ -134,8 +137,19 @@ class Future:
     def __init__(self, status: str, error: Exception | None = None) -> None:
         self.status, self._error = status, error
 
+    @property
+    def client(self) -> Any:
+        return self
+
     def exception(self) -> Exception | None:
         return self._error
+
+    def result(self) -> str:
+        assert self._error is not None
+        raise self._error
+
+    def submit(self, *arguments: object, **keywords: object) -> None:
+        self.result()
 
 
 def planned(folder: Path) -> tuple[Any, Plan]:
@@ -174,6 +188,8 @@ def test_a_run_that_a_dying_worker_ended_is_not_done_again(tmp_path: Path) -> No
         (Future("error", ModuleNotFoundError("No module 's'")), sw.InvalidInput, "No module 's'"),
         (Future("error", sw.InvalidInput("does not start")), sw.InvalidInput, "does not start"),
         (Future("cancelled"), cluster.ClusterLost, "scheduler has gone"),
+        (Future("finished", OSError("in <TCP>: closed")), cluster.ClusterLost, "scheduler has"),
+        (Future("finished", CancelledError()), cluster.ClusterLost, "scheduler has gone"),
     ],
 )
 def test_other_faults_of_the_workers_end_the_campaign(
@@ -182,6 +198,22 @@ def test_other_faults_of_the_workers_end_the_campaign(
     task, plan = planned(tmp_path)
     with pytest.raises(error, match=said):
         cluster._outcome(task, future, plan)
+
+
+@pytest.mark.parametrize(
+    ("client", "error"),
+    [
+        (Future("closed", RuntimeError("the client is closed")), cluster.ClusterLost),
+        (Future("running", OSError("in <TCP>: closed")), cluster.ClusterLost),
+        (Future("running", TypeError("of our own making")), TypeError),
+    ],
+)
+def test_a_scheduler_may_go_before_it_gets_a_task(
+    client: Future, error: type[Exception], tmp_path: Path
+) -> None:
+    task, _ = planned(tmp_path)
+    with pytest.raises(error):
+        cluster._submit(client, task, Limits(time_s=60.0))
 
 
 @pytest.mark.parametrize(
@@ -195,7 +227,10 @@ def test_other_faults_of_the_workers_end_the_campaign(
             "class = 'distributed.LocalCluster'\narguments = 3",
             "'arguments' is missing or of another",
         ),
-        ("class = 'distributed.LocalCluster'\narguments = { foo = 3 }", "cannot be made"),
+        (
+            "class = 'distributed.LocalCluster'\narguments = { foo = 3, dashboard_address = ':0' }",
+            "cannot be made",
+        ),
     ],
 )
 def test_a_description_at_fault_is_refused(text: str, said: str, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import queue
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -43,6 +43,9 @@ _own = threading.local()
 
 class ClusterLost(StrainwaveError):  # noqa: N818
     """The scheduler has gone; the same command goes on where this one ended."""
+
+    def __init__(self) -> None:
+        super().__init__("the Dask scheduler has gone")
 
 
 def perform(line: str, limits: dict[str, Any], since: str) -> str:
@@ -214,14 +217,26 @@ def _plan(plan: Plan, case: Case) -> _Planned | Outcome:
 
 
 def _submit(client: Any, planned: _Planned, limits: Limits) -> Any:
-    return client.submit(
-        perform,
-        planned.task.to_json(),
-        asdict(limits),
-        planned.since.isoformat(),
-        pure=False,
-        key=f"strainwave-{planned.task.run}-{planned.since.timestamp():f}",
-    )
+    with _answered(client):
+        return client.submit(
+            perform,
+            planned.task.to_json(),
+            asdict(limits),
+            planned.since.isoformat(),
+            pure=False,
+            key=f"strainwave-{planned.task.run}-{planned.since.timestamp():f}",
+        )
+
+
+@contextmanager
+def _answered(client: Any) -> Iterator[None]:
+    """A call that needs the scheduler, which may go before it answers."""
+    try:
+        yield
+    except Exception as error:  # a broken connection is an OSError, a closed client is not
+        if isinstance(error, OSError | CancelledError) or client.status == "closed":
+            raise ClusterLost from error
+        raise
 
 
 def _outcome(planned: _Planned, future: Any, plan: Plan) -> Outcome:
@@ -229,9 +244,10 @@ def _outcome(planned: _Planned, future: Any, plan: Plan) -> Outcome:
     from distributed import KilledWorker
 
     if future.status == "finished":
-        return Outcome.from_json(future.result())
+        with _answered(future.client):
+            return Outcome.from_json(future.result())
     if future.status != "error":
-        raise ClusterLost("the Dask scheduler has gone")
+        raise ClusterLost
     error = future.exception()
     if isinstance(error, KilledWorker):
         message = f"the Dask workers that ran it died, {error.allowed_failures + 1} in a row"
@@ -269,7 +285,7 @@ class _Room:
         if self._client.status == "running":
             self._seen = time.monotonic()
         elif self._client.status == "closed" or time.monotonic() - self._seen > _MISSING:
-            raise ClusterLost("the Dask scheduler has gone")
+            raise ClusterLost
 
 
 def _started(path: Path) -> Any:
