@@ -21,10 +21,11 @@ _STRAIGHT_KNEES = (1.0, 2.0)  # [N m] of a curve that bends nowhere
 _SPREAD = (0.8, 1.0, 1.15)  # of the one stiffness found: the slopes to start from
 _REACHED = (0.2, 0.6)  # of the largest gear torque: the knees to start from
 _SAME = 0.01  # relative difference below which two slopes are one
+_ALIKE = 0.1  # relative difference that slopes known to be within it do not have: a gear's are apart
 _NOTHING = 0.02  # share of the largest torque below which a knee is at zero
 _CLOSE = 0.3  # relative distance below which two knees are one
 _FEW = ((0.1, 0.3), (0.3, 0.7))  # of the largest torque: knees where no bend was found
-_RISE = 1.05  # of slopes to start from that are one
+_RISE = 1.3  # of slopes to start from that are one: a gear's are 1.2 to 1.5 times apart
 _EVIDENT = 3.0  # deviations by which two slopes differ at least
 
 
@@ -120,21 +121,25 @@ class ThreeSlope(GearLaw):
 
         A knee between two slopes that are one, or beyond the largest torque, is none: what lies
         behind it moves up, and the last of its kind is not identified. Of two slopes that are one
-        the better known stands for both.
+        the better known stands for both. Slopes that differ too little for what is known of them
+        are not one for that: each counts as well as it is known, and only the last is given up.
         """
         at = {name: k for k, name in enumerate(self.names)}
         slopes, knees = [SLOPES[0]], list[str]()
-        for name, knee in zip(SLOPES[1:], KNEES, strict=True):
+        pairs = zip(SLOPES[1:], KNEES, strict=True)
+        reached = [(name, knee) for name, knee in pairs if values[knee] < largest_torque]
+        for name, knee in reached:
             a, b = at[slopes[-1]], at[name]
             before = values[slopes[-1]]
             apart = abs(values[name] - before)
-            spread = np.sqrt(covariance[a, a] + covariance[b, b] - 2.0 * covariance[a, b])
-            if values[knee] >= largest_torque:
-                continue
-            if apart > max(_SAME * before, _EVIDENT * spread):
+            spread = _EVIDENT * np.sqrt(covariance[a, a] + covariance[b, b] - 2 * covariance[a, b])
+            better = bool(covariance[b, b] < covariance[a, a])
+            one = apart + spread < _ALIKE * before
+            evident = apart > max(_SAME * before, spread)
+            if evident or (not one and (better or name != reached[-1][0])):
                 slopes.append(name)
                 knees.append(knee)
-            elif covariance[b, b] < covariance[a, a]:
+            elif one and better:
                 slopes[-1] = name
         found: dict[str, str | None] = {}
         for names, left in ((SLOPES, slopes), (KNEES, knees)):

@@ -120,4 +120,6 @@ def _fit(start: Start, selection: Selection) -> Fit:
     with_effects = records_with(records, selection.arm, coarse.objective.space.keys)
     objective = coarse.objective.seen_by(with_effects).reweighted(coarse.z)
     fine = fine_search(objective, coarse.z, coarse.iterations, selection.options)
+    if fine.converged:  # what comes beside has evaluations of its own
+        selection.renew(fine)
     return selected(fine, FINE, selection)

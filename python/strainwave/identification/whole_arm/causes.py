@@ -234,7 +234,7 @@ def with_demanded_effects(fit: Fit, selection: Selection) -> Fit:
         refits = refits_of(fit, tested, arm, selection.options)
         if not refits:
             break
-        selection.grant(selection.options.max_iterations)
+        selection.renew(fit)
         found = refits[0].fit
         fit = fine_search(found.objective, found.z, fit.iterations, selection.options)
     return fit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from strainwave.domain import FloatArray, TuningOptions
@@ -23,15 +23,24 @@ class Selection:
 
     arm: Arm
     options: TuningOptions  # their evaluations grow where a candidate has some of its own
+    budget: int = field(init=False)  # evaluations that the options allow a fit
+
+    def __post_init__(self) -> None:
+        self.budget = self.options.max_iterations
 
     @property
     def most(self) -> int:
         """Evaluations that may be spent in all."""
         return self.options.max_iterations
 
-    def grant(self, evaluations: int) -> None:
-        """Allow more of them."""
-        self.options = replace(self.options, max_iterations=self.most + evaluations)
+    def grant(self) -> None:
+        """Allow as many again in all."""
+        self.options = replace(self.options, max_iterations=self.most + self.budget)
+
+    def renew(self, fit: Fit) -> None:
+        """Allow as many again from where a fit is."""
+        most = max(self.most, fit.iterations + self.budget)
+        self.options = replace(self.options, max_iterations=most)
 
 
 class Candidate(Protocol):

@@ -119,10 +119,8 @@ def fine_search(objective: Objective, z: FloatArray, spent: int, options: Tuning
     -------
     Fit
     """
-    search = partial(search_from, options=options, tolerance=_FINE)
-    fit = Fit(objective, z, np.inf, spent, False)
-    if spent < options.max_iterations:
-        fit = search(objective, z, spent, relative=_GUESSED)
+    fit = search_from(objective, z, spent, options, tolerance=_FINE, relative=_GUESSED)
+    if fit.converged and fit.iterations < options.max_iterations:
         fit = refined(_corrected(fit), options)
     if not fit.converged or fit.iterations >= options.max_iterations:
         return replace(fit, converged=False)

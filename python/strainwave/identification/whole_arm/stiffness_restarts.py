@@ -62,7 +62,7 @@ def with_fine_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
     Fit
     """
     before = selection.options
-    selection.options = replace(before, max_iterations=fit.iterations + before.max_iterations)
+    selection.renew(fit)
     again = with_stiffness_restarts(fit, selection)
     if again.iterations == fit.iterations:
         selection.options = before
