@@ -149,7 +149,8 @@ def finding(cause: str, value: float | None, named: list[Any] | None) -> dict[st
         "seconds": 1.0,
         "suspected": [],
     }
-    return {"cause": cause, "joint": 1, "plain": plain}
+    healthy = {**plain, "parameters": [["motor_inertia", 1, 1.0, 1.001, 0.02]]}
+    return {"cause": cause, "joint": 1, "plain": plain, "healthy": healthy}
 
 
 @pytest.mark.parametrize(
@@ -166,6 +167,12 @@ def test_what_is_said_of_a_run(value: float | None, named: Any, said: str, count
     found = finding("backlash", value, named)
     assert verdict_on(found) == said
     assert matters(found) == counts
+
+
+def test_what_the_arm_without_its_cause_does_not_show_either_does_not_count() -> None:
+    found = finding("backlash", None, None)
+    found["healthy"] = found["plain"]
+    assert not matters(found)
 
 
 @pytest.mark.parametrize(

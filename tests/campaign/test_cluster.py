@@ -41,7 +41,7 @@ class Dask:
 def dask(folder: Path, workers: int = 2) -> Iterator[Dask]:
     file = folder / "scheduler.json"
     common = ["--scheduler-file", str(file), "--no-dashboard"]
-    begun = []
+    begun: list[subprocess.Popen[bytes]] = []
 
     def start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
         line = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *common, *arguments]

@@ -7,6 +7,6 @@ of `identify`: as they are, with the cause named in the study where a study can 
 `--auto` with effects that the fit selects.
 
 A parameter is *sound* within 1 % of the truth (gear damping 5 %) or where its 95 % interval holds
-the truth. A cause *matters* where ignoring it leaves a primary parameter that is not sound, or that
-is not given.
+the truth. A cause *matters* where ignoring it costs a primary parameter: one that is sound of the
+same arm with the same noise and no cause is not sound, or not given.
 """

@@ -18,7 +18,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.causes import NOTHING, OwnPlant
+from strainwave.virtual.families.causes import NOTHING, Cause, OwnPlant
 from strainwave.virtual.families.short_records import plans
 from strainwave.virtual.records import Simulator, recorded
 
@@ -35,7 +35,6 @@ PRIMARY = (
 )
 """What is judged, by how a name begins."""
 
-_RARE = "gear_stiffness_k3"
 _NAMED = 5  # score tests that are kept, the most significant first
 _FAULTS = {"drive-gain": "wrong-torque-constant"}
 """Causes that are refused by their name before any fit where two joints contradict each other."""
@@ -74,6 +73,9 @@ def judged(
         "seconds_simulated": time.process_time() - begin,
         "plain": _tried(run.rig.study, logs, run),
     }
+    if not _all_sound(found["plain"]):
+        healthy = replace(run, cause=Cause(NOTHING, run.cause.joint, {}))
+        found["healthy"] = _tried(run.rig.study, logs_of(healthy, engine, series), healthy)
     if named and can_be_named(name):
         study = _with_effects(run.rig.study, {run.cause.joint}, (name,))
         found["with_it"] = _tried(study, logs, run)
@@ -226,13 +228,16 @@ def is_sound(row: list[Any]) -> bool | None:
 
 
 def matters(found: dict[str, Any]) -> bool:
-    """Whether the fit that ignores the cause lacks a parameter, or has one that is not sound.
+    """Whether ignoring the cause costs a parameter that is sound of the same arm without it."""
+    if "healthy" not in found:
+        return False
+    ignored = {(row[0], row[1]): is_sound(row) for row in found["plain"]["parameters"]}
+    healthy = [(row[0], row[1]) for row in found["healthy"]["parameters"] if is_sound(row)]
+    return not all(ignored.get(key) for key in healthy)
 
-    The third slope of a gear does not count where it is missing: few records reach it.
-    """
-    parameters = found["plain"]["parameters"]
-    sound = [is_sound(row) for row in parameters if row[3] is not None or row[0] != _RARE]
-    return not parameters or not all(sound)
+
+def _all_sound(tried: dict[str, Any]) -> bool:
+    return bool(tried["parameters"]) and all(is_sound(row) for row in tried["parameters"])
 
 
 def verdict_on(found: dict[str, Any]) -> str:

@@ -41,7 +41,7 @@ def with_named_effects(fit: Fit, selection: Selection) -> Fit:
     arm = selection.arm
     if not named_effects(arm):
         return fit
-    selection.grant()  # as many as the fit without them
+    selection.grant(selection.budget)  # as many as the fit without them
     values = fit.objective.space.values(fit.z)
     loads = loads_of(fit.objective.records, values)
     space, begin = with_effects(

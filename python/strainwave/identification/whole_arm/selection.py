@@ -33,9 +33,9 @@ class Selection:
         """Evaluations that may be spent in all."""
         return self.options.max_iterations
 
-    def grant(self) -> None:
-        """Allow as many again in all."""
-        self.options = replace(self.options, max_iterations=self.most + self.budget)
+    def grant(self, evaluations: int) -> None:
+        """Allow more of them."""
+        self.options = replace(self.options, max_iterations=self.most + evaluations)
 
     def renew(self, fit: Fit) -> None:
         """Allow as many again from where a fit is."""

@@ -24,6 +24,8 @@ _REACH = float(np.log(300.0))  # of the factors that a joint's turning is looked
 _TRIES = 41
 _NO_TIME = 1e-3  # rows that a low-pass takes, which pass for none
 _HEARD_TURNING = 5.0  # deviations from which a turning may be divided by
+_G = 9.80665
+_TURNED = 0.1  # [rad] of tilt, or of an angle's zero, that the study does not know
 _BELOW_RESONANCE = 2.0  # resonance over bandwidth, of what is known beforehand of the gears
 
 
@@ -154,6 +156,23 @@ def _parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray
     return parts
 
 
+def _turned(arm: Arm, motion: _Motion, kind: str, i: int) -> list[FloatArray]:
+    """What a radian adds to an accelerometer's reading: of tilt, and of an angle's wrong zero.
+
+    A level arm that tilts has gravity along both axes of its plane; an upright one, whose gravity
+    is known, has it turned. The zero of joint 2 turns what the elbow does to link 2.
+    """
+    if kind != "a" or arm.joints[i].motion == "prismatic":
+        return []
+    q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
+    phi = q[:, : i + 1].sum(axis=1)
+    found = [arm.gravity * np.sin(phi)] if arm.gravity else [_G * np.sin(phi), _G * np.cos(phi)]
+    if i == 1 and arm.link_length:
+        elbow = dq[:, 0] ** 2 * np.cos(q[:, 1]) - ddq[:, 0] * np.sin(q[:, 1])
+        found.append(arm.link_length * elbow)
+    return found
+
+
 def _read(record: SlowRecord, arm: Arm, motion: _Motion, kind: str, i: int) -> Iterator[Reading]:
     name = f"{kind}{i + 1}"
     parts = _parts(arm, motion, kind, i)
@@ -171,10 +190,11 @@ def _read(record: SlowRecord, arm: Arm, motion: _Motion, kind: str, i: int) -> I
     since = since - since[inside].mean()
     # springs: the link's motion is the motor's and 1/w_a^2 of its second derivative; a drift's
     # and a delay's columns are a slope each
-    columns = [differentiate(differentiate(dynamic, T), T), -slope, -since * slope]
+    turned = [lagged(part, sensor, T) for part in _turned(arm, motion, kind, i)]
+    columns = [differentiate(differentiate(dynamic, T), T), -slope, -since * slope, *turned]
     top = 2.0 * np.pi * _BELOW_RESONANCE * record.bandwidth_hz
     free = np.inf
-    prior = np.array([top**-2.0, free, free])
+    prior = np.array([top**-2.0, free, free, *[_TURNED] * len(turned)])
     together = _fit(target, [whole, *columns], np.r_[free, prior], inside)
     if together is None:
         return
