@@ -13,11 +13,14 @@ from strainwave.signals.consistency import clipping
 TIME = np.arange(8000) / 4000.0
 
 
-def found(values: FloatArray, channel: str = "theta_l1") -> list[str]:
+def found(
+    values: FloatArray, channel: str = "theta_l1", motor: FloatArray | None = None
+) -> list[str]:
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.1)
     study = Study(arm=ArmDescription("single-joint", (joint,)), experiments=())
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
-    log = Log(step, TIME, TIME[1], {channel: values})
+    channels = {channel: values} | ({} if motor is None else {"theta_m1": motor})
+    log = Log(step, TIME, TIME[1], channels)
     return [each.where for each in clipping.clipped([log], Arm.of(study.arm))]
 
 
@@ -41,7 +44,22 @@ def test_an_angle_that_turns_is_not_clipped(
 @given(share=st.floats(0.4, 0.8), hz=st.floats(0.6, 20.0))
 def test_an_angle_at_its_end_is_clipped(share: float, hz: float) -> None:
     swing = np.sin(2.0 * np.pi * 1.0137 * hz * TIME)  # no period of whole samples
-    assert found(rounded(np.clip(swing, -share, share), 131072)) == ["theta_l1"]
+    clipped = rounded(np.clip(swing, -share, share), 131072)
+    assert found(clipped) == ["theta_l1"]
+    assert found(clipped, motor=100.0 * swing) == ["theta_l1"]
+
+
+@given(
+    size=st.floats(0.05, 1.0),
+    rise=st.floats(0.05, 0.4),
+    counts=st.sampled_from([8192, 131072, 1048576]),
+)
+def test_an_angle_that_rests_where_a_step_led_it_is_not_clipped(
+    size: float, rise: float, counts: int
+) -> None:
+    edges = np.clip((TIME - 0.3) / rise, 0.0, 1.0) - np.clip((TIME - 1.0) / rise, 0.0, 1.0)
+    angle = size * edges**2 * (3.0 - 2.0 * edges)
+    assert found(rounded(angle, counts), motor=100.0 * angle) == []
 
 
 def of_16_bits(acceleration: FloatArray, noise: float, seed: int = 0) -> FloatArray:
