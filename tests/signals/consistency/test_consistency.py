@@ -115,6 +115,31 @@ def test_gear_ratios_are_named(arm: Input, joint: int, ratio: float) -> None:
     assert found.factor == pytest.approx(ratio / 0.01, rel=0.03)
 
 
+@pytest.mark.parametrize("degrees", [-10.0, 10.0])
+def test_an_encoder_s_zero_is_no_gear_ratio(arm: Input, degrees: float) -> None:
+    logs, study = arm
+    motor = np.radians(degrees) / study.arm.joints[1].gear_ratio
+    turned = tuple(
+        replace(log, channels={**log.channels, "theta_m2": log.channels["theta_m2"] + motor})
+        for log in logs
+    )
+    assert check(turned, study).suspected == ()
+
+
+@pytest.mark.parametrize("degrees", [-5.0, 5.0])
+def test_a_table_that_tilts_is_no_gear_ratio(arm: Input, degrees: float) -> None:
+    logs, study = arm
+    ratios = np.array([joint.gear_ratio for joint in study.arm.joints])
+    where = 0.5 * np.pi if study.arm.gravity else 0.5  # an upright arm has it turned
+    tilted = []
+    for log in logs:
+        angle = np.cumsum([n * log.channels[f"theta_m{i}"] for i, n in enumerate(ratios, 1)], 0)
+        down = 9.81 * np.sin(np.radians(degrees)) * np.cos(angle - where)
+        more = {f"a{i}": log.channels[f"a{i}"] + down[i - 1] for i in (1, 2)}
+        tilted.append(replace(log, channels={**log.channels, **more}))
+    assert check(tuple(tilted), study).suspected == ()
+
+
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_distance_from_the_wrong_axis_is_named(arm: Input, joint: int) -> None:
     right = arm[1].arm.joints[joint - 1].accelerometer_distance or 0.0

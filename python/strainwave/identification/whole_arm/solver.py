@@ -120,6 +120,8 @@ def fine_search(objective: Objective, z: FloatArray, spent: int, options: Tuning
     Fit
     """
     fit = search_from(objective, z, spent, options, tolerance=_FINE, relative=_GUESSED)
+    if spent >= options.max_iterations:  # what it costs is known, and no more
+        return replace(fit, iterations=spent, converged=False)
     if fit.converged and fit.iterations < options.max_iterations:
         fit = refined(_corrected(fit), options)
     if not fit.converged or fit.iterations >= options.max_iterations:
