@@ -224,3 +224,18 @@ def test_tables_count_what_is_taken_for_what() -> None:
     assert confused.rows == (("backlash", "1", "1", ""),)
     assert alarms.rows[0] == ("nothing", "1")
     assert "| backlash | 2 | 2 |" in named.markdown()
+
+
+@pytest.mark.parametrize(
+    ("cause", "number", "series", "said"),
+    [
+        ("load-friction", 0, 7070, "effect and joint"),
+        ("drive-saturation", 0, 6060, "effect and joint"),
+        ("drive-gain", 0, 8080, "input fault"),
+    ],
+)
+def test_torques_that_contradict_are_laid_to_what_explains_them(
+    cause: str, number: int, series: int, said: str
+) -> None:
+    found = judged(drawn(cause, number, series), engine="own", series=series, named=False)
+    assert verdict_on(found) == said

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -139,30 +139,21 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         run.warnings.extend(log.warnings)
     all_logs, input_check = _usable(run, the_study, all_logs)
     elastic = "decoupled" in run.stages and any(j.elastic for j in run.arm.joints)
-    excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     model: RigidModel | None = None
     fitted: tuple[Prediction, ...] = ()
     checks: tuple[Prediction, ...] = ()
     if input_check.motors_agree:  # the rigid model asks nothing of link sensors
         model, fitted, checks = _rigid(run, the_study, all_logs)
         input_check = _with_torques(the_study, input_check, model)
-    elastic = elastic and not input_check.suspected
-    records: tuple[RecordModel, ...] = ()
-    joints: tuple[JointModel, ...] = ()
-    responses: dict[int, FrequencyResponse] = {}
-    if elastic:
-        records, joints, responses = decoupled(run, the_study, all_logs, model)
-    tuned: ArmModel | None = None
+    found = _Elastic()
+    if elastic and (not input_check.suspected or consistency.doubted_torques(input_check)):
+        found, input_check = _elastic_if_sound(run, the_study, all_logs, model, input_check)
+    tuned = found.tuned
     motors: tuple[MotorResponse, ...] = ()
-    starts = joints
-    if elastic and "tuned" in run.stages and not excited:
-        starts = from_catalogue(run, the_study, all_logs, model)
-    if "tuned" in run.stages and len(starts) == run.arm.n_joints:
-        tuned = _tuned(run, the_study, all_logs, model, starts)
     if tuned is not None:
         checks = _with_elastic(run, all_logs, tuned, checks)
-        motors = _motor_responses(run, all_logs, tuned, starts)
-    found = Identification(
+        motors = _motor_responses(run, all_logs, tuned, found.starts)
+    made = Identification(
         study=the_study,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         version=__version__,
@@ -172,18 +163,64 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         checks=checks,
         warnings=tuple(dict.fromkeys(run.warnings)),
         timing_s=run.timing_s,
-        records=records,
-        joints=joints,
-        responses=responses,
+        records=found.records,
+        joints=found.joints,
+        responses=found.responses,
         links=run.links,
-        sweeps=sweep.sweeps(records),
+        sweeps=sweep.sweeps(found.records),
         tuned=tuned,
         suspected=input_check.suspected,
         motor_responses=motors,
         failures=tuple(run.failures),
         activity=activity_of(all_logs, run.arm),
     )
-    return replace(found, warnings=published_warnings(found))
+    return replace(made, warnings=published_warnings(made))
+
+
+@dataclass(frozen=True, slots=True)
+class _Elastic:
+    """What the stages that know gears found."""
+
+    records: tuple[RecordModel, ...] = ()
+    joints: tuple[JointModel, ...] = ()
+    responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)
+    starts: tuple[JointModel, ...] = ()  # of the whole-arm fit
+    tuned: ArmModel | None = None
+
+
+def _elastic_if_sound(
+    run: Run,
+    the_study: Study,
+    all_logs: Sequence[Log],
+    model: RigidModel | None,
+    input_check: Consistency,
+) -> tuple[_Elastic, Consistency]:
+    """The stages that know gears; a doubted torque constant stands unless they say otherwise."""
+    before = run.copied()
+    found = _elastic(run, the_study, all_logs, model)
+    doubted = consistency.doubted_torques(input_check)
+    if doubted is None:
+        return found, input_check
+    if found.tuned is None or not tuning.blames_another(found.tuned):
+        run.forget(before)
+        return _Elastic(), input_check
+    text = f"{doubted.message}; but the effect that is named explains all records better"
+    run.warnings.append(Diagnostic("torques-contradict", doubted.where, text))
+    return found, Consistency()
+
+
+def _elastic(
+    run: Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
+) -> _Elastic:
+    """Joint by joint, and then the whole arm, as far as stages are asked for and data allow."""
+    records, joints, responses = decoupled(run, the_study, all_logs, model)
+    starts, tuned = joints, None
+    if "tuned" in run.stages:
+        if not any(log.experiment.use in ("frequency", "sweep") for log in all_logs):
+            starts = from_catalogue(run, the_study, all_logs, model)
+        if len(starts) == run.arm.n_joints:
+            tuned = _tuned(run, the_study, all_logs, model, starts)
+    return _Elastic(records, joints, responses, starts, tuned)
 
 
 def _usable(

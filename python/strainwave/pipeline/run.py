@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, fields
 
 from strainwave.domain import Diagnostic, JointModel, LinkSummary
 from strainwave.domain.progress import Progress, ProgressEvent
@@ -26,6 +27,27 @@ class Run:
     links: tuple[LinkSummary, ...] = ()
     others: list[tuple[JointModel, ...]] = field(default_factory=list)  # more starts of the fit
     timing_s: dict[str, float] = field(default_factory=dict)
+    fraction: float = 0.0  # of the run that is done
+
+    def copied(self) -> Run:
+        """The run as it is, to come back to."""
+        found = copy(self)
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, list | dict):
+                setattr(found, each.name, value.copy())
+        return found
+
+    def forget(self, since: Run) -> None:
+        """Be as at a copy made earlier, but for the time taken and how far the run is.
+
+        Parameters
+        ----------
+        since : Run
+        """
+        for each in fields(self):
+            if each.name not in ("parts", "timing_s", "fraction"):
+                setattr(self, each.name, getattr(since, each.name))
 
     @contextmanager
     def timed(self, part: str, said: str) -> Iterator[None]:
@@ -58,8 +80,9 @@ class Run:
         if part in planned[begun:]:
             self.parts = planned[: planned.index(part, begun) + 1]
         number, parts = len(self.parts), len(planned)
-        fraction = (number - 1 + min(within, 1.0)) / parts
-        self.progress(ProgressEvent(part, fraction, said, number, parts))
+        reached = (number - 1 + min(within, 1.0)) / parts
+        self.fraction = max(self.fraction, reached)  # a part may turn out to be longer
+        self.progress(ProgressEvent(part, self.fraction, said, number, parts))
 
 
 def planned_parts(stages: Sequence[str]) -> list[str]:

@@ -18,6 +18,7 @@ from strainwave.identification.whole_arm.model_selection import COARSE, FINE, se
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.predicted import predicted_parameters
 from strainwave.identification.whole_arm.restricted import as_published
+from strainwave.identification.whole_arm.second_opinion import blames_another
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import (
     Progress,
@@ -28,7 +29,7 @@ from strainwave.identification.whole_arm.solver import (
 from strainwave.identification.whole_arm.start import Start, start_of
 from strainwave.numerics.parallel import one_blas_thread
 
-__all__ = ["Fit", "TuningOptions", "fitted", "predicted_parameters", "tune"]
+__all__ = ["Fit", "TuningOptions", "blames_another", "fitted", "predicted_parameters", "tune"]
 
 
 def tune(

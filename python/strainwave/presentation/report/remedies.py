@@ -21,6 +21,9 @@ _IN_DOUBT = {
         "Look for the causes in the order given: drive the motor with less voltage, check the "
         "clock of the fast records, the drive's dead zone, then friction."
     ),
+    "torques-contradict": (
+        "Fit the effect that is named, and check the torque constants all the same."
+    ),
     "rejected": (
         "Do not use the value, which no longer is in the table. The stage's own warnings say what "
         "made it impossible."

@@ -16,10 +16,10 @@ from strainwave.signals.consistency.causes import Cause, causes
 from strainwave.signals.consistency.clipping import clipped
 from strainwave.signals.consistency.evidence import Evidence, evidence
 from strainwave.signals.consistency.observations import Observation, observe
-from strainwave.signals.consistency.torque_constants import torque_constants
+from strainwave.signals.consistency.torque_constants import doubted_torques, torque_constants
 from strainwave.signals.consistency.unexplained import unexplained
 
-__all__ = ["check", "torque_constants"]
+__all__ = ["check", "doubted_torques", "torque_constants"]
 
 _MOST_CAUSES = 6  # at once; an input with more faults is no measurement
 _MUST_STAY = ("followed", "scale", "inertia")  # kinds of observations that a mend may not lose

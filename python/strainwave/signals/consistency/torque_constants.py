@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from strainwave.domain import Study, Suspicion
+from strainwave.domain import Consistency, Study, Suspicion
 from strainwave.signals.consistency.wording import number
 
 _CERTAIN = 4.0  # standard deviations
 _TOLERANCE = 0.03  # data sheets and amplifiers are good to some per cent
+_DOUBTED = 1.25  # factor up to which what the model lacks may look like a wrong constant
 _ABOUT = 0.02  # relative deviation from which a number is only about right
 
 
@@ -28,6 +29,27 @@ def torque_constants(value: float, std: float, study: Study) -> Suspicion | None
     if off <= _CERTAIN * std or off <= _TOLERANCE:
         return None
     return wrong_torque_constant(value, std, study)
+
+
+def doubted_torques(found: Consistency) -> Suspicion | None:
+    """The suspicion of a torque constant that is off by little, where there is no other.
+
+    The rigid fit knows no friction but the usual, and no drive but a linear one: what either does
+    beyond that may break the symmetry of M(q) as a wrong constant does.
+
+    Parameters
+    ----------
+    found : Consistency
+
+    Returns
+    -------
+    Suspicion or None
+    """
+    if len(found.suspected) != 1:
+        return None
+    (only,) = found.suspected
+    near = only.factor is not None and 1.0 / _DOUBTED < only.factor < _DOUBTED
+    return only if only.code == "wrong-torque-constant" and near else None
 
 
 def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
