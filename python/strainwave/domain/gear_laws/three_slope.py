@@ -25,7 +25,8 @@ _ALIKE = 0.1  # relative difference within which slopes are one: those of a gear
 _NOTHING = 0.02  # share of the largest torque below which a knee is at zero
 _CLOSE = 0.3  # relative distance below which two knees are one
 _FEW = ((0.1, 0.3), (0.3, 0.7))  # of the largest torque: knees where no bend was found
-_RISE = 1.3  # of slopes to start from that are one: a gear's are 1.2 to 1.5 times apart
+_RISE = 1.1  # of slopes to start from that are one
+_BEFORE = 0.3  # of a knee to start from: the one before it, which was lost
 _EVIDENT = 3.0  # deviations by which two slopes differ at least
 
 
@@ -107,7 +108,7 @@ class ThreeSlope(GearLaw):
             between, beyond = float(np.sqrt(low * high)), 0.5 * (knee + largest_torque)
             found.append(([low, between, high], [0.75 * knee, min(1.5 * knee, beyond)]))
             found.append(([low, high, _RISE * high], [knee, beyond]))
-            found.append(([low / _RISE, low, high], [0.5 * knee, knee]))
+            found.append(([low / _RISE, low, high], [_BEFORE * knee, knee]))
         else:
             spread = [slopes[0] / _RISE, slopes[0], slopes[0] * _RISE]
             found += [(spread, [share * largest_torque for share in shares]) for shares in _FEW]
@@ -119,16 +120,19 @@ class ThreeSlope(GearLaw):
     ) -> Mapping[str, str | None]:
         """For each slope and knee the one that holds it, or None where no record reaches it.
 
-        A knee between two slopes that are one, or beyond the largest torque, is none: what lies
-        behind it moves up, and the last of its kind is not identified. Of two slopes that are one
-        the better known stands for both. Slopes that differ too little for what is known of them
-        are not one for that: each counts as well as it is known, and only the last is given up.
+        A knee between two slopes that are one, at zero, or beyond the largest torque, is none: what
+        lies behind it moves up, and the last of its kind is not identified. Of two slopes that are
+        one the better known stands for both. Slopes that differ too little for what is known of
+        them are not one for that: each counts as well as it is known, only the last is given up.
         """
         at = {name: k for k, name in enumerate(self.names)}
         slopes, knees = [SLOPES[0]], list[str]()
         pairs = zip(SLOPES[1:], KNEES, strict=True)
         reached = [(name, knee) for name, knee in pairs if values[knee] < largest_torque]
         for name, knee in reached:
+            if values[knee] < _NOTHING * largest_torque:
+                slopes[-1] = name
+                continue
             a, b = at[slopes[-1]], at[name]
             before = values[slopes[-1]]
             apart = abs(values[name] - before)
