@@ -6,7 +6,8 @@ once fitted, with the shapes and limits of their laws.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.domain import Cause, Diagnostic, ParameterShift, TuningOptions
@@ -45,6 +46,7 @@ _GAIN = 0.1  # predicted, at which they end
 _KEPT = 0.5  # share of what a linear step promised that a fit from there must gain
 _MOST = 4  # effects that a fit takes up by itself
 _MOVES = 3  # parameters that a warning names, of the effect and of the arm
+_ALL = 1e-9  # of the cost: what a perfect effect leaves
 _LITTLE = 0.5  # share of the cost below which more than the named effect is missing
 
 
@@ -56,7 +58,32 @@ class Refit:
     fit: Fit
     gain: float  # of the cost, less what so many parameters gain by chance
     share: float
+    evidence: float
     shifts: tuple[ParameterShift, ...]
+
+
+def evidence_of(share: float, parameters: int, cost: float) -> float:
+    """By what an effect lowers Schwarz's information criterion: n ln(1 / (1 - share)) - p ln n.
+
+    Weights make every independent error one, so that the cost is their number n. What residuals
+    that are not noise leave to chance grows with them: an effect of many sizes must explain more
+    of them than one of a single size.
+
+    Parameters
+    ----------
+    share : float
+        Of the cost that it explains.
+    parameters : int
+        That it has, p.
+    cost : float
+        Without it.
+
+    Returns
+    -------
+    float
+    """
+    n = max(cost, 1.0)
+    return -n * math.log(max(1.0 - share, _ALL)) - parameters * math.log(n)
 
 
 def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptions) -> list[Refit]:
@@ -92,14 +119,18 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
         others = [one for one in others if one not in rivals[:_RIVALS]]
         others.sort(key=_promise, reverse=True)
         found += _likely(fit, others[:_OTHERS], arm, options)
-    return sorted(found, key=lambda one: -one.gain)
+    return _by_evidence(found)
+
+
+def _by_evidence(refits: Iterable[Refit]) -> list[Refit]:
+    """The likeliest first."""
+    return sorted(refits, key=lambda one: -one.evidence)
 
 
 def _likely(fit: Fit, rivals: Sequence[Tested], arm: Arm, options: TuningOptions) -> list[Refit]:
     """Fits with each of some effects that explain more than chance, the most likely first."""
     found = [(_refit(fit, one, arm, options), one.chance) for one in rivals]
-    likely = [one for one, chance in found if one is not None and _shows(one, chance)]
-    return sorted(likely, key=lambda one: -one.gain)
+    return _by_evidence(one for one, chance in found if one is not None and _shows(one, chance))
 
 
 def _promise(tested: Tested) -> float:
@@ -129,7 +160,9 @@ def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit 
     gain = fit.cost - tested.rigid - found.cost
     moved = tuple(shifts(fit, found.objective.space.values(found.z)))
     more = len(found.objective.space.unknowns) - n
-    return Refit(tested.one, found, gain - more, gain / max(fit.cost, 1e-300), moved)
+    share = gain / max(fit.cost, 1e-300)
+    evidence = evidence_of(share, more, fit.cost)
+    return Refit(tested.one, found, gain - more, share, evidence, moved)
 
 
 def _fitted_with(
