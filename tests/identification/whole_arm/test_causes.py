@@ -13,6 +13,7 @@ from strainwave.domain import ArmModel
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.causes import evidence_of
 from strainwave.identification.whole_arm.effect_columns import EffectColumns, Hypothesis, Shapes
 from strainwave.identification.whole_arm.effects import NamedEffect
 from strainwave.identification.whole_arm.estimates import Fit
@@ -148,3 +149,17 @@ def test_what_a_cause_would_move_is_in_order() -> None:
         deviations = [abs(move.deviations) for move in cause.shifts]
         assert deviations == sorted(deviations, reverse=True)
         assert np.all(np.isfinite(deviations))
+
+
+@pytest.mark.parametrize(
+    ("many", "one", "more_likely"),
+    [(0.052, 0.044, "one"), (0.30, 0.10, "many"), (0.10, 0.10, "one")],
+)
+def test_many_sizes_must_explain_more_than_one(many: float, one: float, more_likely: str) -> None:
+    found = {"many": evidence_of(many, 6, 4000.0), "one": evidence_of(one, 1, 4000.0)}
+    assert max(found, key=lambda name: found[name]) == more_likely
+
+
+def test_an_effect_that_explains_nothing_has_evidence_against_it() -> None:
+    assert evidence_of(0.0, 1, 4000.0) < 0.0
+    assert np.isfinite(evidence_of(1.0, 1, 4000.0))

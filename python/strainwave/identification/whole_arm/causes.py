@@ -202,7 +202,7 @@ def _shows(refit: Refit, chance: float) -> bool:
     """Whether a fitted effect explains more than chance, and something that matters."""
     degrees = len(_own_parameters(refit))
     significant = refit.gain + degrees > chi_square_limit(chance, degrees)
-    return significant and matters(refit.share, refit.shifts)
+    return significant and refit.evidence > 0.0 and matters(refit.share, refit.shifts)
 
 
 def _own_parameters(refit: Refit) -> set[Key]:
