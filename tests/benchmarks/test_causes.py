@@ -239,3 +239,4 @@ def test_torques_that_contradict_are_laid_to_what_explains_them(
 ) -> None:
     found = judged(drawn(cause, number, series), engine="own", series=series, named=False)
     assert verdict_on(found) == said
+    assert found["plain"]["status"] != "determined"

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from strainwave.domain import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.statespace import PemOptions, modes, pem, propagate, subspace, to_continuous
 from strainwave.statespace._entries import Matrices, balanced, rescale
 from strainwave.statespace._evaluate import Evaluator
@@ -371,3 +373,28 @@ def test_starts_that_do_not_fit_are_refused() -> None:
         pem(data, 2, start=TRUTH)
     with pytest.raises(InvalidInput, match="a start of 1 inputs and 2 outputs"):
         pem(InputOutput(data.inputs[:, :1], data.outputs, data.sample_time), start=TRUTH)
+
+
+def test_no_start_has_a_stable_predictor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A start may lose it to rounding; without any other that is said, and nothing warned of."""
+    unseen = Matrices(1.5 * TRUTH.A, TRUTH.B, 0.0 * TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
+    module = sys.modules["strainwave.statespace.pem"]
+    monkeypatch.setattr(module, "_starts", lambda *_: [unseen])
+    with pytest.raises(NumericalFailure, match="stable predictor"):
+        pem(noisy(0, 600), 3)
+
+
+def test_a_start_without_a_stable_predictor_is_passed_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    module = sys.modules["strainwave.statespace.pem"]
+    starts = module._starts
+
+    def first_unstable(*arguments: Any) -> list[Matrices]:
+        found: list[Matrices] = starts(*arguments)
+        return [replace(found[0], A=1.5 * found[0].A, K=0.0 * found[0].K), *found]
+
+    data = noisy(0, 600)
+    usual = pem(data, 3)
+    monkeypatch.setattr(module, "_starts", first_unstable)
+    assert pem(data, 3).log_likelihood == pytest.approx(usual.log_likelihood, abs=1e-6)

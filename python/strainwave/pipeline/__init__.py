@@ -206,6 +206,8 @@ def _elastic_if_sound(
         return _Elastic(), input_check
     text = f"{doubted.message}; but the effect that is named explains all records better"
     run.warnings.append(Diagnostic("torques-contradict", doubted.where, text))
+    if found.tuned.criticism is not None and found.tuned.criticism.causes:
+        run.failures.append(text)  # until that effect is in the model
     return found, Consistency()
 
 

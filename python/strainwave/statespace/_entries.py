@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray
+from strainwave.statespace._riccati import is_stable
 from strainwave.statespace._stack import Stack
 
 
@@ -103,9 +104,12 @@ def balancing(matrices: Matrices) -> FloatArray:
 
     The Gramians of (A - K C, [B, K], C) become equal and diagonal. Entries then have comparable
     weight, and the normal equations of a fit are as well conditioned as the data allow. Where a
-    Gramian is singular, as for a state that no input moves, the coordinates stay.
+    Gramian is singular, as for a state that no input moves, and where the predictor is unstable and
+    has none, the coordinates stay.
     """
     closed = matrices.A - matrices.K @ matrices.C
+    if not is_stable(closed):
+        return np.eye(matrices.order)
     reach = _gramian(closed, np.hstack([matrices.B, matrices.K]))
     sight = _gramian(closed.T, matrices.C.T)
     try:

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, StateSpace
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import stop_if_asked
 from strainwave.statespace._entries import Matrices, balanced, n_entries, rescale
 from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
@@ -74,6 +74,8 @@ def pem(
     InvalidInput
         Shapes, entries that are not finite, an order below one, neither order nor start, a start
         that does not fit the data.
+    NumericalFailure
+        No start has a stable predictor.
     """
     options = options or PemOptions()
     _check(order, start, options)
@@ -83,9 +85,12 @@ def pem(
     evaluator = Evaluator(stacked, candidates[0].order)
     fits = []
     for candidate in sorted(candidates, key=lambda each: evaluator.cost(each.pack())):
-        fits.append(_fit(evaluator, candidate, through, options))
-        if fits[-1].status == "converged":
+        found = _fit(evaluator, candidate, through, options)
+        fits += [] if found is None else [found]
+        if found is not None and found.status == "converged":
             break
+    if not fits:
+        raise NumericalFailure("no start of the prediction-error fit has a stable predictor")
     best = min(fits, key=lambda fit: fit.cost)
     if options.disturbance == "innovations" and best.status == "converged":
         without = _without_gain(evaluator, best, through, options)
@@ -111,8 +116,9 @@ def _without_gain(
     if evaluator.cost(start.pack()) > best.cost + _SURELY * (most - best.cost):
         return None
     found = _fit(evaluator, start, feedthrough, replace(options, disturbance="none"))
-    sound = found.status == "converged" and found.covariance is not None
-    return found if sound and found.cost < most else None
+    if found is None or found.status != "converged" or found.covariance is None:
+        return None
+    return found if found.cost < most else None
 
 
 def _restricted(
@@ -123,7 +129,7 @@ def _restricted(
     if moved is best.matrices:
         return best
     there = _fit(evaluator, moved, feedthrough, replace(options, max_iterations=0))
-    if there.covariance is None:
+    if there is None or there.covariance is None:
         return best
     return replace(best, matrices=there.matrices, covariance=there.covariance, cost=there.cost)
 
@@ -197,21 +203,27 @@ def _at_rate(start: StateSpace, sample_time: float, states: FloatArray) -> Matri
 
 def _fit(
     evaluator: Evaluator, start: Matrices, feedthrough: tuple[bool, ...], options: PemOptions
-) -> _Fit:
+) -> _Fit | None:
+    """None from a start whose predictor, or innovations, are not sound."""
     if options.initial_state == "zero":
         start = replace(start, initial_states=np.zeros_like(start.initial_states))
+    if not is_stable(start.A - start.K @ start.C):
+        return None
     # Coordinates are the fit's own affair: the better conditioned, the fewer its steps.
     start = balanced(start)
     stop_if_asked()
-    fit = evaluator.core.fit(
-        start.pack(),
-        gain=options.disturbance == "innovations",
-        feedthrough=list(feedthrough),
-        initial_states=options.initial_state == "estimate",
-        floor=[FLOOR] * evaluator.data.n_outputs,
-        max_iterations=options.max_iterations,
-        tolerance=options.tolerance,
-    )
+    try:
+        fit = evaluator.core.fit(
+            start.pack(),
+            gain=options.disturbance == "innovations",
+            feedthrough=list(feedthrough),
+            initial_states=options.initial_state == "estimate",
+            floor=[FLOOR] * evaluator.data.n_outputs,
+            max_iterations=options.max_iterations,
+            tolerance=options.tolerance,
+        )
+    except ValueError:  # unstable by a rounding, or innovations that are not finite
+        return None
     return _Fit(
         matrices=evaluator.unpack(fit.values),
         covariance=fit.covariance,

@@ -122,29 +122,31 @@ class ThreeSlope(GearLaw):
 
         A knee between two slopes that are one, at zero, or beyond the largest torque, is none: what
         lies behind it moves up, and the last of its kind is not identified. Of two slopes that are
-        one the better known stands for both. Slopes that differ too little for what is known of
-        them are not one for that: each counts as well as it is known, only the last is given up.
+        one the better known stands for both. Of two of which that is not known either, the one
+        that is known less well is not identified, nor the knee between.
         """
         at = {name: k for k, name in enumerate(self.names)}
-        slopes, knees = [SLOPES[0]], list[str]()
-        pairs = zip(SLOPES[1:], KNEES, strict=True)
-        reached = [(name, knee) for name, knee in pairs if values[knee] < largest_torque]
-        for name, knee in reached:
-            if values[knee] < _NOTHING * largest_torque:
-                slopes[-1] = name
+        last = SLOPES[0]
+        slopes, knees = list[str | None]([last]), list[str | None]()
+        for name, knee in zip(SLOPES[1:], KNEES, strict=True):
+            if values[knee] >= largest_torque:
                 continue
-            a, b = at[slopes[-1]], at[name]
-            before = values[slopes[-1]]
-            apart = abs(values[name] - before)
+            a, b = at[last], at[name]
+            apart = abs(values[name] - values[last])
             spread = _EVIDENT * np.sqrt(covariance[a, a] + covariance[b, b] - 2 * covariance[a, b])
             better = bool(covariance[b, b] < covariance[a, a])
-            one = apart + spread < _ALIKE * before
-            evident = apart > max(_SAME * before, spread)
-            if evident or (not one and (better or name != reached[-1][0])):
+            if values[knee] < _NOTHING * largest_torque:
+                last = slopes[-1] = name
+            elif apart > max(_SAME * values[last], spread):
                 slopes.append(name)
                 knees.append(knee)
-            elif one and better:
-                slopes[-1] = name
+                last = name
+            elif apart + spread < _ALIKE * values[last]:
+                last = slopes[-1] = name if better else last
+            else:
+                slopes[-1:] = [None, name] if better else [slopes[-1], None]
+                knees.append(None)
+                last = name if better else last
         found: dict[str, str | None] = {}
         for names, left in ((SLOPES, slopes), (KNEES, knees)):
             found |= {n: left[k] if k < len(left) else None for k, n in enumerate(names)}

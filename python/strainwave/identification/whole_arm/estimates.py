@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter
-from strainwave.domain.gear_laws import is_by_load
+from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import is_hidden, is_mounting, reported
@@ -26,7 +26,12 @@ _IDENTIFIED = 0.3  # relative deviation up to which a parameter is worth printin
 _OFF = 1e-6  # by which a mounting's unknowns are varied for slopes
 _REACH = 1.96  # of a 95 % interval, in deviations
 _NOT_REACHED = (
-    "no record loads the gear so far that it shows; use a larger amplitude, or hold the link"
+    "not-reached",
+    "no record loads the gear so far that it shows; use a larger amplitude, or hold the link",
+)
+_NOT_APART = (
+    "not-identifiable",
+    "the records do not show whether the gear bends there; record more motion at small torques",
 )
 
 
@@ -221,7 +226,16 @@ def warnings_of(
         if parameters[k].value is not None:
             continue
         if is_by_load(unknown.name):
-            yield Diagnostic("not-reached", str(unknown), _NOT_REACHED)
+            kind = is_slope(unknown.name)
+            beyond = any(
+                p.joint == unknown.joint
+                and p.value is not None
+                and is_by_load(p.name)
+                and is_slope(p.name) == kind
+                for p in parameters[k + 1 : len(space.unknowns)]
+            )
+            code, text = _NOT_APART if beyond else _NOT_REACHED
+            yield Diagnostic(code, str(unknown), text)
             continue
         said = (
             f"the records identify it only to {values[k]:.3g} +- {deviation[k]:.2g} {unknown.unit}"
