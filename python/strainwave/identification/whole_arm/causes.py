@@ -113,8 +113,9 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
         key=lambda one: -_promise(one),
     )
     found = _likely(fit, rivals[:_RIVALS], arm, options)
-    if not found or found[0].share < _HARDLY:
-        joint = promising[0].test.joint  # whose effects a linear step may not see
+    if not found or found[0].share < _HARDLY or effect_named(found[0].one[1]).by_record:
+        # a linear step may not see them, and what changes by record stands for much else
+        joint = found[0].one[0] if found else promising[0].test.joint
         others = [one for one in tested if one.test.joint == joint and one.one not in named]
         others = [one for one in others if one not in rivals[:_RIVALS]]
         others.sort(key=_promise, reverse=True)
