@@ -51,6 +51,13 @@ def test_slopes_that_are_one_are_known_by_the_better() -> None:
     assert found == {K1: K2, K2: K3, K3: None, T1: T2, T2: None}
 
 
+def test_a_vague_slope_between_two_that_are_one_takes_no_value() -> None:
+    values = CURVE | {K3: 1.002 * CURVE[K1]}
+    each = np.array([values[name] for name in LAW.names]) * [2e-3, 0.3, 1e-3, 1e-3, 1e-3]
+    found = LAW.identified(values, np.diag(each**2), 30.0)
+    assert found == {K1: K3, K2: None, K3: None, T1: None, T2: None}
+
+
 @pytest.mark.parametrize("knee", [4.0, 12.0])
 def test_a_curve_that_lost_its_first_bend_starts_with_one_before(knee: float) -> None:
     lost = CURVE | {K1: CURVE[K2], K2: CURVE[K3], T1: knee, T2: 40.0}

@@ -131,22 +131,26 @@ class ThreeSlope(GearLaw):
         for name, knee in zip(SLOPES[1:], KNEES, strict=True):
             if values[knee] >= largest_torque:
                 continue
+            at_zero = values[knee] < _NOTHING * largest_torque
             a, b = at[last], at[name]
             apart = abs(values[name] - values[last])
             spread = _EVIDENT * np.sqrt(covariance[a, a] + covariance[b, b] - 2 * covariance[a, b])
             better = bool(covariance[b, b] < covariance[a, a])
-            if values[knee] < _NOTHING * largest_torque:
-                last = slopes[-1] = name
-            elif apart > max(_SAME * values[last], spread):
+            place = slopes.index(last)
+            one = apart + spread < _ALIKE * values[last]
+            if apart > max(_SAME * values[last], spread) and not at_zero:
                 slopes.append(name)
                 knees.append(knee)
                 last = name
-            elif apart + spread < _ALIKE * values[last]:
-                last = slopes[-1] = name if better else last
+            elif at_zero or one:
+                last = name if at_zero or better else last
+                slopes[place:] = [last]
+                del knees[place:]
             else:
-                slopes[-1:] = [None, name] if better else [slopes[-1], None]
+                slopes.append(name if better else None)
                 knees.append(None)
-                last = name if better else last
+                if better:
+                    slopes[place], last = None, name
         found: dict[str, str | None] = {}
         for names, left in ((SLOPES, slopes), (KNEES, knees)):
             found |= {n: left[k] if k < len(left) else None for k, n in enumerate(names)}
