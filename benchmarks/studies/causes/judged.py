@@ -12,10 +12,10 @@ import numpy as np
 from benchmarks.studies.causes.drawn import Run, can_be_named, drawn
 from strainwave.domain import FloatArray, Identification, Study
 from strainwave.domain.effects import all_effects
-from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.effects import effects_among
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
 from strainwave.virtual.families.causes import NOTHING, Cause, OwnPlant
@@ -190,13 +190,8 @@ def _fitted(found: Identification) -> list[list[Any]]:
 def _effects(found: Identification) -> list[list[Any]]:
     """Effects in the fitted model and their joints, those whose values do not count among them."""
     parameters = found.tuned.parameters if found.tuned else ()
-    keys = {(base_name(p.name), p.joint) for p in parameters}
-    return [
-        [effect.name, joint]
-        for effect in all_effects()
-        for joint in sorted({joint for _, joint in keys if joint is not None})
-        if (effect.sizes[0], joint) in keys
-    ]
+    keys = ((p.name, p.joint) for p in parameters)
+    return [[name, joint] for joint, name in effects_among(keys, len(found.study.arm.joints))]
 
 
 def _parameters(found: Identification, truth: Values) -> list[list[Any]]:

@@ -31,6 +31,7 @@ from strainwave.domain import (
     RigidModel,
     Signals,
     Study,
+    Suspicion,
 )
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.domain.diagnostics import published_warnings
@@ -146,8 +147,11 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         model, fitted, checks = _rigid(run, the_study, all_logs)
         input_check = _with_torques(the_study, input_check, model)
     found = _Elastic()
-    if elastic and (not input_check.suspected or consistency.doubted_torques(input_check)):
-        found, input_check = _elastic_if_sound(run, the_study, all_logs, model, input_check)
+    doubted = consistency.doubted_torques(input_check)
+    if elastic and doubted is not None:
+        found, input_check = _second_opinion(run, the_study, all_logs, model, doubted)
+    elif elastic and not input_check.suspected:
+        found = _elastic(run, the_study, all_logs, model)
     tuned = found.tuned
     motors: tuple[MotorResponse, ...] = ()
     if tuned is not None:
@@ -188,22 +192,19 @@ class _Elastic:
     tuned: ArmModel | None = None
 
 
-def _elastic_if_sound(
+def _second_opinion(
     run: Run,
     the_study: Study,
     all_logs: Sequence[Log],
     model: RigidModel | None,
-    input_check: Consistency,
+    doubted: Suspicion,
 ) -> tuple[_Elastic, Consistency]:
-    """The stages that know gears; a doubted torque constant stands unless they say otherwise."""
+    """The stages that know gears, where they explain a doubted torque constant; else none."""
     before = run.copied()
     found = _elastic(run, the_study, all_logs, model)
-    doubted = consistency.doubted_torques(input_check)
-    if doubted is None:
-        return found, input_check
-    if found.tuned is None or not tuning.blames_another(found.tuned):
+    if found.tuned is None or not tuning.blames_another(found.tuned, run.arm):
         run.forget(before)
-        return _Elastic(), input_check
+        return _Elastic(), Consistency((doubted,))
     text = f"{doubted.message}; but the effect that is named explains all records better"
     run.warnings.append(Diagnostic("torques-contradict", doubted.where, text))
     if found.tuned.criticism is not None and found.tuned.criticism.causes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -59,10 +59,25 @@ def effects_in(space: ParameterSpace, arm: Arm) -> list[NamedEffect]:
     -------
     list of (joint, effect)
     """
-    known = {(base_name(name), joint) for name, joint in space.keys}
+    return effects_among(space.keys, arm.n_joints)
+
+
+def effects_among(keys: Iterable[Key], n_joints: int) -> list[NamedEffect]:
+    """The effects whose parameters are among some.
+
+    Parameters
+    ----------
+    keys : iterable of (name, joint)
+    n_joints : int
+
+    Returns
+    -------
+    list of (joint, effect)
+    """
+    known = {(base_name(name), joint) for name, joint in keys}
     return [
         (number, effect.name)
-        for number in range(1, arm.n_joints + 1)
+        for number in range(1, n_joints + 1)
         for effect in all_effects()
         if (effect.sizes[0], number) in known
     ]

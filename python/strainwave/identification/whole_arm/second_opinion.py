@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from strainwave.domain import ArmModel
-from strainwave.domain.effects import all_effects
-from strainwave.domain.parameter_table import base_name
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.effects import effects_among
 
 _GAIN = "drive-gain"
 _CLEARLY = 1.2  # times what a wrong torque constant would take off the cost
 
 
-def blames_another(model: ArmModel) -> bool:
+def blames_another(model: ArmModel, arm: Arm) -> bool:
     """Whether an effect explains the records clearly better than a wrong torque constant.
 
     Parameters
     ----------
     model : ArmModel
         Of a study whose rigid fit suspects a torque constant.
+    arm : Arm
 
     Returns
     -------
@@ -25,10 +26,10 @@ def blames_another(model: ArmModel) -> bool:
     """
     if model.criticism is None or model.status == "iteration-limit":
         return False
-    names = {base_name(parameter.name) for parameter in model.parameters}
-    taken = {effect.name for effect in all_effects() if effect.sizes[0] in names}
-    gains = {cause.effect: cause.gain for cause in reversed(model.criticism.causes)}  # the best
-    if _GAIN in taken or not (taken or gains):
-        return False
-    best = max(gains, key=lambda effect: gains[effect], default=None)
-    return best != _GAIN and (best is None or gains[best] > _CLEARLY * gains.get(_GAIN, 0.0))
+    keys = ((parameter.name, parameter.joint) for parameter in model.parameters)
+    taken = [effect for _, effect in effects_among(keys, arm.n_joints)]
+    causes = model.criticism.causes
+    if _GAIN in taken or not causes:
+        return bool(taken) and _GAIN not in taken
+    of_gain = max((cause.gain for cause in causes if cause.effect == _GAIN), default=0.0)
+    return causes[0].effect != _GAIN and causes[0].gain > _CLEARLY * of_gain
