@@ -52,10 +52,13 @@ def test_progress_says_which_part_of_how_many_runs(tmp_path: Path) -> None:
     assert places == sorted(places)
     assert said[0] == "1 of 8: reading the logs"
     assert said[-1] == "8 of 8: writing the report"
-    counts = [re.search(r"evaluation (\d+) of at most \d+", text) for text in said]
+    counts = [re.search(r"evaluation (\d+) of at most (\d+)", text) for text in said]
     assert found.tuned is not None
     evaluations = [int(match[1]) for match in counts if match]
     assert evaluations[:3] == [1, 2, 3]
+    limits = [int(match[2]) for match in counts if match]
+    assert limits[0] == 100
+    assert all(n <= most for n, most in zip(evaluations, limits, strict=True))
     assert evaluations[-1] >= found.tuned.iterations
 
 

@@ -207,8 +207,6 @@ def _fit(
     """None from a start whose predictor, or innovations, are not sound."""
     if options.initial_state == "zero":
         start = replace(start, initial_states=np.zeros_like(start.initial_states))
-    if not is_stable(start.A - start.K @ start.C):
-        return None
     # Coordinates are the fit's own affair: the better conditioned, the fewer its steps.
     start = balanced(start)
     stop_if_asked()
@@ -222,7 +220,7 @@ def _fit(
             max_iterations=options.max_iterations,
             tolerance=options.tolerance,
         )
-    except ValueError:  # unstable by a rounding, or innovations that are not finite
+    except ValueError:  # an unstable predictor, or innovations that are not finite
         return None
     return _Fit(
         matrices=evaluator.unpack(fit.values),

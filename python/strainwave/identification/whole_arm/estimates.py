@@ -199,6 +199,17 @@ def _parameter(name: str, joint: int | None, unit: str, value: float, std: float
     return Parameter(name, joint, value, std, unit, "tuned", (value - reach, value + reach))
 
 
+def _of_curve(place: int, parameters: Sequence[Parameter]) -> tuple[str, str]:
+    """Why a slope or a knee has no value: code and text. What lies beyond may have one."""
+    own = parameters[place]
+    beyond = any(
+        p.joint == own.joint and p.value is not None and is_slope(p.name) == is_slope(own.name)
+        for p in parameters[place + 1 :]
+        if is_by_load(p.name)
+    )
+    return _NOT_APART if beyond else _NOT_REACHED
+
+
 def warnings_of(
     fit: Fit, bounded: Sequence[bool], parameters: Sequence[Parameter]
 ) -> Iterator[Diagnostic]:
@@ -226,15 +237,7 @@ def warnings_of(
         if parameters[k].value is not None:
             continue
         if is_by_load(unknown.name):
-            kind = is_slope(unknown.name)
-            beyond = any(
-                p.joint == unknown.joint
-                and p.value is not None
-                and is_by_load(p.name)
-                and is_slope(p.name) == kind
-                for p in parameters[k + 1 : len(space.unknowns)]
-            )
-            code, text = _NOT_APART if beyond else _NOT_REACHED
+            code, text = _of_curve(k, parameters[: len(space.unknowns)])
             yield Diagnostic(code, str(unknown), text)
             continue
         said = (

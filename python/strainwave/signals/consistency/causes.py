@@ -10,16 +10,15 @@ import numpy as np
 from strainwave.domain import Suspicion
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.observations import Observation
-from strainwave.signals.consistency.sensors import LINK_CHANNELS, turning
+from strainwave.signals.consistency.sensors import LINK_CHANNELS, STANDARD_GRAVITY, turning
 from strainwave.signals.consistency.wording import column_line, number, scaled_line, swap_line
 
 _DEGREE = float(np.pi / 180.0)
-_G = 9.80665
 _NAMED = 0.04  # of a known factor, within which a found one is that
 _WHOLE_TURNS = 0.01  # of a gear's reduction, within which it is a whole number
 
 _UNITS: dict[str, dict[str, float]] = {
-    "a": {"g": _G, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "mg": 1e-3 * _G},
+    "a": {"g": STANDARD_GRAVITY, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "mg": 1e-3 * STANDARD_GRAVITY},
     "gyro": {"deg/s": _DEGREE, "mrad/s": 1e-3, "rpm": np.pi / 30.0},
     "theta_l": {"degrees": _DEGREE, "turns": 2.0 * np.pi, "mrad": 1e-3},
     "theta_m": {"degrees": _DEGREE, "turns": 2.0 * np.pi, "mrad": 1e-3},

@@ -20,11 +20,11 @@ from strainwave.signals.consistency.regression import Fit, regress
 LINK_CHANNELS = ("a", "gyro", "theta_l")
 """Kinds whose reading follows from the motors' angles."""
 
+STANDARD_GRAVITY = 9.80665  # [m/s^2]
 _REACH = float(np.log(300.0))  # of the factors that a joint's turning is looked for in
 _TRIES = 41
 _NO_TIME = 1e-3  # rows that a low-pass takes, which pass for none
 _HEARD_TURNING = 5.0  # deviations from which a turning may be divided by
-_G = 9.80665
 _TURNED = 0.1  # [rad] of tilt, or of an angle's zero, that the study does not know
 _BELOW_RESONANCE = 2.0  # resonance over bandwidth, of what is known beforehand of the gears
 
@@ -166,7 +166,8 @@ def _turned(arm: Arm, motion: _Motion, kind: str, i: int) -> list[FloatArray]:
         return []
     q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
     phi = q[:, : i + 1].sum(axis=1)
-    found = [arm.gravity * np.sin(phi)] if arm.gravity else [_G * np.sin(phi), _G * np.cos(phi)]
+    both = [STANDARD_GRAVITY * np.sin(phi), STANDARD_GRAVITY * np.cos(phi)]
+    found = [arm.gravity * np.sin(phi)] if arm.gravity else both
     if i == 1 and arm.link_length:
         elbow = dq[:, 0] ** 2 * np.cos(q[:, 1]) - ddq[:, 0] * np.sin(q[:, 1])
         found.append(arm.link_length * elbow)
