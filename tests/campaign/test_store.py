@@ -6,7 +6,9 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from hypothesis import strategies as st
 
 import strainwave as sw
 from campaign_records import DAY, record, write_many
+from strainwave.campaign.places import Folder
 from strainwave.campaign.schema import PARAMETERS, RUNS
 from strainwave.campaign.store import Record, Store
 
@@ -244,6 +247,26 @@ def test_a_lock_that_another_holds_is_not_waited_for(tmp_path: Path) -> None:
         other.communicate(b"\n")
     assert store.merge() == 2
     assert runs(tmp_path) == ["a", "b"]
+
+
+def test_a_run_that_comes_while_a_merge_begins_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store.at(tmp_path)
+    store.write(record("a"))
+    store.write(record("b"))
+    lock = Folder.lock
+
+    @contextmanager
+    def late(folder: Folder) -> Iterator[bool]:
+        with lock(folder) as held:
+            store.write(record("c"))
+            yield held
+
+    monkeypatch.setattr(Folder, "lock", late)
+    assert store.merge() == 3
+    assert len(list((tmp_path / "runs").glob("*.parquet"))) == 1
+    assert runs(tmp_path) == ["a", "b", "c"]
 
 
 def test_a_full_disk(tmp_path: Path) -> None:

@@ -207,7 +207,7 @@ class Store:
         Returns
         -------
         int
-            Runs that were in small files.
+            Runs that were in small files, those that came while it went on among them.
 
         Raises
         ------
@@ -222,12 +222,14 @@ class Store:
         with self.place.lock() as held:
             if not held:
                 return 0
+            n_merged = 0
             for kind in ("parameters", "runs"):  # no row stands without its parameters
-                self._merge(kind)
+                n_merged = self._merge(kind)
                 self.place.sweep(kind)
-        return len(small)
+        return n_merged
 
-    def _merge(self, kind: str) -> None:
+    def _merge(self, kind: str) -> int:
+        """Merge what there is of a kind; small files that went into a part."""
         names = self.place.names(kind, ".parquet")
         chosen = [n for n in names if not _is_part(n) or self._rows(n) < _LARGE[kind]]
         tables = {name: self._table(name) for name in chosen}
@@ -242,13 +244,14 @@ class Store:
             if pc.any(pc.is_in(known, value_set=again.combine_chunks())).as_py():
                 tables[name] = self._table(name)
         if len(tables) < 2:
-            return
+            return 0
         schema = _SCHEMAS[kind]
         ordered = [_as_schema(tables[name], schema) for name in sorted(tables, key=_is_part)]
         data = _bytes_of(_once(pa.concat_tables(ordered), kind))
         part = f"{kind}/part-{hashlib.sha256(data).hexdigest()[:32]}.parquet"
         self.place.put(part, data)
         self.place.delete(name for name in tables if name != part)
+        return sum(not _is_part(name) for name in tables)
 
     def _rows(self, name: str) -> int:
         return int(pq.read_metadata(pa.BufferReader(self.place.get(name))).num_rows)
