@@ -7,7 +7,7 @@ channel has a prediction without any unknown, (8) to (10), and a regression on i
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -182,52 +182,97 @@ def _read(record: SlowRecord, arm: Arm, motion: _Motion, kind: str, i: int) -> I
     T = record.sample_time
     sensor = [lag for lag in _lags(arm, kind, i) if _shows(lag, T, len(record.inside))]
     parts = {key: lagged(part, sensor, T) for key, part in parts.items()}
-    inside = record.inside
-    target = record.channels[name][inside]
+    target = record.channels[name][record.inside]
     whole = np.sum(list(parts.values()), axis=0)
-    dynamic = whole - parts.get("gravity", 0.0)
-    slope = differentiate(whole, T)
-    since = record.start + T * np.arange(len(whole))
-    since = since - since[inside].mean()
-    # springs: the link's motion is the motor's and 1/w_a^2 of its second derivative; a drift's
-    # and a delay's columns are a slope each
     turned = [lagged(part, sensor, T) for part in _turned(arm, motion, kind, i)]
-    columns = [differentiate(differentiate(dynamic, T), T), -slope, -since * slope, *turned]
-    top = 2.0 * np.pi * _BELOW_RESONANCE * record.bandwidth_hz
-    free = np.inf
-    prior = np.array([top**-2.0, free, free, *[_TURNED] * len(turned)])
-    together = _fit(target, [whole, *columns], np.r_[free, prior], inside)
+    beside = _Beside.of(record, whole, whole - parts.get("gravity", 0.0), turned)
+    together = beside.fit(target, [whole])
     if together is None:
         return
-    deviation = np.sqrt(np.diag(together.covariance))
-    apart = {"own": (float(together.value[0]), float(deviation[0]))}
-    if len(parts) > 1:
-        each = _fit(target, [*parts.values(), *columns], np.r_[[free] * len(parts), prior], inside)
-        if each is not None:
-            spread = np.sqrt(np.diag(each.covariance))
-            apart = {key: (float(each.value[k]), float(spread[k])) for k, key in enumerate(parts)}
+    scale, scale_std = _coefficient(together, 0)
+    delay, delay_std = _over_scale(together, 2)
+    drift, drift_std = _over_scale(together, 3)
+    each = beside.fit(target, list(parts.values())) if len(parts) > 1 else None
+    apart = {"own": (scale, scale_std)}
+    if each is not None:
+        apart = {key: _coefficient(each, k) for k, key in enumerate(parts)}
     size = float(np.std(target))
-    turn = None
     shares = _shares(arm, motion, kind) if i == 1 else None
+    turn = None
     if shares is not None:
-        filtered = [lagged(share, sensor, T) for share in shares]
-        split = _fit(target, [*filtered, *columns], np.r_[[free] * len(shares), prior], inside)
-        turn = None if split is None else _quotient(split)
-    scale = float(together.value[0])
+        turn = beside.quotient(target, [lagged(share, sensor, T) for share in shares])
     yield Reading(
         channel=name,
         record=record.experiment.name,
         scale=scale,
-        scale_std=float(deviation[0]),
-        delay=float(together.value[2]) / scale if scale else 0.0,
-        delay_std=float(deviation[2]) / abs(scale) if scale else np.inf,
-        drift=float(together.value[3]) / scale if scale else 0.0,
-        drift_std=float(deviation[3]) / abs(scale) if scale else np.inf,
+        scale_std=scale_std,
+        delay=delay,
+        delay_std=delay_std,
+        drift=drift,
+        drift_std=drift_std,
         explained=together.explained,
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         parts=apart,
         turn=turn,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What a reading has besides what is regressed: springs, delay, drift, and what is turned."""
+
+    inside: BoolArray
+    columns: tuple[FloatArray, ...]
+    prior: FloatArray
+    n_turned: int
+
+    @classmethod
+    def of(
+        cls, record: SlowRecord, whole: FloatArray, dynamic: FloatArray, turned: list[FloatArray]
+    ) -> _Beside:
+        T, inside = record.sample_time, record.inside
+        slope = differentiate(whole, T)
+        since = record.start + T * np.arange(len(whole))
+        since = since - since[inside].mean()
+        # springs: the link's motion is the motor's and 1/w_a^2 of its second derivative; a drift's
+        # and a delay's columns are a slope each
+        springs = differentiate(differentiate(dynamic, T), T)
+        top = 2.0 * np.pi * _BELOW_RESONANCE * record.bandwidth_hz
+        prior = np.array([top**-2.0, np.inf, np.inf, *[_TURNED] * len(turned)])
+        return cls(inside, (springs, -slope, -since * slope, *turned), prior, len(turned))
+
+    def fit(self, target: FloatArray, regressed: list[FloatArray]) -> Fit | None:
+        """The regression, what is turned being unknown."""
+        columns = [*regressed, *self.columns]
+        prior = np.r_[[np.inf] * len(regressed), self.prior]
+        return regress(target, np.column_stack(columns)[self.inside], prior)
+
+    def quotient(
+        self, target: FloatArray, regressed: list[FloatArray]
+    ) -> tuple[float, float] | None:
+        """The first coefficient over the second, by the fit that is nearer to 1 in its deviations.
+
+        A tilt that is left out, and one that takes what springs and friction leave, spoil one each.
+        """
+        n_level = len(self.columns) - self.n_turned
+        level = replace(self, columns=self.columns[:n_level], prior=self.prior[:n_level])
+        fits = [each.fit(target, regressed) for each in (level, self)]
+        found = [None if fit is None else _quotient(fit) for fit in fits]
+        known = [each for each in found if each is not None]
+        if len(known) < len(found):
+            return None
+        return min(known, key=lambda each: abs(each[0] - 1.0) / each[1])
+
+
+def _coefficient(fit: Fit, k: int) -> tuple[float, float]:
+    """A coefficient and its deviation."""
+    return float(fit.value[k]), float(np.sqrt(fit.covariance[k, k]))
+
+
+def _over_scale(fit: Fit, k: int) -> tuple[float, float]:
+    """A coefficient of the reading's slope, of a reading of the predicted size."""
+    (value, std), scale = _coefficient(fit, k), float(fit.value[0])
+    return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
 def _shares(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | None:
@@ -242,18 +287,16 @@ def _shares(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | None:
 
 
 def _quotient(fit: Fit) -> tuple[float, float] | None:
-    """The first coefficient over the second, which may be of either sign but not lost in noise."""
+    """The first coefficient over the second, which may be of either sign but not lost in noise.
+
+    Its deviation is that of coefficients that are alike (Fieller): where the second is vague, the
+    deviation at the quotient itself passes any quotient far from 1 for a sure one.
+    """
     (a, b), spread = fit.value[:2], fit.covariance[:2, :2]
     if abs(b) < _HEARD_TURNING * np.sqrt(spread[1, 1]):
         return None
-    slope = np.array([1.0 / b, -a / b**2])
-    return float(a / b), float(np.sqrt(slope @ spread @ slope))
-
-
-def _fit(
-    target: FloatArray, columns: list[FloatArray], prior: FloatArray, inside: BoolArray
-) -> Fit | None:
-    return regress(target, np.column_stack(columns)[inside], prior)
+    unlike = spread[0, 0] - 2.0 * spread[0, 1] + spread[1, 1]
+    return float(a / b), float(np.sqrt(unlike) / abs(b))
 
 
 def _shows(lag: Lag, sample_time: float, rows: int) -> bool:
