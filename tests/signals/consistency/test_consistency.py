@@ -11,13 +11,17 @@ import pytest
 
 from consistency_inputs import Input, changed, delayed
 from strainwave import pipeline
-from strainwave.domain import Suspicion
+from strainwave.domain import Log, Suspicion
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import simulate
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
 from strainwave.signals.consistency import check
 from strainwave.signals.motor import motor_side
+from strainwave.virtual.families import catalogue
+from strainwave.virtual.families.short_records import plans, with_short_records
+from strainwave.virtual.records import recorded
 
 DEGREE = np.pi / 180.0
 
@@ -45,6 +49,20 @@ def swapped(given: Input, kind: str) -> Input:
 
 def test_clean_input_is_silent(arm: Input) -> None:
     assert check(*arm).suspected == ()
+
+
+@pytest.mark.parametrize("number", [48, 55, 88, 93])
+def test_a_motion_that_hardly_tells_the_joints_apart_is_silent(number: int) -> None:
+    """Arms whose two joints turn alike for 6 s: how much each turns is vague, not wrong."""
+    rng = np.random.default_rng(number)
+    rig = with_short_records(catalogue.drawn(number, 7500), upright=number == 88, rng=rng)
+    motion = rig.study.experiments[0]
+    rig = replace(rig, study=replace(rig.study, experiments=(motion,)))
+    arm = Arm.of(rig.study.arm)
+    plan = plans(rig, 500_000 + number)[0]
+    channels = recorded(rig.study, arm, plan, rig.values, rig.noise, rng, simulate)
+    log = Log(motion, channels.pop("t"), channels)
+    assert check((log,), rig.study).suspected == ()
 
 
 @pytest.mark.parametrize(
@@ -217,9 +235,9 @@ def test_a_large_delay_is_named(arm: Input) -> None:
 
 
 def test_another_clock_is_named(arm: Input) -> None:
-    found = the_one(delayed(arm, ("a1", "a2"), 0.0, 1e-3))
+    found = the_one(delayed(arm, ("a1", "a2"), 0.0, 1.5e-3))
     assert (found.code, found.where) == ("clock-drift", "a1, a2")
-    assert found.factor == pytest.approx(1.001, abs=3e-4)
+    assert found.factor == pytest.approx(1.0015, abs=3e-4)
 
 
 def test_a_clipped_sensor_is_named(arm: Input) -> None:

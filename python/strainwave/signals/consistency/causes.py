@@ -272,6 +272,7 @@ def _angle(
     if not any(o.joint == joint for o in found):
         return
     ratios += [1.0 / r for r in turns]
+    ratios = [r for r in ratios if abs(np.log(abs(r))) > _NAMED]  # no unit is so near to another
     over = "its encoder's counts and the other signals" if per_turn else "the other signals"
     for factor, unit in _tried(ratios, names):
         yield _scaled(seen, name, factor, unit, over)

@@ -254,7 +254,8 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
 
     beta and gamma couple either joint to the other by the same torque, G2 acts on both; with torque
     constants e_i wrong by factors f_i they come out as f_i times themselves, and f_1 / f_2 follows:
-    the minimum over r of (x1 - r x2)' (C1 + r^2 C2)^-1 (x1 - r x2).
+    the minimum over r of (x1 - r x2)' (C1 + r^2 C2)^-1 (x1 - r x2). A ratio of 1 is no more
+    deviations off than the root of what it costs more.
 
     Parameters
     ----------
@@ -286,4 +287,8 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
     bend = max((left - 2.0 * middle + right) / step**2, 1e-12)
     ratio = float(grid[best]) * float(np.exp(0.5 * (left - right) / (step * bend)))
     excess = max(1.0, middle / max(1, len(first.shared) - 1))
-    return ratio, ratio * float(np.sqrt(2.0 / bend * excess))
+    deviation = ratio * float(np.sqrt(2.0 / bend * excess))
+    more = cost(1.0) - middle
+    if more > 1.0:  # far from its bottom the cost is no parabola
+        deviation = max(deviation, abs(ratio - 1.0) * float(np.sqrt(excess / more)))
+    return ratio, deviation

@@ -173,7 +173,7 @@ def _ratios(kind: Kind, found: Iterable[Ratio]) -> Iterator[Observation]:
         value, std = pooled([e.value for e in kept], spread)
         joint = int(channel[-1])
         yield Observation("followed", channel, best, 0.0, joint)
-        if best > _IN_PART:
+        if best > (_FOLLOWED if kind == "reference" else _IN_PART):  # a servo may fall behind
             yield Observation(kind, channel, value, std, joint)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 
 _PER_CYCLE = 10.0  # rows that repeat one another: 20 a cycle of the bandwidth, 2 are independent
+_MEMORY = 200  # rows over which residuals may repeat one another: ten cycles of the bandwidth
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +60,41 @@ def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = 
         root = max(root, 1e-9 * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
     spread = inverse @ inverse.T * root**2 * _PER_CYCLE
+    wider = np.maximum(
+        1.0, _slow_deviation(X @ (inverse @ inverse.T), residual) / np.sqrt(np.diag(spread))
+    )
+    spread = spread * np.outer(wider, wider)
     return Fit(
         value=value / size,
         covariance=spread / np.outer(size, size),
         explained=1.0 - float(residual @ residual) / total,
         rows=len(y),
     )
+
+
+def _slow_deviation(influence: FloatArray, residual: FloatArray) -> FloatArray:
+    """Deviations of coefficients where residuals repeat one another over cycles of the bandwidth.
+
+    The long-run variance of each coefficient's influences (Newey and West, 1987).
+
+    Parameters
+    ----------
+    influence : (n_rows, n_columns)
+        What a row's residual adds to each coefficient.
+    residual : (n_rows,)
+
+    Returns
+    -------
+    (n_columns,)
+    """
+    terms = influence * residual[:, None]
+    n_rows = len(terms)
+    n_lags = min(_MEMORY, n_rows // 4)
+    spectrum = np.fft.rfft(terms, 2 * n_rows, axis=0)
+    products = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n_rows, axis=0)[: n_lags + 1]
+    weight = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
+    weight[1:] *= 2.0
+    return np.sqrt(np.maximum(weight @ products, 0.0))
 
 
 def pooled(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
