@@ -51,17 +51,18 @@ def test_clean_input_is_silent(arm: Input) -> None:
     assert check(*arm).suspected == ()
 
 
-@pytest.mark.parametrize("number", [48, 55, 88, 93])
-def test_a_motion_that_hardly_tells_the_joints_apart_is_silent(number: int) -> None:
-    """Arms whose two joints turn alike for 6 s: how much each turns is vague, not wrong."""
+@pytest.mark.parametrize("number", [23, 38, 71, 88, 98, 107, 133, 144])
+def test_a_short_motion_is_vague_and_not_wrong(number: int) -> None:
+    """6 s of healthy arms whose joints turn alike, whose servo lags, or that are nearly still."""
     rng = np.random.default_rng(number)
-    rig = with_short_records(catalogue.drawn(number, 7500), upright=number == 88, rng=rng)
+    rig = with_short_records(catalogue.drawn(number, 7500), upright=number % 3 == 0, rng=rng)
     motion = rig.study.experiments[0]
     rig = replace(rig, study=replace(rig.study, experiments=(motion,)))
     arm = Arm.of(rig.study.arm)
     plan = plans(rig, 500_000 + number)[0]
     channels = recorded(rig.study, arm, plan, rig.values, rig.noise, rng, simulate)
-    log = Log(motion, channels.pop("t"), channels)
+    time = channels.pop("t")
+    log = Log(motion, time, float(time[1] - time[0]), channels)
     assert check((log,), rig.study).suspected == ()
 
 

@@ -72,7 +72,7 @@ _FLOOR: dict[Kind, float] = {
     "gravity": 0.01,
     "turn": 0.02,
     "delay": 4e-4,
-    "drift": 3e-5,
+    "drift": 0.0,  # a delay's at either end of the record, by half its length
 }
 """What springs, friction and a servo's lag leave in a record's answer whatever the noise."""
 
@@ -200,7 +200,8 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
     if best < _IN_PART:
         return
     yield mean("delay", [e.delay for e in kept], [e.delay_std for e in kept])
-    yield mean("drift", [e.drift for e in kept], [e.drift_std for e in kept])
+    ends = [float(np.hypot(e.drift_std, 2.0 * _FLOOR["delay"] / e.seconds)) for e in kept]
+    yield mean("drift", [e.drift for e in kept], ends)
     parts: tuple[Kind, ...] = ("own", "elbow", "gravity")
     for part in parts:
         found = [e.parts[part] for e in kept if part in e.parts and len(e.parts) > 1]

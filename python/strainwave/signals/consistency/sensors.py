@@ -35,6 +35,7 @@ class Reading:
 
     channel: str
     record: str
+    seconds: float  # of the record
     scale: float  # of all of it
     scale_std: float
     delay: float  # [s]
@@ -204,6 +205,7 @@ def _read(record: SlowRecord, arm: Arm, motion: _Motion, kind: str, i: int) -> I
     yield Reading(
         channel=name,
         record=record.experiment.name,
+        seconds=T * len(record.inside),
         scale=scale,
         scale_std=scale_std,
         delay=delay,
