@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,11 @@ from strainwave.domain import Control, Log, Prbs
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.identification.closed_loop import as_known, observe, predict_closed_loop
-from strainwave.signals.recorded_input import missing_recorded_input, recorded_drive
+from strainwave.signals.recorded_input import (
+    check_servo_clock,
+    missing_recorded_input,
+    recorded_drive,
+)
 from tuning_runs import rig_logs, truth
 
 
@@ -64,6 +69,19 @@ def test_what_the_recorded_input_needs_is_named() -> None:
     # nobody moved joint 2
     channels = {name: signal for name, signal in log.channels.items() if name != "ref2"}
     assert missing_recorded_input(Arm.of(study.arm), replace(log, channels=channels)) is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "refused"), [(1.0, False), (2.0, False), (1.006, True), (0.9873, True)]
+)
+def test_stamps_without_a_step_in_common_with_the_servo_are_refused(
+    factor: float, refused: bool
+) -> None:
+    study, _ = rig_logs()
+    log = log_named("step-j1")
+    late = replace(log, time=factor * log.time, sample_time=factor * log.sample_time)
+    with pytest.raises(InvalidInput, match="period in") if refused else nullcontext():
+        check_servo_clock(Arm.of(study.arm), late)
 
 
 @pytest.mark.parametrize("name", ["step-check-j1", "step-check-j2", "motion-check"])

@@ -55,7 +55,11 @@ from strainwave.presentation.matplotlib_backend import images
 from strainwave.signals import consistency, hygiene
 from strainwave.signals import motor as signals
 from strainwave.signals.activity import activity_of
-from strainwave.signals.recorded_input import missing_motor_signal, missing_recorded_input
+from strainwave.signals.recorded_input import (
+    check_servo_clock,
+    missing_motor_signal,
+    missing_recorded_input,
+)
 
 STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
@@ -216,6 +220,9 @@ def _elastic(
     run: Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
 ) -> _Elastic:
     """Joint by joint, and then the whole arm, as far as stages are asked for and data allow."""
+    if "tuned" in run.stages:  # which ends with simulations of these
+        for log in (*_used_for(all_logs, "tuning"), *_used_for(all_logs, "check")):
+            check_servo_clock(run.arm, log)
     records, joints, responses = decoupled(run, the_study, all_logs, model)
     starts, tuned = joints, None
     if "tuned" in run.stages:

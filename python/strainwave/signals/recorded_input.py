@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Log, Prbs
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive
+from strainwave.dynamics.simulation import Drive, common_step
 from strainwave.errors import InvalidInput
 
 
@@ -145,6 +145,34 @@ def check_recorded_input(arm: Arm, log: Log) -> None:
             where=log.name,
             remedy="give the study a [servo] table, and the log the references of servoed joints",
         )
+
+
+def check_servo_clock(arm: Arm, log: Log) -> None:
+    """Refuse a log that its servo cannot be simulated for: its stamps share no step with the servo.
+
+    Parameters
+    ----------
+    arm : Arm
+    log : Log
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if arm.servo is None or missing_recorded_input(arm, log):
+        return
+    if "servo" not in log.experiment.control:
+        return
+    T, period = log.sample_time, arm.servo.period
+    try:
+        common_step([T, period])
+    except InvalidInput as error:
+        raise InvalidInput(
+            f"its samples lie {T:g} s apart, which has no step in common with the servo's period "
+            f"of {period:g} s, so that its servo cannot be simulated",
+            where=log.name,
+            remedy="mend the stamps, or period in [servo], whichever is off",
+        ) from error
 
 
 def input_channel(log: Log, joint: int) -> str | None:
