@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -101,6 +102,18 @@ def test_jacobian_is_the_derivative_to_second_order() -> None:
         behind = evaluator.core.residuals(values - step * direction)
         errors.append(np.abs((ahead - behind) / (2.0 * step) - exact @ direction).max())
     assert errors[0] / errors[1] == pytest.approx(100.0, rel=0.02)
+
+
+def test_a_predictor_that_overflows_is_infinitely_dear(capfd: pytest.CaptureFixture[str]) -> None:
+    """Nothing is estimated of it, and no library complains on the terminal."""
+    data = stack(noisy(1, 2000))
+    evaluator = Evaluator(data, 3)
+    unstable = Matrices(3.0 * TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, 0.0 * TRUTH.K, np.zeros((1, 3)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = evaluator.linear(rescale(unstable, data), None, gain=True)
+    assert evaluator.cost(found.pack()) == np.inf
+    assert capfd.readouterr() == ("", "")
 
 
 def test_every_entry_has_its_own_derivative() -> None:
