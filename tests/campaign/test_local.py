@@ -231,7 +231,7 @@ def test_who_leaves_ends_the_processes(tmp_path: Path) -> None:
     assert next(outcomes).status == "determined"
     begin = time.monotonic()
     outcomes.close()
-    assert time.monotonic() - begin < 2.0
+    assert time.monotonic() - begin < 30.0  # they hang for an hour
     psutil.wait_procs(workers(), timeout=5.0)
     assert workers() == []
     assert list(rows(tmp_path / "store")) == ["a-whole"]
