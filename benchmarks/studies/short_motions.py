@@ -12,9 +12,10 @@ from dataclasses import replace
 import numpy as np
 from rich.console import Console
 
-from strainwave.domain import Log, Suspicion
+from strainwave.domain import Suspicion
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
+from strainwave.io.logs import read_logs
 from strainwave.signals.consistency import check
 from strainwave.virtual.families import catalogue
 from strainwave.virtual.families.short_records import plans, with_short_records
@@ -35,9 +36,8 @@ def suspected(number: int) -> tuple[Suspicion, ...]:
     arm = Arm.of(rig.study.arm)
     plan = plans(rig, _MOTIONS + number)[0]
     channels = recorded(rig.study, arm, plan, rig.values, rig.noise, rng, simulate)
-    time = channels.pop("t")
-    log = Log(motion, time, float(time[1] - time[0]), channels)
-    return check((log,), rig.study).suspected
+    logs = read_logs(rig.study, data={motion.name: channels})
+    return check(logs, rig.study).suspected
 
 
 def main() -> None:

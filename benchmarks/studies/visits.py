@@ -23,7 +23,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.io.results import to_document
-from strainwave.monitoring.comparison import compare
+from strainwave.monitoring.comparison import DIFFERS, compare
 from strainwave.monitoring.estimates import Estimates, estimates_of
 from strainwave.pipeline import identify
 from strainwave.virtual.families import catalogue
@@ -48,14 +48,14 @@ def compared(number: int, *, changes: Changes) -> dict[str, Any]:
     try:
         first = _visit(rig, rig.values, [number, 1])
         second = _visit(rig, _changed(rig.values, changes), [number, 2])
-        pair = (result := compare([first, second], _LEVEL)).pairs[0]
     except (InvalidInput, NumericalFailure) as refusal:
         return found | {"failure": str(refusal)}
-    joint = pair.joint
+    result = compare([first, second], _LEVEL)
+    pair, joint = result.pairs[0], result.pairs[0].joint
     return found | {
         "status": [first.status, second.status],
         "differs": result.differs,
-        "named": [p.first.label for p in pair.parameters if result.verdict(p) == "differs"],
+        "named": [p.first.label for p in pair.parameters if result.verdict(p) == DIFFERS],
         "p": [p.p for p in pair.parameters],
         "joint_p": joint.p if joint is not None else None,
     }

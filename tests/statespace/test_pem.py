@@ -104,15 +104,19 @@ def test_jacobian_is_the_derivative_to_second_order() -> None:
     assert errors[0] / errors[1] == pytest.approx(100.0, rel=0.02)
 
 
-def test_a_predictor_that_overflows_is_infinitely_dear(capfd: pytest.CaptureFixture[str]) -> None:
-    """Nothing is estimated of it, and no library complains on the terminal."""
+@pytest.mark.parametrize("feedthrough", [None, (True, True)])
+def test_a_predictor_that_overflows_is_refused(
+    feedthrough: tuple[bool, ...] | None, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """No entries are estimated of it, and no library complains on the terminal."""
     data = stack(noisy(1, 2000))
     evaluator = Evaluator(data, 3)
     unstable = Matrices(3.0 * TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, 0.0 * TRUTH.K, np.zeros((1, 3)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = evaluator.linear(rescale(unstable, data), None, gain=True)
-    assert evaluator.cost(found.pack()) == np.inf
+        with pytest.raises(np.linalg.LinAlgError, match="overflows"):
+            evaluator.linear(rescale(unstable, data), feedthrough, gain=True)
+    assert evaluator.cost(rescale(unstable, data).pack()) == np.inf
     assert capfd.readouterr() == ("", "")
 
 

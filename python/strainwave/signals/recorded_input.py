@@ -158,6 +158,7 @@ def check_servo_clock(arm: Arm, log: Log) -> None:
     Raises
     ------
     InvalidInput
+        The stamps are off, or the servo's period.
     """
     if arm.servo is None or missing_recorded_input(arm, log):
         return

@@ -65,7 +65,8 @@ class Evaluator:
         The innovations are linear in them. The first solution weighs the outputs alike, the second
         by the covariance that the first left; for a start one will do. Without `gain`, K is set to
         zero and the outputs are simulated; without `feedthrough`, only the initial states are
-        estimated. Of a predictor that overflows none is: its cost is infinite whatever they are.
+        estimated. A predictor that overflows over the record is a `LinAlgError`: nothing can be
+        said of its entries, and with none it would pass for a model of no inputs.
         """
         if not gain:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
@@ -80,7 +81,7 @@ class Evaluator:
             # Fresh from the same point, so that a second solution replaces the first.
             block = hessian[np.ix_(chosen, chosen)]
             if not np.all(np.isfinite(block)):
-                break
+                raise np.linalg.LinAlgError("the predictor overflows over the record")
             scale = np.sqrt(np.maximum(np.diagonal(block), np.finfo(float).tiny))
             step = np.linalg.lstsq(block / np.outer(scale, scale), -gradient[chosen] / scale, 1e-14)
             values[chosen] += step[0] / scale
