@@ -221,7 +221,7 @@ def test_every_warning_has_its_place_in_troubleshooting() -> None:
     assert sorted(reported) == sorted(codes_of_warnings())
     for section in page.split("### `")[1:]:
         text = " ".join(section.split())
-        for part in ("*Cause.*", "*For the numbers.*", "*Remedy.*"):
+        for part in ("*Observed.*", "*Meaning.*", "*What to do.*"):
             assert part in text, text[:40]
 
 
