@@ -1,4 +1,4 @@
-"""Refusals end as refusals: many at a time, each with its message, exit code 2 and nothing left."""
+"""Refusals of invalid input: one message, exit code 2, no output, also with runs in parallel."""
 
 from __future__ import annotations
 
@@ -6,26 +6,27 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from benchmarks.studies import refusals
 
+import refused_studies
 from strainwave import pipeline
 from strainwave.errors import InvalidInput
 
 
 @pytest.mark.parametrize("kind", ["a NaN in a CSV log", "a damaged Parquet log"])
-def test_refusals_beside_each_other_all_exit_with_two(kind: str) -> None:
-    found = refusals.of_kind(kind, runs=6, at_once=3, samples=4000)
-    assert Counter(one.code for one in found) == {2: 6}, [one.said for one in found]
-    assert {one.lines for one in found} == {1}
-    assert not any(one.left for one in found)
+def test_parallel_runs_all_exit_with_two(kind: str) -> None:
+    """Threads that outlive a refusal could change the exit code or write output."""
+    refusals = refused_studies.runs_of(kind, runs=6, at_once=3, samples=4000)
+    assert Counter(run.code for run in refusals) == {2: 6}, [run.message for run in refusals]
+    assert {run.lines for run in refusals} == {1}
+    assert not any(run.has_output for run in refusals)
 
 
-@pytest.mark.parametrize("kind", sorted(refusals.KINDS))
+@pytest.mark.parametrize("kind", sorted(refused_studies.KINDS))
 def test_every_kind_of_fault_is_refused(kind: str, tmp_path: Path) -> None:
-    """Without a process of its own: the message names the file, the place and the remedy."""
-    ending, spoil = refusals.KINDS[kind]
-    study = refusals.study_in(tmp_path, ending, samples=400)
-    more = spoil(tmp_path)
-    stages = tuple(more[1:]) or ("rigid",)
+    """In this process: the message states the remedy."""
+    ending, damage = refused_studies.KINDS[kind]
+    study = refused_studies.study_in(tmp_path, ending, samples=400)
+    arguments = damage(tmp_path)
+    stages = tuple(arguments[1:]) or ("rigid",)
     with pytest.raises(InvalidInput, match="Remedy:"):
         pipeline.identify(study, stages=stages)

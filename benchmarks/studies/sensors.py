@@ -23,7 +23,6 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.studies.arms import each, with_logs
-from benchmarks.studies.convergence import SAME
 from benchmarks.studies.coverage import EXACT_STEP, OF_THE_ENGINE, drawn_rig, kind_of, rows_of
 from strainwave.domain import Channel, FloatArray, Identification, JointModel, Study
 from strainwave.domain.parameters import Values
@@ -52,6 +51,7 @@ FEW_COUNTS, SLOW = 500, 1e-3
 LINK_COUNTS = 2**18  # of a link encoder in a turn
 TORQUE_NOISE = 2e-4  # of the largest torque in a record, as drives measure their currents
 WRONG_DEVIATIONS, WRONG_SHARE = 5.0, 0.02
+SAME_OPTIMUM = 0.5  # [standard deviations] between two ends of a fit that count as the same
 
 
 def with_sensors(own: Rig, sensors: Sequence[str]) -> Rig:
@@ -239,7 +239,7 @@ def summary(found: Sequence[Mapping[str, Any]]) -> Table:
     fitted = [one for one in found if "parameters" in one]
     for verdict in ("determined", "partly-determined", "not-determined", "inconsistent-input"):
         of_it = [one for one in found if one.get("verdict") == verdict]
-        home = [one for one in of_it if one.get("apart", np.inf) < SAME]
+        home = [one for one in of_it if one.get("apart", np.inf) < SAME_OPTIMUM]
         text = f"{len(of_it)}, {len(home)} at the optimum found from the truth"
         table.add_row(verdict, text)
     table.add_row("failures", str(sum("failure" in one for one in found)))

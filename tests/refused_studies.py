@@ -1,19 +1,11 @@
-"""How refusals end, many at a time: `python -m benchmarks.studies.refusals --runs 1000`.
-
-Every fault is put once into a small two-link study, and the command is run on it again and again,
-several processes at a time, so that threads which outlive a refusal get their chance to do harm.
-Each run must exit with 2, print one line, and leave nothing behind.
-"""
+"""Invalid studies and logs, and how `identify` refuses them when many processes run at once."""
 
 from __future__ import annotations
 
-import argparse
 import gzip
-import os
 import subprocess
 import sys
 import tempfile
-from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -42,21 +34,21 @@ EXPERIMENT = (
     '[[experiment]]\nname = "{name}"\nfile = "{file}"\nuse = "motion"\ncontrol = {servos}\n'
 )
 RECORDS = 6
-TIMEOUT = 120.0  # s
+TIMEOUT = 120.0  # [s] of one run on a busy machine
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
-    """How one run ended."""
+class Refusal:
+    """End of one run."""
 
     code: int
     lines: int  # on standard error
-    left: bool  # something in the output folder
-    said: str
+    has_output: bool  # files in the output folder
+    message: str
 
 
 def study_in(folder: Path, ending: str, samples: int) -> Path:
-    """Write a study of several records of one kind of file; returns the study file."""
+    """Write a study of several records in one file format; return the study file."""
     time = 1e-3 * np.arange(samples)
     text = STUDY
     for number in range(RECORDS):
@@ -77,7 +69,7 @@ def study_in(folder: Path, ending: str, samples: int) -> Path:
     return folder / "study.toml"
 
 
-# --- faults, each put into a study's folder; what they return are further arguments --------------
+# --- each fault changes a study's folder and returns further arguments of the command ------------
 
 
 def _nan(folder: Path) -> list[str]:
@@ -183,47 +175,20 @@ KINDS: dict[str, tuple[str, Callable[[Path], list[str]]]] = {
 }
 
 
-def ended(study: Path, arguments: list[str], number: int) -> Ended:
-    """Run once."""
+def run(study: Path, arguments: list[str], number: int) -> Refusal:
+    """Run `identify` once."""
     out = study.parent / f"out{number}"
     command = [sys.executable, "-m", "strainwave", "identify", str(study), "--out", str(out)]
     done = subprocess.run(
         [*command, *arguments], capture_output=True, text=True, check=False, timeout=TIMEOUT
     )
-    return Ended(done.returncode, done.stderr.count("\n"), out.exists(), done.stderr.strip())
+    return Refusal(done.returncode, done.stderr.count("\n"), out.exists(), done.stderr.strip())
 
 
-def of_kind(kind: str, runs: int, at_once: int, samples: int) -> list[Ended]:
-    """Many runs on one fault."""
-    ending, spoil = KINDS[kind]
+def runs_of(kind: str, runs: int, at_once: int, samples: int) -> list[Refusal]:
+    """Run `identify` several times at once on a study with one fault."""
+    ending, damage = KINDS[kind]
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(at_once) as pool:
         study = study_in(Path(name), ending, samples)
-        arguments = spoil(study.parent)
-        return list(pool.map(lambda number: ended(study, arguments, number), range(runs)))
-
-
-def _yes(fine: bool) -> str:
-    return "yes" if fine else "NO"
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=1000, help="of each kind")
-    parser.add_argument("--at-once", type=int, default=3 * (os.cpu_count() or 1) // 2)
-    parser.add_argument("--samples", type=int, default=4000, help="of each log")
-    parser.add_argument("--kind", action="append", choices=list(KINDS), help="only this one")
-    chosen = parser.parse_args()
-    wrong = 0
-    for kind in chosen.kind or KINDS:
-        found = of_kind(kind, chosen.runs, chosen.at_once, chosen.samples)
-        codes = Counter(one.code for one in found)
-        clean, nothing = all(one.lines == 1 for one in found), not any(one.left for one in found)
-        wrong += sum(n for code, n in codes.items() if code != 2) + (not clean) + (not nothing)
-        ends = ", ".join(f"{n} with {code}" for code, n in sorted(codes.items()))
-        line = f"{kind}: {len(found)} runs, {ends}; one line each: {_yes(clean)}; nothing left: "
-        print(line + _yes(nothing), flush=True)  # a thousand runs of each kind take hours
-    sys.exit(1 if wrong else 0)
-
-
-if __name__ == "__main__":
-    main()
+        arguments = damage(study.parent)
+        return list(pool.map(lambda number: run(study, arguments, number), range(runs)))
