@@ -12,16 +12,7 @@ FRICTION_COLUMNS = 3
 
 
 def rigid_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
-    """The rigid model's unknowns: inertias and gravity first, then friction joint by joint.
-
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    tuple of RigidColumn
-    """
+    """The rigid model's unknowns: inertias and gravity first, then friction joint by joint."""
     found = list(rigid_body_columns(arm))
     for number, joint in enumerate(arm.joints, start=1):
         revolute = joint.motion == "revolute"
@@ -37,16 +28,7 @@ def rigid_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
 
 
 def rigid_body_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
-    """Of these, those that are not friction.
-
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    tuple of RigidColumn
-    """
+    """Of these, those that are not friction."""
     found = list(kind_of(arm).rigid_inertias(arm))
     if arm.gravity is not None:
         for number, joint in enumerate(arm.joints, start=1):
@@ -58,59 +40,24 @@ def rigid_body_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
 
 
 def is_rigid_drive(arm: ArmDescription) -> bool:
-    """Whether the arm is a motor and a link that a rigid gear makes one body.
-
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    bool
-    """
+    """Whether the arm is a motor and a link that a rigid gear makes one body."""
     return arm.n_joints == 1 and not arm.joints[0].elastic
 
 
 def is_uncoupled(arm: ArmDescription) -> bool:
-    """Whether nothing acts on a link but its own gear: no other link, and no gravity.
-
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    bool
-    """
+    """Whether nothing acts on a link but its own gear: no other link, and no gravity."""
     return arm.n_joints == 1 and arm.gravity is None
 
 
 def viscous_friction(arm: ArmDescription) -> str:
-    """By what name rigid motion identifies the joints' viscous friction: c_0 of (18), or d_M.
-
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    str
-    """
+    """By what name rigid motion identifies the joints' viscous friction: c_0 of (18), or d_M."""
     return "motor_viscous_friction" if is_rigid_drive(arm) else "total_viscous_friction"
 
 
 def total_viscous_friction(arm: ArmDescription, joint: int) -> Row:
     """c_0 = d_M + n^2 d_L of a joint, (18).
 
-    Parameters
-    ----------
-    arm : ArmDescription
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    Row
+    `joint`: From 1.
     """
     ratio = arm.joints[joint - 1].gear_ratio
     return {("motor_viscous_friction", joint): 1.0, ("link_viscous_friction", joint): ratio**2}
@@ -121,14 +68,6 @@ def reported(arm: ArmDescription) -> dict[Key, Row]:
 
     `total_viscous_friction` of each joint; where links share their inertias, `link_inertia`; and
     the inertia that rigid motion does not separate into motor and link.
-
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    dict
     """
     kind, lumped = kind_of(arm), lumped_inertias(arm)
     found: dict[Key, Row] = {}
@@ -144,14 +83,6 @@ def lumped_inertias(arm: ArmDescription) -> dict[Key, Row]:
     """Inertias that rigid motion does not separate into motor and link.
 
     `rigid_inertia`, alpha + m_M1/n_1^2, of two links; `inertia`, m_M + n^2 m_L, of one joint.
-
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    dict
     """
     columns = kind_of(arm).rigid_inertias(arm)
     return {column.key: column.parts for column in columns if len(column.parts) > 1}
@@ -160,16 +91,7 @@ def lumped_inertias(arm: ArmDescription) -> dict[Key, Row]:
 def total_inertia(arm: ArmDescription, joint: int) -> Row:
     """c_1 = m_M + n^2 m_L of a joint, (18), of the rigid model's unknowns.
 
-    Parameters
-    ----------
-    arm : ArmDescription
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    Row
-        Over `rigid_columns`.
+    `joint`: From 1. Returns: Over `rigid_columns`.
     """
     kind, motor = kind_of(arm), ("motor_inertia", joint)
     n2 = arm.joints[joint - 1].gear_ratio ** 2
@@ -186,14 +108,6 @@ def total_inertia(arm: ArmDescription, joint: int) -> Row:
 def value_of(row: Row, values: Mapping[Key, float]) -> float:
     """A combination's value.
 
-    Parameters
-    ----------
-    row : Row
-    values : mapping
-        (name, joint) -> value of every parameter in it.
-
-    Returns
-    -------
-    float
+    `values`: (name, joint) -> value of every parameter in it.
     """
     return sum((weight * values[key] for key, weight in row.items()), 0.0)

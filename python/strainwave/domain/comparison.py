@@ -123,16 +123,7 @@ class Tally:
 
 
 def outcomes_text(outcomes: Sequence[Outcome]) -> str:
-    """One verdict as it is, several with their counts: "shown 8/10, not shown 2/10".
-
-    Parameters
-    ----------
-    outcomes : sequence of Outcome
-
-    Returns
-    -------
-    str
-    """
+    """One verdict as it is, several with their counts: "shown 8/10, not shown 2/10"."""
     counted = {outcome: outcomes.count(outcome) for outcome in OUTCOMES}
     if len(outcomes) == 1:
         return OUTCOMES[outcomes[0]]

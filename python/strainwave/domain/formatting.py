@@ -10,16 +10,9 @@ UNKNOWN = "not known"
 def plus_minus(value: float | None, std: float | None) -> tuple[str, str]:
     """A value and its standard deviation with digits to match: two significant ones of the latter.
 
-    Parameters
-    ----------
-    value, std : float or None
-        None, or not finite: not known.
-
-    Returns
-    -------
-    tuple of str
-        (value, std), for example ("25 010", "31") without the space; large and small numbers carry
-        one common exponent, as in ("1.502e-04", "0.012e-04").
+    `value`, `std`: None, or not finite: not known. Returns: (value, std), for example ("25 010",
+    "31") without the space; large and small numbers carry one common exponent, as in ("1.502e-04",
+    "0.012e-04").
     """
     if value is None or not math.isfinite(value):
         return UNKNOWN, UNKNOWN
@@ -37,12 +30,6 @@ def plus_minus(value: float | None, std: float | None) -> tuple[str, str]:
 def percent(fit: float) -> str:
     """A fit with one decimal; `UNKNOWN` where there was nothing to predict.
 
-    Parameters
-    ----------
-    fit : float [%]
-
-    Returns
-    -------
-    str
+    `fit` [%].
     """
     return f"{fit:.1f} %" if math.isfinite(fit) else UNKNOWN

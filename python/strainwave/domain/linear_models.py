@@ -147,14 +147,7 @@ class FrequencyResponse(Displayed):
     def between(self, low_hz: float, high_hz: float, most: int) -> FrequencyResponse:
         """Its lines in a band; of more than `most`, those evenly spread over log frequency.
 
-        Parameters
-        ----------
-        low_hz, high_hz : float [Hz]
-        most : int
-
-        Returns
-        -------
-        FrequencyResponse
+        `low_hz`, `high_hz` [Hz].
         """
         f = self.frequencies_hz
         kept = np.flatnonzero((f >= low_hz) & (f <= high_hz))

@@ -107,16 +107,7 @@ class Options:
 
 
 def chosen_options(options: Options) -> list[str]:
-    """What differs from the defaults, as on the command line: "links.order=1".
-
-    Parameters
-    ----------
-    options : Options
-
-    Returns
-    -------
-    list of str
-    """
+    """What differs from the defaults, as on the command line: "links.order=1"."""
     usual = asdict(Options())
     return [
         f"{stage}.{key}={value}"

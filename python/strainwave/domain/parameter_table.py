@@ -85,30 +85,13 @@ _OF_RECORDS = (
 def of_record(name: str, record: str) -> str:
     """The name of a parameter that each record has one of.
 
-    Parameters
-    ----------
-    name : str
-        As in docs/notation.md.
-    record : str
-
-    Returns
-    -------
-    str
+    `name`: As in docs/notation.md.
     """
     return f"{name}[{record}]"
 
 
 def base_name(name: str) -> str:
-    """The name of a parameter as in docs/notation.md, without that of a record.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    str
-    """
+    """The name of a parameter as in docs/notation.md, without that of a record."""
     return name.partition("[")[0]
 
 
@@ -116,10 +99,7 @@ def base_name(name: str) -> str:
 def parameter_table() -> Mapping[str, ParameterDescription]:
     """Every parameter of arms and joints by name; of a name that several owners have, the first.
 
-    Returns
-    -------
-    dict
-        In the core's order, then what follows from its parameters or changes them.
+    Returns: In the core's order, then what follows from its parameters or changes them.
     """
     found: dict[str, ParameterDescription] = {}
     for _, name, symbol, description, units, values in declared_in_the_core():

@@ -44,21 +44,8 @@ SENSOR_PARAMETERS = (
 def unit_of(name: str, joint: Joint | None = None) -> str:
     """The SI unit of a parameter.
 
-    Parameters
-    ----------
-    name : str
-        As in docs/notation.md.
-    joint : Joint, optional
-        Whose it is; None: the arm's.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    KeyError
-        There is no parameter of that name.
+    `name`: As in docs/notation.md. `joint`: Whose it is; None: the arm's. Raises `KeyError`: There
+    is no parameter of that name.
     """
     return parameter_table()[base_name(name)].units[
         joint is not None and joint.motion == "prismatic"
@@ -68,14 +55,7 @@ def unit_of(name: str, joint: Joint | None = None) -> str:
 def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:
     """Names that the options of the whole-arm fit may use: of all joints, and of each on its own.
 
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    tuple of str
-        "beta", "gear_stiffness", "gear_stiffness 1", ...
+    Returns: "beta", "gear_stiffness", "gear_stiffness 1", ...
     """
     inertias = kind_of(arm).inertias
     names = [name for name, joint in inertias if joint is None]
@@ -101,16 +81,8 @@ def completed(values: Values, arm: ArmDescription) -> Values:
     where motor and link only ever move together, `inertia` or `rigid_inertia` for both. The links'
     inertias follow as their kind of arm has it.
 
-    Parameters
-    ----------
-    values : dict
-        (name, joint) -> value.
-    arm : ArmDescription
-
-    Returns
-    -------
-    dict
-        With what follows added; nothing that was there is changed.
+    `values`: (name, joint) -> value. Returns: With what follows added; nothing that was there is
+    changed.
     """
     known = dict(values)
     for number, joint in enumerate(arm.joints, start=1):

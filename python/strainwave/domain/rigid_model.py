@@ -33,10 +33,7 @@ class RigidModel(Displayed):
     def value(self, name: str, joint: int | None = None) -> float | None:
         """The value of one parameter; `None` where it is not identifiable.
 
-        Raises
-        ------
-        KeyError
-            The model has no such parameter.
+        Raises `KeyError`: The model has no such parameter.
         """
         for parameter in self.parameters:
             if parameter.name == name and parameter.joint == joint:

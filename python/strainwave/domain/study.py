@@ -91,14 +91,5 @@ CHANNELS = (
 
 
 def channel_names(count: int) -> tuple[str, ...]:
-    """Every channel an arm of `count` joints can have.
-
-    Parameters
-    ----------
-    count : int
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Every channel an arm of `count` joints can have."""
     return ("t", *(f"{name}{i}" for name in CHANNELS for i in range(1, count + 1)))

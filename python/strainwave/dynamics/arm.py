@@ -123,20 +123,8 @@ class Arm(ArmDescription):
     def parameter_vector(self, values: Values) -> FloatArray:
         """Values by name as the core takes them.
 
-        Parameters
-        ----------
-        values : dict
-            (name, joint) -> value.
-
-        Returns
-        -------
-        (n_parameters,)
-            In the order of `parameter_names`.
-
-        Raises
-        ------
-        InvalidInput
-            A parameter the arm needs is not there.
+        `values`: (name, joint) -> value. Returns (n_parameters,): In the order of
+        `parameter_names`. Raises `InvalidInput`: A parameter the arm needs is not there.
         """
         known = self._effects_by_default | completed(values, self)
         missing = [key for key in self.parameter_names if key not in known and not _optional(key)]
@@ -166,14 +154,8 @@ class Arm(ArmDescription):
     ) -> FloatArray:
         """The links' torques per base parameter: (S2).
 
-        Parameters
-        ----------
-        angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
-
-        Returns
-        -------
-        (n_samples, n_joints, n_base)
-            Columns as in `base_names`.
+        `angle`, `velocity`, `acceleration` (n_samples, n_joints) [rad, rad/s, rad/s^2]. Returns
+        (n_samples, n_joints, n_base): Columns as in `base_names`.
         """
         motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
         return self.core.base_regressor(*motion)
@@ -187,14 +169,8 @@ class Arm(ArmDescription):
     ) -> FloatArray:
         """The links' torques, M(q) ddq + c(q, dq) + g(q).
 
-        Parameters
-        ----------
-        base : (n_base,)
-        angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
-
-        Returns
-        -------
-        (n_samples, n_joints) [N m]
+        `base` (n_base,). `angle`, `velocity`, `acceleration` (n_samples, n_joints) [rad, rad/s,
+        rad/s^2]. Returns (n_samples, n_joints) [N m].
         """
         rows = self.base_regressor(angle, velocity, acceleration)
         return np.asarray((rows.reshape(-1, len(base)) @ base).reshape(rows.shape[:2]))
@@ -207,14 +183,8 @@ class Arm(ArmDescription):
         The core's regressor, brought to the motors; a motor's own inertia adds a column, unless
         it is part of a link's.
 
-        Parameters
-        ----------
-        angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
-
-        Returns
-        -------
-        (n_samples, n_joints, n_body)
-            Columns as in `rigid_columns`, friction left out.
+        `angle`, `velocity`, `acceleration` (n_samples, n_joints) [rad, rad/s, rad/s^2]. Returns
+        (n_samples, n_joints, n_body): Columns as in `rigid_columns`, friction left out.
         """
         base = self.base_regressor(angle, velocity, acceleration)
         phi = np.zeros((*angle.shape, self.n_body))
@@ -230,14 +200,8 @@ class Arm(ArmDescription):
     def base_of_rigid(self, motor_share: float = 0.0) -> FloatArray:
         """How base parameters follow from the rigid model's unknowns: (n_base, n_body).
 
-        Parameters
-        ----------
-        motor_share : float
-            What motors have of the inertias that rigid motion does not separate from the links'.
-
-        Returns
-        -------
-        (n_base, n_body)
+        `motor_share`: What motors have of the inertias that rigid motion does not separate from the
+        links'. Returns (n_base, n_body).
         """
         rows = np.zeros((len(self.base_names), self.n_body))
         for k, column in enumerate(self.rigid_columns[: self.n_body]):
@@ -250,14 +214,8 @@ class Arm(ArmDescription):
     def motors_of_rigid(self, motor_share: float) -> FloatArray:
         """How motors' inertias follow from the rigid model's unknowns: (n_joints, n_body).
 
-        Parameters
-        ----------
-        motor_share : float
-            As of `base_of_rigid`; an unknown that is a motor's inertia alone is all the motor's.
-
-        Returns
-        -------
-        (n_joints, n_body)
+        `motor_share`: As of `base_of_rigid`; an unknown that is a motor's inertia alone is all the
+        motor's. Returns (n_joints, n_body).
         """
         rows = np.zeros((self.n_joints, self.n_body))
         for k, column in enumerate(self.rigid_columns[: self.n_body]):
@@ -271,14 +229,7 @@ class Arm(ArmDescription):
 
         Column k is the torques of a unit acceleration of joint k, less those of gravity.
 
-        Parameters
-        ----------
-        base : (n_base,)
-        angle : (n_joints,) [rad]
-
-        Returns
-        -------
-        (n_joints, n_joints) [kg m^2], or [kg] of a prismatic joint
+        `base` (n_base,). `angle` (n_joints,) [rad]. Returns (n_joints, n_joints) [kg m^2].
         """
         unit = np.eye(self.n_joints)
         at, still = np.tile(angle, (self.n_joints, 1)), np.zeros_like(unit)
@@ -290,15 +241,8 @@ class Arm(ArmDescription):
     ) -> FloatArray:
         """What each joint's acceleration alone takes at every link: M_ij(q) ddq_j.
 
-        Parameters
-        ----------
-        base : (n_base,)
-        angle, acceleration : (n_samples, n_joints) [rad, rad/s^2]
-
-        Returns
-        -------
-        (n_samples, n_joints, n_joints) [N m]
-            By link, and by the joint that accelerates.
+        `base` (n_base,). `angle`, `acceleration` (n_samples, n_joints) [rad, rad/s^2]. Returns
+        (n_samples, n_joints, n_joints) [N m]: By link, and by the joint that accelerates.
         """
         weightless = np.where(self._pulled, 0.0, base)
         still = np.zeros_like(angle)
@@ -312,13 +256,7 @@ class Arm(ArmDescription):
     def link_inertias(self, base: FloatArray) -> FloatArray:
         """m_L of each joint, the arm stretched: the diagonal of M(0).
 
-        Parameters
-        ----------
-        base : (n_base,)
-
-        Returns
-        -------
-        (n_joints,) [kg m^2]
+        `base` (n_base,). Returns (n_joints,) [kg m^2].
         """
         return np.diagonal(self.inertia_matrix(base, np.zeros(self.n_joints))).copy()
 
@@ -330,20 +268,8 @@ class Arm(ArmDescription):
     def holding_voltage(self, values: Values, motor_angle: tuple[float, ...]) -> tuple[float, ...]:
         """What keeps the arm up where it stands: gravity's torque over the torque per volt.
 
-        Parameters
-        ----------
-        values : dict
-            (name, joint) -> value.
-        motor_angle : (n_joints,) [rad]
-
-        Returns
-        -------
-        (n_joints,) [V], or [N m] where the arm has no torque per volt
-
-        Raises
-        ------
-        InvalidInput
-            A parameter is missing or impossible.
+        `values`: (name, joint) -> value. `motor_angle` (n_joints,) [rad]. Returns (n_joints,) [V].
+        Raises `InvalidInput`: A parameter is missing or impossible.
         """
         still = np.zeros((1, self.n_joints))
         angle = np.array([motor_angle]) * self.gear_ratios
@@ -365,15 +291,8 @@ class Arm(ArmDescription):
     ) -> FloatArray:
         """Motor torques of a motion behind rigid gears, (5), friction included.
 
-        Parameters
-        ----------
-        vector : (n_parameters,)
-            From `parameter_vector`.
-        angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
-
-        Returns
-        -------
-        (n_samples, n_joints) [N m]
+        `vector` (n_parameters,): From `parameter_vector`. `angle`, `velocity`, `acceleration`
+        (n_samples, n_joints) [rad, rad/s, rad/s^2]. Returns (n_samples, n_joints) [N m].
         """
         motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
         return self.core.inverse_dynamics(vector, *motion)
@@ -381,15 +300,8 @@ class Arm(ArmDescription):
     def longest_step(self, values: Values) -> float:
         """The integrator's longest step that the fastest gear resonance allows.
 
-        Parameters
-        ----------
-        values : dict
-            (name, joint) -> value.
-
-        Returns
-        -------
-        float [s]
-            `LONGEST_STEP` where no resonance asks for less.
+        `values`: (name, joint) -> value. Returns [s]: `LONGEST_STEP` where no resonance asks for
+        less.
         """
         fastest = self.fastest_resonance(values)
         return min(LONGEST_STEP, 1.0 / (_STEPS_PER_PERIOD * fastest)) if fastest else LONGEST_STEP
@@ -399,15 +311,7 @@ class Arm(ArmDescription):
 
         det(K - w^2 M) = 0 with M of the links, folded or stretched, and of the motors, J/n^2.
 
-        Parameters
-        ----------
-        values : dict
-            (name, joint) -> value.
-
-        Returns
-        -------
-        float [Hz]
-            Zero where the values do not give it.
+        `values`: (name, joint) -> value. Returns [Hz]: Zero where the values do not give it.
         """
         known, n = completed(values, self), self.n_joints
         numbers = range(1, n + 1)

@@ -33,20 +33,9 @@ def prbs(sequence: Prbs) -> FloatArray:
     autocorrelation is that of white noise over one period and the spectrum is flat up to about
     0.44 / clock (its half-power point).
 
-    Parameters
-    ----------
-    sequence : Prbs
-        Order, clock [s], number of periods and amplitude [V].
-
-    Returns
-    -------
-    (periods * (2**order - 1),) [V]
-        Values +-amplitude, one per clock.
-
-    Raises
-    ------
-    InvalidInput
-        The order is not one that has a tabulated feedback polynomial (2 to 32).
+    `sequence`: Order, clock [s], number of periods and amplitude [V]. Returns [V]: Values
+    +-amplitude, one per clock. Raises `InvalidInput`: The order is not one that has a tabulated
+    feedback polynomial (2 to 32).
     """
     if sequence.order not in _FEEDBACK:
         raise InvalidInput(
@@ -94,28 +83,11 @@ def multisine(
     With `rng` the phases are random, then swapped: what sticks out is clipped and the lines are
     given back their size, over and over (Van der Ouderaa, Schoukens, Renneboog 1988).
 
-    Parameters
-    ----------
-    lines : (n_lines,) integers
-        Harmonics of 1/period that are excited.
-    period, clock : float [s]
-        Length of a period, and of a tick; their ratio must be a whole number.
-    periods : int
-        Repetitions.
-    peak : float [V]
-        Largest magnitude of the result.
-    rng : numpy.random.Generator, optional
-        Schroeder's phases without.
-
-    Returns
-    -------
-    (periods * period / clock,) [V]
-
-    Raises
-    ------
-    InvalidInput
-        The period is no whole number of clocks, or a line lies at or above the clock's Nyquist
-        frequency.
+    `lines` (n_lines,): Harmonics of 1/period that are excited. `period`, `clock` [s]: Length of a
+    period, and of a tick; their ratio must be a whole number. `periods`: Repetitions. `peak` [V]:
+    Largest magnitude of the result. `rng`: Schroeder's phases without. Returns [V]. Raises
+    `InvalidInput`: The period is no whole number of clocks, or a line lies at or above the clock's
+    Nyquist frequency.
     """
     n = round(period / clock)
     if n < 2 or abs(n * clock - period) > 1e-9 * period:
@@ -158,14 +130,7 @@ def _with_low_peaks(spectrum: ComplexArray, at: IntArray, samples: int) -> Compl
 def steps(levels: FloatArray, *, hold: float, clock: float) -> FloatArray:
     """Piecewise constant reference: each level for `hold` seconds.
 
-    Parameters
-    ----------
-    levels : (n_levels,)
-    hold, clock : float [s]
-
-    Returns
-    -------
-    (n_levels * round(hold / clock),)
+    `levels` (n_levels,). `hold`, `clock` [s]. Returns (n_levels * round(hold / clock).
     """
     return np.repeat(np.asarray(levels, dtype=float), max(1, round(hold / clock)))
 
@@ -175,15 +140,7 @@ def chirp(
 ) -> FloatArray:
     """Sine whose frequency rises logarithmically from `start_hz` to `stop_hz`.
 
-    Parameters
-    ----------
-    start_hz, stop_hz : float [Hz]
-    duration, clock : float [s]
-    peak : float [V]
-
-    Returns
-    -------
-    (round(duration / clock),) [V]
+    `start_hz`, `stop_hz` [Hz]. `duration`, `clock` [s]. `peak` [V]. Returns [V].
     """
     from scipy.signal import chirp as scipy_chirp
 
@@ -209,20 +166,9 @@ def smooth_motion(
     random; a raised-cosine lead-in of half a second avoids a jump. Scaled to whichever of the two
     limits is met first.
 
-    Parameters
-    ----------
-    duration, clock : float [s]
-    top_hz : float [Hz]
-        Highest frequency; keep it a few times below the arm's lowest anti-resonance.
-    excursion : float [rad]
-        Largest magnitude of the integral of the result.
-    speed : float [rad/s]
-        Largest magnitude of the result.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (round(duration / clock),) [rad/s]
+    `duration`, `clock` [s]. `top_hz` [Hz]: Highest frequency; keep it a few times below the arm's
+    lowest anti-resonance. `excursion` [rad]: Largest magnitude of the integral of the result.
+    `speed` [rad/s]: Largest magnitude of the result. Returns [rad/s].
     """
     time = clock * np.arange(round(duration / clock))
     lines = np.arange(1, max(2, int(top_hz * duration)) + 1)

@@ -16,20 +16,8 @@ def base_parameters(model: RigidModel, arm: Arm) -> FloatArray:
     Where rigid motion does not separate a motor's inertia from a link's, as m_M1/n1^2 from alpha,
     all of it counts as the link's; see `interaction_torques` for why nothing is lost.
 
-    Parameters
-    ----------
-    model : RigidModel
-    arm : Arm
-
-    Returns
-    -------
-    (n_base,)
-        In the order of the core's parameters.
-
-    Raises
-    ------
-    NotIdentifiable
-        One of them is not known.
+    Returns (n_base,): In the order of the core's parameters. Raises `NotIdentifiable`: One of them
+    is not known.
     """
     rows = arm.base_of_rigid()
     solution = [
@@ -55,17 +43,8 @@ def interaction_torques(
     alpha has gone: it is in mbar_1 and, the same, in the (1,1) element of M. So any value may
     stand for it in both, and alpha + m_M1/n1^2 does. Gravity is a torque like the rest.
 
-    Parameters
-    ----------
-    arm : Arm
-    base : (n_base,)
-        From `base_parameters`.
-    angle, velocity, acceleration : (n_samples, n_joints) [rad, rad/s, rad/s^2]
-        Of the links, relative.
-
-    Returns
-    -------
-    (n_samples, n_joints) [N m] at the links
+    `base` (n_base,): From `base_parameters`. `angle`, `velocity`, `acceleration` (n_samples,
+    n_joints) [rad, rad/s, rad/s^2]: Of the links, relative. Returns (n_samples, n_joints) [N m].
     """
     rigid = arm.link_torques(base, angle, velocity, acceleration)
     return np.asarray(arm.link_inertias(base) * acceleration - rigid)
@@ -76,14 +55,7 @@ def base_variations(model: RigidModel, arm: Arm) -> FloatArray:
 
     Inertias that rigid motion does not separate from a motor's cancel and do not move.
 
-    Parameters
-    ----------
-    model : RigidModel
-    arm : Arm
-
-    Returns
-    -------
-    (n_base, n_parameters)
+    Returns (n_base, n_parameters).
     """
     moved = np.zeros((len(arm.base_names), len(model.parameters)))
     moved[:, : arm.n_body] = arm.base_of_rigid(motor_share=1.0)
@@ -93,19 +65,7 @@ def base_variations(model: RigidModel, arm: Arm) -> FloatArray:
 def total_inertias(model: RigidModel, arm: Arm) -> FloatArray:
     """c_1 = m_M + n^2 m_L of (18), at the motors.
 
-    Parameters
-    ----------
-    model : RigidModel
-    arm : Arm
-
-    Returns
-    -------
-    (n_joints,) [kg m^2]
-
-    Raises
-    ------
-    NotIdentifiable
-        A parameter it is made of is not known.
+    Returns (n_joints,) [kg m^2]. Raises `NotIdentifiable`: A parameter it is made of is not known.
     """
     rows = [total_inertia(arm, joint) for joint in range(1, arm.n_joints + 1)]
     return np.array(
@@ -116,20 +76,7 @@ def total_inertias(model: RigidModel, arm: Arm) -> FloatArray:
 def known(model: RigidModel, name: str, joint: int | None) -> float:
     """A parameter of the rigid model that the torques cannot do without.
 
-    Parameters
-    ----------
-    model : RigidModel
-    name : str
-    joint : int or None
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    NotIdentifiable
-        The motion records do not identify it.
+    Raises `NotIdentifiable`: The motion records do not identify it.
     """
     value = model.value(name, joint)
     if value is None:

@@ -45,16 +45,8 @@ _DIFFERENCES = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)  # central, of
 def delay_of(quantity: str, joint: int) -> Key | None:
     """The delay's name of the sensor that reads a quantity, None where none does.
 
-    Parameters
-    ----------
-    quantity : str
-        That is read, or the name of an IMU's sensor.
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    (name, joint) or None
+    `quantity`: That is read, or the name of an IMU's sensor. `joint`: From 1. Returns (name,
+    joint).
     """
     sensor = _SENSORS.get(quantity)
     return None if sensor is None else (f"{sensor}_delay", joint)
@@ -63,16 +55,8 @@ def delay_of(quantity: str, joint: int) -> Key | None:
 def scale_of(quantity: str, joint: int) -> Key | None:
     """The scale's name of the sensor that reads a quantity, None where it has none.
 
-    Parameters
-    ----------
-    quantity : str
-        That is read, or the name of an IMU's sensor.
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    (name, joint) or None
+    `quantity`: That is read, or the name of an IMU's sensor. `joint`: From 1. Returns (name,
+    joint).
     """
     sensor = quantity if quantity in _AXES else _SENSORS.get(quantity)
     none = sensor is None or sensor in (*_COUNTED, *_BY_AXIS)
@@ -82,16 +66,8 @@ def scale_of(quantity: str, joint: int) -> Key | None:
 def bandwidth_of(quantity: str, joint: int) -> Key | None:
     """The bandwidth's name of the sensor that reads a quantity, None where it has none.
 
-    Parameters
-    ----------
-    quantity : str
-        That is read, or the name of an IMU's sensor.
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    (name, joint) or None
+    `quantity`: That is read, or the name of an IMU's sensor. `joint`: From 1. Returns (name,
+    joint).
     """
     sensor = _SENSORS.get(quantity)
     return None if sensor is None or sensor in _COUNTED else (f"{sensor}_bandwidth", joint)
@@ -100,17 +76,8 @@ def bandwidth_of(quantity: str, joint: int) -> Key | None:
 def mount_of(quantity: str, joint: int) -> tuple[Key, Key] | None:
     """The names of frequency and damping of the mount of the sensor that reads a quantity.
 
-    Parameters
-    ----------
-    quantity : str
-        That is read, or the name of an IMU's sensor.
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    ((name, joint), (name, joint)) or None
-        None where it has none.
+    `quantity`: That is read, or the name of an IMU's sensor. `joint`: From 1. Returns: None where
+    it has none.
     """
     sensor = _SENSORS.get(quantity)
     if sensor is None or sensor in _COUNTED:
@@ -124,18 +91,8 @@ def mount_resonance(
 ) -> MountResonance | None:
     """How the sensor that reads a quantity rings on its mount; None where it sits firmly.
 
-    Parameters
-    ----------
-    quantity : str
-        That is read, or the name of an IMU's sensor.
-    joint : int
-        From 1.
-    values : dict
-        (name, joint) -> value.
-
-    Returns
-    -------
-    MountResonance or None
+    `quantity`: That is read, or the name of an IMU's sensor. `joint`: From 1. `values`: (name,
+    joint) -> value.
     """
     names = mount_of(quantity, joint)
     if names is None or names[0] not in values:
@@ -146,13 +103,7 @@ def mount_resonance(
 def is_of_mount(key: Key) -> bool:
     """Whether it is the frequency or the damping of a sensor's mount.
 
-    Parameters
-    ----------
-    key : (name, joint)
-
-    Returns
-    -------
-    bool
+    `key` (name, joint).
     """
     return key[0].endswith(_OF_MOUNTS) and is_optional(key)
 
@@ -160,17 +111,7 @@ def is_of_mount(key: Key) -> bool:
 def drift_of(quantity: str, joint: int, record: str) -> Key | None:
     """The name of a record's drift of the sensor that reads a quantity, None where it has none.
 
-    Parameters
-    ----------
-    quantity : str
-        That is read, or the name of an IMU's axis.
-    joint : int
-        From 1.
-    record : str
-
-    Returns
-    -------
-    (name, joint) or None
+    `quantity`: That is read, or the name of an IMU's axis. `joint`: From 1. Returns (name, joint).
     """
     sensor = quantity if quantity in _AXES else _SENSORS.get(quantity)
     none = sensor is None or sensor in (*_COUNTED, *_BY_AXIS)
@@ -180,13 +121,7 @@ def drift_of(quantity: str, joint: int, record: str) -> Key | None:
 def is_drift(key: Key) -> bool:
     """Whether it is a sensor's drift in one record.
 
-    Parameters
-    ----------
-    key : (name, joint)
-
-    Returns
-    -------
-    bool
+    `key` (name, joint).
     """
     return base_name(key[0]).endswith("_drift") and is_optional(key)
 
@@ -194,13 +129,7 @@ def is_drift(key: Key) -> bool:
 def is_sensor_constant(key: Key) -> bool:
     """Whether a parameter is a link sensor's, not the arm's.
 
-    Parameters
-    ----------
-    key : (name, joint)
-
-    Returns
-    -------
-    bool
+    `key` (name, joint).
     """
     return is_mounting(key) or is_optional(key)
 
@@ -208,13 +137,7 @@ def is_sensor_constant(key: Key) -> bool:
 def is_optional(key: Key) -> bool:
     """Whether it is a sensor constant that is there by evidence only.
 
-    Parameters
-    ----------
-    key : (name, joint)
-
-    Returns
-    -------
-    bool
+    `key` (name, joint).
     """
     sensor, _, what = base_name(key[0]).rpartition("_")
     single = what in ("delay", "scale", "bandwidth", "drift") and sensor in _SENSORS.values()
@@ -225,13 +148,7 @@ def is_optional(key: Key) -> bool:
 def is_bandwidth(key: Key) -> bool:
     """Whether it is a sensor's bandwidth.
 
-    Parameters
-    ----------
-    key : (name, joint)
-
-    Returns
-    -------
-    bool
+    `key` (name, joint).
     """
     return key[0].endswith("_bandwidth") and is_optional(key)
 
@@ -241,13 +158,7 @@ def nominal(key: Key) -> float:
 
     No delay, no tilt, no drift, a scale of one, a bandwidth and a mount beyond all that moves.
 
-    Parameters
-    ----------
-    key : (name, joint)
-
-    Returns
-    -------
-    float
+    `key` (name, joint).
     """
     if key[0].endswith("_scale"):
         return 1.0
@@ -258,13 +169,7 @@ def nominal(key: Key) -> float:
 def constants_of(channels: Iterable[tuple[str, int]]) -> Iterator[Key]:
     """The sensor constants of channels, each once.
 
-    Parameters
-    ----------
-    channels : iterable of (quantity, joint)
-
-    Yields
-    ------
-    (name, joint)
+    Returns (name, joint).
     """
     seen: set[Key] = set()
     for quantity, joint in channels:
@@ -279,14 +184,7 @@ def slope_of_rows(rows: FloatArray, row_time: float) -> FloatArray:
 
     Of eighth order: at the low-pass's cut-off, four rows in a period, 4 % are missing.
 
-    Parameters
-    ----------
-    rows : (n_rows,)
-    row_time : float [s]
-
-    Returns
-    -------
-    (n_rows,)
+    `rows` (n_rows,). `row_time` [s]. Returns (n_rows,).
     """
     reach = len(_DIFFERENCES)
     around = np.pad(rows, reach, mode="edge")
@@ -302,14 +200,7 @@ def moved(samples: FloatArray, ahead: float) -> FloatArray:
 
     Beyond its ends a signal goes on as it ends.
 
-    Parameters
-    ----------
-    samples : (n_samples,)
-    ahead : float [samples]
-
-    Returns
-    -------
-    (n_samples,)
+    `samples` (n_samples,). `ahead` [samples]. Returns (n_samples,).
     """
     if not ahead:
         return samples
@@ -329,18 +220,8 @@ def as_read(
 ) -> FloatArray:
     """What an accelerometer with its mount, delay and scale makes of what it should read.
 
-    Parameters
-    ----------
-    samples : (n_samples,)
-    sample_time : float [s]
-    joint : int
-        From 1.
-    values : dict
-        (name, joint) -> value; without the sensor's constants nothing changes.
-
-    Returns
-    -------
-    (n_samples,)
+    `samples` (n_samples,). `sample_time` [s]. `joint`: From 1. `values`: (name, joint) -> value;
+    without the sensor's constants nothing changes. Returns (n_samples,).
     """
     delay = values.get(("accelerometer_delay", joint), 0.0)
     scale = values.get(("accelerometer_scale", joint), 1.0)

@@ -44,14 +44,7 @@ class MountResonance:
     def read(self, motion: FloatArray, sample_time: float) -> FloatArray:
         """What the sensor reads of a motion that stands still before its first sample.
 
-        Parameters
-        ----------
-        motion : (n_samples, ...)
-        sample_time : float [s]
-
-        Returns
-        -------
-        (n_samples, ...)
+        `motion` (n_samples, ...). `sample_time` [s]. Returns (n_samples, ...).
         """
         (passed,) = self._passed(motion, sample_time, lambda hz: (self.response(hz),))
         return np.asarray(passed + motion[:1])
@@ -59,14 +52,7 @@ class MountResonance:
     def slopes(self, motion: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
         """Derivatives of what it reads by frequency [1/Hz] and by damping.
 
-        Parameters
-        ----------
-        motion : (n_samples, ...)
-        sample_time : float [s]
-
-        Returns
-        -------
-        (n_samples, ...) each
+        `motion` (n_samples, ...). `sample_time` [s]. Returns (n_samples, ...).
         """
         by_frequency, by_damping = self._passed(motion, sample_time, self.response_slopes)
         return by_frequency, by_damping

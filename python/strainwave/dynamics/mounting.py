@@ -76,17 +76,7 @@ def axes_of(channels: Collection[str], arm: Arm, joint: int) -> tuple[Axis, ...]
 
     Beside an IMU such an `a{i}` is left out: it has little to add.
 
-    Parameters
-    ----------
-    channels : collection of str
-        That were logged.
-    arm : Arm
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    tuple of Axis
+    `channels`: That were logged. `joint`: From 1.
     """
     own = arm.joints[joint - 1]
     if own.motion == "prismatic":
@@ -111,15 +101,7 @@ def unknowns_of(axes: Sequence[Axis], arm: Arm) -> list[Key]:
     is apart from what they do not. One accelerometer alone lies in the plane of motion, and what
     gyros read of the rate is then unknown axis by axis.
 
-    Parameters
-    ----------
-    axes : sequence of Axis
-        Of one link.
-    arm : Arm
-
-    Returns
-    -------
-    list of (name, joint)
+    `axes`: Of one link.
     """
     if not axes:
         return []
@@ -142,15 +124,7 @@ def unknowns_of(axes: Sequence[Axis], arm: Arm) -> list[Key]:
 def is_polar(arm: Arm, joint: int) -> bool:
     """Whether the place of a link's IMU is unknown together with its attitude, on a fixed axis.
 
-    Parameters
-    ----------
-    arm : Arm
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    bool
+    `joint`: From 1.
     """
     imu = arm.joints[joint - 1].imu or Imu()
     return joint == 1 and imu.xyz is None and imu.rpy is None
@@ -159,16 +133,7 @@ def is_polar(arm: Arm, joint: int) -> bool:
 def scale_is_apart(axis: Axis, axes: Sequence[Axis], arm: Arm) -> bool:
     """Whether an axis's scale is identifiable beside its mounting.
 
-    Parameters
-    ----------
-    axis : Axis
-    axes : sequence of Axis
-        All of its sensor, itself among them.
-    arm : Arm
-
-    Returns
-    -------
-    bool
+    `axes`: All of its sensor, itself among them.
     """
     imu = arm.joints[axis.joint - 1].imu or Imu()
     moves = axis.joint > 1 or bool(arm.gravity)
@@ -181,13 +146,7 @@ def scale_is_apart(axis: Axis, axes: Sequence[Axis], arm: Arm) -> bool:
 def is_hidden(key: Key) -> bool:
     """Whether an unknown is a fit's own, of which place and attitude are made for the reader.
 
-    Parameters
-    ----------
-    key : (name, joint)
-
-    Returns
-    -------
-    bool
+    `key` (name, joint).
     """
     name = key[0]
     return name in (BEARING, *TURN) or (name.startswith("imu_g") and name[-2:] == "_z")
@@ -196,13 +155,7 @@ def is_hidden(key: Key) -> bool:
 def is_mounting(key: Key) -> bool:
     """Whether a parameter says where or how a sensor is mounted.
 
-    Parameters
-    ----------
-    key : (name, joint)
-
-    Returns
-    -------
-    bool
+    `key` (name, joint).
     """
     return key[0] in (DISTANCE, TILT, FROM_AXIS, *PLACE) or is_hidden(key)
 
@@ -210,16 +163,7 @@ def is_mounting(key: Key) -> bool:
 def factors(axis: Axis, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
     """What each of an axis's `quantities` counts in its reading.
 
-    Parameters
-    ----------
-    axis : Axis
-    arm : Arm
-    values : dict
-        Of the mounting's unknowns.
-
-    Returns
-    -------
-    (n_quantities,)
+    `values`: Of the mounting's unknowns. Returns (n_quantities,).
     """
     joint = axis.joint
     imu = arm.joints[joint - 1].imu or Imu()
@@ -250,16 +194,7 @@ def _turned(arm: Arm, joint: int, values: Mapping[Key, float]) -> FloatArray:
 def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
     """The attitude by a mounting's unknowns: that of the start, and a turn from there.
 
-    Parameters
-    ----------
-    values : dict
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    (3, 3)
-        Its columns are the sensor's axes in the link's frame.
+    `joint`: From 1. Returns (3, 3): Its columns are the sensor's axes in the link's frame.
     """
     turn = np.array([values.get((name, joint), 0.0) for name in TURN])
     start = attitude([values.get((name, joint), 0.0) for name in START])
@@ -269,16 +204,7 @@ def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
 def slopes(axis: Axis, arm: Arm, values: Mapping[Key, float], keys: Sequence[Key]) -> FloatArray:
     """How an axis's factors depend on unknowns: (n_quantities, n_keys).
 
-    Parameters
-    ----------
-    axis : Axis
-    arm : Arm
-    values : dict
-    keys : sequence of (name, joint)
-
-    Returns
-    -------
-    (n_quantities, n_keys)
+    Returns (n_quantities, n_keys).
     """
     found = np.zeros((len(axis.quantities), len(keys)))
     for k, key in enumerate(keys):
@@ -293,15 +219,7 @@ def slopes(axis: Axis, arm: Arm, values: Mapping[Key, float], keys: Sequence[Key
 def with_places(arm: Arm, values: Mapping[Key, float]) -> Arm:
     """The arm with the distances of accelerometers that are among the values.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-
-    Returns
-    -------
-    Arm
-        With bandwidths that were found, too.
+    Returns: With bandwidths that were found, too.
     """
     joints = []
     for i, joint in enumerate(arm.joints, start=1):
@@ -326,18 +244,8 @@ def reported(
     those the yaw is all that is reported, if the x axis is among them. On the first link without
     gravity it counts from the direction in which the sensor lies.
 
-    Parameters
-    ----------
-    axes : sequence of Axis
-        Of one link.
-    arm : Arm
-    values : dict
-        Those of unknowns, held ones left out.
-
-    Returns
-    -------
-    dict
-        name -> value and unit; what is an unknown of the fit already is not among them.
+    `axes`: Of one link. `values`: Those of unknowns, held ones left out. Returns: name -> value and
+    unit; what is an unknown of the fit already is not among them.
     """
     if not axes or (TURN[2], axes[0].joint) not in values:
         return {}

@@ -31,16 +31,7 @@ class RecordInputs:
     slopes: Mapping[Key, Mapping[Key, float]]  # input of the core -> parameter -> derivative
 
     def begun(self, drive: Drive) -> Drive:
-        """A drive with the initial states moved.
-
-        Parameters
-        ----------
-        drive : Drive
-
-        Returns
-        -------
-        Drive
-        """
+        """A drive with the initial states moved."""
         if not self.offsets:
             return drive
         motor = self._moved(_MOTOR_ANGLE, drive.motor_angle)
@@ -54,31 +45,14 @@ class RecordInputs:
     def read(self, angles: FloatArray, gear_ratios: FloatArray | None = None) -> FloatArray:
         """What encoders with these zeros say.
 
-        Parameters
-        ----------
-        angles : (n_samples, n_joints) [rad]
-            Of the motors.
-        gear_ratios : (n_joints,), optional
-            Where the angles are those of the links.
-
-        Returns
-        -------
-        (n_samples, n_joints) [rad]
+        `angles` (n_samples, n_joints) [rad]: Of the motors. `gear_ratios` (n_joints,): Where the
+        angles are those of the links. Returns (n_samples, n_joints) [rad].
         """
         zeros = np.array(self._moved(_MOTOR_ANGLE, [0.0] * angles.shape[1]))
         return angles - (zeros if gear_ratios is None else zeros * gear_ratios)
 
     def directions(self, parameters: Sequence[Key]) -> list[Key]:
-        """What the core differentiates by, so that derivatives by parameters follow.
-
-        Parameters
-        ----------
-        parameters : sequence of (name, joint)
-
-        Returns
-        -------
-        list of (name, joint)
-        """
+        """What the core differentiates by, so that derivatives by parameters follow."""
         own = _sizes()
         found = [key for key in parameters if base_name(key[0]) not in own]
         asked = set(parameters)
@@ -92,15 +66,7 @@ class RecordInputs:
     ) -> FloatArray:
         """Derivatives by parameters from those by the core's directions.
 
-        Parameters
-        ----------
-        tangent : (..., n_directions + n_local)
-            The last ones stay as they are.
-        directions, parameters : sequence of (name, joint)
-
-        Returns
-        -------
-        (..., n_parameters + n_local)
+        `tangent`: The last ones stay as they are.
         """
         if not self.slopes and list(directions) == list(parameters):
             return tangent
@@ -117,20 +83,9 @@ class RecordInputs:
 def inputs_in(arm: Arm, values: Values, record: str, *, hanging: bool) -> RecordInputs:
     """What the core is given for a record on an arm with some effects.
 
-    Parameters
-    ----------
-    arm : Arm
-        Those effects of its joints count that the core does not know.
-    values : dict
-        (name, joint) -> value; an effect whose size is not among them is absent.
-    record : str
-        Its name.
-    hanging : bool
-        Whether the links hang on their gears at the start, and so follow the motors.
-
-    Returns
-    -------
-    RecordInputs
+    `arm`: Those effects of its joints count that the core does not know. `values`: (name, joint) ->
+    value; an effect whose size is not among them is absent. `record`: Its name. `hanging`: Whether
+    the links hang on their gears at the start, and so follow the motors.
     """
     changed: dict[Key, tuple[Input, Mapping[str, str]]] = {
         (own.name, number): (own, names)

@@ -29,14 +29,8 @@ class Band:
 def fit_percent(measured: FloatArray, predicted: FloatArray) -> FloatArray:
     """100 (1 - |y - yhat| / |y - mean(y)|), per column.
 
-    Parameters
-    ----------
-    measured, predicted : (n_samples, n_channels)
-
-    Returns
-    -------
-    (n_channels,)
-        NaN for a channel that does not vary.
+    `measured`, `predicted` (n_samples, n_channels). Returns (n_channels,): NaN for a channel that
+    does not vary.
     """
     spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
     error = np.linalg.norm(measured - predicted, axis=0)
@@ -54,14 +48,8 @@ def band_fit(
 ) -> FloatArray:
     """How well a model predicts a record's torques within its bandwidth, joint by joint.
 
-    Parameters
-    ----------
-    arm, solution, signals, model_hz, load_friction
-        As of `band_predictions`, whose first fit it is, in less memory.
-
-    Returns
-    -------
-    (n_joints,) [%]
+    `arm`, `solution`, `signals`, `model_hz`, `load_friction`: As of `band_predictions`, whose first
+    fit it is, in less memory. Returns (n_joints,) [%].
     """
     torque = predict_torque(
         arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
@@ -85,23 +73,10 @@ def band_predictions(
 ) -> tuple[Band, Band]:
     """Predict a record's torques from its motion, within a model's bandwidth and as logged.
 
-    Parameters
-    ----------
-    arm : Arm
-    solution : (n_parameters,)
-        As in `Arm.rigid_columns`.
-    signals : Signals
-    model_hz : float [Hz]
-        Bandwidth in which the model was estimated.
-    load_friction : sequence of Parameter
-        Of the joints whose friction grows with the load.
-
-    Returns
-    -------
-    Band
-        Both torques behind that band's filter.
-    Band
-        The measured torque as logged, the predicted one as wide as the signals are.
+    `solution` (n_parameters,): As in `Arm.rigid_columns`. `model_hz` [Hz]: Bandwidth in which the
+    model was estimated. `load_friction`: Of the joints whose friction grows with the load. Returns:
+    Both torques behind that band's filter. Returns: The measured torque as logged, the predicted
+    one as wide as the signals are.
     """
     torque = predict_torque(
         arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
@@ -155,19 +130,9 @@ def predict_torque(
     its member next to the measured torque is returned, so that the difference is the distance from
     the set.
 
-    Parameters
-    ----------
-    arm : Arm
-    solution : (n_parameters,)
-    signals : Signals
-    longest_bridge : int
-        Samples up to which a stretch of uncertain direction is a reversal.
-    load_friction : sequence of Parameter
-        Of the joints whose friction grows with the load.
-
-    Returns
-    -------
-    (n_samples, n_joints) [N m]
+    `solution` (n_parameters,). `longest_bridge`: Samples up to which a stretch of uncertain
+    direction is a reversal. `load_friction`: Of the joints whose friction grows with the load.
+    Returns (n_samples, n_joints) [N m].
     """
     share = np.zeros(arm.n_joints)
     for parameter in load_friction:
@@ -214,15 +179,7 @@ def _predicted(
 def standing(direction: FloatArray, longest_bridge: int) -> BoolArray:
     """Samples in stretches of uncertain direction longer than a reversal.
 
-    Parameters
-    ----------
-    direction : (n_samples, n_joints)
-    longest_bridge : int
-        Samples.
-
-    Returns
-    -------
-    (n_samples, n_joints)
+    `direction` (n_samples, n_joints). `longest_bridge`: Samples. Returns (n_samples, n_joints).
     """
     result = np.zeros(direction.shape, dtype=bool)
     for i, column in enumerate(direction.T):

@@ -12,13 +12,7 @@ from strainwave.domain import FloatArray
 def rotation(vector: FloatArray) -> FloatArray:
     """The rotation matrix of a rotation vector (Rodrigues).
 
-    Parameters
-    ----------
-    vector : (3,) [rad]
-
-    Returns
-    -------
-    (3, 3)
+    `vector` (3,) [rad]. Returns (3, 3).
     """
     angle = float(np.linalg.norm(vector))
     x, y, z = vector
@@ -31,14 +25,7 @@ def rotation(vector: FloatArray) -> FloatArray:
 def attitude(rpy: Sequence[float]) -> FloatArray:
     """The rotation matrix of roll, pitch and yaw, as in URDF: Rz(yaw) Ry(pitch) Rx(roll).
 
-    Parameters
-    ----------
-    rpy : (3,) [rad]
-
-    Returns
-    -------
-    (3, 3)
-        Its columns are the sensor's axes in the link's frame.
+    `rpy` (3,) [rad]. Returns (3, 3): Its columns are the sensor's axes in the link's frame.
     """
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
@@ -53,13 +40,7 @@ def attitude(rpy: Sequence[float]) -> FloatArray:
 def angles(matrix: FloatArray) -> FloatArray:
     """Roll, pitch and yaw of a rotation matrix: (3,) [rad].
 
-    Parameters
-    ----------
-    matrix : (3, 3)
-
-    Returns
-    -------
-    (3,) [rad]
+    `matrix` (3, 3). Returns (3,) [rad].
     """
     roll = np.arctan2(matrix[2, 1], matrix[2, 2])
     pitch = -np.arcsin(np.clip(matrix[2, 0], -1.0, 1.0))

@@ -97,30 +97,10 @@ def simulate(
 ) -> Trajectory:
     """Run one experiment on an arm with given parameters, in steps that its fastest resonance asks.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value.
-    drive : Drive
-    sample_time : float [s]
-        Between recorded samples.
-    samples : int
-    record : sequence of str
-        Quantities to record.
-    longest : float [s]
-        Of the integrator's steps, where its fastest resonance does not ask for shorter ones.
-
-    Returns
-    -------
-    Trajectory
-
-    Raises
-    ------
-    InvalidInput
-        A parameter is missing or impossible, or the clocks have no common step.
-    NumericalFailure
-        The motion left the finite numbers.
+    `values`: (name, joint) -> value. `sample_time` [s]: Between recorded samples. `record`:
+    Quantities to record. `longest` [s]: Of the integrator's steps, where its fastest resonance does
+    not ask for shorter ones. Raises `InvalidInput`: A parameter is missing or impossible, or the
+    clocks have no common step. Raises `NumericalFailure`: The motion left the finite numbers.
     """
     recorded = simulate_arms(
         arm,
@@ -147,31 +127,10 @@ def simulate_arms(
 ) -> dict[Quantity, FloatArray]:
     """Run one experiment on many arms at once, side by side in vector lanes and threads.
 
-    Parameters
-    ----------
-    arm : Arm
-    arms : sequence of dict
-        (name, joint) -> value, one per arm.
-    drive : Drive
-    sample_time : float [s]
-        Between recorded samples.
-    samples : int
-    record : sequence of str
-        Quantities to record.
-    longest_step : float [s]
-        Of the integrator.
-
-    Returns
-    -------
-    dict
-        Quantity -> (n_arms, n_samples, n_joints).
-
-    Raises
-    ------
-    InvalidInput
-        A parameter is missing or impossible, or the clocks have no common step.
-    NumericalFailure
-        A motion left the finite numbers.
+    `arms`: (name, joint) -> value, one per arm. `sample_time` [s]: Between recorded samples.
+    `record`: Quantities to record. `longest_step` [s]: Of the integrator. Returns: Quantity ->
+    (n_arms, n_samples, n_joints). Raises `InvalidInput`: A parameter is missing or impossible, or
+    the clocks have no common step. Raises `NumericalFailure`: A motion left the finite numbers.
     """
     vectors = np.array([arm.parameter_vector(values) for values in arms])
     experiment = _experiment(arm, drive, sample_time, samples, longest_step)
@@ -195,37 +154,13 @@ def sensitivities(
 ) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
     """Run one experiment on one arm, with exact derivatives of all that is recorded.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value.
-    drive : Drive
-    directions : sequence of (name, joint)
-        Parameters as the core names them, or initial states: `initial_motor_angle`,
-        `initial_motor_velocity`, `initial_link_angle`, `initial_link_velocity`.
-    sample_time : float [s]
-        Between recorded samples.
-    samples : int
-    record : sequence of str
-        Quantities to record.
-    longest_step : float [s]
-        Of the integrator.
-    low_pass : LowPass, optional
-        Gives rows in place of samples.
-
-    Returns
-    -------
-    dict
-        Quantity -> values (n_samples, n_joints) and derivatives (n_samples, n_joints,
-        n_directions), or as many rows.
-
-    Raises
-    ------
-    InvalidInput
-        A parameter is missing or impossible, or the clocks have no common step.
-    NumericalFailure
-        The motion left the finite numbers.
+    `values`: (name, joint) -> value. `directions`: Parameters as the core names them, or initial
+    states: `initial_motor_angle`, `initial_motor_velocity`, `initial_link_angle`,
+    `initial_link_velocity`. `sample_time` [s]: Between recorded samples. `record`: Quantities to
+    record. `longest_step` [s]: Of the integrator. `low_pass`: Gives rows in place of samples.
+    Returns: Quantity -> values (n_samples, n_joints) and derivatives (n_samples, n_joints,
+    n_directions), or as many rows. Raises `InvalidInput`: A parameter is missing or impossible, or
+    the clocks have no common step. Raises `NumericalFailure`: The motion left the finite numbers.
     """
     vector = arm.parameter_vector(values)
     experiment = _experiment(arm, drive, sample_time, samples, longest_step)
@@ -274,19 +209,8 @@ def _experiment(
 def common_step(clocks: Sequence[float], longest: float = LONGEST_STEP) -> float:
     """The longest integrator step, up to a limit, of which every clock is a multiple.
 
-    Parameters
-    ----------
-    clocks : sequence of float [s]
-    longest : float [s]
-
-    Returns
-    -------
-    float [s]
-
-    Raises
-    ------
-    InvalidInput
-        There is none down to a hundredth of the shortest clock.
+    `clocks` [s]. `longest` [s]. Returns [s]. Raises `InvalidInput`: There is none down to a
+    hundredth of the shortest clock.
     """
     shortest = min(clocks)
     fewest = max(1, int(np.ceil(shortest / longest - 1e-9)))
@@ -308,17 +232,7 @@ def measure(
 ) -> dict[Quantity, FloatArray]:
     """What the sensors write down: bias, noise and rounding added to accelerometers and gyros.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    noise : SensorNoise or None
-        None: ideal sensors.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    dict
-        Quantity -> (n_samples, n_joints).
+    `noise`: None: ideal sensors. Returns: Quantity -> (n_samples, n_joints).
     """
     measured = dict(trajectory.quantities)
     if noise is None:

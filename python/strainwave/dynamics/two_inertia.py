@@ -43,14 +43,7 @@ class TwoInertia:
 def joint_of(vector: FloatArray, gear_ratio: float) -> TwoInertia:
     """A joint from its six parameters in order.
 
-    Parameters
-    ----------
-    vector : (6,)
-    gear_ratio : float
-
-    Returns
-    -------
-    TwoInertia
+    `vector` (6,).
     """
     motor, d_motor, link, d_link, k, d = (float(value) for value in vector)
     return TwoInertia(motor, d_motor, link, d_link, k, d, gear_ratio)
@@ -65,15 +58,7 @@ def state_space(p: TwoInertia) -> tuple[FloatArray, FloatArray, FloatArray]:
 
     The four-state form (11) has a state that velocities do not show, a common turn of both sides.
 
-    Parameters
-    ----------
-    p : TwoInertia
-
-    Returns
-    -------
-    A : (3, 3)
-    B : (3, 2)
-    C : (2, 3)
+    Returns `A` (3, 3). Returns `B` (3, 2). Returns `C` (2, 3).
     """
     n, k, d = p.gear_ratio, p.gear_stiffness, p.gear_damping
     motor, link = p.motor_inertia, p.link_inertia
@@ -94,13 +79,7 @@ def coefficients(p: TwoInertia) -> tuple[FloatArray, FloatArray]:
 
     G11 = (b0 + b1 s + b2 s^2) / (a0 + a1 s + a2 s^2 + a3 s^3)
 
-    Parameters
-    ----------
-    p : TwoInertia
-
-    Returns
-    -------
-    (3,), (4,)
+    Returns (3,).
     """
     n2, k, d = p.gear_ratio**2, p.gear_stiffness, p.gear_damping
     motor, d_motor = p.motor_inertia, p.motor_viscous_friction
@@ -123,20 +102,9 @@ def from_coefficients(b: FloatArray, d: FloatArray, c: FloatArray, gear_ratio: f
     G11 = (1 + b1 s + b2 s^2) / ((c0 + c1 s)(1 + d1 s + d2 s^2)) against (17): m_M = c1 d2 / b2,
     m_L = (c1 - m_M) / n^2, k = m_L / b2, and three linear equations for the dampings.
 
-    Parameters
-    ----------
-    b : (2,)
-        b1 [s], b2 [s^2], of the zeros.
-    d : (2,)
-        d1 [s], d2 [s^2], of the pole pair.
-    c : (2,)
-        c0 = d_M + n^2 d_L, c1 = m_M + n^2 m_L, of the rigid model.
-    gear_ratio : float
-
-    Returns
-    -------
-    TwoInertia
-        As they come: a negative one says that the model is not such a joint's.
+    `b` (2,): b1 [s], b2 [s^2], of the zeros. `d` (2,): d1 [s], d2 [s^2], of the pole pair. `c`
+    (2,): c0 = d_M + n^2 d_L, c1 = m_M + n^2 m_L, of the rigid model. Returns: As they come: a
+    negative one says that the model is not such a joint's.
     """
     (b1, b2), (d1, d2), (c0, c1), n2 = b, d, c, gear_ratio**2
     motor = c1 * d2 / b2
@@ -158,15 +126,7 @@ def from_coefficients(b: FloatArray, d: FloatArray, c: FloatArray, gear_ratio: f
 def anti_resonance(p: TwoInertia, covariance: FloatArray | None = None) -> Mode:
     """The zero pair of motor torque to motor velocity, with its deviations.
 
-    Parameters
-    ----------
-    p : TwoInertia
-    covariance : (6, 6), optional
-        Of the parameters.
-
-    Returns
-    -------
-    Mode
+    `covariance` (6, 6): Of the parameters.
     """
     return _mode(p, covariance, lambda q: coefficients(q)[0])
 
@@ -174,15 +134,7 @@ def anti_resonance(p: TwoInertia, covariance: FloatArray | None = None) -> Mode:
 def resonance(p: TwoInertia, covariance: FloatArray | None = None) -> Mode:
     """The pole pair, with its deviations.
 
-    Parameters
-    ----------
-    p : TwoInertia
-    covariance : (6, 6), optional
-        Of the parameters.
-
-    Returns
-    -------
-    Mode
+    `covariance` (6, 6): Of the parameters.
     """
     return _mode(p, covariance, lambda q: coefficients(q)[1])
 
@@ -214,15 +166,7 @@ def _least_damped(ascending: FloatArray) -> complex:
 def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
     """Central differences with steps relative to each entry: (n_results, n_entries).
 
-    Parameters
-    ----------
-    function : callable
-        (n_entries,) -> (n_results,).
-    at : (n_entries,)
-
-    Returns
-    -------
-    (n_results, n_entries)
+    `function`: (n_entries,) -> (n_results,). `at` (n_entries,). Returns (n_results, n_entries).
     """
     columns = []
     for k in range(len(at)):

@@ -58,27 +58,10 @@ def excite_study_file(
 ) -> Design:
     """Design the experiments of a study file's arm and write them to a folder.
 
-    Parameters
-    ----------
-    study_path : Path
-    parameters_path : Path, optional
-        A guess of the arm, or an earlier result.
-    folder : Path
-    limit_angle, limit_velocity, limit_voltage, limit_torque : str
-        As `limits_of` reads them; the last two may be None.
-    kind : "prbs" or "multisine"
-    seed : int
-    progress : callable
-        Called with what is being done.
-
-    Returns
-    -------
-    Design
-
-    Raises
-    ------
-    InvalidInput
-        A file, a limit or the kind is at fault, or the limits leave no experiment.
+    `parameters_path`: A guess of the arm, or an earlier result. `limit_angle`, `limit_velocity`,
+    `limit_voltage`, `limit_torque`: As `limits_of` reads them; the last two may be None.
+    `progress`: Called with what is being done. Raises `InvalidInput`: A file, a limit or the kind
+    is at fault, or the limits leave no experiment.
     """
     if parameters_path is None:
         raise InvalidInput(
@@ -120,28 +103,10 @@ def design(
     A motion and one to check with; of each elastic joint a PRBS or multisine, the PRBS at smaller
     amplitudes, steps, and other steps to check the elastic model with.
 
-    Parameters
-    ----------
-    study : Study
-        Its experiments are not looked at.
-    values : dict
-        (name, joint) -> value of the guessed arm.
-    limits : Limits
-    kind : "prbs" or "multisine"
-        Of the voltages.
-    seed : int
-        Of the search's starts and of a multisine's phases.
-    progress : callable
-
-    Returns
-    -------
-    Design
-
-    Raises
-    ------
-    InvalidInput
-        A parameter is missing, the limits leave no experiment, or the arm asks for a servo that is
-        not described. One experiment that the limits do not leave is a warning.
+    `study`: Its experiments are not looked at. `values`: (name, joint) -> value of the guessed arm.
+    `kind`: Of the voltages. `seed`: Of the search's starts and of a multisine's phases. Raises
+    `InvalidInput`: A parameter is missing, the limits leave no experiment, or the arm asks for a
+    servo that is not described. One experiment that the limits do not leave is a warning.
     """
     arm = Arm.of(study.arm)
     arm.parameter_vector(values)  # refuses what is missing

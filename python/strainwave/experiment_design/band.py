@@ -46,18 +46,8 @@ def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
     arm; omega_r from its poles. The margin covers what the other joint's freedom and the posture
     change.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value, all that simulating the arm needs.
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    Band or None
-        None: the gear is rigid.
+    `values`: (name, joint) -> value, all that simulating the arm needs. `joint`: From 1. Returns:
+    None: the gear is rigid.
     """
     known = completed(values, arm)
     drive = arm.joints[joint - 1]

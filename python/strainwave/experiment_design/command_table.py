@@ -17,16 +17,7 @@ _EVEN = 1e-3  # of a tick: how far from its place a row may lie
 
 
 def table_name(experiment: Experiment) -> str:
-    """The file of what is to be applied; the log that is recorded has the experiment's name.
-
-    Parameters
-    ----------
-    experiment : Experiment
-
-    Returns
-    -------
-    str
-    """
+    """The file of what is to be applied; the log that is recorded has the experiment's name."""
     return f"apply-{experiment.name}.csv"
 
 
@@ -35,17 +26,7 @@ def applied_columns(
 ) -> dict[str, FloatArray]:
     """What is to be applied, a value a tick, with the unit in the name; zeros are left out.
 
-    Parameters
-    ----------
-    arm : ArmDescription
-    experiment : Experiment
-    drive : Drive
-    motor_angle : (n_ticks, n_joints) [rad], optional
-        That is meant, for a drive that follows angles.
-
-    Returns
-    -------
-    dict of str to (n_ticks,)
+    `motor_angle` (n_ticks, n_joints) [rad]: That is meant, for a drive that follows angles.
     """
     time: FloatArray = drive.tick * np.arange(len(drive.voltage), dtype=np.float64)
     columns = {"t [s]": time}
@@ -65,23 +46,9 @@ def applied_columns(
 def read_applied(folder: Path, arm: Arm, experiment: Experiment, values: Values) -> Drive | None:
     """The drive of a planned experiment, if its table lies in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        The study's.
-    arm : Arm
-    experiment : Experiment
-    values : dict
-        (name, joint) -> value of the arm, for what holds it at the start.
-
-    Returns
-    -------
-    Drive or None
-
-    Raises
-    ------
-    InvalidInput
-        The table is damaged, its clock is uneven, or it drives nothing of this arm.
+    `folder`: The study's. `values`: (name, joint) -> value of the arm, for what holds it at the
+    start. Raises `InvalidInput`: The table is damaged, its clock is uneven, or it drives nothing of
+    this arm.
     """
     path = folder / table_name(experiment)
     if not path.exists():

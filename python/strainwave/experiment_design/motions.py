@@ -47,28 +47,9 @@ def motion_records(
 ) -> tuple[Planned, ...]:
     """The best motion, to be fitted, and the second best, to be predicted.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value of the guessed arm.
-    limits : Limits
-    anti_resonance_hz : float, optional
-        Lowest of the arm; None: its gears are rigid.
-    starts : int
-        Of the search, two or more.
-    seed : int
-
-    Returns
-    -------
-    tuple of Planned
-
-    Raises
-    ------
-    InvalidInput
-        The drives cannot hold the arm.
-    LimitBroken
-        No motion keeps to the limits.
+    `values`: (name, joint) -> value of the guessed arm. `anti_resonance_hz`: Lowest of the arm;
+    None: its gears are rigid. `starts`: Of the search, two or more. Raises `InvalidInput`: The
+    drives cannot hold the arm. Raises `LimitBroken`: No motion keeps to the limits.
     """
     top = min(_TOP_HZ, anti_resonance_hz / _BELOW_RINGING) if anti_resonance_hz else _TOP_HZ
     tick = clock_of(arm)
@@ -213,16 +194,8 @@ def _sizes(arm: Arm, values: Values) -> dict[int, float]:
 def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: FloatArray) -> Motion:
     """The polynomial of fifth degree between two states of angle, velocity and acceleration.
 
-    Parameters
-    ----------
-    start, stop : sequence of three (n_joints,)
-        Angle, velocity, acceleration at `time` 0 and one tick after its last entry.
-    time : (n_samples,) [s]
-        Uniform from zero.
-
-    Returns
-    -------
-    Motion
+    `start`, `stop`: Angle, velocity, acceleration at `time` 0 and one tick after its last entry.
+    `time` (n_samples,) [s]: Uniform from zero.
     """
     T = float(time[-1] + time[1] - time[0])
     powers = np.arange(6.0)

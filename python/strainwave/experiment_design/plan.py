@@ -114,25 +114,10 @@ def limits_of(
 ) -> Limits:
     """The limits as they are written on the command line.
 
-    Parameters
-    ----------
-    arm : ArmDescription
-        Its servo's limit holds as well.
-    angle, velocity : str
-        One number, or one per joint with commas between.
-    voltage : str, optional
-        The servo's limit without; required where there is no servo.
-    gear_torque : str, optional
-        None without.
-
-    Returns
-    -------
-    Limits
-
-    Raises
-    ------
-    InvalidInput
-        One is not a positive number, or there are not as many as joints.
+    `arm`: Its servo's limit holds as well. `angle`, `velocity`: One number, or one per joint with
+    commas between. `voltage`: The servo's limit without; required where there is no servo.
+    `gear_torque`: None without. Raises `InvalidInput`: One is not a positive number, or there are
+    not as many as joints.
     """
     if voltage is None and arm.servo is None:
         raise InvalidInput(

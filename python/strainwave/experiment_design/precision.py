@@ -22,22 +22,11 @@ def predicted_precision(
 
     Of those at full amplitude and the steps: weaker copies add little and take the most time.
 
-    Parameters
-    ----------
-    study : Study
-        A link has an accelerometer if its joint declares where it sits, a gyro if it declares its
-        bandwidth, and an encoder if [channels] names its link angle; a joint without any of them
-        has its motor's encoder alone.
-    values : dict
-        (name, joint) -> value of the guessed arm.
-    records : sequence of Planned
-    seed : int
-        Of the sensors' noise, which decides the band that is compared.
-
-    Returns
-    -------
-    tuple of Parameter
-        With the guess's values; empty where no record excites a gear enough for a fit.
+    `study`: A link has an accelerometer if its joint declares where it sits, a gyro if it declares
+    its bandwidth, and an encoder if [channels] names its link angle; a joint without any of them
+    has its motor's encoder alone. `values`: (name, joint) -> value of the guessed arm. `seed`: Of
+    the sensors' noise, which decides the band that is compared. Returns: With the guess's values;
+    empty where no record excites a gear enough for a fit.
     """
     rng = np.random.default_rng(seed)
     fast = [r for r in records if r.experiment.use in ("frequency", "tuning")]

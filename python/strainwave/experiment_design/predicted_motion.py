@@ -23,18 +23,8 @@ _QUANTITIES: tuple[Quantity, ...] = (
 def run(arm: Arm, values: Values, drive: Drive, sample_time: float) -> Trajectory:
     """The guessed arm's answer to a drive.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value.
-    drive : Drive
-    sample_time : float [s]
-
-    Returns
-    -------
-    Trajectory
-        With all that `predicted_motion` looks at, and the accelerometers.
+    `values`: (name, joint) -> value. `sample_time` [s]. Returns: With all that `predicted_motion`
+    looks at, and the accelerometers.
     """
     samples = round(len(drive.voltage) * drive.tick / sample_time)
     return simulate(
@@ -43,16 +33,7 @@ def run(arm: Arm, values: Values, drive: Drive, sample_time: float) -> Trajector
 
 
 def predicted_motion(trajectory: Trajectory) -> PredictedMotion:
-    """The largest magnitudes of a run, and the part of it in which each motor stands.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-
-    Returns
-    -------
-    PredictedMotion
-    """
+    """The largest magnitudes of a run, and the part of it in which each motor stands."""
 
     def peak(name: Quantity) -> FloatArray:
         return np.asarray(np.abs(trajectory[name]).max(axis=0))

@@ -65,15 +65,7 @@ class Fourier:
 def waves(period: float, harmonics: int, time: FloatArray) -> Waves:
     """Rates (n_harmonics,) [rad/s] of a period's harmonics, their sines and cosines at given times.
 
-    Parameters
-    ----------
-    period : float [s]
-    harmonics : int
-    time : (n_samples,) [s]
-
-    Returns
-    -------
-    (n_harmonics,), (n_samples, n_harmonics), (n_samples, n_harmonics)
+    `period` [s]. `time` (n_samples,) [s]. Returns (n_harmonics,).
     """
     rate: FloatArray = 2.0 * np.pi / period * np.arange(1, harmonics + 1, dtype=np.float64)
     angle = np.outer(time, rate)
@@ -86,15 +78,7 @@ def full_regressor(arm: Arm, motion: Motion) -> FloatArray:
     The direction of sliding is rounded over a hundredth of the largest velocity, so that a search
     can follow it.
 
-    Parameters
-    ----------
-    arm : Arm
-    motion : tuple of (..., n_samples, n_joints)
-
-    Returns
-    -------
-    (..., n_samples, n_joints, n_unknowns)
-        Columns as in `Arm.rigid_columns`.
+    Returns: Columns as in `Arm.rigid_columns`.
     """
     velocity = motion[1] / arm.gear_ratios
     n = arm.n_joints
@@ -116,16 +100,6 @@ def condition_number(arm: Arm, limits: Limits, motion: Motion) -> FloatArray:
 
     Rows are torques in shares of what each drive can give, columns are scaled to one: it depends
     on no unit and on no parameter's size.
-
-    Parameters
-    ----------
-    arm : Arm
-    limits : Limits
-    motion : tuple of (..., n_samples, n_joints)
-
-    Returns
-    -------
-    (...)
     """
     strongest = np.array(limits.voltage) * arm.torque_per_volt
     rows = full_regressor(arm, motion) / strongest[:, None]
@@ -141,21 +115,8 @@ def optimised(
 ) -> tuple[Fourier, ...]:
     """Motions of low condition number within the limits, the best first.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value of the guessed arm, for its voltages.
-    limits : Limits
-    period : float [s]
-    starts : int
-        Searches, each from another of the best of many random series.
-    seed : int
-
-    Returns
-    -------
-    tuple of Fourier
-        One a start.
+    `values`: (name, joint) -> value of the guessed arm, for its voltages. `period` [s]. `starts`:
+    Searches, each from another of the best of many random series. Returns: One a start.
     """
     from scipy.optimize import minimize
 
@@ -180,12 +141,7 @@ def optimised(
 class Search:
     """Shapes as points without constraints.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-    limits : Limits
-    period : float [s]
+    `period` [s].
     """
 
     def __init__(self, arm: Arm, values: Values, limits: Limits, period: float) -> None:
@@ -196,16 +152,7 @@ class Search:
         self.n_unknowns = arm.n_joints * (2 * HARMONICS + 1)
 
     def cost(self, points: FloatArray) -> FloatArray:
-        """Logarithm of the condition number of the feasible series that points stand for.
-
-        Parameters
-        ----------
-        points : (..., n_unknowns)
-
-        Returns
-        -------
-        (...)
-        """
+        """Logarithm of the condition number of the feasible series that points stand for."""
         return np.log(condition_number(self.arm, self.limits, self.motion_of(points)))
 
     def with_gradient(self, point: FloatArray) -> tuple[float, FloatArray]:
@@ -220,14 +167,8 @@ class Search:
     def series(self, point: FloatArray) -> Fourier:
         """The largest feasible series of a point's shape and centre.
 
-        Parameters
-        ----------
-        point : (n_joints * (2 * harmonics + 1),)
-            Per joint its centre, through tanh, and the shape's coefficients.
-
-        Returns
-        -------
-        Fourier
+        `point` (n_joints * (2 * harmonics + 1): Per joint its centre, through tanh, and the shape's
+        coefficients.
         """
         shape, _, scale = self._feasible(point)
         return shape.scaled(scale)

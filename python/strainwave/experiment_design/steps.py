@@ -31,27 +31,9 @@ def step_records(
 ) -> tuple[Planned, ...]:
     """Steps of one joint's velocity reference, to be fitted, and others to check the model with.
 
-    Parameters
-    ----------
-    arm : Arm
-        With a servo.
-    values : dict
-        (name, joint) -> value of the guessed arm.
-    limits : Limits
-    band : Band
-        Of this joint.
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    tuple of Planned
-        Two.
-
-    Raises
-    ------
-    LimitBroken
-        No step of the guessed arm keeps to the limits.
+    `arm`: With a servo. `values`: (name, joint) -> value of the guessed arm. `band`: Of this joint.
+    `joint`: From 1. Returns: Two. Raises `LimitBroken`: No step of the guessed arm keeps to the
+    limits.
     """
     assert arm.servo is not None
     hold = float(np.clip(_PERIODS / band.anti_resonance_hz, _LEAST_HOLD, _LONGEST_HOLD))

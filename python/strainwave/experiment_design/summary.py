@@ -21,13 +21,7 @@ _NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 def print_design(design: Design, folder: Path, *, console: Console | None = None) -> None:
     """Print what each record will do to the arm, how long to record and why, and the warnings.
 
-    Parameters
-    ----------
-    design : Design
-    folder : Path
-        Where it was written.
-    console : rich Console, optional
-        The terminal, if not standard output.
+    `folder`: Where it was written. `console`: The terminal, if not standard output.
     """
     console = console or Console(highlight=False)
     console.print(_table(design))

@@ -94,30 +94,9 @@ def voltage_record(
     Joints are free, or all under their servos where that lets more torque through the gear:
     free joints drift. Under gravity only servos hold the arm.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value of the guessed arm.
-    limits : Limits
-    band : Band
-        Of this joint.
-    joint : int
-        From 1.
-    kind : "prbs" or "multisine"
-    seed : int
-        Of a multisine's phases.
-
-    Returns
-    -------
-    Planned
-
-    Raises
-    ------
-    InvalidInput
-        A multisine would have to be held by a servo.
-    LimitBroken
-        No amplitude keeps to the limits.
+    `values`: (name, joint) -> value of the guessed arm. `band`: Of this joint. `joint`: From 1.
+    `seed`: Of a multisine's phases. Raises `InvalidInput`: A multisine would have to be held by a
+    servo. Raises `LimitBroken`: No amplitude keeps to the limits.
     """
     signal = _signal(arm, values, band, joint, kind, seed)
     free: tuple[Control, ...] = (FREE,) * arm.n_joints
@@ -169,23 +148,8 @@ def sweep_records(
 ) -> tuple[tuple[Planned, ...], tuple[str, ...]]:
     """Weaker copies of a joint's PRBS, by which stiffness over the amplitude shows.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value of the guessed arm.
-    limits : Limits
-    band : Band
-        Of this joint.
-    full : Planned
-        The record at full amplitude, of a PRBS.
-    seed : int
-
-    Returns
-    -------
-    tuple of Planned
-    tuple of str
-        Why others are left out, a sentence each.
+    `values`: (name, joint) -> value of the guessed arm. `band`: Of this joint. `full`: The record
+    at full amplitude, of a PRBS. Returns: Why others are left out, a sentence each.
     """
     of = full.experiment
     if of.prbs is None or of.joint is None:

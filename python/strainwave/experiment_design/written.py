@@ -19,16 +19,7 @@ _PER_LINE = 8
 def write(design: Design, folder: Path) -> None:
     """Write one table a record, the header, and then study.toml, whose logs are to be recorded.
 
-    Parameters
-    ----------
-    design : Design
-    folder : Path
-        Made where it does not exist.
-
-    Raises
-    ------
-    InvalidInput
-        The folder cannot be written to.
+    `folder`: Made where it does not exist. Raises `InvalidInput`: The folder cannot be written to.
     """
     contents = {
         table_name(record.experiment): _csv(_columns(design.study, record)).encode()

@@ -50,20 +50,9 @@ def compare(
 ) -> tuple[Comparison, ...]:
     """Every comparison, in the order of the source's figures.
 
-    Parameters
-    ----------
-    tuned : ArmModel, optional
-        The whole-arm fit of the arm with its full payload. None: it is made here.
-    seed : int
-        Of the sensors' noise, of the motions, and of where the PRBS begins.
-    settings : Settings
-    options : ComparisonOptions, optional
-    progress : callable
-        Called with what is being done.
-
-    Returns
-    -------
-    tuple of Comparison
+    `tuned`: The whole-arm fit of the arm with its full payload. None: it is made here. `seed`: Of
+    the sensors' noise, of the motions, and of where the PRBS begins. `progress`: Called with what
+    is being done.
     """
     chosen = options or ComparisonOptions()
     rig = Rig(seed, settings, progress)
@@ -88,20 +77,9 @@ def compare_seeds(
 ) -> tuple[Tally, ...]:
     """Every comparison over several seeds, by one or several settings.
 
-    Parameters
-    ----------
-    seeds : sequence of int
-    tuned : ArmModel, optional
-        The whole-arm fit of the first seed by our own settings. None: it is made here.
-    settings : sequence of Settings
-    options : ComparisonOptions, optional
-    progress : callable
-        Called with what is being done.
-
-    Returns
-    -------
-    tuple of Tally
-        By figure, then by settings; plots are those of the first seed alone.
+    `tuned`: The whole-arm fit of the first seed by our own settings. None: it is made here.
+    `progress`: Called with what is being done. Returns: By figure, then by settings; plots are
+    those of the first seed alone.
     """
     asked = [(seed, how) for seed in seeds for how in settings]
 

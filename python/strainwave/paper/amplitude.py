@@ -53,18 +53,7 @@ Swept = dict[int, tuple[Level, ...]]
 def levels(rig: Rig, joint: int, amplitudes: Sequence[float], records: int) -> tuple[Level, ...]:
     """One joint at several amplitudes.
 
-    Parameters
-    ----------
-    rig : Rig
-    joint : int
-    amplitudes : sequence of float [V]
-        From the smallest.
-    records : int
-        How many at each, at most four.
-
-    Returns
-    -------
-    tuple of Level
+    `amplitudes` [V]: From the smallest. `records`: How many at each, at most four.
     """
     found = []
     for amplitude in amplitudes:
@@ -78,16 +67,7 @@ def levels(rig: Rig, joint: int, amplitudes: Sequence[float], records: int) -> t
 
 
 def responses(swept: Swept) -> Comparison:
-    """Fig. 14: the response moves with the amplitude.
-
-    Parameters
-    ----------
-    swept : dict
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 14: the response moves with the amplitude."""
     criteria, plots, said = [], [], []
     values: dict[str, float] = {}
     for joint, found in swept.items():
@@ -111,16 +91,7 @@ def responses(swept: Swept) -> Comparison:
 
 
 def squares(swept: Swept) -> Comparison:
-    """Fig. 15: squared anti-resonance, proportional to the stiffness, over the amplitude.
-
-    Parameters
-    ----------
-    swept : dict
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 15: squared anti-resonance, proportional to the stiffness, over the amplitude."""
     criteria, plots, said = [], [], []
     values: dict[str, float] = {}
     for joint, found in swept.items():
@@ -159,16 +130,7 @@ def squares(swept: Swept) -> Comparison:
 
 
 def stiffest(swept: Swept) -> Comparison:
-    """Section 5 of the source: the largest amplitude gives K3 of Fig. 2.
-
-    Parameters
-    ----------
-    swept : dict
-
-    Returns
-    -------
-    Comparison
-    """
+    """Section 5 of the source: the largest amplitude gives K3 of Fig. 2."""
     shares = {joint: found[-1].square / found[-1].bounds[1] for joint, found in swept.items()}
     return compared(
         2,

@@ -80,15 +80,7 @@ def compared(
 ) -> Comparison:
     """The comparison of one figure, with its title and claim.
 
-    Parameters
-    ----------
-    figure : int
-    criteria, message, evidence, values, plots
-        As `Comparison` has them.
-
-    Returns
-    -------
-    Comparison
+    `criteria`, `message`, `evidence`, `values`, `plots`: As `Comparison` has them.
     """
     title, claim = CLAIMS[figure]
     return Comparison(
@@ -104,16 +96,6 @@ def compared(
 
 
 def failed(figure: int, problem: StrainwaveError) -> Comparison:
-    """What is said of a figure whose estimation failed: it is not shown.
-
-    Parameters
-    ----------
-    figure : int
-    problem : StrainwaveError
-
-    Returns
-    -------
-    Comparison
-    """
+    """What is said of a figure whose estimation failed: it is not shown."""
     evidence = Evidence(str(problem), "estimation", "failed")
     return compared(figure, criteria=(), message="the estimation failed", evidence=(evidence,))

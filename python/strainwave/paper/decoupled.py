@@ -25,16 +25,7 @@ _OUTPUTS: tuple[tuple[str, Channels], ...] = (("one output", "motor"), ("two out
 
 
 def inputs(rig: Rig) -> Comparison:
-    """Fig. 10: with the interaction torque as an input, and without.
-
-    Parameters
-    ----------
-    rig : Rig
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 10: with the interaction torque as an input, and without."""
     criteria: list[Criterion] = []
     evidence: list[Evidence] = []
     values: dict[str, float] = {}
@@ -77,15 +68,7 @@ def inputs(rig: Rig) -> Comparison:
 def outputs(rig: Rig, payloads: Sequence[int]) -> Comparison:
     """Fig. 11: with the link velocity as an output, and without, over the payload.
 
-    Parameters
-    ----------
-    rig : Rig
-    payloads : sequence of int [kg]
-        From the largest.
-
-    Returns
-    -------
-    Comparison
+    `payloads` [kg]: From the largest.
     """
     evidence: list[Evidence] = []
     values: dict[str, float] = {}

@@ -17,16 +17,8 @@ SCHEMA = "strainwave/comparisons/2"
 def document_of(tallies: Sequence[Tally], seeds: Sequence[int]) -> dict[str, Any]:
     """Claims, verdicts and numbers of every seed, without the figures.
 
-    Parameters
-    ----------
-    tallies : sequence of Tally
-    seeds : sequence of int
-        In the order of each tally's runs.
-
-    Returns
-    -------
-    dict
-        Of what JSON knows; a number that does not exist is None.
+    `seeds`: In the order of each tally's runs. Returns: Of what JSON knows; a number that does not
+    exist is None.
     """
     return {
         "schema": SCHEMA,
@@ -37,16 +29,7 @@ def document_of(tallies: Sequence[Tally], seeds: Sequence[int]) -> dict[str, Any
 
 
 def to_json(document: Mapping[str, Any]) -> bytes:
-    """`document_of` as UTF-8 text that ends with a newline.
-
-    Parameters
-    ----------
-    document : mapping
-
-    Returns
-    -------
-    bytes
-    """
+    """`document_of` as UTF-8 text that ends with a newline."""
     return (json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 

@@ -67,17 +67,8 @@ class Errors:
 def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) -> Estimate:
     """A model of one joint by `physical.state_space_of`, as `identify` makes it.
 
-    Parameters
-    ----------
-    records : sequence of Decoupled
-    options : LinearOptions
-    name : str
-        Of the model, for whoever reads its status.
-
-    Returns
-    -------
-    Estimate
-        With the model's status and warnings; where the estimation failed, with the reason.
+    `name`: Of the model, for whoever reads its status. Returns: With the model's status and
+    warnings; where the estimation failed, with the reason.
     """
     try:
         model = state_space_of(records, options)
@@ -103,17 +94,7 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
 
 
 def evidence_of(model: JointModel | ArmModel, name: str) -> Evidence:
-    """Status and warnings of a physical model.
-
-    Parameters
-    ----------
-    model : JointModel or ArmModel
-    name : str
-
-    Returns
-    -------
-    Evidence
-    """
+    """Status and warnings of a physical model."""
     method = model.method if isinstance(model, JointModel) else "whole-arm fit"
     return Evidence(name, method, model.status, warnings=model.warnings)
 
@@ -121,31 +102,13 @@ def evidence_of(model: JointModel | ArmModel, name: str) -> Evidence:
 def response_evidence(model: JointModel, joint: TwoInertia, name: str) -> Evidence:
     """Of a physical model of which only the response counts, not each parameter by itself.
 
-    Parameters
-    ----------
-    model : JointModel
-    joint : TwoInertia
-        Its parameters.
-    name : str
-
-    Returns
-    -------
-    Evidence
+    `joint`: Its parameters.
     """
     return replace(evidence_of(model, name), growth=growth_of(joint))
 
 
 def growth_of(joint: TwoInertia) -> float:
-    """Largest modulus of a joint's poles, sampled every millisecond.
-
-    Parameters
-    ----------
-    joint : TwoInertia
-
-    Returns
-    -------
-    float
-    """
+    """Largest modulus of a joint's poles, sampled every millisecond."""
     slowest = float(np.linalg.eigvals(state_space(joint)[0]).real.max())
     return float(np.exp(slowest * _STEP))
 
@@ -153,16 +116,7 @@ def growth_of(joint: TwoInertia) -> float:
 def close(name: str, percent: float, otherwise: str = "") -> Criterion:
     """That an error of a frequency is small.
 
-    Parameters
-    ----------
-    name : str
-    percent : float
-    otherwise : str
-        Why it is not, where it is not.
-
-    Returns
-    -------
-    Criterion
+    `otherwise`: Why it is not, where it is not.
     """
     return Criterion(name, abs(percent), "at most", CLOSE_PERCENT, CLOSE, otherwise)
 
@@ -170,16 +124,7 @@ def close(name: str, percent: float, otherwise: str = "") -> Criterion:
 def far(name: str, percent: float, otherwise: str = "") -> Criterion:
     """That an error of a frequency is not small; a missing frequency is the largest error.
 
-    Parameters
-    ----------
-    name : str
-    percent : float
-    otherwise : str
-        Why it is small, where it is.
-
-    Returns
-    -------
-    Criterion
+    `otherwise`: Why it is small, where it is.
     """
     return Criterion(name, abs(percent), "at least", CLOSE_PERCENT, CLOSE, otherwise)
 
@@ -187,31 +132,14 @@ def far(name: str, percent: float, otherwise: str = "") -> Criterion:
 def response_of(joint: TwoInertia, frequencies_hz: FloatArray = LINES_HZ) -> FrequencyResponse:
     """Of a joint with known parameters.
 
-    Parameters
-    ----------
-    joint : TwoInertia
-    frequencies_hz : (n_frequencies,)
-
-    Returns
-    -------
-    FrequencyResponse
+    `frequencies_hz` (n_frequencies,).
     """
     A, B, C = state_space(joint)
     return frequency_response(ContinuousStateSpace(A, B, C, np.zeros((2, 2))), frequencies_hz)
 
 
 def errors_of(found: Estimate, truth: TwoInertia) -> Errors:
-    """Against the truth.
-
-    Parameters
-    ----------
-    found : Estimate
-    truth : TwoInertia
-
-    Returns
-    -------
-    Errors
-    """
+    """Against the truth."""
     db = float("inf")
     if found.response is not None:
         db = distance_db(found.response.response[:, 0, 0], response_of(truth).response[:, 0, 0])
@@ -230,16 +158,8 @@ def distance_db(
 ) -> float:
     """Root mean square of two responses' difference in magnitude, logarithmic in frequency.
 
-    Parameters
-    ----------
-    one, other : (n_frequencies,)
-    frequencies_hz : (n_frequencies,)
-        Evenly spaced in their logarithm.
-    band_hz : (float, float)
-
-    Returns
-    -------
-    float [dB]
+    `one`, `other` (n_frequencies,). `frequencies_hz` (n_frequencies,): Evenly spaced in their
+    logarithm. `band_hz` (float, float). Returns [dB].
     """
     judged = (frequencies_hz >= band_hz[0]) & (frequencies_hz <= band_hz[1])
     ratio = 20.0 * np.log10(np.abs(one[judged]) / np.abs(other[judged]))
@@ -251,19 +171,7 @@ def curve(
 ) -> list[Curve]:
     """Motor torque to motor velocity for a figure.
 
-    Parameters
-    ----------
-    name : str
-    response : FrequencyResponse
-    true : bool
-        Of the truth.
-    band : bool
-        With its 95 % band, if it has a covariance.
-
-    Returns
-    -------
-    list of Curve
-        One.
+    `true`: Of the truth. `band`: With its 95 % band, if it has a covariance. Returns: One.
     """
     size = response.magnitude_std if band else None
     angle = response.phase_std if band else None
@@ -282,16 +190,7 @@ def curve(
 def estimated_curve(name: str, found: Estimate, *, band: bool = False) -> list[Curve]:
     """As `curve`, of an estimate; empty where it has no response.
 
-    Parameters
-    ----------
-    name : str
-        What is wrong with the model is added to it.
-    found : Estimate
-    band : bool
-
-    Returns
-    -------
-    list of Curve
+    `name`: What is wrong with the model is added to it.
     """
     if found.response is None:
         return []

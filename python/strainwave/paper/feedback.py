@@ -43,16 +43,7 @@ _WAYS: tuple[tuple[EstimationMethod, str], ...] = (
 
 
 def methods(rig: Rig) -> Comparison:
-    """Fig. 13: PEM against subspace with the other joint free and servoed.
-
-    Parameters
-    ----------
-    rig : Rig
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 13: PEM against subspace with the other joint free and servoed."""
     evidence: list[Evidence] = []
     off: dict[tuple[str, str], Errors] = {}
     plots = []
@@ -141,15 +132,7 @@ def without_feedback(run: Run, share: float) -> Decoupled:
 
     y(t) = G [u, tau](t) + v(shift - t), where v = y_recorded - G [u, tau] and G is the true joint.
 
-    Parameters
-    ----------
-    run : Run
-    share : float
-        Of the record, by which the disturbance is moved as well, in a circle.
-
-    Returns
-    -------
-    Decoupled
+    `share`: Of the record, by which the disturbance is moved as well, in a circle.
     """
     record, linear = run.decoupled, linear_outputs(run)
     disturbance = record.outputs - linear
@@ -163,13 +146,7 @@ def without_feedback(run: Run, share: float) -> Decoupled:
 def linear_outputs(run: Run) -> FloatArray:
     """Outputs of the true linear joint from the recorded inputs, the link velocity as fused.
 
-    Parameters
-    ----------
-    run : Run
-
-    Returns
-    -------
-    (n_samples, 2) [rad/s]
+    Returns (n_samples, 2) [rad/s].
     """
     from scipy.signal import lsim
 

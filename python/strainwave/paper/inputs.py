@@ -23,16 +23,7 @@ _LESS_DB = -3.0
 
 
 def prbs(rig: Rig) -> Comparison:
-    """Fig. 4: the input of the first joint.
-
-    Parameters
-    ----------
-    rig : Rig
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 4: the input of the first joint."""
     run = rig.prbs(1)
     voltage = run.trajectory["voltage"][:, 0]
     frequency, density = _density(voltage, run)
@@ -68,16 +59,7 @@ def prbs(rig: Rig) -> Comparison:
 
 
 def free(rig: Rig) -> Comparison:
-    """Fig. 5: torque of link 2 on link 1 while joint 2 is free.
-
-    Parameters
-    ----------
-    rig : Rig
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 5: torque of link 2 on link 1 while joint 2 is free."""
     run = rig.prbs(1)
     tau, true, fit = _torques(run)
     frequency, density = _density(tau, run)
@@ -105,16 +87,7 @@ def free(rig: Rig) -> Comparison:
 
 
 def servoed(rig: Rig) -> Comparison:
-    """Fig. 12: the same while a servo holds joint 2.
-
-    Parameters
-    ----------
-    rig : Rig
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 12: the same while a servo holds joint 2."""
     densities, slow = {}, {}
     controls: tuple[tuple[str, Control], ...] = (("free", "open"), ("servoed", "servo"))
     for name, other in controls:

@@ -22,15 +22,8 @@ _REASONS = 3  # of one claim that the page gives at most; comparisons.json has t
 def to_markdown(document: Mapping[str, Any]) -> str:
     """The results of a run of `strainwave demo` as a page in Markdown.
 
-    Parameters
-    ----------
-    document : mapping
-        From `document_of`, or read from comparisons.json.
-
-    Returns
-    -------
-    str
-        What was done, a table of verdicts, then the criteria of every claim; ends with a newline.
+    `document`: From `document_of`, or read from comparisons.json. Returns: What was done, a table
+    of verdicts, then the criteria of every claim; ends with a newline.
     """
     claims: Sequence[Claim] = document["claims"]
     protocols = [name for name in _PROTOCOLS if any(c["protocol"] == name for c in claims)]

@@ -35,20 +35,8 @@ class Stages:
 def stages(rig: Rig, joint: int) -> Stages:
     """The state-space model of a joint, and the physical one that (18) makes of it.
 
-    Parameters
-    ----------
-    rig : Rig
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    Stages
-
-    Raises
-    ------
-    NotIdentifiable
-        The state-space model has no pair of zeros and of poles.
+    `joint`: From 1. Raises `NotIdentifiable`: The state-space model has no pair of zeros and of
+    poles.
     """
     run = rig.prbs(joint)
     model = rig.transfer(joint)
@@ -60,19 +48,7 @@ def stages(rig: Rig, joint: int) -> Stages:
 def modified_values(rig: Rig) -> Tuned:
     """All parameters of the arm as (18) gives them, before any tuning.
 
-    Parameters
-    ----------
-    rig : Rig
-
-    Returns
-    -------
-    Tuned
-        Linear springs.
-
-    Raises
-    ------
-    NotIdentifiable
-        As `stages`.
+    Returns: Linear springs. Raises `NotIdentifiable`: As `stages`.
     """
     made = {joint: stages(rig, joint) for joint in (1, 2)}
     found = {joint: model.modified for joint, model in made.items()}
@@ -88,18 +64,7 @@ def modified_values(rig: Rig) -> Tuned:
 
 
 def responses(rig: Rig, joint: int, tuned: Tuned) -> Comparison:
-    """Figs. 6 and 9: initial, modified and tuned response of one joint.
-
-    Parameters
-    ----------
-    rig : Rig
-    joint : int
-    tuned : Tuned
-
-    Returns
-    -------
-    Comparison
-    """
+    """Figs. 6 and 9: initial, modified and tuned response of one joint."""
     run = rig.prbs(joint)
     made = stages(rig, joint)
     optimised = equivalent(run.arm, tuned.values, run.trajectory, joint)

@@ -93,13 +93,8 @@ class Tuned:
 class Rig:
     """The virtual SCARA arm with three-slope gears and noisy sensors; runs are made once.
 
-    Parameters
-    ----------
-    seed : int
-        Of the sensors' noise, of the motions, and of where the PRBS begins.
-    settings : Settings
-    progress : callable
-        Called with what is being done.
+    `seed`: Of the sensors' noise, of the motions, and of where the PRBS begins. `progress`: Called
+    with what is being done.
     """
 
     def __init__(
@@ -127,18 +122,8 @@ class Rig:
     def steps(self, levels: tuple[float, ...], joint: int, number: int) -> Log:
         """Steps of one servo's reference, the other servo at zero, as logged.
 
-        Parameters
-        ----------
-        levels : tuple of float [rad/s]
-            Of the motor, each for half a second.
-        joint : int
-            From 1.
-        number : int
-            Makes the noise that of this record.
-
-        Returns
-        -------
-        Log
+        `levels` [rad/s]: Of the motor, each for half a second. `joint`: From 1. `number`: Makes the
+        noise that of this record.
         """
         values = scara.parameters(PAYLOAD)
         trajectory = run_steps(self.arm, values, levels, joint)
@@ -301,18 +286,8 @@ class Rig:
 def run_steps(arm: Arm, values: Values, levels: tuple[float, ...], joint: int) -> Trajectory:
     """An arm under its velocity servos, one of them with a reference of steps.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value, of the arm's kinds of springs.
-    levels : tuple of float [rad/s]
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    Trajectory
+    `values`: (name, joint) -> value, of the arm's kinds of springs. `levels` [rad/s]. `joint`: From
+    1.
     """
     both = _reference(levels, joint)
     drive = _drive(np.zeros_like(both), both, ("servo", "servo"))
@@ -331,17 +306,7 @@ def _reference(levels: tuple[float, ...], joint: int) -> FloatArray:
 
 
 def ideal_log(trajectory: Trajectory, joint: int) -> Log:
-    """A model's steps as the rig's sensors would log them, without noise.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    joint : int
-
-    Returns
-    -------
-    Log
-    """
+    """A model's steps as the rig's sensors would log them, without noise."""
     experiment = Experiment("model", "model.csv", "tuning", ("servo", "servo"), joint)
     return _log(experiment, trajectory, None, np.random.default_rng(0))
 

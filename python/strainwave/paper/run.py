@@ -23,22 +23,8 @@ def write_comparisons(
 ) -> tuple[Tally, ...]:
     """The source's claims put to the built-in arm: comparisons.html, .json and .md.
 
-    Parameters
-    ----------
-    identification : Identification
-        Of that arm; its tuned parameters are compared, if it has them.
-    folder : Path
-    seed : int
-        The first.
-    progress : callable
-    seeds : int
-        How many.
-    as_published : bool
-        Whether by the source's settings as well.
-
-    Returns
-    -------
-    tuple of Tally
+    `identification`: Of that arm; its tuned parameters are compared, if it has them. `seed`: The
+    first. `seeds`: How many. `as_published`: Whether by the source's settings as well.
     """
     numbers = range(seed, seed + seeds)
     settings = (OWN, PUBLISHED) if as_published else (OWN,)

@@ -22,17 +22,7 @@ _WIDTH = "what the curves of a printed plot such as the source's can differ by u
 
 
 def tuning(rig: Rig, before: Tuned, after: Tuned) -> Comparison:
-    """Fig. 7: a step of joint 1 and the model's answer, before and after tuning.
-
-    Parameters
-    ----------
-    rig : Rig
-    before, after : Tuned
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 7: a step of joint 1 and the model's answer, before and after tuning."""
     fits, rings, plots = [], [], []
     for name, model_of in (("before", before), ("after", after)):
         measured, model, time = _answers(rig, model_of.values, TUNING_STEPS, 0)
@@ -60,17 +50,7 @@ def tuning(rig: Rig, before: Tuned, after: Tuned) -> Comparison:
 
 
 def validation(rig: Rig, tuned: Tuned) -> Comparison:
-    """Fig. 8: steps of the validation data.
-
-    Parameters
-    ----------
-    rig : Rig
-    tuned : Tuned
-
-    Returns
-    -------
-    Comparison
-    """
+    """Fig. 8: steps of the validation data."""
     fits, plots = [], []
     for number, levels in enumerate(_CHECKS, start=1):
         measured, model, time = _answers(rig, tuned.values, levels, number)

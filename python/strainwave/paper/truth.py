@@ -13,15 +13,7 @@ from strainwave.dynamics.two_inertia import TwoInertia
 def spring_torque(values: Values, joint: int, torsion: FloatArray) -> FloatArray:
     """The three-slope law of one gear.
 
-    Parameters
-    ----------
-    values : dict
-    joint : int
-    torsion : (n_samples,) [rad]
-
-    Returns
-    -------
-    (n_samples,) [N m]
+    `torsion` (n_samples,) [rad]. Returns (n_samples,) [N m].
     """
     k1, k2, k3 = slopes(values, joint)
     t1, t2 = (values[f"gear_knee_t{i}", joint] for i in (1, 2))
@@ -39,14 +31,7 @@ def spring_torque(values: Values, joint: int, torsion: FloatArray) -> FloatArray
 def slopes(values: Values, joint: int) -> tuple[float, float, float]:
     """K1, K2, K3 of one gear.
 
-    Parameters
-    ----------
-    values : dict
-    joint : int
-
-    Returns
-    -------
-    tuple of float [N m/rad]
+    Returns [N m/rad].
     """
     return (
         values["gear_stiffness_k1", joint],
@@ -58,16 +43,7 @@ def slopes(values: Values, joint: int) -> tuple[float, float, float]:
 def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> TwoInertia:
     """One joint of the arm on its own, with a linear spring.
 
-    Parameters
-    ----------
-    values : dict
-    joint : int
-    stiffness : float [N m/rad]
-    ratio : float
-
-    Returns
-    -------
-    TwoInertia
+    `stiffness` [N m/rad].
     """
     own = values["beta", None]
     if joint == 1:
@@ -90,18 +66,7 @@ def equivalent(
 
     k = sum(T(delta) delta) / sum(delta^2), with the torsion delta of the run.
 
-    Parameters
-    ----------
-    arm : ArmDescription
-    values : dict
-        With three slopes, or with one, which is then the answer.
-    trajectory : Trajectory
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    TwoInertia
+    `values`: With three slopes, or with one, which is then the answer. `joint`: From 1.
     """
     ratio = arm.joints[joint - 1].gear_ratio
     if ("gear_stiffness", joint) in values:

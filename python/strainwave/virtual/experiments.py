@@ -55,25 +55,9 @@ def simulate_study_file(
 ) -> int:
     """Run every experiment of a study file on an arm whose parameters a file holds.
 
-    Parameters
-    ----------
-    study_path, parameters_path, folder : Path
-    seed : int
-        Of the sensors' noise and of the motions.
-    ideal : bool
-        Sensors without noise.
-    progress : callable
-        Called with what is being done.
-
-    Returns
-    -------
-    int
-        How many logs were written.
-
-    Raises
-    ------
-    InvalidInput
-        A file, a parameter or the folder is at fault.
+    `seed`: Of the sensors' noise and of the motions. `ideal`: Sensors without noise. `progress`:
+    Called with what is being done. Returns: How many logs were written. Raises `InvalidInput`: A
+    file, a parameter or the folder is at fault.
     """
     if folder.resolve() == study_path.resolve().parent:
         raise InvalidInput(
@@ -101,35 +85,12 @@ def simulate_study(
 ) -> int:
     """Run every experiment of a study on a virtual arm; write its logs and study.toml to a folder.
 
-    Parameters
-    ----------
-    study : Study
-    values : dict
-        (name, joint) -> value.
-    folder : Path
-        Made where it does not exist.
-    seed : int
-    noise : SensorNoise, optional
-        Ideal sensors without.
-    as_recorded : bool
-        Where an experiment's log exists, apply what was applied then, and where its plan exists,
-        what was planned; not an excitation of its use.
-    simulator : callable
-        What the arm moves by.
-    sample_time : float [s]
-        At most, where the gears' vibration is to be seen.
-    progress : callable
-
-    Returns
-    -------
-    int
-        How many logs were written.
-
-    Raises
-    ------
-    InvalidInput
-        A parameter is missing or impossible, an experiment cannot be simulated, or the folder
-        cannot be written to.
+    `values`: (name, joint) -> value. `folder`: Made where it does not exist. `noise`: Ideal sensors
+    without. `as_recorded`: Where an experiment's log exists, apply what was applied then, and where
+    its plan exists, what was planned; not an excitation of its use. `simulator`: What the arm moves
+    by. `sample_time` [s]: At most, where the gears' vibration is to be seen. Returns: How many logs
+    were written. Raises `InvalidInput`: A parameter is missing or impossible, an experiment cannot
+    be simulated, or the folder cannot be written to.
     """
     arm = Arm.of(study.arm)
     experiments = []
@@ -156,20 +117,8 @@ def demonstrate(
 ) -> tuple[Identification, Values]:
     """The main job on the built-in arm: simulate, identify from the files, report.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets the logs, study.toml, result.json and report.html.
-    seed : int
-    progress : callable
-    figures : bool
-        Whether every figure becomes a file, too.
-
-    Returns
-    -------
-    Identification
-    dict
-        The true values of what was identified, by (name, joint).
+    `folder`: Gets the logs, study.toml, result.json and report.html. `figures`: Whether every
+    figure becomes a file, too. Returns: The true values of what was identified, by (name, joint).
     """
     values = scara.parameters()
     study = scara.study(folder)
@@ -188,16 +137,8 @@ def demonstrate(
 def derived(values: Values, arm: ArmDescription) -> Values:
     """Known values, with the combinations of them that identification reports.
 
-    Parameters
-    ----------
-    values : dict
-        (name, joint) -> value, as simulated.
-    arm : ArmDescription
-
-    Returns
-    -------
-    dict
-        With `rigid_inertia`, `total_viscous_friction` and `link_inertia` (3), (18).
+    `values`: (name, joint) -> value, as simulated. Returns: With `rigid_inertia`,
+    `total_viscous_friction` and `link_inertia` (3), (18).
     """
     return values | {key: value_of(row, values) for key, row in reported(arm).items()}
 

@@ -41,27 +41,10 @@ def invented(
 ) -> Plan:
     """An excitation that fits the experiment's use.
 
-    Parameters
-    ----------
-    path : Path
-        The study's, for messages.
-    arm : Arm
-    experiment : Experiment
-    values : dict
-        (name, joint) -> value, for what holds the arm up at the start.
-    rng : numpy.random.Generator
-        Of motions.
-    fast_sample : float [s]
-        Between samples at most, where the gears' vibration is to be seen.
-
-    Returns
-    -------
-    Plan
-
-    Raises
-    ------
-    InvalidInput
-        It needs a servo that is not there, or moves joints in open loop that nothing drives.
+    `path`: The study's, for messages. `values`: (name, joint) -> value, for what holds the arm up
+    at the start. `rng`: Of motions. `fast_sample` [s]: Between samples at most, where the gears'
+    vibration is to be seen. Raises `InvalidInput`: It needs a servo that is not there, or moves
+    joints in open loop that nothing drives.
     """
     period = arm.servo.period if arm.servo else 1e-3
     if experiment.use in ("frequency", "sweep"):

@@ -47,31 +47,10 @@ def recorded(
 ) -> dict[str, FloatArray]:
     """Run one experiment; its log by channel.
 
-    Parameters
-    ----------
-    study : Study
-        Its channels say which links have encoders.
-    arm : Arm
-    plan : Plan
-    values : dict
-        (name, joint) -> value.
-    noise : SensorNoise or None
-        None: ideal sensors.
-    rng : numpy.random.Generator
-        Of the noise.
-    simulator : callable
-        What the arm moves by.
-    name : str, optional
-        Of the record, for what changes from one to the next.
-
-    Returns
-    -------
-    dict of str to (n_samples,)
-
-    Raises
-    ------
-    InvalidInput
-        A parameter is missing or impossible, or an IMU has no place.
+    `study`: Its channels say which links have encoders. `values`: (name, joint) -> value. `noise`:
+    None: ideal sensors. `rng`: Of the noise. `simulator`: What the arm moves by. `name`: Of the
+    record, for what changes from one to the next. Raises `InvalidInput`: A parameter is missing or
+    impossible, or an IMU has no place.
     """
     quantities: dict[str, Quantity] = {"theta_m": "encoder"}
     if any(joint.accelerometer_distance for joint in arm.joints):

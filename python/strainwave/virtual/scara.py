@@ -76,22 +76,9 @@ def parameters(disks: int = MOST_DISKS, spring: Spring = _SPRING) -> Values:
 
     alpha = I1 + m1 lc1^2 + m2 l1^2, beta = I2 about axis 2, gamma = l1 (m2 lc2 + m_tip l2)
 
-    Parameters
-    ----------
-    disks : int
-        Payload: brass disks of 1 kg at the tip, 0 to 5.
-    spring : str
-        Name of a gear law; those but the rig's own take its middle slope for their stiffness.
-
-    Returns
-    -------
-    dict
-        (name, joint) -> value [SI].
-
-    Raises
-    ------
-    InvalidInput
-        There are not that many disks.
+    `disks`: Payload: brass disks of 1 kg at the tip, 0 to 5. `spring`: Name of a gear law; those
+    but the rig's own take its middle slope for their stiffness. Returns: (name, joint) -> value
+    [SI]. Raises `InvalidInput`: There are not that many disks.
     """
     if not 0 <= disks <= MOST_DISKS:
         raise InvalidInput(f"{disks} disks", remedy=f"the rig carries 0 to {MOST_DISKS}")
@@ -111,17 +98,8 @@ def parameters(disks: int = MOST_DISKS, spring: Spring = _SPRING) -> Values:
 def study(folder: Path, spring: Spring = _SPRING) -> Study:
     """The rig's study: its sensors, its servo and the experiments that identify it.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the study file and its logs are to be.
-    spring : str
-        Name of a gear law.
-
-    Returns
-    -------
-    Study
-        Nothing is written; the logs do not exist yet.
+    `folder`: Where the study file and its logs are to be. `spring`: Name of a gear law. Returns:
+    Nothing is written; the logs do not exist yet.
     """
     joints = tuple(
         Joint(

@@ -74,19 +74,7 @@ _EFFECTS = Registry[Effect](
 def effect_named(name: str) -> Effect:
     """An effect by its name.
 
-    Parameters
-    ----------
-    name : str
-        As in `effects` of a study file.
-
-    Returns
-    -------
-    Effect
-
-    Raises
-    ------
-    InvalidInput
-        There is none of that name.
+    `name`: As in `effects` of a study file. Raises `InvalidInput`: There is none of that name.
     """
     return _EFFECTS[name]
 
@@ -104,15 +92,8 @@ def all_effects() -> tuple[Effect, ...]:
 def register(effect: Effect) -> None:
     """Make an effect known, so that studies can name it and fits test for it.
 
-    Parameters
-    ----------
-    effect : Effect
-
-    Raises
-    ------
-    InvalidInput
-        There is one of that name, one of its parameters is none of the core's or is a size here and
-        a shape in another effect, or a size cannot be zero.
+    Raises `InvalidInput`: There is one of that name, one of its parameters is none of the core's or
+    is a size here and a shape in another effect, or a size cannot be zero.
     """
     _EFFECTS.check_new(effect.name)
     for name in effect.names:
@@ -140,13 +121,6 @@ def _fault(effect: Effect, name: str) -> str | None:
 def unregister(name: str) -> None:
     """Forget an effect.
 
-    Parameters
-    ----------
-    name : str
-
-    Raises
-    ------
-    InvalidInput
-        There is none of that name.
+    Raises `InvalidInput`: There is none of that name.
     """
     _EFFECTS.remove(name)

@@ -97,14 +97,7 @@ class Effect(ABC):
     def sizes_in(self, records: Sequence[str]) -> tuple[str, ...]:
         """Names of its sizes where some records are fitted.
 
-        Parameters
-        ----------
-        records : sequence of str
-            Their names.
-
-        Returns
-        -------
-        tuple of str
+        `records`: Their names.
         """
         if not self.by_record:
             return self.sizes
@@ -128,28 +121,14 @@ class Effect(ABC):
     def described(self, name: str) -> ParameterDescription:
         """Symbol, units and range of a parameter.
 
-        Parameters
-        ----------
-        name : str
-            One of the effect's.
-
-        Returns
-        -------
-        ParameterDescription
+        `name`: One of the effect's.
         """
         return parameter_table()[base_name(name)]
 
     def is_signed(self, name: str) -> bool:
         """Whether a parameter may have either sign.
 
-        Parameters
-        ----------
-        name : str
-            One of the effect's.
-
-        Returns
-        -------
-        bool
+        `name`: One of the effect's.
         """
         return self.described(name).range == "any"
 
@@ -159,41 +138,20 @@ class Effect(ABC):
 
         Sizes without sign start from here, signed ones from zero in steps of this.
 
-        Parameters
-        ----------
-        joint : KnownJoint
-
-        Returns
-        -------
-        dict
-            Size -> value above zero.
+        Returns: Size -> value above zero.
         """
 
     def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
         """Sets of shapes at which a size of zero is tested, the first one always.
 
-        Parameters
-        ----------
-        joint : KnownJoint
-
-        Returns
-        -------
-        tuple of dict
-            At least one; each shape -> value.
+        Returns: At least one; each shape -> value.
         """
         return (dict(self.shapes),)
 
     def starts(self, joint: KnownJoint) -> Values:
         """Where a fit starts: at the first of the shapes that are tested.
 
-        Parameters
-        ----------
-        joint : KnownJoint
-
-        Returns
-        -------
-        dict
-            Name -> value, of every parameter.
+        Returns: Name -> value, of every parameter.
         """
         typical = self.typical_sizes(joint)
         sizes = {name: 0.0 if self.is_signed(name) else typical[name] for name in self.sizes}
@@ -229,15 +187,6 @@ class RecordEffect(Effect):
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:
         """What it changes in one record.
 
-        Parameters
-        ----------
-        values : dict
-            Parameters of the joint without its number, the effect's sizes in this record without
-            the record's name.
-        gear_ratio : float
-            n, link turns per motor turn.
-
-        Returns
-        -------
-        tuple of Input
+        `values`: Parameters of the joint without its number, the effect's sizes in this record
+        without the record's name. `gear_ratio`: n, link turns per motor turn.
         """

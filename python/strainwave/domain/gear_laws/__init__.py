@@ -44,19 +44,7 @@ _LAWS = Registry[GearLaw]("gear law", "a", "spring", (Linear(), ThreeSlope(), Cu
 def gear_law(name: str) -> GearLaw:
     """A law by its name.
 
-    Parameters
-    ----------
-    name : str
-        As `spring` in a study file.
-
-    Returns
-    -------
-    GearLaw
-
-    Raises
-    ------
-    InvalidInput
-        There is none of that name.
+    `name`: As `spring` in a study file. Raises `InvalidInput`: There is none of that name.
     """
     return _LAWS[name]
 
@@ -69,15 +57,8 @@ def names() -> tuple[str, ...]:
 def register(law: GearLaw) -> None:
     """Make a law known, so that studies can name it.
 
-    Parameters
-    ----------
-    law : GearLaw
-
-    Raises
-    ------
-    InvalidInput
-        There is one of that name, or one of its parameters is none of the core's or means something
-        else in another law.
+    Raises `InvalidInput`: There is one of that name, or one of its parameters is none of the core's
+    or means something else in another law.
     """
     _LAWS.check_new(law.name)
     known = gear_parameters()
@@ -96,14 +77,7 @@ def register(law: GearLaw) -> None:
 def unregister(name: str) -> None:
     """Forget a law.
 
-    Parameters
-    ----------
-    name : str
-
-    Raises
-    ------
-    InvalidInput
-        There is none of that name.
+    Raises `InvalidInput`: There is none of that name.
     """
     _LAWS.remove(name)
     gear_parameters.cache_clear()
@@ -146,15 +120,7 @@ def lists() -> Mapping[str, Mapping[int, tuple[str, ...]]]:
 def known_instead(law: GearLaw, known: Mapping[str, float]) -> GearLaw:
     """The law that values suffice for: a simpler one while none of a law's own is known.
 
-    Parameters
-    ----------
-    law : GearLaw
-    known : dict
-        Name -> value.
-
-    Returns
-    -------
-    GearLaw
+    `known`: Name -> value.
     """
     if law.simpler is None:
         return law

@@ -96,17 +96,8 @@ class GearLaw(ABC):
     def of_joint(self, values: Mapping[tuple[str, int | None], float], joint: int) -> Values:
         """The law's values among those of an arm.
 
-        Parameters
-        ----------
-        values : dict
-            (name, joint) -> value.
-        joint : int
-            From 1.
-
-        Returns
-        -------
-        dict
-            Name -> value of those that are there.
+        `values`: (name, joint) -> value. `joint`: From 1. Returns: Name -> value of those that are
+        there.
         """
         return {name: values[name, joint] for name in self.names if (name, joint) in values}
 
@@ -114,60 +105,28 @@ class GearLaw(ABC):
     def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
         """T(delta).
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value.
-        torsion : (n,) [rad]
-
-        Returns
-        -------
-        (n,) [N m] at the link
+        `values`: Name -> value. `torsion` (n,) [rad]. Returns (n,) [N m].
         """
 
     @abstractmethod
     def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
         """dT/ddelta.
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value.
-        torsion : (n,) [rad]
-
-        Returns
-        -------
-        (n,) [N m/rad]
+        `values`: Name -> value. `torsion` (n,) [rad]. Returns (n,) [N m/rad].
         """
 
     @abstractmethod
     def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
         """Derivatives of the torque at a torsion by the parameters.
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value.
-        torsion : (n,) [rad]
-
-        Returns
-        -------
-        (n, n_values)
-            In the order of the law's parameters, those that have values.
+        `values`: Name -> value. `torsion` (n,) [rad]. Returns (n, n_values): In the order of the
+        law's parameters, those that have values.
         """
 
     def stiffness_jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
         """Derivatives of the stiffness at a torsion by the parameters.
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value.
-        torsion : (n,) [rad]
-
-        Returns
-        -------
-        (n, n_values)
+        `values`: Name -> value. `torsion` (n,) [rad]. Returns (n, n_values).
         """
         off = np.maximum(_SPREAD * np.abs(torsion), np.finfo(float).tiny ** 0.25)
         ends = (self.jacobian(values, torsion + side * off) for side in (1.0, -1.0))
@@ -177,15 +136,7 @@ class GearLaw(ABC):
     def torsion(self, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
         """Torsion under a torque, the inverse of T(delta).
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value.
-        torque : (n,) [N m]
-
-        Returns
-        -------
-        (n,) [rad]
+        `values`: Name -> value. `torque` (n,) [N m]. Returns (n,) [rad].
         """
         wanted = np.abs(torque)
         high = wanted / self.stiffness(values, np.zeros_like(wanted))
@@ -204,48 +155,23 @@ class GearLaw(ABC):
     def straight(self, stiffness: float) -> Values:
         """Parameters by which the law is a linear one.
 
-        Parameters
-        ----------
-        stiffness : float [N m/rad]
-
-        Returns
-        -------
-        dict
-            Name -> value.
+        `stiffness` [N m/rad]. Returns: Name -> value.
         """
         return {p.name: stiffness if p.is_slope else 0.0 for p in self.parameters}
 
     def starts(self, stiffness: float, largest_torque: float) -> Values:
         """Where a fit starts that knows one stiffness.
 
-        Parameters
-        ----------
-        stiffness : float [N m/rad]
-            Of the joint's model.
-        largest_torque : float [N m]
-            That the gear carries in the records.
-
-        Returns
-        -------
-        dict
-            Name -> value, none of them zero.
+        `stiffness` [N m/rad]: Of the joint's model. `largest_torque` [N m]: That the gear carries
+        in the records. Returns: Name -> value, none of them zero.
         """
         return self.straight(stiffness)
 
     def restarts(self, values: Mapping[str, float], largest_torque: float) -> Iterator[Values]:
         """Other curves to start from, near one that no derivative would bring away.
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value, where a search ended.
-        largest_torque : float [N m]
-            That the gear carries in the records.
-
-        Yields
-        ------
-        dict
-            Name -> value; nothing where the curve is all that it can be.
+        `values`: Name -> value, where a search ended. `largest_torque` [N m]: That the gear carries
+        in the records. Returns: Name -> value; nothing where the curve is all that it can be.
         """
         yield from ()
 
@@ -254,69 +180,31 @@ class GearLaw(ABC):
     ) -> Mapping[str, str | None]:
         """Which parameters the records show, by which estimate each is known.
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value of all parameters.
-        covariance : (n_parameters, n_parameters)
-            In their order.
-        largest_torque : float [N m]
-            That the gear carries in the records.
-
-        Returns
-        -------
-        dict
-            Name -> name of the estimate that counts for it; None: no record reaches it. Those that
-            are left out are known by their own.
+        `values`: Name -> value of all parameters. `covariance` (n_parameters, n_parameters): In
+        their order. `largest_torque` [N m]: That the gear carries in the records. Returns: Name ->
+        name of the estimate that counts for it; None: no record reaches it. Those that are left out
+        are known by their own.
         """
         return {}
 
     def drawn(self, known: Collection[str]) -> tuple[str, ...]:
         """Which of the parameters that are identified make a curve.
 
-        Parameters
-        ----------
-        known : collection of str
-            Names.
-
-        Returns
-        -------
-        tuple of str
-            In the law's order; empty: there is none.
+        `known`: Names. Returns: In the law's order; empty: there is none.
         """
         return self.names if self.names and set(self.names) <= set(known) else ()
 
     def knees(self, values: Mapping[str, float]) -> tuple[float, ...]:
         """Torques [N m] at which the stiffness changes at once, and beyond which to excite a gear.
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value.
-
-        Returns
-        -------
-        tuple of float
-            Ascending.
+        `values`: Name -> value. Returns: Ascending.
         """
         return ()
 
     def stiffness_range(self, values: Mapping[str, float]) -> tuple[float, float]:
         """The lowest and the highest stiffness [N m/rad] of the curve, as far as it has ends.
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value.
-
-        Returns
-        -------
-        lowest, highest : float
-
-        Raises
-        ------
-        KeyError
-            A slope is not there.
+        `values`: Name -> value. Raises `KeyError`: A slope is not there.
         """
         found = [values[name] for name in self.slopes]
         return min(found), max(found)
@@ -326,15 +214,8 @@ class GearLaw(ABC):
     ) -> tuple[tuple[float, float], ...] | None:
         """The law as linear springs side by side, each of which acts beyond some torsion.
 
-        Parameters
-        ----------
-        need : callable
-            Gives the value of a parameter.
-
-        Returns
-        -------
-        tuple of (stiffness [N m/rad], torsion [rad]), or None
-            To be added up; None: the law is no such sum.
+        `need`: Gives the value of a parameter. Returns [N m/rad]: To be added up; None: the law is
+        no such sum.
         """
         return None if self.is_curved else ((need(self.linearised_by), 0.0),)
 
@@ -343,18 +224,8 @@ class GearLaw(ABC):
     ) -> str:
         """A curve in words: its slopes, then what else it has.
 
-        Parameters
-        ----------
-        values : dict
-            Name -> value of those that make the curve.
-        std : (n_values,)
-        is_straight : bool
-            Of a prismatic joint.
-
-        Returns
-        -------
-        str
-            Without a full stop.
+        `values`: Name -> value of those that make the curve. `std` (n_values,). `is_straight`: Of a
+        prismatic joint. Returns: Without a full stop.
         """
         units = {p.name: p.described.units[is_straight] for p in self.parameters}
         said = {

@@ -22,14 +22,5 @@ KINDS: Mapping[ArmKind, Kind] = {
 
 
 def kind_of(arm: ArmDescription) -> Kind:
-    """What an arm's kind says of its links.
-
-    Parameters
-    ----------
-    arm : ArmDescription
-
-    Returns
-    -------
-    Kind
-    """
+    """What an arm's kind says of its links."""
     return KINDS[arm.kind]

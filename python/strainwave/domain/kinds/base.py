@@ -90,29 +90,14 @@ class Kind(ABC):
     def faults(self, arm: ArmDescription) -> Iterator[Fault]:
         """What a description says that an arm of this kind cannot be.
 
-        Parameters
-        ----------
-        arm : ArmDescription
-            With the right number of joints.
-
-        Yields
-        ------
-        Fault
+        `arm`: With the right number of joints.
         """
 
     @abstractmethod
     def link_inertia(self, joint: int) -> Row:
         """m_L of a joint, its link's inertia with the arm stretched: (3).
 
-        Parameters
-        ----------
-        joint : int
-            From 1.
-
-        Returns
-        -------
-        Row
-            Over `inertias`.
+        `joint`: From 1. Returns: Over `inertias`.
         """
 
     @property
@@ -125,89 +110,37 @@ class Kind(ABC):
 
     @abstractmethod
     def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
-        """Inertias that rigid motion identifies, links' and motors': (6).
-
-        Parameters
-        ----------
-        arm : ArmDescription
-
-        Returns
-        -------
-        tuple of RigidColumn
-        """
+        """Inertias that rigid motion identifies, links' and motors': (6)."""
 
     @abstractmethod
     def starting_inertias(self, arm: ArmDescription, found: StageInertias) -> tuple[Values, Values]:
         """Inertias that a fit of the whole arm starts from.
 
-        Parameters
-        ----------
-        arm : ArmDescription
-        found : StageInertias
-
-        Returns
-        -------
-        dict
-            Of links and motors, positive definite.
-        dict
-            Those of the stages before that no arm can have.
-
-        Raises
-        ------
-        NotIdentifiable
-            Something is missing or impossible that nothing can stand for.
+        Returns: Of links and motors, positive definite. Returns: Those of the stages before that no
+        arm can have. Raises `NotIdentifiable`: Something is missing or impossible that nothing can
+        stand for.
         """
 
     @abstractmethod
     def complete(self, known: Values, arm: ArmDescription) -> None:
         """Add the links' inertias, and motors', that follow from what is known or hardly matter.
 
-        Parameters
-        ----------
-        known : dict
-            (name, joint) -> value; nothing that is there is changed.
-        arm : ArmDescription
+        `known`: (name, joint) -> value; nothing that is there is changed.
         """
 
     @abstractmethod
     def bodies(self, arm: ArmDescription, need: Needed, gravity: float) -> tuple[Body, ...]:
         """Rigid bodies whose base parameters are the arm's, one a link from the base.
 
-        Parameters
-        ----------
-        arm : ArmDescription
-        need : callable
-            The parameters.
-        gravity : float [m/s^2]
-            Under which link 1 has the measured gravity torque; zero: its centre lies on the axis.
-
-        Returns
-        -------
-        tuple of Body
-
-        Raises
-        ------
-        InvalidInput
-            No bodies have these parameters.
+        `need`: The parameters. `gravity` [m/s^2]: Under which link 1 has the measured gravity
+        torque; zero: its centre lies on the axis. Raises `InvalidInput`: No bodies have these
+        parameters.
         """
 
     def effective_gravity(self, arm: ArmDescription, need: Needed) -> float:
         """Gravity under which rigid bodies have all measured gravity torques.
 
-        Parameters
-        ----------
-        arm : ArmDescription
-        need : callable
-            The parameters.
-
-        Returns
-        -------
-        float [m/s^2]
-            Zero for a horizontal arm.
-
-        Raises
-        ------
-        InvalidInput
-            Parameters contradict each other.
+        `need`: The parameters. Returns [m/s^2]: Zero for a horizontal arm. Raises `InvalidInput`:
+        Parameters contradict each other.
         """
         return arm.gravity or 0.0

@@ -31,18 +31,8 @@ def about_axis(inertia: float, moment: float, length: float) -> Body:
     m = 3 J/l^2 + s^2/J: a uniform rod's mass, and what keeps the inertia about the centre of mass,
     J - s^2/m = (3 J/l^2) J/m, positive.
 
-    Parameters
-    ----------
-    inertia : float [kg m^2]
-        J > 0, about the axis.
-    moment : float [kg m]
-        s, first moment.
-    length : float [m]
-        l, of the rod.
-
-    Returns
-    -------
-    Body
+    `inertia` [kg m^2]: J > 0, about the axis. `moment` [kg m]: s, first moment. `length` [m]: l, of
+    the rod.
     """
     rod = 3.0 * inertia / length**2
     mass = rod + moment**2 / inertia

@@ -25,19 +25,8 @@ class StageInertias:
     def needed(self, name: str) -> float:
         """A parameter of the rigid model that nothing else can stand for.
 
-        Parameters
-        ----------
-        name : str
-            Of the arm as a whole.
-
-        Returns
-        -------
-        float
-
-        Raises
-        ------
-        NotIdentifiable
-            The motion records do not identify it.
+        `name`: Of the arm as a whole. Raises `NotIdentifiable`: The motion records do not identify
+        it.
         """
         value = self.rigid.get((name, None))
         if value is None:
@@ -56,20 +45,7 @@ def is_positive(value: float | None) -> bool:
 def required(name: str, value: float) -> float:
     """A value that must be positive for there to be any start at all.
 
-    Parameters
-    ----------
-    name : str
-    value : float
-
-    Returns
-    -------
-    float
-        The same.
-
-    Raises
-    ------
-    NotIdentifiable
-        It is not.
+    Returns: The same. Raises `NotIdentifiable`: It is not.
     """
     if not is_positive(value):
         raise NotIdentifiable(

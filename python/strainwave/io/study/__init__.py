@@ -31,22 +31,9 @@ def read_study(
 ) -> Study:
     """Read and check a study file.
 
-    Parameters
-    ----------
-    path : Path
-    logs_exist : bool
-        Whether every experiment's file must be there already.
-    experiments_exist : bool
-        Whether there must be an experiment at all.
-
-    Returns
-    -------
-    Study
-
-    Raises
-    ------
-    InvalidInput
-        Anything in the file is at fault.
+    `logs_exist`: Whether every experiment's file must be there already. `experiments_exist`:
+    Whether there must be an experiment at all. Raises `InvalidInput`: Anything in the file is at
+    fault.
     """
     path = Path(path)
     data = read_bytes(path, "the study file")
@@ -68,21 +55,9 @@ def with_options(
 ) -> Study:
     """A study with other options of the stages.
 
-    Parameters
-    ----------
-    study : Study
-    options : Options, mapping or sequence of str
-        All of them anew; or those that change, stage -> key -> value; or the same as on the
-        command line, "stage.key=value" with a TOML value each.
-
-    Returns
-    -------
-    Study
-
-    Raises
-    ------
-    InvalidInput
-        One is unknown, or of another type or range than it may have.
+    `options`: All of them anew; or those that change, stage -> key -> value; or the same as on the
+    command line, "stage.key=value" with a TOML value each. Raises `InvalidInput`: One is unknown,
+    or of another type or range than it may have.
     """
     if isinstance(options, Options):
         changed = dataclasses.replace(study, options=options)
@@ -119,22 +94,10 @@ def _check_filled_in(text: str, path: Path) -> None:
 def checked_study(study: Study, given: Collection[str] = ()) -> Study:
     """A study that was built or changed in code, checked as a study file is.
 
-    Parameters
-    ----------
-    study : Study
-    given : collection of str
-        Experiments whose logs are given, and need no file.
-
-    Returns
-    -------
-    Study
-        With the SHA-256 of what `write_study` would write, where it was not read from a file.
-
-    Raises
-    ------
-    InvalidInput
-        A value is of another type or range than it may have, the parts do not fit each other, or
-        a log file does not exist.
+    `given`: Experiments whose logs are given, and need no file. Returns: With the SHA-256 of what
+    `write_study` would write, where it was not read from a file. Raises `InvalidInput`: A value is
+    of another type or range than it may have, the parts do not fit each other, or a log file does
+    not exist.
     """
     import tomli_w
 
@@ -162,15 +125,7 @@ def checked_study(study: Study, given: Collection[str] = ()) -> Study:
 def write_study(study: Study, path: Path) -> None:
     """Write a study file that reads back equal.
 
-    Parameters
-    ----------
-    study : Study
-    path : Path
-
-    Raises
-    ------
-    InvalidInput
-        The file cannot be written.
+    Raises `InvalidInput`: The file cannot be written.
     """
     import tomli_w
 
@@ -178,16 +133,7 @@ def write_study(study: Study, path: Path) -> None:
 
 
 def document_of(study: Study) -> dict[str, Any]:
-    """A study as the tables of a study file; what has its default is left out.
-
-    Parameters
-    ----------
-    study : Study
-
-    Returns
-    -------
-    dict
-    """
+    """A study as the tables of a study file; what has its default is left out."""
     document: dict[str, Any] = {
         "arm": _table(study.arm, without=("joints", "servo")),
         "joint": [_table(joint) for joint in study.arm.joints],

@@ -17,16 +17,7 @@ from strainwave.io.study.reader import Reader
 def check_fit(study: Study, reader: Reader) -> None:
     """Check that the tables fit each other and the kind of arm.
 
-    Parameters
-    ----------
-    study : Study
-    reader : Reader
-        Knows where in the file things stand.
-
-    Raises
-    ------
-    InvalidInput
-        They do not.
+    `reader`: Knows where in the file things stand. Raises `InvalidInput`: They do not.
     """
     _check_kind(study.arm, reader)
     _check_joints(study.arm, reader)
@@ -92,15 +83,7 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
 def check_options(study: Study, reader: Reader) -> None:
     """Check that bands and ranges rise, and that parameters are this arm's.
 
-    Parameters
-    ----------
-    study : Study
-    reader : Reader
-
-    Raises
-    ------
-    InvalidInput
-        They do not, or are not.
+    Raises `InvalidInput`: They do not, or are not.
     """
     options = study.options
     for stage, band in (
@@ -218,16 +201,7 @@ def _check_experiments(study: Study, reader: Reader) -> None:
 def check_files(study: Study, reader: Reader) -> None:
     """Check that every experiment's log is there.
 
-    Parameters
-    ----------
-    study : Study
-    reader : Reader
-        Knows where in the file things stand.
-
-    Raises
-    ------
-    InvalidInput
-        One is not.
+    `reader`: Knows where in the file things stand. Raises `InvalidInput`: One is not.
     """
     for index, experiment in enumerate(study.experiments):
         path = study.log_path(experiment)
@@ -271,16 +245,8 @@ _PRBS_SIZES = (("clock", 1e-6, 5.0, "s", 1e-3, "ms"), ("order", 2, 24, "bits", N
 def check_sizes(study: Study, reader: Reader) -> None:
     """Check for numbers that are a slip of unit, or upside down.
 
-    Parameters
-    ----------
-    study : Study
-    reader : Reader
-        Knows where in the file things stand.
-
-    Raises
-    ------
-    InvalidInput
-        One is of a size that no rig has.
+    `reader`: Knows where in the file things stand. Raises `InvalidInput`: One is of a size that no
+    rig has.
     """
     _sizes(study.arm, _ARM_SIZES, lambda key: reader.place("arm", None, key))
     for index, joint in enumerate(study.arm.joints):

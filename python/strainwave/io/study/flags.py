@@ -26,20 +26,8 @@ class Flag(Reader):
 def parsed(text: str) -> dict[str, dict[str, Any]]:
     """A flag as a table of tables.
 
-    Parameters
-    ----------
-    text : str
-        "stage.key=value", the value as in TOML; a bare word is a string.
-
-    Returns
-    -------
-    dict
-        stage -> {key: value}
-
-    Raises
-    ------
-    InvalidInput
-        It is no such text, or the value is no TOML.
+    `text`: "stage.key=value", the value as in TOML; a bare word is a string. Returns: stage ->
+    {key: value}. Raises `InvalidInput`: It is no such text, or the value is no TOML.
     """
     match = _FLAG.fullmatch(text)
     if match is None:

@@ -52,23 +52,9 @@ class Reader:
     ) -> Study:
         """The whole file.
 
-        Parameters
-        ----------
-        document : mapping
-            As parsed.
-        sha256 : str
-            Of the file, for the record.
-        experiments_exist : bool
-            Whether there must be an experiment.
-
-        Returns
-        -------
-        Study
-
-        Raises
-        ------
-        InvalidInput
-            A table or key is missing, unknown, or of another type or range than it may have.
+        `document`: As parsed. `sha256`: Of the file, for the record. `experiments_exist`: Whether
+        there must be an experiment. Raises `InvalidInput`: A table or key is missing, unknown, or
+        of another type or range than it may have.
         """
         self._known_keys(document, _TABLES, "")
         arm = self._one(document, "arm")
@@ -98,20 +84,8 @@ class Reader:
     def options(self, table: Mapping[str, Any], before: Options) -> Options:
         """Tables by stage over what was chosen before.
 
-        Parameters
-        ----------
-        table : mapping
-            Stage -> table of its options.
-        before : Options
-
-        Returns
-        -------
-        Options
-
-        Raises
-        ------
-        InvalidInput
-            A stage or an option is unknown, or of another type or range than it may have.
+        `table`: Stage -> table of its options. Raises `InvalidInput`: A stage or an option is
+        unknown, or of another type or range than it may have.
         """
         stages = {f.name: getattr(before, f.name) for f in dataclasses.fields(before)}
         self._known_keys(table, stages, "options")

@@ -63,17 +63,8 @@ class Choices:
 def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
     """One arm of the catalogue, with its sensors and experiments.
 
-    Parameters
-    ----------
-    seed : int
-        Of the arm within its series.
-    series : int
-    small : bool
-        Sizes 8 to 14, anti-resonances above 25 Hz and 2,000 counts, sampled at 4 kHz.
-
-    Returns
-    -------
-    Rig
+    `seed`: Of the arm within its series. `small`: Sizes 8 to 14, anti-resonances above 25 Hz and
+    2,000 counts, sampled at 4 kHz.
     """
     rng = np.random.default_rng([8, 40, series, seed])
     return of_choices(rng, SPRINGS[seed % len(SPRINGS)], Choices(), small=small)
@@ -88,18 +79,8 @@ def of_choices(
     payload m at the tip adds m l1^2, m l2^2 and m l1 l2 to alpha, beta and gamma before motors and
     gains are chosen: what carries it is built for it.
 
-    Parameters
-    ----------
-    rng : Generator
-    spring : str
-        Gear law of both joints: "linear" or "three-slope".
-    choices : Choices
-    small : bool
-        Sizes 8 to 14, anti-resonances above 25 Hz and 2,000 counts, sampled at 4 kHz.
-
-    Returns
-    -------
-    Rig
+    `spring`: Gear law of both joints: "linear" or "three-slope". `small`: Sizes 8 to 14, anti-
+    resonances above 25 Hz and 2,000 counts, sampled at 4 kHz.
     """
     sizes = list(choices.sizes)
     largest = sizes.index(SMALL) + 1 if small else len(sizes)

@@ -40,12 +40,7 @@ class Cause:
 
 
 def causes_of_the_plant() -> tuple[str, ...]:
-    """The core's effects, and what needs no equation.
-
-    Returns
-    -------
-    tuple of str
-    """
+    """The core's effects, and what needs no equation."""
     return (
         *(e.name for e in all_effects() if e.core_name and e.name not in _AROUND_IT),
         *_AROUND_IT,
@@ -96,16 +91,7 @@ class OwnPlant:
 def with_encoder_zero(found: Trajectory, arm: Arm, cause: Cause) -> Trajectory:
     """The same read by an encoder whose zero is off by an angle of the link.
 
-    Parameters
-    ----------
-    found : Trajectory
-    arm : Arm
-    cause : Cause
-
-    Returns
-    -------
-    Trajectory
-        Unchanged where that is not the cause.
+    Returns: Unchanged where that is not the cause.
     """
     if cause.name != "encoder-zero" or "encoder" not in found.quantities:
         return found
@@ -119,18 +105,8 @@ def with_sensor_mount(
 ) -> Trajectory:
     """What is simulated at a sample time, an accelerometer of it on a mount that rings.
 
-    Parameters
-    ----------
-    simulated : callable
-        Sample time and number of samples -> what the arm did.
-    sample_time : float [s]
-    samples : int
-    cause : Cause
-
-    Returns
-    -------
-    Trajectory
-        As simulated where that is not the cause.
+    `simulated`: Sample time and number of samples -> what the arm did. `sample_time` [s]. Returns:
+    As simulated where that is not the cause.
     """
     if cause.name != "sensor-mount":
         return simulated(sample_time, samples)
@@ -156,18 +132,8 @@ def _with_joint(arm: Arm, joint: int, **keys: object) -> Arm:
 def joint_of(name: str, arm: ArmDescription, drawn: int) -> int:
     """The joint that can have a cause and show it.
 
-    Parameters
-    ----------
-    name : str
-        Of the cause.
-    arm : ArmDescription
-    drawn : int
-        From 1, by chance.
-
-    Returns
-    -------
-    int
-        The one drawn, unless only another one can.
+    `name`: Of the cause. `drawn`: From 1, by chance. Returns: The one drawn, unless only another
+    one can.
     """
     if name == "encoder-zero" and not arm.gravity:
         return 2  # the first one's is not observable without gravity
@@ -177,19 +143,8 @@ def joint_of(name: str, arm: ArmDescription, drawn: int) -> int:
 def sizes_of(name: str, joint: int, rig: Rig, rng: np.random.Generator) -> dict[str, float]:
     """Those of an effect about what it calls typical, of all others what rigs are known for.
 
-    Parameters
-    ----------
-    name : str
-    joint : int
-        From 1.
-    rig : Rig
-        With the experiments of `with_short_records`.
-    rng : Generator
-
-    Returns
-    -------
-    dict
-        Parameter, or what else `OwnPlant` changes -> value.
+    `joint`: From 1. `rig`: With the experiments of `with_short_records`. Returns: Parameter, or
+    what else `OwnPlant` changes -> value.
     """
     stated = _stated(name, rig, joint, rng)
     effect = effect_named(name) if name in names() else None
@@ -258,18 +213,7 @@ def _stated(name: str, rig: Rig, joint: int, rng: np.random.Generator) -> dict[s
 def slower(bandwidth: float, study: Study, joint: int) -> dict[str, float]:
     """A current loop of another bandwidth, and the lag beside the study's that is as late.
 
-    Parameters
-    ----------
-    bandwidth : float
-        [Hz].
-    study : Study
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    dict
-        `bandwidth` [Hz] and `drive_lag` [s].
+    `bandwidth`: [Hz]. `joint`: From 1. Returns: `bandwidth` [Hz] and `drive_lag` [s].
     """
     stated = study.arm.joints[joint - 1].current_loop_hz or np.inf
     lag = (1.0 / bandwidth - 1.0 / stated) / (2.0 * np.pi)
@@ -279,15 +223,7 @@ def slower(bandwidth: float, study: Study, joint: int) -> dict[str, float]:
 def known_joint(rig: Rig, joint: int) -> KnownJoint:
     """What effects take their typical sizes from, by the arm's truth.
 
-    Parameters
-    ----------
-    rig : Rig
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    KnownJoint
+    `joint`: From 1.
     """
     arm = Arm.of(rig.study.arm)
     torque = voltage = 0.0

@@ -69,23 +69,9 @@ class Family:
 def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
     """The family that a `[family]` describes.
 
-    Parameters
-    ----------
-    table : mapping
-        As parsed.
-    path : Path
-        Of the file, for messages.
-    text : str
-        Of the file, for the lines of messages.
-
-    Returns
-    -------
-    Family
-
-    Raises
-    ------
-    InvalidInput
-        A key is missing, unknown, or of another type or range than it may have.
+    `table`: As parsed. `path`: Of the file, for messages. `text`: Of the file, for the lines of
+    messages. Raises `InvalidInput`: A key is missing, unknown, or of another type or range than it
+    may have.
     """
     reader = Reader(path, text)
     family = reader.record(Family, table, "family")
@@ -127,16 +113,7 @@ def _check_known(chosen: Iterable[Any], known: tuple[Any, ...], key: str, reader
 
 
 def fields_of(family: Family) -> dict[str, Any]:
-    """A family as the table that it is read from: plain JSON values.
-
-    Parameters
-    ----------
-    family : Family
-
-    Returns
-    -------
-    dict
-    """
+    """A family as the table that it is read from: plain JSON values."""
     return _table(family)
 
 

@@ -90,15 +90,7 @@ class Recorded:
 def draw(family: Family, number: int) -> VirtualArm:
     """One arm of a family, by its number alone.
 
-    Parameters
-    ----------
-    family : Family
-    number : int
-        From 0.
-
-    Returns
-    -------
-    VirtualArm
+    `number`: From 0.
     """
     chance = {name: _chance((family.seed, number), name) for name in _STREAMS}
     friction = family.friction or Friction()
@@ -122,16 +114,7 @@ def draw(family: Family, number: int) -> VirtualArm:
 
 
 def record(arm: VirtualArm) -> Recorded:
-    """Run an arm's experiments; put its fault into study or logs.
-
-    Parameters
-    ----------
-    arm : VirtualArm
-
-    Returns
-    -------
-    Recorded
-    """
+    """Run an arm's experiments; put its fault into study or logs."""
     study, own = arm.study, Arm.of(arm.study.arm)
     motion = int(_chance(arm.seed, "motion").integers(2**31))
     data: dict[str, dict[str, FloatArray]] = {}

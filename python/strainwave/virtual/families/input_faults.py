@@ -179,16 +179,7 @@ INPUT_FAULTS: Mapping[str, Put] = {
 def drawn_faults(logs: Logs, study: Study, rng: np.random.Generator) -> Iterator[Fault]:
     """Every kind of fault once, in random order, its joint and size by chance.
 
-    Parameters
-    ----------
-    logs : tuple of Log
-        Clean.
-    study : Study
-    rng : Generator
-
-    Yields
-    ------
-    Fault
+    `logs`: Clean.
     """
     kinds = list(INPUT_FAULTS.values())
     for k in rng.permutation(len(kinds)).tolist():

@@ -23,15 +23,5 @@ class Rig:
 
 
 def between(rng: np.random.Generator, low: float, high: float) -> float:
-    """Drawn evenly among logarithms.
-
-    Parameters
-    ----------
-    rng : Generator
-    low, high : float, positive
-
-    Returns
-    -------
-    float
-    """
+    """Drawn evenly among logarithms."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))

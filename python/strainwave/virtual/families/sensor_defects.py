@@ -59,20 +59,9 @@ def injected(
 ) -> Injected | None:
     """Logs with one defect.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-        Clean; in those of use "check" nothing is put, for it would move no parameter.
-    arm : Arm
-    kind : Kind
-    size : float
-        In the unit that `SIZES` names.
-    rng : Generator
-
-    Returns
-    -------
-    Injected or None
-        None where no drawn place can show it: a motor that stands.
+    `logs`: Clean; in those of use "check" nothing is put, for it would move no parameter. `size`:
+    In the unit that `SIZES` names. Returns: None where no drawn place can show it: a motor that
+    stands.
     """
     for _ in range(_TRIES):
         at = int(rng.integers(len(logs)))

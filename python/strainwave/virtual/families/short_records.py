@@ -22,17 +22,8 @@ _SWEEP_SHARE = 0.4
 def plans(rig: Rig, seed: int) -> list[Plan]:
     """What is applied in each experiment.
 
-    Parameters
-    ----------
-    rig : Rig
-        With the experiments of `with_short_records`.
-    seed : int
-        Of motions.
-
-    Returns
-    -------
-    list of Plan
-        One per experiment.
+    `rig`: With the experiments of `with_short_records`. `seed`: Of motions. Returns: One per
+    experiment.
     """
     arm = Arm.of(rig.study.arm)
     found = []
@@ -56,19 +47,9 @@ def _shortened(plan: Plan, seconds: float) -> Plan:
 def with_short_records(rig: Rig, *, upright: bool, rng: np.random.Generator) -> Rig:
     """Few records; servos hold what stands upright, under a gravity that they can hold.
 
-    Parameters
-    ----------
-    rig : Rig
-    upright : bool
-        Whether gravity acts in the plane of motion.
-    rng : Generator
-        Of where the first link's weight acts.
-
-    Returns
-    -------
-    Rig
-        A motion of 6 s; per joint a binary sequence of two periods of 511 clocks, a smaller one
-        for a curve, and a step.
+    `upright`: Whether gravity acts in the plane of motion. `rng`: Of where the first link's weight
+    acts. Returns: A motion of 6 s; per joint a binary sequence of two periods of 511 clocks, a
+    smaller one for a curve, and a step.
     """
     arm, values = rig.study.arm, rig.values
     servo = arm.servo
