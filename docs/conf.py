@@ -29,10 +29,10 @@ myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 1800  # s; the page of effects fits an arm for each of them
+nb_execution_timeout = 1800  # [s] the page of effects fits one arm per effect
 nb_merge_streams = True
 
-napoleon_use_param = False  # types are prose, "(n_samples, n_joints) [rad]", and not names
+napoleon_use_param = False  # types are prose such as "(n_samples, n_joints) [rad]"
 napoleon_use_rtype = False
 napoleon_use_ivar = True
 autodoc_member_order = "bysource"
@@ -43,15 +43,15 @@ autodoc_type_aliases = {
 }
 python_use_unqualified_type_names = True
 nitpicky = True
-# what a signature names that is not documented here: other libraries, aliases of types
+# names in signatures that are documented elsewhere: other libraries, type aliases
 nitpick_ignore_regex = [("py:(class|obj|data)", r".*")]
 
-highlight_language = "none"  # of blocks in docstrings: equations
+highlight_language = "none"  # code blocks in docstrings are equations
 
 html_theme = "furo"
 html_title = f"strainwave {__version__}"
 html_math_renderer = "mathml"
-# Matplotlib is there for the notebooks, and its font has what equations need
+# the notebooks need Matplotlib; its font has the glyphs of the equations
 html_static_path = ["_static", str(Path(get_data_path()) / "fonts/ttf/DejaVuSerif.ttf")]
 html_css_files = ["site.css"]
 html_copy_source = False

@@ -1,8 +1,8 @@
-"""The decoupled step called by hand, with arrays to look at on the way.
+"""Call the functions of the decoupled step one by one and print their results.
 
     python examples/decoupled_by_hand.py [STUDY.toml]
 
-Any study will do: of measured logs, or your own. Without one it simulates the built-in arm.
+Without a study, the example simulates the built-in arm.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def main(study_path: Path) -> None:
     arm = Arm.of(study.arm)
     all_logs = {e.name: logs.read_log(study, e) for e in study.experiments}
     motion = [log for log in all_logs.values() if log.experiment.use == "motion"]
-    # a bare joint can do without a rigid model
+    # a single joint does not need a rigid model
     model = rigid.fit([signals.motor_side(log, arm) for log in motion], arm) if motion else None
 
     for log in all_logs.values():
@@ -40,14 +40,14 @@ def main(study_path: Path) -> None:
             print(f"\n{log.name}, joint {joint.joint}: inputs {joint.inputs.shape}")
             for check in joint.checks:
                 print(f"  {'ok  ' if check.passed else 'FAIL'} {check.message}")
-            found = physical.identify_joint([(both_sides, joint)], model, arm)
-            for p in found.parameters:
+            joint_model = physical.identify_joint([(both_sides, joint)], model, arm)
+            for p in joint_model.parameters:
                 print(f"  {p.name:24s} {p.value} +- {p.std} {p.unit}")
-            assert found.anti_resonance is not None
-            print(f"  anti-resonance {found.anti_resonance.frequency_hz:.3f} Hz")
+            assert joint_model.anti_resonance is not None
+            print(f"  anti-resonance {joint_model.anti_resonance.frequency_hz:.3f} Hz")
             linear = physical.state_space_of(joint)  # prediction-error minimisation, (11), (12)
-            rings = physical.modes_of(linear)
-            print(f"  state space of order {linear.order}: {linear.status}, {rings.resonance}")
+            modes = physical.modes_of(linear)
+            print(f"  state space of order {linear.order}: {linear.status}, {modes.resonance}")
             response = frequency.respond([joint])
             print(f"  nonparametric response at {len(response.frequencies_hz)} frequencies")
 

@@ -1,6 +1,6 @@
-r"""Equations as MathML, made when the pages are built: no script, no network.
+r"""Equations as MathML, converted when the pages are built: no script, no network.
 
-A `\tag{S1}` at the end of an equation becomes its number at the margin and the anchor `eq-s1`.
+`\tag{S1}` at the end of an equation gives its number at the margin and the anchor `eq-s1`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _SPACE = '<mspace width="0.17em"/>'
 
 
 def _converted(text: str, display: str) -> str:
-    """MathML with the spaces around functions that TeX would set."""
+    """MathML with TeX's spaces around functions."""
 
-    def spaced(found: re.Match[str]) -> str:
-        return _SPACE + (f"<mi>{found[1]}</mi>{_SPACE}" if found[1] else f"<mi>{found[2]}</mi>")
+    def spaced(match: re.Match[str]) -> str:
+        return _SPACE + (f"<mi>{match[1]}</mi>{_SPACE}" if match[1] else f"<mi>{match[2]}</mi>")
 
     return _FUNCTION.sub(spaced, convert(text, display=display))
 
@@ -46,6 +46,6 @@ def _block(translator: Any, node: nodes.Element) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Offer the renderer `mathml` to the HTML builders."""
+    """Register the renderer `mathml` with the HTML builders."""
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -115,7 +115,7 @@ def test_the_markdown_counts_and_gives_reasons(tallies: Tallies) -> None:
     assert "shown 2/3, does not hold 1/3" in text
     assert f"| {good.figure} | {good.claim} |" in text
     assert "2/3 |" in text
-    assert f"- does not hold in 1: {good.criteria[0].name} none, expected" in text
+    assert f"does not hold in 1: {good.criteria[0].name} none, expected" in text
 
 
 def test_the_committed_page_is_what_its_data_make() -> None:

@@ -1,9 +1,8 @@
-"""comparisons.json -> Markdown: the tables of docs/comparisons.md."""
+"""Markdown page of a run of `strainwave demo`, docs/comparisons.md, from comparisons.json."""
 
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
@@ -13,22 +12,22 @@ from strainwave.domain import OUTCOMES, outcomes_text
 Claim = Mapping[str, Any]
 
 _PROTOCOLS = {
-    "own": "the program's own settings",
-    "as-published": "the source's settings",
+    "own": "default settings",
+    "as-published": "published settings",
 }
-_REASONS = 3  # of one claim that the page gives at most; comparisons.json has them all
+_MAX_REASONS = 2  # per claim on the page; comparisons.json has them all
 
 
 def to_markdown(document: Mapping[str, Any]) -> str:
-    """The results of a run of `strainwave demo` as a page in Markdown.
+    """The page of a run of `strainwave demo`: verdicts, then the criteria of every figure.
 
-    `document`: From `document_of`, or read from comparisons.json. Returns: What was done, a table
-    of verdicts, then the criteria of every claim; ends with a newline.
+    `document` comes from `document_of` or from comparisons.json.
     """
     claims: Sequence[Claim] = document["claims"]
     protocols = [name for name in _PROTOCOLS if any(c["protocol"] == name for c in claims)]
-    figures = list(dict.fromkeys(c["figure"] for c in claims))
-    by = {(c["figure"], c["protocol"]): c for c in claims}
+    figures: dict[int, dict[str, Claim]] = {}
+    for claim in claims:
+        figures.setdefault(claim["figure"], {})[claim["protocol"]] = claim
     lines = [
         files("strainwave.paper").joinpath("introduction.md").read_text("utf-8"),
         "## Verdicts",
@@ -38,74 +37,64 @@ def to_markdown(document: Mapping[str, Any]) -> str:
         "| figure | claim | " + " | ".join(_PROTOCOLS[name] for name in protocols) + " |",
         "|---" * (2 + len(protocols)) + "|",
     ]
-    for figure in figures:
-        own = [by[figure, name] for name in protocols if (figure, name) in by]
-        cells = [_verdict(by.get((figure, name))) for name in protocols]
-        lines.append(f"| {figure} | {_cell(own[0]['claim'])} | {' | '.join(cells)} |")
-    for figure in figures:
-        own = [by[figure, name] for name in protocols if (figure, name) in by]
-        lines += ["", f"## Fig. {figure}: {own[0]['title']}", "", own[0]["claim"], ""]
-        for claim in own:
-            lines += _section(claim)
+    for figure, by_protocol in figures.items():
+        cells = [_verdict(by_protocol.get(name)) for name in protocols]
+        claim_text = _cell(next(iter(by_protocol.values()))["claim"])
+        lines.append(f"| {figure} | {claim_text} | {' | '.join(cells)} |")
+    lines += ["", "## Limits", "", "| limit | reason |", "|---|---|"]
+    limits = {(c["name"], _limit(c)): c["reason"] for claim in claims for c in claim["criteria"]}
+    for reason in dict.fromkeys(limits.values()):
+        of_reason = dict.fromkeys(limit for (_, limit), text in limits.items() if text == reason)
+        lines.append(f"| {', '.join(of_reason)} | {_cell(reason)} |")
+    for figure, by_protocol in figures.items():
+        lines += ["", f"## Fig. {figure}: {next(iter(by_protocol.values()))['title']}", ""]
+        lines += _criteria(by_protocol, protocols)
+        for name in protocols:
+            lines += _reasons(by_protocol[name]) if name in by_protocol else ()
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)).strip() + "\n"
 
 
-def _section(claim: Claim) -> Iterator[str]:
-    count = len(claim["outcomes"])
-    yield f"**By {_PROTOCOLS[claim['protocol']]}: {_verdict(claim)}.** {claim['messages'][0]}."
+def _criteria(by_protocol: Mapping[str, Claim], protocols: Sequence[str]) -> Iterator[str]:
+    """Table of a figure's criteria: median and range of the values, and how many pass."""
+    yield "| criterion | limit | " + " | ".join(_PROTOCOLS[name] for name in protocols) + " |"
+    yield "|---" * (2 + len(protocols)) + "|"
+    columns = {
+        protocol: {(c["name"], _limit(c)): c for c in claim["criteria"]}
+        for protocol, claim in by_protocol.items()
+    }
+    for key in dict.fromkeys(key for column in columns.values() for key in column):
+        cells = [_passed(columns.get(name, {}).get(key)) for name in protocols]
+        yield f"| {_cell(key[0])} | {key[1]} | {' | '.join(cells)} |"
     yield ""
-    if claim["criteria"]:
-        yield "| criterion | least | median | largest | limit, and why | kept in |"
-        yield "|---|---|---|---|---|---|"
-        for c in claim["criteria"]:
-            numbers = " | ".join(_spread(c["values"]))
-            limit = f"{c['bound']} {c['limit']:g}: {c['reason']}"
-            kept = f"{sum(c['passed'])}/{count}"
-            yield f"| {_cell(c['name'])} | {numbers} | {_cell(limit)} | {kept} |"
-        yield ""
-    for said in _reasons(claim):
-        yield f"- {said}"
-    yield from _models(claim)
-    yield ""
+
+
+def _passed(criterion: Mapping[str, Any] | None) -> str:
+    if criterion is None:
+        return ""
+    least, median, largest = _spread(criterion["values"])
+    spread = median if least == largest else f"{median} ({least} to {largest})"
+    return f"{spread}, {sum(criterion['passed'])}/{len(criterion['passed'])}"
+
+
+def _limit(criterion: Mapping[str, Any]) -> str:
+    return f"{criterion['bound']} {criterion['limit']:g}"
 
 
 def _reasons(claim: Claim) -> Iterator[str]:
-    """Why the claim was not shown or did not hold, one seed's words for each."""
-    seen: dict[str, list[str]] = {}
-    for outcome, reasons in zip(claim["outcomes"], claim["reasons"], strict=True):
+    """The most frequent reasons why a claim is not shown or does not hold, one example of each."""
+    examples: dict[tuple[str, str], dict[int, str]] = {}
+    for seed, (outcome, reasons) in enumerate(
+        zip(claim["outcomes"], claim["reasons"], strict=True)
+    ):
         for reason in reasons:
-            # numbers differ from seed to seed; what the number is of does not
-            subject = re.sub(
-                r" (-?[\d.]+(e[-+]?\d+)?|none), expected .*", "", reason.split(": ")[0]
-            )
-            key = f"{OUTCOMES[outcome]}|{subject}"
-            seen.setdefault(key, []).append(reason)
-    ordered = sorted(seen.items(), key=lambda item: -len(item[1]))
-    for key, found in ordered[:_REASONS]:
-        yield f"{key.split('|')[0]} in {len(found)}: {found[0]}"
-    if len(ordered) > _REASONS:
-        yield f"and {len(ordered) - _REASONS} other reasons"
-
-
-def _models(claim: Claim) -> Iterator[str]:
-    """How many of the models behind the claim are sound, over all seeds."""
-    every = [
-        dict(zip(("status", "growth", "sound", "decisive"), values, strict=True))
-        for m in claim["models"]
-        for values in zip(m["status"], m["growth"], m["sound"], m["decisive"], strict=True)
-        if values[0] is not None
-    ]
-    if not every:
-        return
-    states = Counter(
-        "unstable" if (m["growth"] or 0.0) > 1.0 else m["status"] for m in every if m["decisive"]
-    )
-    listed = ", ".join(f"{number} {name}" for name, number in states.most_common())
-    yield f"- models that the claim rests on: {listed}"
-    beside = [m for m in every if not m["decisive"]]
-    if beside:
-        unsound = sum(not m["sound"] for m in beside)
-        yield f"- models shown beside: {len(beside)}, of which {unsound} are not sound"
+            # numbers and joints differ between seeds and criteria, the explanation does not
+            explanation = re.search(r"\((.*)\)$", reason)
+            kind = re.sub(r"[-+\d.]+", "", explanation[1] if explanation else reason)
+            examples.setdefault((OUTCOMES[outcome], kind), {}).setdefault(seed, reason)
+    most_frequent = sorted(examples.items(), key=lambda item: -len(item[1]))[:_MAX_REASONS]
+    for (outcome, _), by_seed in most_frequent:
+        example = next(iter(by_seed.values()))
+        yield f"- {_PROTOCOLS[claim['protocol']]}, {outcome} in {len(by_seed)}: {example}"
 
 
 def _verdict(claim: Claim | None) -> str:
@@ -121,7 +110,7 @@ def _spread(values: Sequence[float | None]) -> tuple[str, str, str]:
     middle = known[len(known) // 2]
     if len(known) % 2 == 0:
         middle = 0.5 * (middle + known[len(known) // 2 - 1])
-    return f"{known[0]:.5g}", f"{middle:.5g}", f"{known[-1]:.5g}"
+    return f"{known[0]:.4g}", f"{middle:.4g}", f"{known[-1]:.4g}"
 
 
 def _seeds(seeds: Sequence[int]) -> str:
