@@ -17,6 +17,7 @@ from strainwave.domain import (
     FrequencyResponse,
     Identification,
     JointModel,
+    Log,
     Parameter,
     RecordModel,
     StateSpace,
@@ -157,6 +158,15 @@ def curve_parameters(**changed: float | None) -> tuple[tuple[Parameter, ...], Fl
     return tuple(reported), np.diag([std**2 for _, std in CURVE.values()])
 
 
+def log(name: str) -> Log:
+    """A record of the drives, the motor angles and one accelerometer."""
+    time: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
+    wave = np.sin(2.0 * np.pi * 10.0 * time)
+    channels = {"u1": 10.0 * wave, "u2": 0.0 * wave, "theta_m1": wave, "theta_m2": wave, "a1": wave}
+    experiment = Experiment(name, f"{name}.csv", "frequency", ("open", "open"), 1)
+    return Log(experiment, time, SAMPLE, channels)
+
+
 def elastic_identification() -> Identification:
     parameters, covariance = curve_parameters()
     edges = np.linspace(0.0, 60.0, 61)
@@ -174,4 +184,5 @@ def elastic_identification() -> Identification:
         joints=(joint_model(),),
         responses={1: measured()},
         tuned=tuned,
+        logs=(log("prbs-j1"),),
     )

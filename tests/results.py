@@ -14,6 +14,7 @@ from strainwave.domain import (
     Parameter,
     ParameterShift,
     Prediction,
+    ResidualCorrelation,
     ResidualTest,
     RigidModel,
     ScoreTest,
@@ -63,9 +64,18 @@ def criticism() -> Criticism:
         input_correlation=-0.4,
         input_delay=0.006,
         input_probability=1e-20,
+        correlation=ResidualCorrelation(
+            lag_time=5e-3,
+            n_samples=1000,
+            autocorrelation=np.exp(-np.arange(26.0)),
+            cross_correlation=np.column_stack([np.sinc(np.arange(-25.0, 26.0)), np.zeros(51)]),
+            cross_std=np.array([0.05, 0.05]),
+        ),
     )
     sizes = {"hysteresis_torque": 2.1}
-    likely = ScoreTest(1, "hysteresis", sizes, {"hysteresis_torque": 0.1}, 441.0, 0.3, True)
+    likely = ScoreTest(
+        1, "hysteresis", sizes, {"hysteresis_torque": 0.1}, 441.0, 0.3, True, limit=25.0
+    )
     moved = ParameterShift("gear_damping", 1, 40.0, -16.0, -30.0)
     torque = Parameter("hysteresis_torque", 1, 2.1, 0.1, "N m", "tuned", (1.9, 2.3))
     cause = Cause(1, "hysteresis", (torque,), 440.0, 0.3, (moved,))

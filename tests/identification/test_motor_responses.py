@@ -134,9 +134,9 @@ def test_the_true_arm_answers_as_its_record_and_another_does_not(
 def test_the_figure_shows_both_and_marks_the_modes(recorded: tuple[Study, Values, Log]) -> None:
     study, values, log = recorded
     seen = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
-    drawn = motors.figure_of(seen)
+    drawn = motors.motor_figure(seen)
     names = {mark.name for mark in drawn.marks if isinstance(mark, Line | Markers)}
     assert {"measured", "fitted arm, simulated"} <= names
     at = [one.x for one in drawn.uprights]
     assert set(at) == {*seen.anti_resonances_hz, *seen.resonances_hz}
-    assert f"{seen.anti_resonances_hz[0]:.4g}" in motors.words_of(seen)
+    assert f"{seen.anti_resonances_hz[0]:.4g}" in motors.describe(seen)

@@ -1,4 +1,4 @@
-"""Every figure of the package without a browser: what is drawn, and where."""
+"""Figures by Matplotlib: every mark is drawn in its place."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def figure(*marks: Mark, x: str = "time [s]", y: str = "torque [N m]", **more: A
     return Figure(Axis(x), (Panel(Axis(y), marks),), **more)
 
 
-def test_lines_points_and_gaps_come_through() -> None:
+def test_lines_points_and_gaps_are_drawn() -> None:
     x = np.array([0.0, 1.0, 2.0])
     drawn = draw(
         figure(
@@ -44,7 +44,7 @@ def test_lines_points_and_gaps_come_through() -> None:
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
 
 
-def test_a_bode_plot_has_panels_bands_and_marks() -> None:
+def test_a_bode_plot_has_panels_bands_and_labels() -> None:
     drawn = draw(figures_of(elastic_identification())["bode-joint-1"])
     assert [axes.get_ylabel() for axes in drawn.axes] == [
         "dB re rad/s/(N m)",
@@ -53,10 +53,10 @@ def test_a_bode_plot_has_panels_bands_and_marks() -> None:
     ]
     assert all(axes.get_xscale() == "log" for axes in drawn.axes)
     assert drawn.axes[2].get_ylim() == (0.0, 1.05)
-    assert len(drawn.axes[0].collections) == 1  # the band
-    words = [text for axes in drawn.axes for text in axes.texts]
-    assert [text.get_text().split()[0] for text in words] == ["anti-resonance", "resonance"]
-    marked: Any = words[0]
+    assert len(drawn.axes[0].collections) == 2  # bands of the measured points and the joint model
+    labels = [text for axes in drawn.axes for text in axes.texts]
+    assert [text.get_text().split()[0] for text in labels] == ["anti-resonance", "resonance"]
+    marked: Any = labels[0]
     assert marked.xy[0] == pytest.approx(12.9, abs=0.1)  # [Hz], not its logarithm
     assert marked.axes is drawn.axes[1]
     tops = [axes.get_position().y0 for axes in drawn.axes]
@@ -81,7 +81,7 @@ def test_error_bars_are_drawn() -> None:
     assert bars.has_yerr  # type: ignore[attr-defined]
 
 
-def test_every_figure_becomes_two_files_and_the_same_twice() -> None:
+def test_every_figure_is_written_reproducibly_as_png_and_svg() -> None:
     for name, each in figures_of(elastic_identification()).items():
         files = images(each)
         assert files["png"].startswith(b"\x89PNG"), name
@@ -90,14 +90,14 @@ def test_every_figure_becomes_two_files_and_the_same_twice() -> None:
     assert once == again
 
 
-def test_names_are_not_taken_for_formulas() -> None:
+def test_names_are_not_parsed_as_formulas() -> None:
     lines = [Line(np.arange(2.0), np.ones(2), name, "#0072B2") for name in ("$x", "$y$")]
     svg = images(figure(*lines, x="$t$", y="$q"))["svg"].decode()
     for text in ("$x", "$y$", "$t$", "$q"):
         assert text in svg
 
 
-def test_title_and_names_along_the_axis_with_room_for_them() -> None:
+def test_the_caption_and_category_names_have_room() -> None:
     points = Markers(("one", "two"), np.array([1.0, 2.0]), "a", "#0072B2")
     plain = Markers(np.array([1.0, 2.0]), np.array([1.0, 2.0]), "a", "#0072B2")
     drawn = draw(figure(points, caption="caption"))
@@ -110,7 +110,7 @@ def test_title_and_names_along_the_axis_with_room_for_them() -> None:
     ]
 
 
-def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InvalidInput, match=r"pip install 'strainwave\[plot\]'"):
         require_matplotlib()

@@ -1,4 +1,4 @@
-"""Records show themselves: tables that say what they hold, pictures of what is in them."""
+"""Tables and figures of records in notebooks."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ NAMES = (
 
 @cache
 def shown() -> dict[str, tuple[Displayed, list[str]]]:
-    """Records by name, and what their tables must say."""
+    """Records by name, and the texts that their tables must have."""
     rigid = identification().rigid
     assert rigid is not None
     met = case(1)
     return {
         "log": (log_of(prbs_run(rig())), ["theta_m2", "0.25 ms"]),
         "rigid": (rigid, ["partly-determined", "0.02010", "not known", "kg m^2"]),
-        "decoupled": (met.decoupled, ["joint 1 on its own", met.decoupled.checks[0].message[:12]]),
+        "decoupled": (met.decoupled, ["joint 1, decoupled", met.decoupled.checks[0].message[:12]]),
         "joint": (joint_model(), ["gear_stiffness", "anti-resonance", "determined"]),
         "record": (RecordModel(met.decoupled, joint_model(), None, None, None), ["gear_damping"]),
         "response": (frequency.respond([met.decoupled]), ["frequency response by", "averages"]),
@@ -80,7 +80,7 @@ def shown() -> dict[str, tuple[Displayed, list[str]]]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_table_says_what_the_record_holds(name: str) -> None:
+def test_a_table_has_the_contents_of_the_record(name: str) -> None:
     record, texts = shown()[name]
     html = record._repr_html_()
     assert [text for text in texts if text not in html] == []
@@ -88,31 +88,31 @@ def test_a_table_says_what_the_record_holds(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "joint"])
-def test_a_picture_has_lines_and_titled_axes(name: str) -> None:
+def test_a_figure_has_lines_and_titled_axes(name: str) -> None:
     axes = shown()[name][0].plot().axes
     assert any(ax.lines or ax.containers for ax in axes)
     assert axes[0].get_ylabel()
 
 
-def test_a_joint_is_drawn_with_its_gear_ratio_and_what_was_measured() -> None:
+def test_a_joint_is_drawn_with_the_measured_response() -> None:
     met = case(1)
     alone = joint_model().plot(gear_ratio=0.01)
-    beside = joint_model().plot(gear_ratio=0.01, measured=frequency.respond([met.decoupled]))
-    assert [ax.get_ylabel() for ax in beside.axes][2:] == ["coherence"]
-    for one, other in zip(alone.axes, beside.axes, strict=False):
+    both = joint_model().plot(gear_ratio=0.01, measured=frequency.respond([met.decoupled]))
+    assert [ax.get_ylabel() for ax in both.axes][2:] == ["coherence"]
+    for one, other in zip(alone.axes, both.axes, strict=False):
         names = [set(ax.get_legend_handles_labels()[1]) for ax in (one, other)]
         assert "measured" in names[1] - names[0]
 
 
-def test_a_prediction_shows_the_channel_that_fits_worst_unless_one_is_named() -> None:
+def test_a_prediction_shows_the_channel_with_the_lowest_fit_by_default() -> None:
     made = prediction("check", 91.0, 55.0)
     assert "torque2" in title(made.plot())
     assert "torque1" in title(made.plot(channel="torque1"))
-    with pytest.raises(InvalidInput, match="take one of torque1, torque2"):
+    with pytest.raises(InvalidInput, match="choose one of torque1, torque2"):
         made.plot(channel="a1")
 
 
-def test_a_response_shows_what_is_asked_for_and_known() -> None:
+def test_a_response_shows_the_reliable_points_of_the_selection() -> None:
     response = frequency.respond([case(1).decoupled])
     first, second = response.plot(band_hz=(5.0, 60.0)), response.plot(output=1)
     assert "input 0 to output 1" in title(second)
@@ -127,18 +127,18 @@ def test_a_response_shows_what_is_asked_for_and_known() -> None:
         response.plot(band_hz=(1e6, 2e6))
 
 
-def test_a_model_s_response_has_the_band_of_its_covariance() -> None:
+def test_the_response_of_a_model_has_the_band_of_its_covariance() -> None:
     f = np.geomspace(1.0, 100.0, 30)
     response = np.asarray(10.0 / (1.0 + 1j * f), dtype=np.complex128)[:, None, None]
     spread = 1e-4 * np.abs(response[..., None, None]) ** 2 * np.eye(2)
-    sure = FrequencyResponse(f, response, covariance=spread)
-    assert len(sure.plot().axes[0].collections) == 1
-    assert len(replace(sure, covariance=None).plot().axes[0].collections) == 0
+    known = FrequencyResponse(f, response, covariance=spread)
+    assert len(known.plot().axes[0].collections) == 1
+    assert len(replace(known, covariance=None).plot().axes[0].collections) == 0
     with pytest.raises(InvalidInput, match="no point"):
-        replace(sure, covariance=1e4 * spread).plot()
+        replace(known, covariance=1e4 * spread).plot()
 
 
-def test_a_record_without_a_model_says_why_and_draws_nothing() -> None:
+def test_a_record_without_a_model_has_its_warnings_and_no_figure() -> None:
     warnings = (Diagnostic("grey-box-failed", "prbs", "the motor stands"),)
     empty = RecordModel(case(1).decoupled, None, None, None, None, warnings=warnings)
     assert "the motor stands" in empty._repr_html_()
@@ -146,7 +146,7 @@ def test_a_record_without_a_model_says_why_and_draws_nothing() -> None:
         empty.plot()
 
 
-def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(InvalidInput, match=r"strainwave\[plot\]"):
         prediction("check", 91.0).plot()

@@ -1,4 +1,4 @@
-"""Figures as plotly's dictionaries: panels, rounding, gaps, legends and marks."""
+"""Figures as Plotly JSON: panels, rounding, gaps, legends and marks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def figure(*marks: object, **changed: object) -> Figure:
     return Figure(Axis("x"), (Panel(Axis("y"), marks),), **changed)  # type: ignore[arg-type]
 
 
-def test_panels_do_not_overlap_and_have_their_heights() -> None:
+def test_panels_have_their_relative_heights_and_do_not_overlap() -> None:
     panels = tuple(
         Panel(Axis(name), (LINE,), height) for name, height in zip("abc", (2, 1, 1), strict=True)
     )
@@ -57,7 +57,7 @@ def test_numbers_have_five_digits_of_the_largest_and_gaps_are_null() -> None:
     assert trace["y"] == [1.0, None, 3.0]
 
 
-def test_each_name_is_one_entry_and_hides_its_band() -> None:
+def test_each_name_is_one_legend_entry_together_with_its_band() -> None:
     other = Line(X, X, "b", MEASURED, legend=False)
     drawn = Figure(
         Axis("x"),
@@ -74,7 +74,7 @@ def test_each_name_is_one_entry_and_hides_its_band() -> None:
     assert [t["showlegend"] for t in plotly(figure(LINE))["data"]] == [False]
 
 
-def test_words_on_a_logarithmic_axis_stand_at_the_logarithm_in_their_panel() -> None:
+def test_labels_on_a_logarithmic_axis_are_placed_at_the_logarithm() -> None:
     panels = (Panel(Axis("y"), (LINE,)), Panel(Axis("y"), (LINE,)))
     uprights = (Upright(100.0, "here", panel=1, height=0.5, dash=SOLID), Upright(10.0))
     layout = plotly(Figure(Axis("x", log=True), panels, uprights))["layout"]
@@ -86,7 +86,7 @@ def test_words_on_a_logarithmic_axis_stand_at_the_logarithm_in_their_panel() -> 
     assert Upright(1.0).dash == DOTTED
 
 
-def test_frequencies_have_whole_labels_with_prefixes() -> None:
+def test_frequency_ticks_have_complete_labels_with_prefixes() -> None:
     axis = plotly(Figure(Axis("x", log=True), (Panel(Axis("y"), (LINE,)),)))["layout"]["xaxis"]
     shown = dict(zip(axis["tickvals"], axis["ticktext"], strict=True))
     assert [shown[v] for v in (0.05, 0.1, 2.0, 50.0, 1e3, 2e4, 5e6)] == [
@@ -94,7 +94,7 @@ def test_frequencies_have_whole_labels_with_prefixes() -> None:
     ]  # fmt: skip
 
 
-def test_a_band_goes_there_and_back() -> None:
+def test_a_band_is_a_closed_outline() -> None:
     (trace,) = plotly(figure(Band(X, X - 1.0, X + 1.0, "#102030", "a")))["data"]
     assert trace["x"] == [1.0, 2.0, 3.0, 3.0, 2.0, 1.0]
     assert trace["y"] == [0.0, 1.0, 2.0, 4.0, 3.0, 2.0]
@@ -117,7 +117,7 @@ def test_bars_error_bars_and_heat_maps() -> None:
     assert drawn["layout"]["margin"]["l"] > 10
 
 
-def test_names_along_the_axis_stand_upright() -> None:
+def test_category_names_are_vertical() -> None:
     drawn = plotly(figure(Markers(("one", "two"), X[:2], "a", MEASURED)))
     assert drawn["data"][0]["x"] == ["one", "two"]
     assert drawn["layout"]["xaxis"]["tickangle"] == -90
@@ -129,7 +129,7 @@ def test_every_figure_of_a_report_is_json() -> None:
         assert json.loads(json.dumps(found, allow_nan=False)) == found, name
 
 
-def test_many_panels_have_units_in_their_own_line_and_low_ones_few_ticks() -> None:
+def test_many_panels_have_two_line_titles_and_low_ones_few_ticks() -> None:
     panels = tuple(Panel(Axis("speed [rad/s]"), (LINE,), height) for height in (1.0, 0.4) * 2)
     layout = plotly(Figure(Axis("x"), panels))["layout"]
     assert layout["yaxis"]["title"]["text"] == "speed<br>[rad/s]"
@@ -137,3 +137,22 @@ def test_many_panels_have_units_in_their_own_line_and_low_ones_few_ticks() -> No
     assert layout["yaxis2"]["nticks"] == 3
     few = plotly(Figure(Axis("x"), panels[:2]))["layout"]
     assert few["yaxis"]["title"]["text"] == "speed [rad/s]"
+
+
+def test_lines_keep_every_vertex() -> None:
+    """Plotly's simplification displaces the knees of a stiffness curve by tens of pixels."""
+    for name, drawn in figures_of(elastic_identification()).items():
+        lines = [t["line"] for t in plotly(drawn)["data"] if "lines" in t.get("mode", "")]
+        bands = [line for line in lines if line["width"] == 0]
+        assert all(line["simplify"] is False for line in lines if line not in bands), name
+
+
+def test_symbols_and_decades() -> None:
+    cross, plain = Markers(X, X, "a", MODEL, symbol="x"), Markers(X, X, "b", MODEL)
+    data = plotly(figure(cross, plain))["data"]
+    assert data[0]["marker"]["symbol"] == "x-thin-open"
+    assert "symbol" not in data[1]["marker"]
+    for top, has_digits in ((5.0, True), (500.0, False)):
+        line = Line(X, np.array([1.0, 2.0, top]), "a", MODEL)
+        axis = plotly(Figure(Axis("x"), (Panel(Axis("y", log=True), (line,)),)))["layout"]["yaxis"]
+        assert ("dtick" not in axis) == has_digits

@@ -14,6 +14,17 @@ from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 
 
 @dataclass(frozen=True, slots=True)
+class ResidualCorrelation:
+    """Normalised correlations of a residual with itself and with the inputs."""
+
+    lag_time: float  # [s] between lags
+    n_samples: int
+    autocorrelation: FloatArray  # (n_lags + 1,) from lag 0
+    cross_correlation: FloatArray  # (2 n_lags + 1, n_inputs), input lags -n_lags..n_lags behind
+    cross_std: FloatArray  # (n_inputs,) of each value if residual and input are independent
+
+
+@dataclass(frozen=True, slots=True)
 class ResidualTest:
     """What a fit left of one channel of one record, beside its sensor's own noise."""
 
@@ -30,6 +41,7 @@ class ResidualTest:
     input_correlation: float  # with that input
     input_delay: float  # [s] behind it
     input_probability: float  # that an independent input correlates as much
+    correlation: ResidualCorrelation | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +67,7 @@ class ScoreTest:
     share: float  # of the cost
     evident: bool
     shifts: tuple[ParameterShift, ...] = ()  # by that step, the most significant first
+    limit: float = math.inf  # of the gain: chi-square limit of significance
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.linear_models import FrequencyResponse
 from strainwave.domain.rigid_model import RigidModel
-from strainwave.domain.signals import Activity, LinkSummary
+from strainwave.domain.signals import Activity, LinkSummary, Log
 from strainwave.domain.study import Study
 from strainwave.domain.verdict import Status, Validated, Verdict
 
@@ -44,6 +44,7 @@ class Identification(Displayed):
     failures: tuple[str, ...] = ()  # why stages could not answer, each in one sentence
     motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, where the arm was fitted
     activity: tuple[Activity, ...] = ()  # of each joint in the fitted records
+    logs: tuple[Log, ...] = ()  # as read
 
     @property
     def decisions(self) -> tuple[Decision, ...]:

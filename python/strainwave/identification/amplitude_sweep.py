@@ -9,36 +9,29 @@ import numpy as np
 
 from strainwave.domain import RecordModel, Sweep, SweepPoint
 
-_LEAST = 3  # amplitudes that make a trend
-_CERTAIN = 3.0  # deviations from which a slope is not chance
+_MIN_AMPLITUDES = 3  # a line through two points has no residual
+MIN_TREND_STD_ERRORS = 3.0
+"""Slope over its standard error from which a trend is significant: 0.3 % false alarms."""
 
 
 def sweeps(records: Sequence[RecordModel]) -> tuple[Sweep, ...]:
-    """One sweep a joint that was excited at three amplitudes or more, the other joints free.
+    """One sweep for each joint excited at three amplitudes or more with the other joints free.
 
-    The squared anti-resonance k/m_L is proportional to the stiffness; a gear whose spring hardens
-    with torque shows a slope against the amplitude. The slope is that of a weighted line, its
-    deviation scaled by how far the points lie from one.
-
-    Parameters
-    ----------
-    records : sequence of RecordModel
-
-    Returns
-    -------
-    tuple of Sweep
+    The squared anti-resonance k/m_L is proportional to the stiffness. The trend is the slope of a
+    weighted line over the amplitude. Its standard error grows with the scatter of the points
+    around a parabola: the curvature of a hardening spring is not scatter.
     """
-    found = []
+    results = []
     for joint in sorted({record.signals.joint for record in records}):
         own = [r for r in records if r.signals.joint == joint and _others_free(r)]
         points = sorted(_points(own), key=lambda point: point.amplitude)
-        if len({point.amplitude for point in points}) >= _LEAST:
-            found.append(_sweep(joint, tuple(points)))
-    return tuple(found)
+        if len({point.amplitude for point in points}) >= _MIN_AMPLITUDES:
+            results.append(_sweep(joint, tuple(points)))
+    return tuple(results)
 
 
 def _others_free(record: RecordModel) -> bool:
-    """A sweep compares like with like; records made for a sweep are alike by intent."""
+    """Whether the other joints are free, or the record belongs to a sweep by its `use`."""
     experiment = record.signals.experiment
     return experiment.use == "sweep" or "servo" not in experiment.control
 
@@ -69,13 +62,13 @@ def _sweep(joint: int, points: tuple[SweepPoint, ...]) -> Sweep:
     x = np.array([point.amplitude for point in points])
     y = np.array([point.squared_anti_resonance for point in points])
     s = np.array([point.squared_anti_resonance_std for point in points])
-    X = np.column_stack([np.ones_like(x), x]) / s[:, None]
-    (_, slope), *_ = np.linalg.lstsq(X, y / s)
-    covariance = np.linalg.inv(X.T @ X)
-    residual = y / s - X @ np.linalg.lstsq(X, y / s)[0]
-    scale = max(1.0, float(residual @ residual) / max(1, len(x) - 2))
-    std = float(np.sqrt(covariance[1, 1] * scale))
-    sure = abs(slope) > _CERTAIN * std
+    X = np.column_stack([np.ones_like(x), x, x**2]) / s[:, None]
+    line, parabola = (np.linalg.lstsq(X[:, :n], y / s)[0] for n in (2, 3))
+    slope = float(line[1])
+    residual = y / s - X @ parabola
+    scale = max(1.0, float(residual @ residual) / max(1, len(x) - 3))
+    std = float(np.sqrt(np.linalg.inv(X[:, :2].T @ X[:, :2])[1, 1] * scale))
+    is_significant = abs(slope) > MIN_TREND_STD_ERRORS * std
     verdict: Literal["hardening", "softening", "no-trend"]
-    verdict = "no-trend" if not sure else "hardening" if slope > 0.0 else "softening"
-    return Sweep(joint, points, float(slope), std, verdict)
+    verdict = "no-trend" if not is_significant else "hardening" if slope > 0.0 else "softening"
+    return Sweep(joint, points, slope, std, verdict)

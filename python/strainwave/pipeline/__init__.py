@@ -140,6 +140,7 @@ def identify(
 
 def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identification:
     run.arm = Arm.of(the_study.arm)
+    raw_logs = tuple(all_logs)
     for log in all_logs:
         run.warnings.extend(log.warnings)
     all_logs, input_check = _usable(run, the_study, all_logs)
@@ -181,6 +182,7 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         motor_responses=motors,
         failures=tuple(run.failures),
         activity=activity_of(all_logs, run.arm),
+        logs=raw_logs,
     )
     return replace(made, warnings=published_warnings(made))
 

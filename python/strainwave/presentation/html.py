@@ -1,4 +1,4 @@
-"""HTML by templates: every text in them is escaped, and a name that is not given is an error."""
+"""HTML from templates. Every text is escaped, and a missing value is an error."""
 
 from __future__ import annotations
 
@@ -18,36 +18,13 @@ _GREEK = {
 }
 
 
-def filled(template: str, **values: Any) -> str:
-    """A template of this package with values filled in.
-
-    Parameters
-    ----------
-    template : str
-        Folder and name, without ".html.j2": "report/page".
-    **values
-        By the names that the template has for them.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+def fill_template(template: str, **values: Any) -> str:
+    """The HTML of a template of this package, named without its ending: "report/page"."""
     return _environment().get_template(f"{template}.html.j2").render(**values)
 
 
-def source(name: str) -> str:
-    """The text of a file of templates.
-
-    Parameters
-    ----------
-    name : str
-        Folder and name, with its ending: "report/page.css".
-
-    Returns
-    -------
-    str
-    """
+def read_template(name: str) -> str:
+    """The text of a template file, named with its ending: "report/page.css"."""
     folder, _, file = name.partition("/")
     return (_HERE / folder / "templates" / file).read_text(encoding="utf-8")
 
@@ -56,47 +33,27 @@ def source(name: str) -> str:
 def _environment() -> Environment:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-    found = Environment(
+    environment = Environment(
         autoescape=True,
-        loader=FunctionLoader(source),
+        loader=FunctionLoader(read_template),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         auto_reload=False,
     )
-    found.filters |= {"typeset": typeset, "breakable": breakable}
-    return found
+    environment.filters |= {"typeset": typeset, "breakable": breakable}
+    return environment
 
 
 def breakable(name: str) -> Markup:
-    """A name that may go on in a new line after each of its words.
-
-    Parameters
-    ----------
-    name : str
-        Its words joined by underscores.
-
-    Returns
-    -------
-    Markup
-    """
+    """A name that may break after each underscore."""
     from markupsafe import Markup, escape
 
     return escape(name).replace("_", Markup("_<wbr>"))
 
 
 def typeset(symbol: str) -> Markup:
-    """A symbol as print sets it: `m_M` with its index lowered, `alpha` as the Greek letter.
-
-    Parameters
-    ----------
-    symbol : str
-        As in docs/notation.md.
-
-    Returns
-    -------
-    Markup
-    """
+    """A symbol of docs/notation.md as mathematics: `m_M` with an index, `alpha` in Greek."""
     from markupsafe import Markup
 
     stem, _, index = symbol.partition("_")

@@ -1,4 +1,4 @@
-"""Figures -> Matplotlib, PNG and SVG: for notebooks, papers and plain pages."""
+"""Figures by Matplotlib, as PNG and SVG, for notebooks and publications."""
 
 from __future__ import annotations
 
@@ -27,26 +27,23 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WIDTH, _PANEL, _AROUND = 8.0, 2.2, 1.1  # [in] of a figure, of a panel, of titles and legend
-_ROW = 0.19  # [in] of a row of a heat map
-_NAMES = 1.7  # [in] of names that stand upright below
-_POINT = 0.75  # points in a pixel
-_RESOLUTION = 150  # [1/in] of a PNG
-_GRID = "#d9dee5"
-_WORDS = 8.0  # points high
-_OPACITY = 0.18  # of a band
+_FIGURE_WIDTH = 8.0  # [in]
+_PANEL_HEIGHT = 2.2  # [in]
+_MARGIN_HEIGHT = 1.1  # [in] of titles and legend
+_HEAT_MAP_ROW_HEIGHT = 0.19  # [in]
+_CATEGORY_LABEL_HEIGHT = 1.7  # [in] of vertical category names below the axis
+_POINTS_PER_PIXEL = 0.75
+_PNG_RESOLUTION = 150  # [1/in]
+_GRID_COLOUR = "#d9dee5"
+_FONT_SIZE = 8.0  # [pt]
+_BAND_OPACITY = 0.18
+_SYMBOLS = {"circle": "o", "circle-open": "o", "x": "x"}
 
 
 def require_matplotlib() -> None:
-    """Refuse early, in words, where Matplotlib is not installed.
-
-    Raises
-    ------
-    InvalidInput
-        It is not.
-    """
+    """Raise InvalidInput with the remedy if Matplotlib is not installed."""
     try:
-        import matplotlib.figure  # noqa: F401 - whether it is there is the question
+        import matplotlib.figure  # noqa: F401 - only to see whether it is installed
     except ImportError:
         raise InvalidInput(
             "drawing figures needs Matplotlib, which is not installed",
@@ -55,25 +52,11 @@ def require_matplotlib() -> None:
 
 
 def draw(figure: Record) -> Figure:
-    """A figure by Matplotlib.
-
-    Parameters
-    ----------
-    figure : strainwave.presentation.figures.Figure
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InvalidInput
-        Matplotlib is not installed.
-    """
+    """A figure by Matplotlib; raises InvalidInput if Matplotlib is not installed."""
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    drawn = Figure(figsize=(_WIDTH, _height(figure)), layout="constrained")
+    drawn = Figure(figsize=(_FIGURE_WIDTH, _height(figure)), layout="constrained")
     shares = [panel.height for panel in figure.panels]
     grid = drawn.add_gridspec(len(shares), 1, height_ratios=shares)
     axes: list[Axes] = []
@@ -82,56 +65,42 @@ def draw(figure: Record) -> Figure:
         for mark in panel.marks:
             _mark(drawn, axes[k], mark)
         _vertical(axes[k], panel)
-    _horizontal(axes, figure.x, named=_along_names(figure))
+    _horizontal(axes, figure.x, categories=_has_categories(figure))
     for one in figure.uprights:
         _upright(axes, one)
     _legend(drawn, axes, figure.legend)
     if figure.caption:
-        drawn.suptitle(figure.caption, fontsize=_WORDS + 2.0, parse_math=False)
+        drawn.suptitle(figure.caption, fontsize=_FONT_SIZE + 2.0, parse_math=False)
     return drawn
 
 
 def images(figure: Record) -> dict[str, bytes]:
-    """A figure as files.
-
-    Parameters
-    ----------
-    figure : Figure
-
-    Returns
-    -------
-    dict
-        Ending, "svg" or "png", to contents.
-
-    Raises
-    ------
-    InvalidInput
-        As for `draw`.
-    """
+    """The contents of a figure's files by ending, "svg" and "png"."""
     drawn = draw(figure)
     import matplotlib as mpl
 
-    found = {}
-    # the same figure gives the same bytes, and words stay words
+    files = {}
+    # reproducible bytes, and text as text
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "strainwave"}):
         for ending, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
             file = BytesIO()
-            drawn.savefig(file, format=ending, dpi=_RESOLUTION, metadata=metadata)
-            found[ending] = file.getvalue()
-            drawn.set_layout_engine("none")  # the first file has settled it
-    return found
+            drawn.savefig(file, format=ending, dpi=_PNG_RESOLUTION, metadata=metadata)
+            files[ending] = file.getvalue()
+            drawn.set_layout_engine("none")  # the layout is final after the first file
+    return files
 
 
 def _height(figure: Record) -> float:
-    """[in], with room for names."""
+    """Height [in], with room for names."""
     rows = max((len(m.names) for m in figure.marks if isinstance(m, HeatMap)), default=0)
     if rows:
-        return _AROUND + _PANEL + _ROW * rows
-    return _AROUND + _PANEL * figure.height + (_NAMES if _along_names(figure) else 0.0)
+        return _MARGIN_HEIGHT + _PANEL_HEIGHT + _HEAT_MAP_ROW_HEIGHT * rows
+    names = _CATEGORY_LABEL_HEIGHT if _has_categories(figure) else 0.0
+    return _MARGIN_HEIGHT + _PANEL_HEIGHT * figure.height + names
 
 
-def _along_names(figure: Record) -> bool:
-    """Whether the horizontal axis has names in place of numbers."""
+def _has_categories(figure: Record) -> bool:
+    """Whether the horizontal axis has category names instead of numbers."""
     return any(isinstance(m, Markers) and isinstance(m.x, tuple) for m in figure.marks)
 
 
@@ -140,7 +109,7 @@ def _mark(drawn: Figure, axes: Axes, mark: Mark) -> None:
         _points(axes, mark)
     elif isinstance(mark, Band):
         axes.fill_between(
-            mark.x, mark.low, mark.high, color=mark.colour, alpha=_OPACITY, linewidth=0.0
+            mark.x, mark.low, mark.high, color=mark.colour, alpha=_BAND_OPACITY, linewidth=0.0
         )
     elif isinstance(mark, Bars):
         axes.bar(mark.x, mark.y, width=mark.width, color=mark.colour, label=mark.name)
@@ -149,20 +118,23 @@ def _mark(drawn: Figure, axes: Axes, mark: Mark) -> None:
 
 
 def _points(axes: Axes, mark: Line | Markers) -> None:
-    """A line, points, or both, with error bars where there are any."""
+    """A line, points, or both, with optional error bars."""
     x: Any = list(mark.x) if isinstance(mark.x, tuple) else mark.x
-    look: dict[str, Any] = {"label": mark.name, "color": mark.colour}
+    style: dict[str, Any] = {"label": mark.name, "color": mark.colour}
     if isinstance(mark, Line):
-        look["linewidth"] = _POINT * mark.width
-        look["linestyle"] = _dashes(mark.dash, mark.width)
+        style["linewidth"] = _POINTS_PER_PIXEL * mark.width
+        style["linestyle"] = _dashes(mark.dash, mark.width)
     else:
-        look |= {"linestyle": "none", "alpha": mark.opacity}
+        style |= {"linestyle": "none", "alpha": mark.opacity}
     if mark.size:
-        look |= {"marker": "o", "markersize": _POINT * mark.size}
+        style |= {"marker": "o", "markersize": _POINTS_PER_PIXEL * mark.size}
+    if isinstance(mark, Markers):
+        style["marker"] = _SYMBOLS[mark.symbol]
+        style |= {"markerfacecolor": "none"} if mark.symbol == "circle-open" else {}
     if mark.error is None:
-        axes.plot(x, mark.y, **look)
+        axes.plot(x, mark.y, **style)
     else:
-        axes.errorbar(x, mark.y, yerr=mark.error, capsize=2.0, **look)
+        axes.errorbar(x, mark.y, yerr=mark.error, capsize=2.0, **style)
 
 
 def _heat_map(drawn: Figure, axes: Axes, mark: HeatMap) -> None:
@@ -170,14 +142,14 @@ def _heat_map(drawn: Figure, axes: Axes, mark: HeatMap) -> None:
 
     scale = LinearSegmentedColormap.from_list("scale", mark.colours)
     image = axes.imshow(mark.values, cmap=scale, vmin=mark.low, vmax=mark.high, aspect="auto")
-    axes.set_xticks(range(len(mark.names)), mark.names, rotation=90, fontsize=_WORDS)
-    axes.set_yticks(range(len(mark.names)), mark.names, fontsize=_WORDS)
+    axes.set_xticks(range(len(mark.names)), mark.names, rotation=90, fontsize=_FONT_SIZE)
+    axes.set_yticks(range(len(mark.names)), mark.names, fontsize=_FONT_SIZE)
     drawn.colorbar(image, ax=axes)
 
 
 def _vertical(axes: Axes, panel: Panel) -> None:
-    """Title, scale and range of a panel."""
-    _named(axes.set_ylabel, panel.axis)
+    """Title, scale and range of a panel's vertical axis."""
+    _set_title(axes.set_ylabel, panel.axis)
     if axes.images:
         return
     if panel.axis.log:
@@ -188,16 +160,17 @@ def _vertical(axes: Axes, panel: Panel) -> None:
         from matplotlib.ticker import MultipleLocator
 
         axes.yaxis.set_major_locator(MultipleLocator(panel.axis.step))
-    axes.grid(color=_GRID, linewidth=0.5)
+    axes.grid(color=_GRID_COLOUR, linewidth=0.5)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _horizontal(axes: list[Axes], axis: Axis, *, named: bool) -> None:
+def _horizontal(axes: list[Axes], axis: Axis, *, categories: bool) -> None:
+    """The shared horizontal axis, labelled below the last panel."""
     last = axes[-1]
     if axis.log:
         last.set_xscale("log")
-        low, high = last.get_xlim()  # ticks within it: asking for all would widen the range
+        low, high = last.get_xlim()  # ticks outside would widen the range
         ticks = {value: text for value, text in TICKS.items() if low <= value <= high}
         last.set_xticks(list(ticks), list(ticks.values()))
         last.minorticks_off()
@@ -205,20 +178,20 @@ def _horizontal(axes: list[Axes], axis: Axis, *, named: bool) -> None:
         last.set_xlim(*axis.range)
     for upper in axes[:-1]:
         upper.tick_params(labelbottom=False)
-    if named:
-        last.tick_params(axis="x", labelrotation=90.0, labelsize=_WORDS)
-    _named(last.set_xlabel, axis)
+    if categories:
+        last.tick_params(axis="x", labelrotation=90.0, labelsize=_FONT_SIZE)
+    _set_title(last.set_xlabel, axis)
 
 
-def _named(setter: Any, axis: Axis) -> None:
-    setter(axis.title, fontsize=_WORDS + 1.0, parse_math=False)
+def _set_title(setter: Any, axis: Axis) -> None:
+    setter(axis.title, fontsize=_FONT_SIZE + 1.0, parse_math=False)
 
 
 def _upright(axes: list[Axes], one: Upright) -> None:
-    """A line through all panels, with words in one of them."""
+    """A vertical line through all panels, with a label in one of them."""
     dashes = _dashes(one.dash, 1.0)
-    for own in axes:
-        own.axvline(one.x, color=RESIDUAL, linewidth=_POINT, linestyle=dashes, zorder=1)
+    for each in axes:
+        each.axvline(one.x, color=RESIDUAL, linewidth=_POINTS_PER_PIXEL, linestyle=dashes, zorder=1)
     if one.text:
         axes[one.panel].annotate(
             one.text,
@@ -228,7 +201,7 @@ def _upright(axes: list[Axes], one: Upright) -> None:
             textcoords="offset points",
             ha="right" if one.before else "left",
             va="top",
-            fontsize=_WORDS - 1.0,
+            fontsize=_FONT_SIZE - 1.0,
             parse_math=False,
         )
 
@@ -236,8 +209,8 @@ def _upright(axes: list[Axes], one: Upright) -> None:
 def _legend(drawn: Figure, axes: list[Axes], names: list[str]) -> None:
     """One entry per name, above the figure."""
     handles: dict[str, Any] = {}
-    for own in axes:
-        for handle, name in zip(*own.get_legend_handles_labels(), strict=True):
+    for each in axes:
+        for handle, name in zip(*each.get_legend_handles_labels(), strict=True):
             handles.setdefault(name, handle)
     if not names:
         return
@@ -247,12 +220,12 @@ def _legend(drawn: Figure, axes: list[Axes], names: list[str]) -> None:
         loc="outside upper left",
         ncols=4,
         frameon=False,
-        fontsize=_WORDS,
+        fontsize=_FONT_SIZE,
     )
     for text in box.get_texts():
         text.set_parse_math(False)
 
 
 def _dashes(dash: Dash, width: float) -> Any:
-    """Dashes in pixels as Matplotlib's, in widths of the line."""
+    """Dash lengths in line widths, as Matplotlib expects."""
     return "-" if dash == SOLID else (0, [length / max(width, 1.0) for length in dash])

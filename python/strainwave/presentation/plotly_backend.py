@@ -1,4 +1,4 @@
-"""Figures -> plotly's dictionaries, as the report's page draws them; needs no plotting library."""
+"""Figures as Plotly JSON, which the report's page draws; needs no plotting library."""
 
 from __future__ import annotations
 
@@ -22,67 +22,65 @@ from strainwave.presentation.figures import (
     Line,
     Mark,
     Markers,
+    Panel,
     Upright,
 )
 
-_BETWEEN = 0.08  # of the height of one panel, left free above the next
-_FEW = 3  # panels: where there are more, units have a line of their own
-_TICKS = 3  # of a low panel, or they would touch
-_LOW = 0.6  # height of a panel, from which it is not low
-_LETTERS = 10  # pixels high, so that thirty names of a heat map stand one below the other
-_OPACITY = 0.18  # of a band
-_THIN = 1.2  # [px] of an error bar
+_PANEL_GAP = 0.08  # free height between panels, as a share of a panel
+_MAX_PANELS_WITH_LONG_TITLES = 3  # with more panels, the unit goes to a second line
+_LOW_PANEL_HEIGHT = 0.6  # panels below this height have few ticks
+_LOW_PANEL_TICKS = 3  # more tick labels would overlap
+_MAX_DECADES_WITH_DIGITS = 1.5  # over a wider range, 2 and 5 between the decades are clutter
+_HEAT_MAP_FONT_SIZE = 10  # [px] thirty names fit one below the other
+_BAND_OPACITY = 0.18
+_ERROR_BAR_WIDTH = 1.2  # [px]
+_SYMBOL_LINE_WIDTH = 1.5  # [px]
+_SYMBOLS = {"x": "x-thin-open", "circle-open": "circle-open"}
+_SIGNIFICANT_DIGITS = 5  # of the largest value: more than a screen resolves
 
 
 def plotly(figure: Figure) -> dict[str, Any]:
-    """A figure as plotly draws it.
+    """The `data` and `layout` of a figure.
 
-    Colours of lines are those of the light page; the page exchanges them where it is dark.
-
-    Parameters
-    ----------
-    figure : Figure
-
-    Returns
-    -------
-    dict
-        `data` and `layout`.
+    Colours are those of the light page; the page's script replaces them in dark mode.
     """
     domains = _domains([panel.height for panel in figure.panels])
     legend = figure.legend
     numbers = _Numbers()
-    data, seen = [], set()
+    data, listed = [], set()
     for k, panel in enumerate(figure.panels):
         for mark in panel.marks:
             trace = _trace(mark, numbers) | {"yaxis": f"y{_number(k)}"}
             name = trace.get("name")
             if name is not None:
-                first = name in legend and name not in seen and not isinstance(mark, Band)
+                first = name in legend and name not in listed and not isinstance(mark, Band)
                 trace |= {"legendgroup": name, "showlegend": first}
-                seen |= {name} if first else set()
+                listed |= {name} if first else set()
             data.append(trace)
     layout: dict[str, Any] = {"xaxis": _horizontal(figure.x) | {"anchor": f"y{_number(k)}"}}
     for k, (panel, domain) in enumerate(zip(figure.panels, domains, strict=True)):
-        layout[f"yaxis{_number(k)}"] = own = _axis(panel.axis) | {"domain": domain}
-        if len(domains) > _FEW:
-            own["title"]["text"] = panel.axis.title.replace(" [", "<br>[")
-        if panel.height < _LOW:
-            own["nticks"] = _TICKS
+        layout[f"yaxis{_number(k)}"] = axis = _axis(panel.axis) | {"domain": domain}
+        if len(domains) > _MAX_PANELS_WITH_LONG_TITLES:
+            axis["title"]["text"] = panel.axis.title.replace(" [", "<br>[")
+        if panel.axis.log and _decades(panel) > _MAX_DECADES_WITH_DIGITS:
+            axis["dtick"] = 1
+        if panel.height < _LOW_PANEL_HEIGHT:
+            axis["nticks"] = _LOW_PANEL_TICKS
     if figure.uprights:
-        layout["shapes"] = [_line(one) for one in figure.uprights]
+        layout["shapes"] = [_vertical_line(one) for one in figure.uprights]
         layout["annotations"] = [
-            _words(one, domains[one.panel], log=figure.x.log) for one in figure.uprights if one.text
+            _label(one, domains[one.panel], log=figure.x.log) for one in figure.uprights if one.text
         ]
     for mark in figure.marks:
         if isinstance(mark, HeatMap):
-            _name_all(layout, mark)
+            _label_heat_map(layout, mark)
         elif isinstance(mark, Markers) and isinstance(mark.x, tuple):
             layout["xaxis"]["tickangle"] = -90
     return {"data": data, "layout": layout}
 
 
 class _Numbers:
-    """Arrays as lists; one that several marks share is converted once."""
+    """Arrays as lists; an array that several marks share is converted once."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[FloatArray, list[float | None]]] = {}
@@ -95,24 +93,15 @@ class _Numbers:
 
 
 def rounded(values: FloatArray) -> list[float | None]:
-    """Numbers for a plot: to five digits of the largest, more than a screen shows; NaN is a gap.
-
-    Parameters
-    ----------
-    values : (n,)
-
-    Returns
-    -------
-    list of float or None
-    """
+    """Values rounded to five digits of the largest; None for a value that is not finite."""
     finite = np.isfinite(values)
     scale = float(np.abs(values).max(initial=0.0, where=finite))
-    digits = 5 - math.floor(math.log10(scale)) if scale > 0.0 else 5
-    shown: list[float | None] = np.round(values, digits).tolist()
+    digits = _SIGNIFICANT_DIGITS - (math.floor(math.log10(scale)) if scale > 0.0 else 0)
+    numbers: list[float | None] = np.round(values, digits).tolist()
     if not finite.all():
         for gap in np.flatnonzero(~finite).tolist():
-            shown[gap] = None
-    return shown
+            numbers[gap] = None
+    return numbers
 
 
 def _trace(mark: Mark, numbers: _Numbers) -> dict[str, Any]:
@@ -141,7 +130,7 @@ def _trace(mark: Mark, numbers: _Numbers) -> dict[str, Any]:
 
 
 def _points(mark: Line | Markers, numbers: _Numbers) -> dict[str, Any]:
-    """A line, points, or both, with error bars where there are any."""
+    """A line, points, or both, with optional error bars."""
     trace: dict[str, Any] = {
         "type": "scatter",
         "name": mark.name,
@@ -150,21 +139,26 @@ def _points(mark: Line | Markers, numbers: _Numbers) -> dict[str, Any]:
     }
     if isinstance(mark, Line):
         trace["mode"] = "lines+markers" if mark.size else "lines"
-        trace["line"] = {"color": mark.colour, "dash": _dash(mark.dash), "width": mark.width}
+        # simplification displaces the corners of a flat polyline by tens of pixels
+        style = {"dash": _dash(mark.dash), "width": mark.width, "simplify": False}
+        trace["line"] = {"color": mark.colour} | style
     else:
         trace["mode"] = "markers"
     if mark.size:
         trace["marker"] = {"color": mark.colour, "size": mark.size}
-    if isinstance(mark, Markers) and mark.opacity < 1.0:
-        trace["marker"]["opacity"] = mark.opacity
+    if isinstance(mark, Markers):
+        trace["marker"] |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
+        if mark.symbol != "circle":
+            line = {"width": _SYMBOL_LINE_WIDTH}
+            trace["marker"] |= {"symbol": _SYMBOLS[mark.symbol], "line": line}
     if mark.error is not None:
         bars = {"type": "data", "array": numbers(mark.error)}
-        trace["error_y"] = bars | {"color": mark.colour, "thickness": _THIN}
+        trace["error_y"] = bars | {"color": mark.colour, "thickness": _ERROR_BAR_WIDTH}
     return trace
 
 
 def _band(mark: Band, numbers: _Numbers) -> dict[str, Any]:
-    """An outline: there along the lower edge, back along the upper."""
+    """A closed outline: along the lower edge and back along the upper edge."""
     red, green, blue = (int(mark.colour[k : k + 2], 16) for k in (1, 3, 5))
     x = numbers(mark.x)
     return {
@@ -174,25 +168,33 @@ def _band(mark: Band, numbers: _Numbers) -> dict[str, Any]:
         "x": x + x[::-1],
         "y": rounded(np.concatenate([mark.low, mark.high[::-1]])),
         "fill": "toself",
-        "fillcolor": f"rgba({red},{green},{blue},{_OPACITY})",
-        "line": {"width": 0},
+        "fillcolor": f"rgba({red},{green},{blue},{_BAND_OPACITY})",
+        "line": {"width": 0, "color": mark.colour},
         "hoverinfo": "skip",
     }
 
 
 def _axis(axis: Axis) -> dict[str, Any]:
-    found: dict[str, Any] = {"title": {"text": axis.title}}
+    layout: dict[str, Any] = {"title": {"text": axis.title}}
     if axis.log:
-        found |= {"type": "log", "exponentformat": "power"}  # or 0.01 stands beside 100µ
+        layout |= {"type": "log", "exponentformat": "power"}  # the default mixes 0.01 and 100µ
     if axis.range is not None:
-        found["range"] = list(axis.range)
+        layout["range"] = list(axis.range)
     if axis.step is not None:
-        found["dtick"] = axis.step
-    return found
+        layout["dtick"] = axis.step
+    return layout
+
+
+def _decades(panel: Panel) -> float:
+    """Range of the positive values in a panel, in powers of ten."""
+    lines = [mark.y for mark in panel.marks if not isinstance(mark, Band | HeatMap)]
+    y = np.concatenate(lines) if lines else np.zeros(0)
+    y = y[np.isfinite(y) & (y > 0.0)]
+    return float(np.ptp(np.log10(y))) if len(y) else 0.0
 
 
 def _horizontal(axis: Axis) -> dict[str, Any]:
-    """The shared axis: on a logarithmic one each tick has its whole label."""
+    """The shared axis; a logarithmic one has complete labels at 1, 2 and 5."""
     ticks = {"tickvals": list(TICKS), "ticktext": list(TICKS.values())} if axis.log else {}
     return _axis(axis) | ticks
 
@@ -200,24 +202,24 @@ def _horizontal(axis: Axis) -> dict[str, Any]:
 def _domains(heights: Sequence[float]) -> list[list[float]]:
     """Lower and upper edge of each panel, as shares of the figure."""
     share = np.array(heights, dtype=float)
-    free = _BETWEEN / len(heights)
+    free = _PANEL_GAP / len(heights)
     share *= (1.0 - free * (len(heights) - 1)) / share.sum()
-    found, top = [], 1.0
+    domains, top = [], 1.0
     for height in share.tolist():
         bottom = max(0.0, top - height)
-        found.append([round(bottom, 4), round(top, 4)])
+        domains.append([round(bottom, 4), round(top, 4)])
         top = bottom - free
-    return found
+    return domains
 
 
-def _line(one: Upright) -> dict[str, Any]:
+def _vertical_line(one: Upright) -> dict[str, Any]:
     look = {"color": RESIDUAL, "width": 1, "dash": _dash(one.dash)}
     ends = {"x0": one.x, "x1": one.x, "y0": 0, "y1": 1}
     return {"type": "line", "xref": "x", "yref": "paper", **ends, "line": look}
 
 
-def _words(one: Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any]:
-    """Words beside an upright line; on a logarithmic axis they stand at the logarithm."""
+def _label(one: Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any]:
+    """The label of a vertical line; Plotly places it at the logarithm on a logarithmic axis."""
     low, high = domain
     return {
         "xref": "x",
@@ -231,12 +233,12 @@ def _words(one: Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any
     }
 
 
-def _name_all(layout: dict[str, Any], mark: HeatMap) -> None:
-    """Every name is written, with room for the longest."""
-    every = {"dtick": 1, "tickfont": {"size": _LETTERS}}
+def _label_heat_map(layout: dict[str, Any], mark: HeatMap) -> None:
+    """Show every row and column name, with a margin for the longest."""
+    every = {"dtick": 1, "tickfont": {"size": _HEAT_MAP_FONT_SIZE}}
     layout["yaxis"] |= {"autorange": "reversed", **every}
     layout["xaxis"] |= {"tickangle": -90, **every}
-    room = 10 + round(0.6 * _LETTERS * max(len(name) for name in mark.names))
+    room = 10 + round(0.6 * _HEAT_MAP_FONT_SIZE * max(len(name) for name in mark.names))
     layout["margin"] = {"l": room, "b": room}
 
 

@@ -1,7 +1,8 @@
-"""What a person reads in the terminal after a run."""
+"""The summary printed in the terminal after a run."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -14,17 +15,19 @@ from strainwave.domain import (
     Decision,
     Diagnostic,
     Identification,
-    JointModel,
     Parameter,
-    Sweep,
     Tally,
     Verdict,
 )
 from strainwave.domain.formatting import percent, plus_minus
-from strainwave.presentation.report import by_weight, gain_sentences
+from strainwave.presentation.report import advice, by_severity, gain_sentences, sentence
+from strainwave.presentation.report.amplitudes import trend_title
 
 Truth = Mapping[tuple[str, int | None], float]
 """Known values of a virtual arm, by name and joint."""
+
+_STATUS_STYLES = {"determined": "bold green", "partly-determined": "bold yellow"}
+_FAULT_STYLE = "bold red"
 
 
 def print_summary(
@@ -35,161 +38,159 @@ def print_summary(
     figures: bool = False,
     console: Console | None = None,
 ) -> None:
-    """Print parameters, fits, warnings, the verdict and where the files are.
+    """Print parameters, resonances, fits, warnings, verdict, and the files in `folder`.
 
-    Parameters
-    ----------
-    identification : Identification
-    folder : Path
-        Where result.json and report.html were written.
-    truth : mapping, optional
-        True values where the arm is virtual; adds their column and the error.
-    figures : bool
-        Whether every figure was written as a file, too.
-    console : rich Console, optional
-        The terminal, if not standard output.
+    `truth` adds the true values of a virtual arm and the errors; `figures` states that figure
+    files were written; `console` defaults to standard output.
     """
     console = console or Console(highlight=False)
     decisions = identification.decisions
     if decisions:
-        console.print(_parameters(decisions, truth))
-    for line in _resonances(identification):
-        console.print(Text(line))
+        console.print(_parameter_table(decisions, truth))
+    for table in (_resonance_table(identification), _fit_table(identification)):
+        if table.row_count:
+            console.print()
+            console.print(table)
     for sweep in identification.sweeps:
-        console.print(Text(_trend(sweep)))
-    for line in _fits(identification):
-        console.print(line, markup=False)
-    for warning in by_weight(identification.warnings):
-        console.print(_warning(warning), style="yellow")
+        first, last = sweep.points[0], sweep.points[-1]
+        trend = f"joint {sweep.joint}, {first.amplitude:g} to {last.amplitude:g} V: stiffness"
+        trend += f" {first.gear_stiffness:.4g} to {last.gear_stiffness:.4g}, {trend_title(sweep)}"
+        console.print(Text(trend))
+    for clause in gain_sentences(identification):
+        console.print(Text(sentence(clause)))
+    for warning in by_severity(identification.warnings):
+        console.print()
+        for text in _warning(warning):
+            console.print(text)
+    console.print()
     for line, style in _verdict(identification.verdict):
         console.print(Text(line), style=style)
-    for sentence in gain_sentences(identification):
-        console.print(Text(sentence))
-    total = sum(identification.timing_s.values())
     for name in ("report.html", "result.json", *(["figures"] if figures else [])):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
-    console.print(f"{total:.1f} s")
+    console.print(f"{sum(identification.timing_s.values()):.1f} s")
 
 
 def _verdict(verdict: Verdict) -> Iterator[tuple[str, str]]:
-    """The verdict, why, and what validation says."""
-    style = {"determined": "bold", "partly-determined": "bold yellow"}.get(verdict.status)
-    yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style or "bold red"
+    """Status, reasons and corrections, each with its style."""
+    style = _STATUS_STYLES.get(verdict.status, _FAULT_STYLE)
+    yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style
     for reason in verdict.reasons:
-        yield f"  {reason}", style or "bold red"
+        yield f"  {sentence(reason)}", style
     for suspicion in verdict.suspected:
-        yield f"  remedy: {suspicion.remedy}", "bold red"
+        yield f"  correction of {suspicion.where}: {suspicion.remedy}", _FAULT_STYLE
 
 
-def _fits(identification: Identification) -> Iterator[str]:
-    """One line per record: what was fitted, then what was kept for validation."""
-    together: dict[tuple[str, str], dict[str, float]] = {}
-    for title, predictions in (("fitted", identification.fitted), ("check", identification.checks)):
+def _warning(warning: Diagnostic) -> Iterator[Text]:
+    """Observation, meaning and remedy."""
+    yield Text(f"warning [{warning.code}] {warning.where}", style="yellow")
+    known = advice().get(warning.code)
+    yield Text(f"  observed:   {sentence(warning.message)}")
+    if known is not None:
+        yield Text(f"  meaning:    {known.meaning}")
+        yield Text(f"  what to do: {known.remedy}")
+
+
+def _fit_table(identification: Identification) -> Table:
+    """Fits in percent, one row for each record and one column for each channel."""
+    rows: dict[tuple[str, str], dict[str, float]] = {}
+    groups = (("fitted", identification.fitted), ("check", identification.checks))
+    for use, predictions in groups:
         for prediction in predictions:
-            found = together.setdefault((title, prediction.experiment), {})
-            found.update(prediction.fit_percent)
+            rows.setdefault((prediction.experiment, use), {}).update(prediction.fit_percent)
     if not identification.fitted and identification.tuned is not None:
-        for name, by_channel in identification.tuned.fit_percent.items():
-            together["fitted", name] = dict(by_channel)
-    for (title, experiment), by_channel in together.items():
-        fits = ", ".join(f"{name} {percent(fit)}" for name, fit in by_channel.items())
-        yield f"fit ({title}) {experiment}: {fits}"
+        for name, fits in identification.tuned.fit_percent.items():
+            rows[name, "fitted"] = dict(fits)
+    channels = list(dict.fromkeys(name for fits in rows.values() for name in fits))
+    table = _table("fit of record", "use", *channels)
+    for (experiment, use), fits in rows.items():
+        cells = (_fit_cell(fits.get(name)) for name in channels)
+        table.add_row(Text(experiment), use, *cells)
+    return table
 
 
-def _warning(warning: Diagnostic) -> Text:
-    """In one line what is the matter; what to do about it stands in the report."""
-    first = warning.message.split("; ")[0]
-    return Text(f"warning [{warning.code}] {warning.where}: {first}")
+def _fit_cell(fit: float | None) -> str:
+    if fit is None:
+        return ""
+    return percent(fit) if math.isfinite(fit) else "-"
 
 
-def print_comparisons(
-    tallies: Sequence[Tally], folder: Path, *, console: Console | None = None
-) -> None:
-    """Print each claim with its verdict, what shows it, and why where it is not shown.
-
-    Parameters
-    ----------
-    tallies : sequence of Tally
-    folder : Path
-        Where comparisons.html, comparisons.json and comparisons.md were written.
-    console : rich Console, optional
-        The terminal, if not standard output.
-    """
-    console = console or Console(highlight=False)
-    for tally in tallies:
-        c = tally.first
-        how = "" if c.protocol == "own" else " (as published)"
-        line = Text(f"Fig. {c.figure:>2}{how}: {c.claim} {tally.verdict}: {c.message}")
-        shown = tally.count("shown") == len(tally.runs)
-        console.print(line, style="" if shown else "yellow", soft_wrap=True)
-        for reason in c.reasons:
-            console.print(Text(f"         {reason}"), style="yellow", soft_wrap=True)
-    for name in ("comparisons.html", "comparisons.json", "comparisons.md"):
-        console.print(Text(f"written: {folder / name}"), soft_wrap=True)
-
-
-def _resonances(identification: Identification) -> Iterator[str]:
-    """Of the joints alone; where only motors were measured, of what these respond to."""
-    seen = identification.motor_responses
+def _resonance_table(identification: Identification) -> Table:
+    """Resonances of the joints; if only motors were measured, those of the fitted arm."""
+    table = _table("resonances [Hz]", "of", "anti-resonance", "resonance")
+    responses = identification.motor_responses
     by_motor = {joint.joint for joint in identification.joints if joint.method == "motor-response"}
     for joint in identification.joints:
-        if not seen or joint.joint not in by_motor:
-            yield _frequencies(joint)
-    for each in seen:
-        if each.joint in by_motor:
-            kinds = (each.anti_resonances_hz, each.resonances_hz)
-            listed = [" and ".join(f"{value:.4g}" for value in values) for values in kinds]
-            condition = CONDITIONS[each.condition]
-            yield (
-                f"motor {each.joint} in {each.experiment}, {condition}: by the fitted arm"
-                f" anti-resonance {listed[0]} Hz, resonance {listed[1]} Hz"
+        if not responses or joint.joint not in by_motor:
+            modes = (joint.anti_resonance, joint.resonance)
+            cells = (
+                "none"
+                if mode is None
+                else " ± ".join(plus_minus(mode.frequency_hz, mode.frequency_std_hz))
+                for mode in modes
             )
+            table.add_row(f"joint {joint.joint}", "joint model", *cells)
+    for response in responses:
+        if response.joint in by_motor:
+            kinds = (response.anti_resonances_hz, response.resonances_hz)
+            cells = (", ".join(f"{value:.4g}" for value in values) for values in kinds)
+            where = Text(f"{response.experiment}, {CONDITIONS[response.condition]}")
+            table.add_row(f"motor {response.joint}", where, *cells)
+    return table
 
 
-def _frequencies(joint: JointModel) -> str:
-    """One line on a joint's resonances."""
-    parts = []
-    for name, mode in (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance)):
-        if mode is not None:
-            value, spread = plus_minus(mode.frequency_hz, mode.frequency_std_hz)
-            parts.append(f"{name} {value} ± {spread} Hz")
-    return f"joint {joint.joint}: {', '.join(parts)}"
+def _table(first: str, second: str, *numbers: str) -> Table:
+    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
+    table.add_column(first)
+    table.add_column(second)
+    for name in numbers:
+        table.add_column(name, justify="right")
+    return table
 
 
-def _trend(sweep: Sweep) -> str:
-    """One line on what a sweep of amplitudes shows."""
-    first, last = sweep.points[0], sweep.points[-1]
-    return (
-        f"joint {sweep.joint}, {first.amplitude:g} to {last.amplitude:g} V: equivalent stiffness "
-        f"{first.gear_stiffness:.4g} to {last.gear_stiffness:.4g}, {sweep.verdict}"
-    )
-
-
-def _parameters(decisions: Sequence[Decision], truth: Truth | None) -> Table:
-    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")  # 80 columns, with truth
+def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Table:
+    """The final table, at most 80 columns wide with the true values."""
+    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
     table.add_column("parameter", no_wrap=True)
     table.add_column("joint")
-    for head in ("value", "±"):
+    for head in ("value", "± std"):
         table.add_column(head, justify="right")
     table.add_column("unit")
     if truth is not None:
-        table.add_column("truth", justify="right")
-        table.add_column("off %", justify="right")
+        table.add_column("true", justify="right")
+        table.add_column("error %", justify="right")
     for decision in decisions:
         p = decision.parameter
-        value, spread = plus_minus(p.value, p.std)
+        value, std = plus_minus(p.value, p.std)
         if p.value is None:
-            value, spread = "rejected" if decision.rejected else "not identified", ""
-        row = [p.name, str(p.joint or "arm"), value, spread, p.unit]
+            value, std = "rejected" if decision.rejected else "not identified", ""
+        row = [p.name, str(p.joint or "arm"), value, std, p.unit]
         if truth is not None:
-            row += _against_truth(p, truth.get((p.name, p.joint)))
+            row += _truth_cells(p, truth.get((p.name, p.joint)))
         table.add_row(*(Text(cell) for cell in row))
     return table
 
 
-def _against_truth(parameter: Parameter, true: float | None) -> list[str]:
+def _truth_cells(parameter: Parameter, true: float | None) -> list[str]:
+    """True value and relative error."""
     if true is None:
         return ["", ""]
     if parameter.value is None or true == 0.0:
         return [f"{true:.4g}", ""]
     return [f"{true:.4g}", f"{100.0 * (parameter.value / true - 1.0):+.2f}"]
+
+
+def print_comparisons(
+    tallies: Sequence[Tally], folder: Path, *, console: Console | None = None
+) -> None:
+    """Print each claim with its verdict and numbers, and the files in `folder`."""
+    console = console or Console(highlight=False)
+    for tally in tallies:
+        c = tally.first
+        protocol = "" if c.protocol == "own" else " (as published)"
+        line = Text(f"Fig. {c.figure:>2}{protocol}: {c.claim} {tally.verdict}: {c.message}")
+        is_shown = tally.count("shown") == len(tally.runs)
+        console.print(line, style="" if is_shown else "yellow", soft_wrap=True)
+        for reason in c.reasons:
+            console.print(Text(f"         {reason}"), style="yellow", soft_wrap=True)
+    for name in ("comparisons.html", "comparisons.json", "comparisons.md"):
+        console.print(Text(f"written: {folder / name}"), soft_wrap=True)

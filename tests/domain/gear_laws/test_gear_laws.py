@@ -22,7 +22,12 @@ from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
-from strainwave.presentation.report.gears import Curve, slope_figure, torsion_figure, words
+from strainwave.presentation.report.gears import (
+    StiffnessCurve,
+    describe,
+    stiffness_figure,
+    torsion_figure,
+)
 from virtual_arms import ELASTIC_JOINT
 
 LAWS = [gear_law(name) for name in gear_laws.names()]
@@ -238,11 +243,13 @@ def test_a_curve_is_drawn_as_far_as_it_is_known(law: GearLaw, count: int | None)
         assert law.simpler is not None
         return
     shown = {name: values[name] for name in known}
-    curve = Curve(1, law, shown, np.diag([(0.01 * v) ** 2 for v in shown.values()]), 50.0, None)
-    slope = slope_figure(curve).panels[0].marks[-1]
+    curve = StiffnessCurve(
+        1, law, shown, np.diag([(0.01 * v) ** 2 for v in shown.values()]), 50.0, None
+    )
+    slope = stiffness_figure(curve).panels[0].marks[-1]
     assert np.all(np.diff(slope.x) >= 0.0)  # type: ignore[union-attr]
     assert torsion_figure(curve).panels
-    assert " ± " in words(curve)
+    assert " ± " in describe(curve)
 
 
 def test_a_law_from_elsewhere_is_a_law(registered: GearLaw, tmp_path: Path) -> None:
@@ -253,8 +260,8 @@ def test_a_law_from_elsewhere_is_a_law(registered: GearLaw, tmp_path: Path) -> N
     assert arm.joints[0].elastic
     assert (STIFFNESS, 1) in Arm.of(arm).parameter_names
     assert f"{STIFFNESS} 1" in whole_arm_parameters(arm)
-    curve = Curve(1, registered, {STIFFNESS: 2e4}, np.array([[1e4]]), 50.0, None)
-    assert "Slope 20000 ± 100 N m/rad" in words(curve)
+    curve = StiffnessCurve(1, registered, {STIFFNESS: 2e4}, np.array([[1e4]]), 50.0, None)
+    assert "Slope 20000 ± 100 N m/rad" in describe(curve)
     assert torsion_figure(curve).panels
 
 

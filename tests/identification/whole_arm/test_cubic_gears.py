@@ -102,7 +102,7 @@ def test_a_law_from_elsewhere_is_fitted_and_drawn() -> None:
         known, model = run(True, "hardening")
         study = scara.study(Path("nowhere"), "hardening")
         found = replace(elastic_identification(), study=study, tuned=model)
-        drawn = gears.curves(found)
+        drawn = gears.stiffness_curves(found)
         decided = {p.label: p for p in found.parameters}
     finally:
         gear_laws.unregister("hardening")

@@ -1,4 +1,4 @@
-"""The common charts: bands, decibels, error bars, residuals, and no two lines alike."""
+"""Shared charts: bands, decibels, error bars, residuals, and distinct line styles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from figure_parts import line, marks, names
 from strainwave.presentation.figures import RESIDUAL, Band, Line, curves
 
 
-def test_bode_has_bands_and_a_phase_from_the_middle() -> None:
+def test_a_bode_plot_has_95_percent_bands_and_a_continuous_phase() -> None:
     f = np.geomspace(1.0, 100.0, 50)
     response = (1.0 / (2j * np.pi * f)).astype(np.complex128)
     size = np.abs(response)
@@ -29,14 +29,14 @@ def test_bode_has_bands_and_a_phase_from_the_middle() -> None:
     assert drawn.caption == "caption"
 
 
-def test_no_two_lines_look_alike() -> None:
+def test_every_line_has_its_own_style() -> None:
     x = np.arange(3.0)
     many = [curves.Series(f"{k}", x, x) for k in range(6)]
     drawn = marks(curves.lines(many, "t", "y", "caption"), Line)
     assert len({one.colour for one in drawn}) == len({one.dash for one in drawn}) == 6
 
 
-def test_points_have_bars_and_bounds_have_none() -> None:
+def test_points_with_a_standard_deviation_have_error_bars() -> None:
     x = np.array([2.0, 10.0])
     points = [curves.Points("model", x, x, np.ones(2)), curves.Points("bound", x, x)]
     model, bound = marks(curves.scatter(points, "amplitude", "square", "caption"), Line)
@@ -54,7 +54,7 @@ def test_a_spectrum_is_in_decibels_of_power() -> None:
     assert line(drawn, "a").y.tolist() == [0.0, 20.0]
 
 
-def test_a_pair_has_its_difference_beneath() -> None:
+def test_a_pair_has_its_difference_below() -> None:
     t = np.arange(4.0)
     drawn = curves.pair(
         curves.Series("arm", t, t), curves.Series("model", t, 0.5 * t), "v", "caption"

@@ -1,4 +1,4 @@
-"""Figures as data: lines lose no peak, keep gaps, and each name is one entry of the legend."""
+"""Figures as data: decimation keeps peaks and gaps; each name is one legend entry."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import pytest
 from figure_parts import line, marks
 from results import prediction
 from strainwave.presentation.figures import (
+    MAX_POINTS,
     MODEL,
-    MOST_POINTS,
     Axis,
     Band,
     Figure,
     HeatMap,
     Line,
     Panel,
-    thinned,
+    decimate,
 )
 from strainwave.presentation.report import predictions
 from virtual_arms import rigid_drive
@@ -29,54 +29,54 @@ def test_decimation_keeps_every_peak_of_every_line() -> None:
     long.measured[3333, 0] = 50.0
     long.measured[4444, 0] = -50.0
     long.predicted[2222, 0] = 70.0
-    drawn = predictions.of_prediction(long)
+    drawn = predictions.prediction_figure(long)
     measured = line(drawn, "measured").y
     assert (measured.max(), measured.min()) == (50.0, -50.0)
     assert line(drawn, "model").y.max() == 70.0
-    assert line(drawn, "residuals", 1).y.min() < -68.0
-    assert len(measured) <= MOST_POINTS
+    assert line(drawn, "residual", 1).y.min() < -68.0
+    assert len(measured) <= MAX_POINTS
 
 
-def test_a_short_line_is_left_alone() -> None:
-    assert thinned(np.arange(100.0)).tolist() == list(range(100))
-    assert len(thinned(np.arange(5000.0), 300)) <= 300
+def test_a_short_line_is_not_decimated() -> None:
+    assert decimate(np.arange(100.0)).tolist() == list(range(100))
+    assert len(decimate(np.arange(5000.0), 300)) <= 300
 
 
 def test_gaps_stay_gaps() -> None:
     gappy = prediction("motion", 90.0)
     gappy.measured[100:200] = np.nan
-    assert np.isnan(line(predictions.of_prediction(gappy), "measured").y).any()
+    assert np.isnan(line(predictions.prediction_figure(gappy), "measured").y).any()
 
 
-def test_residuals_stand_beneath_each_channel_over_the_same_time() -> None:
+def test_each_channel_has_its_residuals_below() -> None:
     two = prediction("motion", 90.0, 80.0)
-    drawn = predictions.of_prediction(two)
+    drawn = predictions.prediction_figure(two)
     titles = [panel.axis.title for panel in drawn.panels]
-    assert titles == ["torque1 [N m]", "", "torque2 [N m]", ""]
+    assert titles == ["torque1 [N m]", "residual [N m]", "torque2 [N m]", "residual [N m]"]
     for k in (0, 2):
         measured, model = line(drawn, "measured", k), line(drawn, "model", k)
-        beneath = line(drawn, "residuals", k + 1)
-        assert beneath.x is measured.x
-        assert beneath.y == pytest.approx(measured.y - model.y)
+        residual = line(drawn, "residual", k + 1)
+        assert residual.x is measured.x
+        assert residual.y == pytest.approx(measured.y - model.y)
         assert drawn.panels[k + 1].height < drawn.panels[k].height
-    assert drawn.legend == ["measured", "model", "residuals"]
+    assert drawn.legend == ["measured", "model", "residual"]
 
 
-def test_one_channel_can_be_asked_for() -> None:
+def test_one_channel_can_be_selected() -> None:
     two = prediction("motion", 90.0, 80.0)
-    drawn = predictions.of_prediction(two, channels=("torque2",))
-    assert [panel.axis.title for panel in drawn.panels] == ["torque2 [N m]", ""]
+    drawn = predictions.prediction_figure(two, channels=("torque2",))
+    assert [panel.axis.title for panel in drawn.panels] == ["torque2 [N m]", "residual [N m]"]
     assert line(drawn, "measured").y[0] == two.measured[0, 1]
 
 
-def test_a_sliding_joint_has_newtons() -> None:
-    slides = [replace(rigid_drive().arm.joints[0], motion="prismatic")]
+def test_a_prismatic_joint_has_forces() -> None:
+    prismatic = [replace(rigid_drive().arm.joints[0], motion="prismatic")]
     assert predictions.unit_of("torque1") == "N m"
-    assert predictions.unit_of("torque1", slides) == "N"
-    assert predictions.unit_of("omega_m2", slides) == "rad/s"
+    assert predictions.unit_of("torque1", prismatic) == "N"
+    assert predictions.unit_of("omega_m2", prismatic) == "rad/s"
 
 
-def test_a_legend_is_there_where_names_differ() -> None:
+def test_a_legend_lists_names_that_differ() -> None:
     x = np.arange(3.0)
     a, b = Line(x, x, "a", MODEL), Line(x, x, "b", MODEL)
     band = Band(x, x, x, MODEL, "c")
@@ -86,7 +86,7 @@ def test_a_legend_is_there_where_names_differ() -> None:
     assert both.legend == ["a", "b"]
 
 
-def test_a_figure_is_as_high_as_its_panels_or_its_names() -> None:
+def test_the_height_follows_from_panels_or_row_names() -> None:
     x = np.arange(3.0)
     lines = (Line(x, x, "a", MODEL),)
     panels = (Panel(Axis("y"), lines), Panel(Axis("y"), lines, 0.5))
@@ -94,5 +94,5 @@ def test_a_figure_is_as_high_as_its_panels_or_its_names() -> None:
     names = tuple(f"{k}" for k in range(30))
     heat = HeatMap(names, np.eye(30), -1.0, 1.0, (MODEL, MODEL, MODEL))
     drawn = Figure(Axis(""), (Panel(Axis(""), (heat,)),))
-    assert drawn.height == 6.0  # thirty names, six to a panel, and the names below
+    assert drawn.height == 6.0  # thirty names, six in a panel, and one panel for the names below
     assert marks(drawn, HeatMap) == [heat]

@@ -1,4 +1,4 @@
-"""Blocks become elements: nothing for no rows, one name for each figure, and every text escaped."""
+"""Blocks become HTML elements: empty tables vanish, figure keys are unique, text is escaped."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from jinja2 import UndefinedError
 
 from strainwave.presentation.figures import Axis, Figure, Panel
-from strainwave.presentation.html import filled, typeset
+from strainwave.presentation.html import fill_template, typeset
 from strainwave.presentation.report.blocks import (
     Block,
     Callout,
@@ -37,7 +37,7 @@ def body(*sections: Section) -> str:
     return re.sub(r"\s+", " ", found[0])
 
 
-def test_a_table_without_rows_is_none() -> None:
+def test_a_table_without_rows_is_left_out() -> None:
     assert list(table("label", ("a",), [])) == []
     (found,) = table("label", ("a", number("b")), [("x", number("1"))])
     assert [cell.kind for cell in found.heads] == ["", "number"]
@@ -47,14 +47,14 @@ def test_sections_without_blocks_are_left_out() -> None:
     assert "<section" not in body(Section("empty", "Empty", ()))
 
 
-def test_figures_are_found_in_other_blocks_and_named_once() -> None:
+def test_nested_figures_have_unique_keys() -> None:
     plot = Plot("a b", "label", Figure(Axis("x"), (Panel(Axis("y"), ()),)))
     inside = Fold("more", (Callout("", (Plot("A/b", "again", plot.figure),)),))
     found = keyed([Section("one", "One", (plot,)), Section("two", "Two", (inside,))])
     assert {key: one.label for key, one in found.items()} == {"a-b": "label", "a-b-2": "again"}
 
 
-def test_each_kind_of_block_has_its_elements() -> None:
+def test_each_kind_of_block_becomes_its_elements() -> None:
     cells = (Cell("7", "number", href="#there", mark="bad"), "plain")
     rows: list[Row | Group] = [Group("arm"), ("alpha", *cells)]
     page = body(
@@ -69,6 +69,7 @@ def test_each_kind_of_block_has_its_elements() -> None:
                 Facts((("term", "fact"),)),
                 Fold("more", (paragraph("inside"),)),
                 Callout("doubt", (paragraph("careful"),)),
+                paragraph(Span("Determined", kind="badge", mark="good")),
             ),
         )
     )
@@ -80,11 +81,12 @@ def test_each_kind_of_block_has_its_elements() -> None:
         "<dt>term</dt><dd>fact</dd>",
         "<summary>more</summary> <p>inside</p>",
         '<div class="verdict doubt"> <p>careful</p>',
+        '<span class="badge good">Determined</span>',
     ):
         assert part in page, part
 
 
-def test_no_text_leaves_its_place() -> None:
+def test_every_text_is_escaped() -> None:
     blocks: tuple[Block, ...] = (
         paragraph(EVIL, Span(EVIL, strong=True)),
         *table(EVIL, (EVIL,), [Group(EVIL), (EVIL,)]),
@@ -96,9 +98,9 @@ def test_no_text_leaves_its_place() -> None:
     assert 'onload="' not in page
 
 
-def test_a_name_that_the_template_lacks_is_an_error() -> None:
+def test_a_missing_template_value_is_an_error() -> None:
     with pytest.raises(UndefinedError, match="rows"):
-        filled("notebook/table", head="", columns=())
+        fill_template("notebook/table", head="", columns=())
 
 
 @pytest.mark.parametrize(
@@ -113,5 +115,5 @@ def test_a_name_that_the_template_lacks_is_an_error() -> None:
         ("", ""),
     ],
 )
-def test_symbols_are_set_as_in_print(symbol: str, html: str) -> None:
+def test_symbols_are_typeset(symbol: str, html: str) -> None:
     assert str(typeset(symbol)) == html

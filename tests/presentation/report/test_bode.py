@@ -1,4 +1,4 @@
-"""Bode plots: three ways to one response agree, the band is the parameters', marks are the modes."""
+"""Bode plots: measured response and models agree, bands follow the covariance, modes are marked."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def _is_point(mark: Mark) -> TypeGuard[Line | Markers]:
     return isinstance(mark, Line | Markers)
 
 
-def test_measured_and_both_models_are_one_curve() -> None:
-    drawn = bode.bode(joint_model(), RATIO, measured(), [("prbs", sampled())])
-    # numbers of a figure have five digits; the held input of a sampled model costs half a sample,
-    # 9 degrees at the band's upper edge, and hardly any size
+def test_measured_response_and_models_agree() -> None:
+    drawn = bode.bode(joint_model(), RATIO, measured(), {"prbs": sampled()})
+    # the held input of a sampled model adds a delay of half a sample: 9 degrees at the upper edge
+    # of the band, and a small change of the modulus
     exact, held = (0.005, 0.1), (0.2, 10.0)
     for name, errors in (
         ("measured", exact),
-        ("physical model", exact),
+        ("joint model", exact),
         ("state space, prbs", held),
     ):
         f, size = line_of(drawn, name)
@@ -45,8 +45,8 @@ def test_measured_and_both_models_are_one_curve() -> None:
         assert phase == pytest.approx(np.rad2deg(np.angle(truth)), abs=errors[1])
 
 
-def test_the_band_is_that_of_the_parameters() -> None:
-    """Drawn parameters scatter as the delta method says."""
+def test_the_band_follows_from_the_covariance_of_the_parameters() -> None:
+    """The response of random parameters scatters as the delta method predicts."""
     drawn = bode.bode(joint_model(), RATIO, None)
     (band,) = marks(drawn, Band)
     f, low, high = band.x, band.low, band.high
@@ -56,9 +56,9 @@ def test_the_band_is_that_of_the_parameters() -> None:
         for _ in range(2000)
     ]
     std = np.std(np.abs(A), axis=0) / np.abs(response(f))
-    # away from dip and peak, where two per cent are much, first order holds
+    # first order holds away from the dip and the peak, where the response is steep
     plain = np.abs(f[:, None] - [joint.frequency_hz for joint in _modes()]).min(axis=1) > 6.0
-    # 2000 draws give a deviation to 1.6 %, their largest error among many to some 5 %
+    # 2000 draws estimate a standard deviation to 1.6 %, and the largest of many to about 5 %
     assert (10 ** (high / 20) / np.abs(response(f)) - 1.0)[plain] == pytest.approx(
         1.96 * std[plain], rel=0.08
     )
@@ -70,17 +70,17 @@ def _modes() -> list:  # type: ignore[type-arg]
     return [model.anti_resonance, model.resonance]
 
 
-def test_no_band_without_a_covariance() -> None:
+def test_without_a_covariance_there_is_no_band() -> None:
     unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
     drawn = bode.bode(unknown, RATIO, None)
     assert not any(marks(drawn, Band, panel) for panel in (0, 1))
 
 
-def test_what_is_not_coherent_is_grey() -> None:
+def test_points_of_low_coherence_are_grey() -> None:
     drawn = bode.bode(joint_model(), RATIO, measured())
-    sure, grey = marks(drawn, Markers)
-    assert (sure.name, grey.name) == ("measured", "measured, doubtful")
-    assert (grey.colour, sure.colour) == (RESIDUAL, MEASURED)
+    reliable, grey = marks(drawn, Markers)
+    assert (reliable.name, grey.name) == ("measured", "measured, unreliable")
+    assert (grey.colour, reliable.colour) == (RESIDUAL, MEASURED)
     assert np.min(np.asarray(grey.x)) > 60.0
     f, _ = line_of(drawn, "measured")
     assert max(f) <= 60.0
@@ -91,17 +91,17 @@ def test_what_is_not_coherent_is_grey() -> None:
     assert max(line_of(unknown, "measured")[0]) > 100.0
 
 
-def test_modes_are_marked_where_the_response_dips_and_peaks() -> None:
+def test_modes_are_marked_at_the_dip_and_the_peak() -> None:
     drawn = bode.bode(joint_model(), RATIO, None)
-    words = {one.text.split(" ")[0]: one.x for one in drawn.uprights}
-    f, size = line_of(drawn, "physical model")
-    assert words["anti-resonance"] == pytest.approx(f[np.argmin(size[f < 20])], rel=0.02)
+    labels = {one.text.split(" ")[0]: one.x for one in drawn.uprights}
+    f, size = line_of(drawn, "joint model")
+    assert labels["anti-resonance"] == pytest.approx(f[np.argmin(size[f < 20])], rel=0.02)
     peak = f[f > 15.0][np.argmax(size[f > 15.0])]
-    assert words["resonance"] == pytest.approx(peak, rel=0.02)
+    assert labels["resonance"] == pytest.approx(peak, rel=0.02)
     assert [one.x for one in drawn.uprights[2:]] == list(BAND)
 
 
-def test_a_long_response_is_thinned_evenly_on_its_axis() -> None:
+def test_a_long_response_is_decimated_evenly_over_log_frequency() -> None:
     f = np.linspace(0.1, 2000.0, 100_000)
     G = response(f)[:, None, None]
     found = replace(measured(), frequencies_hz=f, response=G, coherence=None)
@@ -111,30 +111,59 @@ def test_a_long_response_is_thinned_evenly_on_its_axis() -> None:
     assert steps.max() < 2.0 * steps.min()
 
 
-def test_the_words_say_where_it_rings_and_what_was_seen() -> None:
-    said = bode.words(joint_model(), measured())
-    assert said.startswith("Anti-resonance at 12.")
-    assert "100 % of the measured lines" in said
+def test_the_caption_has_the_modes_and_the_share_of_reliable_lines() -> None:
+    caption = bode.describe(joint_model(), measured())
+    assert caption.startswith("Anti-resonance 12.")
+    assert "100 % of the measured lines" in caption
 
 
-def test_a_sliding_joint_has_its_own_units() -> None:
-    drawn = bode.bode(joint_model(), RATIO, None, straight=True)
+def test_a_prismatic_joint_has_its_own_units() -> None:
+    drawn = bode.bode(joint_model(), RATIO, None, is_prismatic=True)
     assert drawn.panels[0].axis.title == "dB re m/s/N"
 
 
-def test_the_whole_arm_fit_is_drawn_over_pale_measured_points() -> None:
-    tuned = {name: 1.1 * value for name, value in joint_model().values.items()}
+def test_the_whole_arm_fit_is_drawn_with_its_band_on_pale_measured_points() -> None:
+    covariance = np.diag((0.01 * JOINT.vector) ** 2)
+    tuned = bode.TunedJoint(1.1 * JOINT.vector, covariance)
     drawn = bode.bode(joint_model(), RATIO, measured(), tuned=tuned)
     f, size = line_of(drawn, "whole-arm fit")
     expected = motor_response(1.1 * JOINT.vector, JOINT.gear_ratio, f)
     assert size == pytest.approx(20.0 * np.log10(np.abs(expected)), abs=0.005)
     order = names(drawn)
-    assert order.index("measured") < order.index("physical model")  # the line lies on top
+    assert order.index("measured") < order.index("joint model")  # the line is on top
     assert marks(drawn, Markers)[0].opacity < 0.5
+    assert {band.name for band in marks(drawn, Band)} >= {"joint model", "whole-arm fit"}
+    without = bode.bode(joint_model(), RATIO, None, tuned=replace(tuned, covariance=None))
+    assert [band.name for band in marks(without, Band)] == ["joint model"]
 
 
-def test_the_words_repeat_the_warning_that_model_and_points_differ() -> None:
+def test_measured_points_have_the_band_of_their_scatter_or_coherence() -> None:
+    """The relative standard deviation is that of simulated noise of known variance."""
+    noisy = replace(measured(), noise_variance=0.02**2 * np.abs(measured().response) ** 2)
+    assert bode.relative_std(noisy) == pytest.approx(np.full(499, 0.02 / np.sqrt(2.0)))
+    (band, _) = marks(bode.bode(joint_model(), RATIO, noisy), Band)
+    assert band.name == "measured"
+    width = np.log(10.0) / 40.0 * (band.high - band.low)  # half-width relative to the modulus
+    assert width == pytest.approx(np.full(len(width), 1.96 * 0.02 / np.sqrt(2.0)), rel=1e-3)
+    # 8 averages at a coherence of 0.99: sqrt(0.01 / (16 * 0.99))
+    by_coherence = bode.relative_std(measured())
+    assert by_coherence is not None
+    assert by_coherence[0] == pytest.approx(0.02513, rel=1e-3)
+    assert bode.relative_std(replace(measured(), coherence=None)) is None
+
+
+def test_a_state_space_model_has_the_band_of_its_covariance() -> None:
+    model = sampled()
+    entries = sum(m.size for m in (model.A, model.B, model.C, model.D, model.K))
+    known = replace(model, covariance=1e-8 * np.eye(entries))
+    drawn = bode.bode(joint_model(), RATIO, None, {"prbs": known})
+    assert "state space, prbs" in {band.name for band in marks(drawn, Band)}
+    drawn = bode.bode(joint_model(), RATIO, None, {"prbs": model})
+    assert "state space, prbs" not in {band.name for band in marks(drawn, Band)}
+
+
+def test_the_caption_repeats_the_warning_that_model_and_response_differ() -> None:
     apart = Diagnostic("response-apart", "joint 1", "they differ near 7 Hz")
-    said = bode.words(replace(joint_model(), warnings=(apart,)), measured())
-    assert said.endswith("Warning: they differ near 7 Hz.")
-    assert "Warning" not in bode.words(joint_model(), measured())
+    caption = bode.describe(replace(joint_model(), warnings=(apart,)), measured())
+    assert caption.endswith("Warning: they differ near 7 Hz.")
+    assert "Warning" not in bode.describe(joint_model(), measured())

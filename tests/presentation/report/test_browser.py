@@ -1,4 +1,4 @@
-"""The page in a browser: figures stand, nothing is fetched or complained of, themes and paper work."""
+"""The page in a browser: figures, no requests, no console errors, dark mode, print, phone."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from strainwave.presentation.report import figures_of, render
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 )
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
-# a script of the tests may watch the page, and say on <html> what it saw
+# scripts of the tests observe the page and store results as data attributes of <html>
 BEFORE = "<head>", "<head><script>{}</script>"
 AFTER = (
     "</body>",
-    "<script>setTimeout(() => {{ const seen = document.documentElement.dataset; {} }}, 4000)</script></body>",
+    "<script>setTimeout(() => {{ const data = document.documentElement.dataset; {} }}, 4000)</script></body>",
 )
 
 
 def shown(page: str, folder: Path, *flags: str) -> tuple[dict[str, str], str]:
-    """What the page says of itself after a while, and the console's lines."""
+    """The stored results, and the lines of the console."""
     file = folder / "page.html"
     file.write_text(page, encoding="utf-8")
     done = subprocess.run(
@@ -59,6 +59,8 @@ def shown(page: str, folder: Path, *flags: str) -> tuple[dict[str, str], str]:
     return dict(re.findall(r'data-([a-z]+)="([^"]*)"', head[0])), console
 
 
+FIGURES = figures_of(elastic_identification())
+FOLDED = ("tuning-", "fitted-", "record-", "correlation-")
 UNFOLD = "document.querySelectorAll('details').forEach((fold) => { fold.open = true; });"
 
 
@@ -73,70 +75,95 @@ def page() -> str:
     return render(elastic_identification())
 
 
-def test_every_figure_is_drawn_once_it_is_unfolded(page: str, tmp_path: Path) -> None:
+def test_every_figure_is_drawn_when_it_is_unfolded(page: str, tmp_path: Path) -> None:
     count = (
         "const plots = () => document.querySelectorAll('.plot .main-svg .cartesianlayer').length;"
-        f"seen.folded = plots(); {UNFOLD} setTimeout(() => {{ seen.plots = plots(); }}, 2000);"
+        f"data.folded = plots(); {UNFOLD} setTimeout(() => {{ data.plots = plots(); }}, 2000);"
     )
-    said, console = shown(watched(page, after=count), tmp_path)
+    results, console = shown(watched(page, after=count), tmp_path)
     assert console == ""
-    expected = len(figures_of(elastic_identification()))
-    assert int(said["folded"]) == expected - 2  # of records that were fitted
-    assert int(said["drawn"]) == int(said["plots"]) == expected
+    expected = len(FIGURES)
+    folded = [name for name in FIGURES if name.startswith(FOLDED)]
+    assert int(results["folded"]) == expected - len(folded)
+    assert int(results["drawn"]) == int(results["plots"]) == expected
 
 
-def test_contents_fold_unfold_and_lead_into_what_is_folded(page: str, tmp_path: Path) -> None:
+def test_the_contents_fold_unfold_and_reveal_sections(page: str, tmp_path: Path) -> None:
     steps = (
         "const open = () => document.querySelectorAll('section > details[open]').length;"
         "const button = document.querySelector('nav button');"
-        "seen.first = open(); button.click(); seen.none = open();"
+        "data.first = open(); button.click(); data.none = open();"
         "location.hash = '#parameter-motor_inertia';"
-        "setTimeout(() => { seen.one = open(); seen.unfolded ="
+        "setTimeout(() => { data.one = open(); data.unfolded ="
         " document.querySelector('#parameters > details').open; button.click(); button.click();"
-        " seen.all = open(); }, 500);"
+        " data.all = open(); }, 500);"
     )
-    said, console = shown(watched(page, after=steps), tmp_path)
+    results, console = shown(watched(page, after=steps), tmp_path)
     assert console == ""
-    assert (said["first"], said["none"], said["one"], said["all"]) == ("10", "0", "1", "10")
-    assert said["unfolded"] == "true"
+    count = str(page.count("<section "))
+    assert (results["first"], results["none"], results["one"], results["all"]) == (
+        count,
+        "0",
+        "1",
+        count,
+    )
+    assert results["unfolded"] == "true"
+
+
+def test_the_knees_of_the_stiffness_curve_are_drawn_on_the_curve(page: str, tmp_path: Path) -> None:
+    """The vertices of the drawn path lie under the centres of the knee markers."""
+    look = (
+        "const plot = document.querySelector('#figure-gear-joint-1-torsion');"
+        "const path = [...plot.querySelectorAll('.scatterlayer .js-line')].at(-1);"
+        "const corners = path.getAttribute('d').slice(1).split('L').map((p) => p.split(','));"
+        "const knees = [...plot.querySelectorAll('.points path')].map("
+        " (p) => p.getAttribute('transform').match(/[\\d.]+/g));"
+        "const off = knees.map(([x, y]) => Math.min(...corners.map("
+        " ([u, v]) => Math.hypot(u - x, v - y))));"
+        "data.knees = knees.length; data.off = Math.max(...off);"
+    )
+    results, console = shown(watched(page, after=look), tmp_path)
+    assert console == ""
+    assert results["knees"] == "2"
+    assert float(results["off"]) < 0.5  # [px]
 
 
 @pytest.mark.parametrize("width", [390, 1400])
-def test_contents_stay_in_sight(page: str, width: int, tmp_path: Path) -> None:
+def test_the_contents_stay_visible(page: str, width: int, tmp_path: Path) -> None:
     after = (
         "scrollTo(0, document.querySelector('#gears').offsetTop);"
-        "window.dispatchEvent(new Event('scroll'));"  # no frames, no event of its own
+        "window.dispatchEvent(new Event('scroll'));"  # headless Chromium sends no scroll event
         "setTimeout(() => { const box = document.querySelector('nav').getBoundingClientRect();"
-        " seen.top = Math.round(box.top); seen.current ="
+        " data.top = Math.round(box.top); data.current ="
         " document.querySelector('nav [aria-current]').hash.slice(1); }, 500);"
     )
-    said, _ = shown(watched(page, after=after), tmp_path, f"--window-size={width},800")
-    assert (said["top"], said["current"]) == ("0", "gears")
+    results, _ = shown(watched(page, after=after), tmp_path, f"--window-size={width},800")
+    assert (results["top"], results["current"]) == ("0", "gears")
 
 
-def test_a_page_that_fetches_or_fails_would_be_heard(page: str, tmp_path: Path) -> None:
+def test_a_request_or_an_error_would_be_reported(page: str, tmp_path: Path) -> None:
     fetch = "new Image().src = 'https://example.org/x.png'; undefined.x;"
     _, console = shown(watched(page, after=fetch), tmp_path)
     assert "Content Security Policy" in console
     assert "TypeError" in console
 
 
-def test_buttons_hide_nothing_and_send_nothing_away(page: str, tmp_path: Path) -> None:
+def test_the_buttons_cover_nothing_and_upload_nothing(page: str, tmp_path: Path) -> None:
     look = (
         "const bars = [...document.querySelectorAll('.modebar')];"
         "const box = (one) => one.getBoundingClientRect();"
-        "seen.bars = bars.length; seen.inside = bars.filter("
+        "data.bars = bars.length; data.inside = bars.filter("
         " (bar) => box(bar).bottom > box(bar.closest('.plot')).top + 0.5).length;"
-        "seen.buttons = [...new Set([...document.querySelectorAll('.modebar-btn')]"
+        "data.buttons = [...new Set([...document.querySelectorAll('.modebar-btn')]"
         " .map((one) => one.dataset.title))].join(', ');"
     )
-    said, _ = shown(watched(page, after=look), tmp_path, "--window-size=1280,900")
-    assert int(said["bars"]) > 0
-    assert said["inside"] == "0"
-    assert said["buttons"] == "Download plot as a PNG, Zoom, Pan, Zoom in, Zoom out, Reset axes"
+    results, _ = shown(watched(page, after=look), tmp_path, "--window-size=1280,900")
+    assert int(results["bars"]) > 0
+    assert results["inside"] == "0"
+    assert results["buttons"] == "Download plot as a PNG, Zoom, Pan, Zoom in, Zoom out, Reset axes"
 
 
-def test_colours_follow_the_system_while_the_page_is_open(page: str, tmp_path: Path) -> None:
+def test_colours_follow_the_system_theme(page: str, tmp_path: Path) -> None:
     system = (
         "const real = matchMedia.bind(window); const dark = new EventTarget(); dark.matches = false;"
         "window.matchMedia = (query) => query.includes('dark') ? dark : real(query);"
@@ -144,16 +171,16 @@ def test_colours_follow_the_system_while_the_page_is_open(page: str, tmp_path: P
     )
     look = (
         "const line = () => document.querySelector('.scatterlayer .js-line').style.stroke;"
-        "seen.light = line(); system.matches = true; system.dispatchEvent(new Event('change'));"
-        "seen.dark = line();"
+        "data.light = line(); system.matches = true; system.dispatchEvent(new Event('change'));"
+        "data.dark = line();"
     )
-    said, console = shown(watched(page, before=system, after=look), tmp_path)
+    results, console = shown(watched(page, before=system, after=look), tmp_path)
     assert console == ""
-    assert said["light"] != said["dark"]
-    assert "rgb" in said["dark"]
+    assert results["light"] != results["dark"]
+    assert "rgb" in results["dark"]
 
 
-def test_a_phone_scrolls_one_way_only(page: str, tmp_path: Path) -> None:
+def test_a_phone_scrolls_vertically_only(page: str, tmp_path: Path) -> None:
     frame = tmp_path / "frame"
     frame.mkdir()
     (frame / "inner.html").write_text(page, encoding="utf-8")
@@ -165,12 +192,12 @@ def test_a_phone_scrolls_one_way_only(page: str, tmp_path: Path) -> None:
         " document.documentElement.dataset.wide = inner.clientWidth;"
         "}, 5000)</script></body></html>"
     )
-    said, _ = shown(outer, tmp_path, "--allow-file-access-from-files")
-    assert int(said["wide"]) <= 390
-    assert said["over"] == "0"
+    results, _ = shown(outer, tmp_path, "--allow-file-access-from-files")
+    assert int(results["wide"]) <= 390
+    assert results["over"] == "0"
 
 
-def test_a_phone_shows_a_heat_map_with_names_at_its_left_only(page: str, tmp_path: Path) -> None:
+def test_a_phone_shows_the_row_names_of_a_heat_map_only(page: str, tmp_path: Path) -> None:
     narrow = (
         "const real = matchMedia.bind(window); const narrow = new EventTarget();"
         "narrow.matches = true;"
@@ -180,26 +207,26 @@ def test_a_phone_shows_a_heat_map_with_names_at_its_left_only(page: str, tmp_pat
     look = (
         "const own = document.querySelector('#figure-correlations');"
         "const names = (axis) => own.querySelectorAll(`.${axis}tick text`).length;"
-        "seen.below = names('x'); seen.left = names('y');"
+        "data.below = names('x'); data.left = names('y');"
         "phone.matches = false; phone.dispatchEvent(new Event('change'));"
-        "seen.wide = names('x');"
+        "data.wide = names('x');"
     )
-    said, console = shown(watched(page, before=narrow, after=look), tmp_path)
+    results, console = shown(watched(page, before=narrow, after=look), tmp_path)
     assert console == ""
-    assert said["below"] == "0"
-    assert said["left"] == said["wide"] != "0"
+    assert results["below"] == "0"
+    assert results["left"] == results["wide"] != "0"
 
 
-def test_paper_is_light_and_holds_every_figure(page: str, tmp_path: Path) -> None:
+def test_the_printed_page_is_light_and_holds_every_figure(page: str, tmp_path: Path) -> None:
     look = (
         "window.dispatchEvent(new Event('beforeprint'));"
         "const svgs = [...document.querySelectorAll('.plot .main-svg')];"
-        "seen.widest = Math.max(...svgs.map((svg) => svg.getBoundingClientRect().width));"
-        "seen.ink = document.querySelector('.xtick text').style.fill;"
+        "data.widest = Math.max(...svgs.map((svg) => svg.getBoundingClientRect().width));"
+        "data.ink = document.querySelector('.xtick text').style.fill;"
     )
-    said, console = shown(
+    results, console = shown(
         watched(page, after=look), tmp_path, "--blink-settings=preferredColorScheme=0"
     )
     assert console == ""
-    assert float(said["widest"]) <= 180.0 / 25.4 * 96.0  # [px] of A4 between its margins
-    assert said["ink"] == "rgb(28, 36, 48)"
+    assert float(results["widest"]) <= 180.0 / 25.4 * 96.0  # [px] of A4 between its margins
+    assert results["ink"] == "rgb(28, 36, 48)"

@@ -1,4 +1,4 @@
-"""Correlations: known ones come out, derived parameters stay out, pairs are named."""
+"""Correlations of parameter errors: values, derived parameters, and strong pairs."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ def found(names: list[str], covariance: list[list[float]]) -> Correlations | Non
     return correlations.correlations(replace(identification(), tuned=tuned))
 
 
-def test_correlations_are_covariances_in_deviations() -> None:
+def test_correlations_are_normalised_covariances() -> None:
     reported = found(["gear_stiffness", "gear_damping"], [[4.0, -5.88], [-5.88, 9.0]])
     assert reported is not None
     assert reported.names == ("gear stiffness 1", "gear damping 1")
     assert reported.matrix[0, 1] == pytest.approx(-0.98)
-    ((first, second, size),) = correlations.pairs(reported)
+    ((first, second, size),) = correlations.strong_pairs(reported)
     assert (first, second) == reported.names
     assert size == pytest.approx(-0.98)
-    assert "gear stiffness 1 with gear damping 1 (-0.980)" in correlations.words(reported)
+    assert "gear stiffness 1 and gear damping 1 (-0.980)" in correlations.describe(reported)
     (heat,) = marks(correlations.heat_map(reported), HeatMap)
     assert heat.names == reported.names
     assert heat.values[1] == pytest.approx([-0.98, 1.0])
 
 
-def test_what_is_hardly_alike_is_not_named() -> None:
+def test_weak_correlations_are_not_listed() -> None:
     reported = found(["gear_stiffness", "gear_damping"], [[1.0, 0.9], [0.9, 1.0]])
     assert reported is not None
-    assert correlations.pairs(reported) == []
-    assert "stands on its own" in correlations.words(reported)
+    assert correlations.strong_pairs(reported) == []
+    assert "No correlation reaches 0.95" in correlations.describe(reported)
 
 
-def test_a_sum_is_left_out_beside_its_parts() -> None:
+def test_a_sum_is_left_out_if_its_parts_are_there() -> None:
     names = ["motor_viscous_friction", "gear_damping", "total_viscous_friction"]
     reported = found(names, np.eye(3).tolist())
     assert reported is not None
@@ -55,8 +55,8 @@ def test_a_sum_is_left_out_beside_its_parts() -> None:
     assert alone.names == ("gear damping 1", "total viscous friction 1")
 
 
-def test_errors_that_are_not_known_have_no_correlation() -> None:
+def test_unknown_errors_have_no_correlation() -> None:
     assert found(["gear_damping", "gear_stiffness"], [[np.inf, 0.0], [0.0, 1.0]]) is None
-    one = identification()  # of its two parameters one was not reported
+    one = identification()  # one of its two parameters has no value
     assert correlations.correlations(one) is None
     assert correlations.correlations(replace(one, rigid=None)) is None

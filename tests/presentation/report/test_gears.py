@@ -1,4 +1,4 @@
-"""Stiffness curves: torsion and slope belong together, and so do their bands."""
+"""Stiffness curves: torsion and stiffness are consistent, and so are their bands and knees."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import pytest
 from elastic_results import CURVE, curve_parameters, elastic_identification, joint_model
 from figure_parts import line, marks
 from strainwave.domain import FloatArray
-from strainwave.presentation.figures import Bars
+from strainwave.presentation.figures import Bars, Markers
 from strainwave.presentation.report import gears
-from strainwave.presentation.report.gears import Curve
+from strainwave.presentation.report.gears import StiffnessCurve
 
 
-def curve() -> Curve:
-    found = gears.curves(elastic_identification())
-    assert [one.joint for one in found] == [1]  # nothing is known of the other
+def curve() -> StiffnessCurve:
+    found = gears.stiffness_curves(elastic_identification())
+    assert [one.joint for one in found] == [1]  # joint 2 has no identified parameter
     return found[0]
 
 
-def test_the_slope_of_the_torsion_is_one_over_the_stiffness() -> None:
+def test_the_torsion_integrates_the_compliance() -> None:
     torque: FloatArray = np.linspace(0.0, 60.0, 6001)
     torsion, _ = gears.torsion_at(curve(), torque)
     slope = np.gradient(torque, torsion)
@@ -30,7 +30,7 @@ def test_the_slope_of_the_torsion_is_one_over_the_stiffness() -> None:
         assert slope[inside] == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_torsion_scatters_as_its_deviation_says() -> None:
+def test_the_torsion_scatters_as_its_standard_deviation_states() -> None:
     rng = np.random.default_rng(5)
     torque = np.array([3.0, 15.0, 50.0])
     drawn, found = [], curve()
@@ -39,15 +39,15 @@ def test_the_torsion_scatters_as_its_deviation_says() -> None:
         one = replace(found, values=dict(zip(CURVE, values, strict=True)))
         drawn.append(gears.torsion_at(one, torque)[0])
     _, std = gears.torsion_at(found, torque)
-    assert std == pytest.approx(np.std(drawn, axis=0), rel=0.05)  # of 4000 draws: 1.1 %
+    assert std == pytest.approx(np.std(drawn, axis=0), rel=0.05)  # 4000 draws: 1.1 %
 
 
-def test_what_was_not_reported_is_not_drawn() -> None:
+def test_unidentified_parameters_are_not_drawn() -> None:
     one = elastic_identification()
     assert one.tuned is not None
     parameters, covariance = curve_parameters(gear_stiffness_k3=None, gear_knee_t2=None)
     two = replace(one, tuned=replace(one.tuned, parameters=parameters, covariance=covariance))
-    found = gears.curves(two)[0]
+    found = gears.stiffness_curves(two)[0]
     assert found.values == {
         "gear_stiffness_k1": 16000.0,
         "gear_stiffness_k2": 25000.0,
@@ -57,29 +57,49 @@ def test_what_was_not_reported_is_not_drawn() -> None:
     assert found.covariance.shape == (3, 3)
 
 
-def test_without_the_whole_arm_the_joint_shows_one_slope() -> None:
-    found = gears.curves(replace(elastic_identification(), tuned=None))[0]
+def test_without_a_whole_arm_fit_one_stiffness_is_drawn() -> None:
+    found = gears.stiffness_curves(replace(elastic_identification(), tuned=None))[0]
     assert found.values == {"gear_stiffness": 25000.0}
     assert found.is_equivalent
     assert found.covariance[0, 0] == pytest.approx(joint_model().covariance[4, 4])
-    assert found.gear_loads is None
-    assert "One stiffness for the whole" in gears.words(found)
-    assert len(gears.slope_figure(found).panels) == 1
+    assert found.loads is None
+    assert "One equivalent stiffness" in gears.describe(found)
+    assert len(gears.stiffness_figure(found).panels) == 1
 
 
-def test_both_figures_show_the_knees_and_the_records() -> None:
-    slope, torsion = gears.slope_figure(curve()), gears.torsion_figure(curve())
+def test_knees_are_vertices_of_both_curves() -> None:
+    slope, torsion = gears.stiffness_figure(curve()), gears.torsion_figure(curve())
     assert [one.x for one in slope.uprights] == [7.0, 25.0]
     knees = [1e3 * 7.0 / 16000.0, 1e3 * (7.0 / 16000.0 + 18.0 / 25000.0)]
-    assert [one.x for one in torsion.uprights] == pytest.approx(knees)
+    (markers,) = marks(torsion, Markers)
+    assert np.asarray(markers.x) == pytest.approx(knees)
+    assert markers.y.tolist() == [7.0, 25.0]
+    drawn = line(torsion, "identified curve")
+    for x, y in zip(knees, (7.0, 25.0), strict=True):
+        vertex = np.argmin(np.abs(drawn.y - y))
+        assert (drawn.x[vertex], drawn.y[vertex]) == (pytest.approx(x), pytest.approx(y))
     (bars,) = marks(slope, Bars, 1)
     assert bars.y.sum() == pytest.approx(100.0)
-    assert line(slope, "slope").y.tolist() == [16000.0, 16000.0, 25000.0, 25000.0, 29000.0, 29000.0]
+    assert line(slope, "stiffness").y.tolist() == [
+        16000.0,
+        16000.0,
+        25000.0,
+        25000.0,
+        29000.0,
+        29000.0,
+    ]
 
 
-def test_the_words_give_slopes_knees_and_reach() -> None:
-    said = gears.words(curve())
-    assert "16000 ± 160, then 25000 ± 250, then 29000 ± 900 N m/rad" in said
-    assert "7.00 ± 0.20 and 25.0 ± 1.0 N m" in said
-    assert "up to 60 N m" in said
-    assert "N/m" in gears.words(replace(curve(), straight=True))
+def test_the_caption_has_slopes_knees_and_the_largest_torque() -> None:
+    caption = gears.describe(curve())
+    assert "16000 ± 160, then 25000 ± 250, then 29000 ± 900 N m/rad" in caption
+    assert "7.00 ± 0.20 and 25.0 ± 1.0 N m" in caption
+    assert "largest gear torque in the records is 60 N m" in caption
+    assert "N/m" in gears.describe(replace(curve(), is_prismatic=True))
+
+
+def test_a_knee_above_the_largest_torque_is_not_part_of_the_curve() -> None:
+    short = replace(curve(), largest_torque=20.0)
+    drawn = line(gears.torsion_figure(short), "identified curve")
+    assert drawn.y.max() == pytest.approx(20.0)
+    assert (np.diff(drawn.x) >= 0.0).all()

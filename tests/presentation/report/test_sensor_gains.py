@@ -1,4 +1,4 @@
-"""Sentences on what a link sensor would buy: where it does, and only there."""
+"""Predicted benefit of link sensors, stated only where it is significant."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def found(*gains: SensorGain) -> Identification:
     return replace(identification(), tuned=tuned, stages=("rigid", "decoupled", "tuned"))
 
 
-def test_the_largest_gains_come_first() -> None:
+def test_the_largest_improvement_is_first() -> None:
     gains = [gain(p, 0.22, "accelerometer", 2) for p in (STIFFNESS, DAMPING)]
-    (said,) = gain_sentences(found(*gains))
-    assert said == (
-        "with an accelerometer on link 2 (some data sheet) the interval of gear_damping 2 would "
-        "shrink from 3.9 to 0.86 %, that of gear_stiffness 2 from 0.9 to 0.2 %"
+    (clause,) = gain_sentences(found(*gains))
+    assert clause == (
+        "an accelerometer on link 2 (some data sheet) would shrink the 95 % half-width of"
+        " gear_damping 2 from 3.9 to 0.86 %, and of gear_stiffness 2 from 0.9 to 0.2 %"
     )
 
 
@@ -53,19 +53,19 @@ def test_each_kind_of_sensor_is_named_on_its_best_link() -> None:
         gain(STIFFNESS, 0.6, "gyro", 1),
     ]
     first, second = gain_sentences(found(*gains))
-    assert first.startswith("with an accelerometer on link 2")
-    assert second.startswith("with a gyro on link 1")
+    assert first.startswith("an accelerometer on link 2")
+    assert second.startswith("a gyro on link 1")
 
 
-def test_what_buys_little_is_not_named() -> None:
+def test_a_small_improvement_is_not_listed() -> None:
     narrow = replace(gain(STIFFNESS, 0.1, "accelerometer", 2), std=1.0, predicted_std=0.1)
     assert gain_sentences(found(gain(STIFFNESS, 0.7, "gyro", 2), narrow)) == []
     assert gain_sentences(found()) == []
 
 
-def test_the_report_and_the_result_have_them() -> None:
+def test_report_and_result_have_the_improvement() -> None:
     run = found(gain(STIFFNESS, 0.22, "accelerometer", 2))
-    assert "the interval of gear_stiffness 2 would shrink from 0.9 to 0.2 %" in render(run)
+    assert "half-width of gear_stiffness 2 from 0.9 to 0.2 %" in render(run)
     (entry,) = to_document(run)["stages"]["tuned"]["sensor_gains"]
     assert entry["name"] == "gear_stiffness"
     assert entry["predicted_std"] == 0.22 * 28.0

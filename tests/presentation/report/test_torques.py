@@ -1,4 +1,4 @@
-"""Interaction torques beside the motor's: the loudest record, both spectra at their lines."""
+"""Interaction torques: the record with the largest share, and spectra at known lines."""
 
 from __future__ import annotations
 
@@ -13,33 +13,36 @@ from strainwave.presentation.figures import Line
 from strainwave.presentation.report import torques
 
 
-def test_of_each_joint_the_record_with_most_interaction() -> None:
-    (found,) = torques.interacting(elastic_identification())
+def test_the_record_with_the_largest_share_is_shown() -> None:
+    (found,) = torques.interaction_records(elastic_identification())
     assert found.experiment.name == "prbs-j1"
-    assert torques.share(found) == pytest.approx(0.5, rel=1e-6)
-    assert "50 % of the motor's torque" in torques.words(found)
+    assert torques.interaction_share(found) == pytest.approx(0.5, rel=1e-6)
+    assert "50 % of the motor torque" in torques.describe(found)
 
 
-def test_sweeps_and_lone_joints_are_left_out() -> None:
+def test_sweeps_and_joints_without_interaction_are_left_out() -> None:
     high_variance = replace(
         record_model("sweep", 9.0), signals=decoupled("sweep", 9.0, use="sweep")
     )
     lone = decoupled("lone", 9.0)
     alone = replace(high_variance, signals=replace(lone, inputs=lone.inputs[:, :1]))
     assert (
-        torques.interacting(replace(elastic_identification(), records=(high_variance, alone))) == []
+        torques.interaction_records(
+            replace(elastic_identification(), records=(high_variance, alone))
+        )
+        == []
     )
 
 
-def test_both_are_drawn_as_the_motor_feels_them() -> None:
-    motor, other = marks(torques.over_time(decoupled("a", 0.5)), Line)
+def test_both_torques_are_drawn_at_the_motor() -> None:
+    motor, other = marks(torques.time_figure(decoupled("a", 0.5)), Line)
     assert motor.x.max() <= 0.5
-    # thinned rows are those of extremes of either line within a bin
+    # decimated rows hold the extremes of either line in each bin
     assert (motor.y.max(), other.y.max()) == pytest.approx((1.0, 0.5), rel=3e-3)
 
 
-def test_the_spectra_peak_where_the_torques_are() -> None:
-    drawn = marks(torques.over_frequency(decoupled("a", 0.5)), Line)
+def test_the_spectra_peak_at_the_frequencies_of_the_torques() -> None:
+    drawn = marks(torques.spectrum_figure(decoupled("a", 0.5)), Line)
     for one, line in zip(drawn, (10.0, 20.0), strict=True):
         f, density = one.x, one.y
         assert f[np.argmax(density)] == pytest.approx(line, abs=f[1] - f[0])

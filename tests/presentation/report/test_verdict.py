@@ -1,4 +1,4 @@
-"""The verdict says what the numbers say, and every warning has a remedy."""
+"""The verdict follows from the numbers, and every warning has a meaning and a remedy."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from strainwave.presentation.report.verdict import named, verdict
 from virtual_arms import rigid_drive
 
 PACKAGE = Path(strainwave.__file__).parent
-ELSEWHERE = ("experiment_design", "export")  # their warnings never reach a report
+OTHER_COMMANDS = ("experiment_design", "export")  # their warnings are not in a report
 
 
 def of(*parameters: Parameter, **changed: object) -> str:
-    """The words of the verdict on these parameters."""
+    """The text of the verdict on these parameters."""
     one = identification()
     assert one.rigid is not None
     rigid = replace(one.rigid, parameters=parameters)
@@ -31,13 +31,15 @@ def of(*parameters: Parameter, **changed: object) -> str:
 
 
 def words_of(found: Callout) -> str:
-    """Parts of sentences, terms and facts between upright lines."""
+    """Spans, terms, facts and table cells, separated by vertical bars."""
     texts: list[str] = []
     for block in found.blocks:
         if isinstance(block, Paragraph):
             texts += [span.text for span in block.spans]
         elif isinstance(block, Facts):
             texts += [f"|{term}||{fact}|" for term, fact in block.items]
+        elif isinstance(block, Table):
+            texts += [cell.text for row in block.rows if isinstance(row, tuple) for cell in row]
     return "|".join(["", *texts, ""])
 
 
@@ -51,65 +53,85 @@ def reported(
 @pytest.mark.parametrize(
     ("value", "half", "said"),
     [
-        (1.0, 0.009, "95 % half-width 1 % or better"),
-        (1.0, 0.011, "95 % half-width 10 % or better"),
-        (1.0, 0.5, "95 % half-width worse than 10 %"),
+        (1.0, 0.009, "95 % half-width up to 1 %"),
+        (1.0, 0.011, "95 % half-width up to 10 %"),
+        (1.0, 0.5, "95 % half-width above 10 %"),
         (1.0, 1.5, "Not identified: the 95 % interval is wider than the value"),
         (1.0, None, "Not identified: the 95 % interval is wider than the value"),
         (None, None, "Not identified"),
         (-1.0, 0.1, "Rejected: do not use"),
     ],
 )
-def test_each_parameter_is_classed_by_its_interval(
+def test_each_parameter_is_classified_by_its_interval(
     value: float | None, half: float | None, said: str
 ) -> None:
     text = of(reported("gear_damping", value, half))
     assert f"|{said}||gear damping (1)|" in text, text
 
 
-def test_it_counts_what_is_identified() -> None:
+def test_identified_parameters_are_counted() -> None:
     alpha = reported("alpha", 1.0, 0.05, None)
     assert "All 2 parameters are identified, 1 with a 95 % half-width of 10 %" in of(
         alpha, reported("beta", 1.0, 0.2)
     )
     assert "1 of 2 parameters are identified, 1 with" in of(alpha, reported("beta", None, None))
     assert "No parameter was estimated." in of()
-    assert "Not determined.| nothing moved; not identified: beta" in of(failures=("nothing moved",))
+    assert "|Not determined| No parameter was estimated.|Nothing moved.|Not identified: beta" in of(
+        failures=("nothing moved",)
+    )
 
 
-def test_nearly_nothing_is_said_to_be_so() -> None:
+def test_a_value_near_zero_has_its_own_class() -> None:
     active = (Activity(1, torque=1.0, velocity=50.0, acceleration=500.0),)
     text = of(reported("motor_coulomb_friction", 0.001, 0.015), activity=active)
     assert "|Zero within 2 % of the joint torque||motor coulomb friction (1)|" in text
 
 
-def test_combinations_stand_beside_the_parameters() -> None:
+def test_combinations_are_listed() -> None:
     pair = Diagnostic("only-together", "alpha and gear_damping of joint 1", "only the sum")
     assert "Only the combination is identified||alpha and gear damping of joint 1|" in of(
         warnings=(pair,)
     )
 
 
-def test_names_are_gathered_over_the_joints() -> None:
-    both = [reported("link_inertia", 1.0, 0.1, joint) for joint in (1, 2)]
-    assert named([reported("alpha", 1.0, 0.1, None), *both]) == "alpha, link inertia (1, 2)"
+def test_names_are_grouped_over_the_joints() -> None:
+    labels = [("alpha", None), ("link_inertia", 1), ("link_inertia", 2)]
+    assert named(labels) == "alpha, link inertia (1, 2)"
 
 
-def test_fits_of_validation_data() -> None:
+def test_fits_of_check_records_are_a_table() -> None:
     text = of(checks=(prediction("a", 91.25, 99.0), prediction("b", 95.0, float("nan"))))
-    assert "median fit 95.0 % of 3 channels, least 91.2 % (torque1 in “a”)" in text
-    assert "explains" not in text
-    assert "No record was kept" in of(checks=())
-    assert "hardly move" in of(checks=(prediction("a", float("nan")),))
+    assert "|rigid model, drive|3|95.0 %|91.2 %|torque1 in a|" in text
+    motion = identification().study.experiments[:1]
+    study = replace(identification().study, experiments=motion)
+    assert "the study has no check record" in of(checks=(), study=study)
+    assert "hardly move in the check records" in of(checks=(prediction("a", float("nan")),))
 
 
-def test_the_grade_is_that_of_the_median() -> None:
-    for middle, grade in ((96.0, "very well"), (86.0, "well"), (61.0, "in part"), (5.0, "badly")):
-        text = of(checks=(prediction("a", 1.0, middle, 99.0),))
-        assert f"The rigid model predicts the torques of validation data {grade}: median" in text
+def test_check_records_without_a_model_are_not_called_missing() -> None:
+    """A study with check records that were not predicted does have check records."""
+    fault = Suspicion(code="wrong-unit", where="u1", message="u1 is wrong", remedy="Set scale = 1")
+    names = "motion-check, step-check-j1, step-check-j2"
+    text = of(checks=(), suspected=(fault,))
+    assert f"3 check records were not predicted because the input is inconsistent: {names}" in text
+    assert "3 check records were not predicted because no model was estimated" in of(checks=())
+    assert "no check record" not in text
 
 
-def test_only_validation_data_that_load_the_gears_speak_for_the_elastic_model() -> None:
+@pytest.mark.parametrize(
+    ("changes", "title", "mark"),
+    [
+        ({}, "Determined", "good"),
+        ({"failures": ("nothing moved",)}, "Partly determined", "doubt"),
+    ],
+)
+def test_the_status_has_its_colour(changes: dict[str, object], title: str, mark: str) -> None:
+    lead = verdict(drive(**changes)).blocks[0]
+    assert isinstance(lead, Paragraph)
+    assert (lead.spans[0].text, lead.spans[0].mark) == (title, mark)
+
+
+def test_only_check_records_that_load_the_gears_validate_the_elastic_model() -> None:
     one = elastic_identification()
     steps = replace(prediction("steps", 99.0, 99.0), channels=("omega_m1", "a1"))
     steps = replace(steps, fit_percent={"omega_m1": 99.0, "a1": 98.0})
@@ -117,19 +139,19 @@ def test_only_validation_data_that_load_the_gears_speak_for_the_elastic_model() 
     half = replace(steps, stiffness_effect={1: 0.2, 2: 0.04})
     for checks in ((), (prediction("a", 99.0),), (slow,), (half,)):
         text = words_of(verdict(replace(one, checks=checks)))
-        assert "very well" not in text.replace("torques of validation data very well", "")
+        assert "elastic model, motion" not in text
         assert not checks or "Elastic model not validated" in text
         assert not replace(one, checks=checks).verdict.validated.elastic
     full = replace(one, checks=(replace(steps, stiffness_effect={1: 0.2, 2: 0.3}),))
     assert full.verdict.validated.elastic
     assert not full.verdict.validated.rigid
     text = words_of(verdict(full))
-    assert "The elastic model predicts the motion of validation data very well" in text
+    assert "|elastic model, motion|2|98.5 %|98.0 %|a1 in steps|" in text
     assert "not validated" not in text
 
 
 def drive(**changed: object) -> Identification:
-    """A rigid drive of which everything is identified."""
+    """A rigid drive with all parameters identified."""
     one = identification()
     assert one.rigid is not None
     names = ("inertia", "motor_viscous_friction", "motor_coulomb_friction")
@@ -138,42 +160,42 @@ def drive(**changed: object) -> Identification:
     return replace(fine, **changed)  # type: ignore[arg-type]
 
 
-def test_only_what_is_determined_and_predicted_is_green() -> None:
+def test_only_a_determined_and_predicted_result_is_green() -> None:
     fine = drive()
     assert fine.rigid is not None
     vague = (*fine.rigid.parameters, reported("friction_offset", 1.0, 2.0))
     for found, mark in (
-        (fine, ""),
+        (fine, "good"),
         (replace(fine, rigid=replace(fine.rigid, parameters=vague)), "doubt"),
         (replace(fine, checks=(prediction("a", 50.0),)), "doubt"),
         (replace(fine, warnings=identification().warnings), "doubt"),
-        (replace(fine, warnings=(Diagnostic("resampled", "a.csv", "uneven"),)), ""),
-        (replace(fine, failures=("nothing moved",)), "bad"),
+        (replace(fine, warnings=(Diagnostic("resampled", "a.csv", "uneven"),)), "good"),
+        (replace(fine, failures=("nothing moved",)), "doubt"),
     ):
         assert verdict(found).mark == mark
 
 
-def test_a_fault_of_the_input_comes_first() -> None:
+def test_faults_of_the_input_are_listed_with_their_corrections() -> None:
     fault = Suspicion(
         code="wrong-unit", where="u1", message="u1 is 9.81 of it.", remedy="Set scale = 9.81."
     )
     text = words_of(verdict(drive(suspected=(fault,))))
-    assert "The input contradicts itself." in text
-    assert "|u1|: u1 is 9.81 of it. Set scale = 9.81." in text
+    assert "|Inconsistent input|" in text
+    assert "|u1|u1 is 9.81 of it.|Set scale = 9.81.|" in text
 
 
 def test_the_most_serious_warning_is_named() -> None:
     mild = Diagnostic("resampled", "a.csv", "uneven steps")
     grave = Diagnostic("implausible", "data/b.csv", "negative")
     text = of(warnings=(mild, grave))
-    assert "2 warnings|; the most serious, of b.csv: negative." in text
-    assert "1 warning|; of a.csv: uneven steps." in of(warnings=(mild,))
-    # what nobody has thought of comes before all
-    unheard = Diagnostic("unheard-of", "c", "odd")
-    assert remedies.most_serious((grave, unheard)) is unheard
+    assert "2 warnings|; most serious: b.csv: Negative." in text
+    assert "1 warning|: a.csv: Uneven steps." in of(warnings=(mild,))
+    # an unknown code is the most serious
+    unknown = Diagnostic("unknown-code", "c", "odd")
+    assert remedies.most_serious((grave, unknown)) is unknown
 
 
-def test_warnings_stand_in_their_order_with_what_to_do() -> None:
+def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
     found, where = remedies.warnings_table(
         [
             Diagnostic("resampled", "a.csv", "uneven"),
@@ -185,18 +207,20 @@ def test_warnings_stand_in_their_order_with_what_to_do() -> None:
     assert "docs/troubleshooting.md#saturated" in [span.text for span in where.spans]
     first, second = ([cell.text for cell in row] for row in found.rows if isinstance(row, tuple))
     assert (first[0], second[0]) == ("b.csv", "a.csv")
-    assert "Lower the amplitude" in first[2]
-    odd, _ = remedies.warnings_table([Diagnostic("unheard-of", "c", "odd")])
+    assert first[1] == "At its limit."
+    assert "excluded" in first[2]
+    assert "Lower the amplitude" in first[3]
+    odd, _ = remedies.warnings_table([Diagnostic("unknown-code", "c", "odd")])
     assert isinstance(odd, Table)
     assert isinstance(odd.rows[0], tuple)
-    assert odd.rows[0][2].text == "See the message."
+    assert odd.rows[0][3].text == "See the message."
 
 
 def codes() -> set[str]:
-    """Of every warning that a stage gives."""
+    """The code of every warning that a stage gives."""
     found: set[str] = set()
     for path in PACKAGE.rglob("*.py"):
-        if path.relative_to(PACKAGE).parts[0] in ELSEWHERE:
+        if path.relative_to(PACKAGE).parts[0] in OTHER_COMMANDS:
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
@@ -207,7 +231,8 @@ def codes() -> set[str]:
     return found
 
 
-def test_every_warning_has_a_remedy() -> None:
+def test_every_warning_has_a_meaning_and_a_remedy() -> None:
     assert {"saturated", "sliding", "modes-failed"} <= codes()
+    assert all(one.meaning and one.remedy for one in remedies.advice().values())
     assert remedies.remedies().keys() >= remedies.MILD
     assert codes() - remedies.remedies().keys() == set()

@@ -1,4 +1,4 @@
-"""Report and figures as files: whole or none, wanted or not."""
+"""Report and figure files: written completely or not at all."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytest.importorskip("matplotlib", reason="the extra 'plot' is not installed")
 BOTH = {"report.html", "result.json"}
 
 
-def test_figures_are_written_when_wanted(tmp_path: Path) -> None:
+def test_figures_are_written_on_request(tmp_path: Path) -> None:
     one = replace(identification(), checks=(prediction("a", 90.0),), fitted=())
     pipeline.write(one, tmp_path / "plain")
     assert {path.name for path in (tmp_path / "plain").iterdir()} == BOTH
@@ -30,15 +30,15 @@ def test_figures_are_written_when_wanted(tmp_path: Path) -> None:
     assert names == {f"{name}.{ending}" for name in figures_of(one) for ending in ("svg", "png")}
 
 
-def test_all_files_or_none(tmp_path: Path) -> None:
-    (tmp_path / "figures").write_text("")  # a file where the folder should be
+def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
+    (tmp_path / "figures").write_text("")  # a file in place of the folder
     with pytest.raises(InvalidInput, match="cannot write there"):
         pipeline.write(identification(), tmp_path, figures=True)
     assert [path.name for path in tmp_path.iterdir()] == ["figures"]
 
 
 @pytest.mark.parametrize("command", ["identify", "demo"])
-def test_a_missing_matplotlib_is_said_before_the_work(
+def test_a_missing_matplotlib_is_reported_before_the_run(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -50,7 +50,7 @@ def test_a_missing_matplotlib_is_said_before_the_work(
     assert not out.exists()
 
 
-def test_the_command_writes_figures_and_says_where(tmp_path: Path) -> None:
+def test_the_command_writes_figures_and_prints_their_folder(tmp_path: Path) -> None:
     study = str(studies.write(tmp_path, studies.STUDY.replace('use = "motion"', 'use = "sweep"')))
     out = tmp_path / "out"
     given: list[bool] = []

@@ -12,6 +12,7 @@ import numpy as np
 from strainwave.domain import BoolArray, Diagnostic, FloatArray, ResidualTest
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.objective import Objective, Rows, Weights, lagged_products
+from strainwave.numerics.correlations import correlate_residuals
 from strainwave.numerics.parallel import side_by_side
 from strainwave.numerics.spectra import cross_spectral_densities
 
@@ -73,6 +74,7 @@ def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> Re
         input_correlation=correlation,
         input_delay=delay,
         input_probability=probability,
+        correlation=correlate_residuals(left, inputs, kernels.step * T),
     )
 
 

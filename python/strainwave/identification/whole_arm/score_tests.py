@@ -221,6 +221,7 @@ def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
         share=share,
         evident=significant and matters(share, moves),
         shifts=moves,
+        limit=chi_square_limit(chance, len(step.size)),
     )
 
 

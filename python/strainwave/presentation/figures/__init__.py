@@ -1,7 +1,6 @@
-"""Figures as data, without a plotting library: the records, their style, and common charts.
+"""Figures as data, without a plotting library: records, style, and charts used in several places.
 
-`curves` makes the charts that several parts of the package share; each part of the report makes
-its own from the records here.
+`curves` holds the shared charts; each module of the report makes its own from these records.
 """
 
 from strainwave.presentation.figures.records import (
@@ -17,9 +16,19 @@ from strainwave.presentation.figures.records import (
     Mark,
     Markers,
     Panel,
+    Symbol,
     Upright,
 )
-from strainwave.presentation.figures.samples import MOST_POINTS, TICKS, decibel, thinned
+from strainwave.presentation.figures.samples import (
+    MAX_POINTS,
+    MIN_BAND_SHARE,
+    NORMAL_95,
+    NORMAL_99,
+    TICKS,
+    decibel,
+    decimate,
+    spread_evenly,
+)
 from strainwave.presentation.figures.style import (
     BRIEF,
     DASHES,
@@ -36,9 +45,12 @@ __all__ = [
     "DASHES",
     "DOTTED",
     "LINEAR",
+    "MAX_POINTS",
     "MEASURED",
+    "MIN_BAND_SHARE",
     "MODEL",
-    "MOST_POINTS",
+    "NORMAL_95",
+    "NORMAL_99",
     "PALETTE",
     "RESIDUAL",
     "SOLID",
@@ -54,7 +66,9 @@ __all__ = [
     "Mark",
     "Markers",
     "Panel",
+    "Symbol",
     "Upright",
     "decibel",
-    "thinned",
+    "decimate",
+    "spread_evenly",
 ]

@@ -1,67 +1,71 @@
-"""Figures as data: panels one above the other over one axis, and what is drawn in them.
+"""Figures as data: panels over one shared horizontal axis, and the marks in them.
 
-Nothing here knows a plotting library. `strainwave.presentation.plotly_backend` and
-`strainwave.presentation.matplotlib_backend` draw these records, and nothing else.
+This module needs no plotting library. `strainwave.presentation.plotly_backend` and
+`strainwave.presentation.matplotlib_backend` draw these records.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from strainwave.domain import FloatArray
 
 Dash = tuple[float, ...]
-"""Lengths of dashes and gaps [px]; empty: a solid line."""
+"""Lengths of dashes and gaps [px]; empty for a solid line."""
+
+Symbol = Literal["circle", "circle-open", "x"]
 
 SOLID: Dash = ()
 DOTTED: Dash = (3.0, 3.0)
 
-_ROWS = 6  # of a heat map in the height of a panel: their names still stand apart
+_HEAT_MAP_ROWS_PER_PANEL = 6  # row names stay legible at this density
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """Points joined in their order; NaN is a gap."""
+    """Points joined in order; NaN is a gap."""
 
     x: FloatArray
     y: FloatArray
-    name: str  # lines of one name are one entry of the legend
+    name: str  # lines of one name share a legend entry
     colour: str  # "#rrggbb"
     dash: Dash = SOLID
     width: float = 1.5  # [px]
-    legend: bool = True  # whether the legend has it
-    size: float = 0.0  # [px] of a dot at each point; 0: none
-    error: FloatArray | None = None  # half-length of the vertical bar at each point
+    legend: bool = True  # whether the legend lists it
+    size: float = 0.0  # [px] of a dot at each point; 0 for none
+    error: FloatArray | None = None  # half-length of a vertical error bar at each point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Markers:
-    """Points that no line joins."""
+    """Separate points."""
 
-    x: FloatArray | tuple[str, ...]  # numbers, or names along the axis
+    x: FloatArray | tuple[str, ...]  # numbers, or category names
     y: FloatArray
     name: str
     colour: str
     size: float = 4.0  # [px]
     opacity: float = 1.0
-    error: FloatArray | None = None  # half-length of the vertical bar at each point
+    error: FloatArray | None = None  # half-length of a vertical error bar at each point
+    symbol: Symbol = "circle"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The area between two lines, as the 95 % band around a third."""
+    """The area between two curves, for example a 95 % confidence band."""
 
     x: FloatArray
     low: FloatArray
     high: FloatArray
-    colour: str  # of the third, from which it is made pale
-    name: str  # of the third, with which it is hidden
+    colour: str  # of the line that the band belongs to; drawn transparent
+    name: str  # of that line: both are hidden together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bars:
-    """Upright bars around the middles of bins."""
+    """Vertical bars centred on bins."""
 
     x: FloatArray
     y: FloatArray
@@ -72,13 +76,13 @@ class Bars:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeatMap:
-    """A square matrix as colours, its first row at the top."""
+    """A square matrix as colours, first row at the top."""
 
-    names: tuple[str, ...]  # of rows and of columns
+    names: tuple[str, ...]  # of rows and columns
     values: FloatArray  # (n_names, n_names)
     low: float
     high: float
-    colours: tuple[str, str, str]  # of low, of the middle, of high
+    colours: tuple[str, str, str]  # at the low, middle and high value
 
 
 Mark = Line | Markers | Band | Bars | HeatMap
@@ -86,17 +90,17 @@ Mark = Line | Markers | Band | Bars | HeatMap
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One axis with its title."""
+    """One axis and its title."""
 
     title: str  # with unit
     log: bool = False
-    range: tuple[float, float] | None = None  # None: what is drawn
-    step: float | None = None  # between ticks; None: as fits
+    range: tuple[float, float] | None = None  # None for the range of the data
+    step: float | None = None  # between ticks; None for automatic
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """Marks over one vertical axis, the last on top."""
+    """Marks over one vertical axis; the last is on top."""
 
     axis: Axis
     marks: tuple[Mark, ...]
@@ -105,19 +109,19 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Upright:
-    """A vertical line through all panels, with words beside it."""
+    """A vertical line through all panels, with an optional label."""
 
     x: float
     text: str = ""
-    panel: int = 0  # in which the words stand, from 0 at the top
-    height: float = 1.0  # of the words' upper edge, as a share of that panel
-    before: bool = False  # whether the words stand left of the line, not right of it
+    panel: int = 0  # of the label, from 0 at the top
+    height: float = 1.0  # upper edge of the label, as a share of the panel
+    before: bool = False  # whether the label is left of the line
     dash: Dash = DOTTED
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """Panels one above the other, which share their horizontal axis."""
+    """Panels one above the other that share the horizontal axis."""
 
     x: Axis
     panels: tuple[Panel, ...]  # from the top
@@ -126,23 +130,23 @@ class Figure:
 
     @property
     def marks(self) -> list[Mark]:
-        """Of all panels, from the top."""
+        """The marks of all panels, from the top."""
         return [mark for panel in self.panels for mark in panel.marks]
 
     @property
     def height(self) -> float:
-        """In heights of a panel of one line; names of a heat map need room."""
+        """Height in units of one panel; a heat map takes the room its row names need."""
         rows = max((len(m.names) for m in self.marks if isinstance(m, HeatMap)), default=0)
-        names = 1 + math.ceil(rows / _ROWS) if rows else 0
+        names = 1 + math.ceil(rows / _HEAT_MAP_ROWS_PER_PANEL) if rows else 0
         return max(sum(panel.height for panel in self.panels), names)
 
     @property
     def legend(self) -> list[str]:
-        """Names of its entries, each once; none where there is nothing to distinguish."""
+        """Names of the legend entries; empty if there is only one."""
         names = [
             mark.name
             for mark in self.marks
             if isinstance(mark, Line | Markers | Bars) and getattr(mark, "legend", True)
         ]
-        found = list(dict.fromkeys(names))
-        return found if len(found) > 1 else []
+        entries = list(dict.fromkeys(names))
+        return entries if len(entries) > 1 else []

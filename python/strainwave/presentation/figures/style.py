@@ -1,7 +1,7 @@
-"""Colours and dashes: Okabe and Ito's, which the colour-blind can distinguish.
+"""Colours and dashes. The colours are those of Okabe and Ito, safe for colour-blind readers.
 
-Measured is always dark blue, the model always vermilion, and every colour has its dash, so that
-nothing is distinguished by colour alone.
+Measured data are blue, the model is vermilion. Every colour has its own dash, so that no line is
+distinguished by colour alone.
 """
 
 from __future__ import annotations
@@ -24,4 +24,4 @@ DASHES: tuple[Dash, ...] = (
     (4.0, 2.0, 1.0, 2.0),
 )
 BRIEF: Dash = (4.0, 2.0)
-"""Of a second line over a first, where there are two."""
+"""Dash of the second of two lines."""

@@ -1,7 +1,7 @@
-"""How records show themselves: a small HTML table each, and a picture.
+"""HTML tables and figures of records in notebooks.
 
-The pictures are the report's own figures, drawn by `strainwave.presentation.matplotlib_backend`.
-`Log._repr_html_()`, `RigidModel.plot()` and their like end here.
+`Log._repr_html_()`, `RigidModel.plot()` and similar methods call this package. The figures are
+those of the report, drawn by Matplotlib.
 """
 
 from __future__ import annotations
@@ -19,39 +19,16 @@ __all__ = ["certainty", "picture_of", "table_of"]
 
 
 def table_of(record: object) -> str:
-    """A record as a small HTML table.
-
-    Parameters
-    ----------
-    record : record of `strainwave.domain`
-
-    Returns
-    -------
-    str
-        HTML, its texts escaped.
-    """
+    """A record of `strainwave.domain` as an HTML table."""
     return html_of(record)
 
 
 def picture_of(record: object, **which: Any) -> Figure:
-    """A record as a Matplotlib figure.
+    """A record of `strainwave.domain` as a Matplotlib figure.
 
-    Parameters
-    ----------
-    record : record of `strainwave.domain`
-    **which
-        Of a `Prediction` its `channel`, without it the one that fits worst; of a
-        `FrequencyResponse` its `output` and `input`, from 0, and the `band_hz` to show; of a
-        `JointModel` its `gear_ratio`, which it does not know, and the `measured` response to draw
-        beside it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InvalidInput
-        Matplotlib is missing, or the record has no such part.
+    Options: of a `Prediction` its `channel` (default: the one with the lowest fit); of a
+    `FrequencyResponse` its `output` and `input`, from 0, and `band_hz`; of a `JointModel` its
+    `gear_ratio`, and the `measured` response to compare. Raises InvalidInput if Matplotlib is
+    missing or the record has no such part.
     """
     return draw(figure_of(record, **which))

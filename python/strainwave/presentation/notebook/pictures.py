@@ -1,4 +1,4 @@
-"""Records as figures; some may be asked for a part of themselves."""
+"""Records as figures; options select a part of a record."""
 
 from __future__ import annotations
 
@@ -34,36 +34,25 @@ from strainwave.presentation.figures import (
     Markers,
     Panel,
     curves,
-    thinned,
+    decimate,
 )
-from strainwave.presentation.report import bode, elastic, predictions
+from strainwave.presentation.report import amplitudes, bode, predictions
 
-_NOISY = 0.3  # relative deviation from which a point of a response is left out
+MAX_RELATIVE_STD = 0.3  # of a response: less certain points would hide the others
 
 
 @singledispatch
 def figure_of(record: object) -> Figure:
-    """A record's figure; `picture_of` says what may be asked for.
+    """The figure of a record; `picture_of` lists the options.
 
-    Parameters
-    ----------
-    record : record of `strainwave.domain`
-
-    Returns
-    -------
-    Figure
-
-    Raises
-    ------
-    InvalidInput
-        The record has no such part.
+    Raises InvalidInput if the record has no such part.
     """
-    raise TypeError(f"no picture is known of a {type(record).__name__}")
+    raise TypeError(f"a {type(record).__name__} has no figure")
 
 
 @figure_of.register
 def _(log: Log) -> Figure:
-    """What drives the motors, and where they turn."""
+    """Drive and motor angles."""
     above = {n: v for n, v in log.channels.items() if n.startswith(("u", "torque"))}
     below = {n: v for n, v in log.channels.items() if n.startswith("theta_m")}
     titles = ("drive [V, N m]", "motor angle [rad]")
@@ -72,7 +61,7 @@ def _(log: Log) -> Figure:
 
 @figure_of.register
 def _(joint: Decoupled) -> Figure:
-    """The inputs, and both velocities on the link's side of the gear."""
+    """Inputs, and both velocities on the link side of the gear."""
     names = ("motor torque less Coulomb friction", "n times interaction torque")
     sizes = (1.0, joint.gear_ratio)
     columns = zip(names, sizes, joint.inputs.T, strict=False)
@@ -81,7 +70,7 @@ def _(joint: Decoupled) -> Figure:
         "n times motor velocity": joint.gear_ratio * joint.outputs[:, 0],
         "link velocity": joint.outputs[:, 1],
     }
-    caption = f"joint {joint.joint} on its own, record {joint.experiment.name}"
+    caption = f"joint {joint.joint}, decoupled, record {joint.experiment.name}"
     return _stacked(
         joint.time, above, below, ("[N m] at the motor", "[rad/s] at the link"), caption
     )
@@ -105,7 +94,7 @@ def _(record: RecordModel) -> Figure:
         raise InvalidInput(
             "the record has no physical model to draw",
             where=record.signals.experiment.name,
-            remedy="read its warnings, which say why",
+            remedy="read its warnings, which state the reason",
         )
     return bode.bode(record.joint_model, record.signals.gear_ratio, None)
 
@@ -118,16 +107,16 @@ def _(
     input: int = 0,
     band_hz: tuple[float, float] | None = None,
 ) -> Figure:
-    """Where it is known: a point less sure than `_NOISY` would hide the others."""
+    """The reliable points of a response with their 95 % band."""
     f, G = response.frequencies_hz, response.response[:, output, input]
     low, high = band_hz or (0.0, np.inf)
     size, phase = _spread(response, output, input)
     shown = (f > 0.0) & (f >= low) & (f <= high)
     if size is not None:
-        shown &= size < _NOISY * np.abs(G)
+        shown &= size < MAX_RELATIVE_STD * np.abs(G)
     if not shown.any():
         raise InvalidInput(
-            "no point of the response is known well enough to draw",
+            f"no point of the response has a standard deviation below {100 * MAX_RELATIVE_STD:g} %",
             remedy="average more periods, or draw another input, output or band_hz",
         )
     curve = curves.Curve(
@@ -143,9 +132,9 @@ def _(
 def _spread(
     response: FrequencyResponse, output: int, input: int
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """Deviations of modulus and phase: a model's by its covariance, a measured one's by its noise.
+    """Standard deviations of modulus and phase, by the covariance of a model or measured noise.
 
-    Noise has no direction, so half of its variance lies along the modulus.
+    Noise has no preferred direction, so half of its variance lies along the modulus.
     """
     if response.noise_variance is not None:
         size = np.sqrt(0.5 * response.noise_variance[:, output, input])
@@ -158,42 +147,34 @@ def _spread(
 
 @figure_of.register
 def _(sweep: Sweep) -> Figure:
-    return elastic.stiffness(sweep)
+    return amplitudes.stiffness_figure(sweep)
 
 
 @figure_of.register
 def _(prediction: Prediction, *, channel: str | None = None) -> Figure:
     fits = prediction.fit_percent
-    worst = min(prediction.channels, key=lambda name: fits.get(name, np.inf))
-    chosen = channel or worst
+    lowest = min(prediction.channels, key=lambda name: fits.get(name, np.inf))
+    chosen = channel or lowest
     if chosen not in prediction.channels:
         raise InvalidInput(
-            f"no channel {chosen!r} was predicted",
+            f"channel {chosen!r} is not predicted",
             where=prediction.experiment,
-            remedy=f"take one of {', '.join(prediction.channels)}",
+            remedy=f"choose one of {', '.join(prediction.channels)}",
         )
-    drawn = predictions.of_prediction(prediction, channels=(chosen,))
+    drawn = predictions.prediction_figure(prediction, channels=(chosen,))
     fit = percent(fits.get(chosen, float("nan")))
     return replace(drawn, caption=f"{prediction.experiment}, {chosen}: fit {fit}")
 
 
 def certainty(parameters: Iterable[Parameter]) -> Figure:
-    """How well each parameter is known: its deviation as a share of its value.
-
-    Parameters
-    ----------
-    parameters : iterable of Parameter
-        Those without a value or a deviation are left out.
-
-    Returns
-    -------
-    Figure
-    """
+    """Standard deviation of each parameter in percent of its value, where both are known."""
     known = [(p, p.std / abs(p.value)) for p in parameters if p.std is not None and p.value]
     names = [p.name + (f" {p.joint}" if p.joint else "") for p, _ in known]
     shares = np.array([100.0 * share for _, share in known])
     points = Markers(tuple(names), shares, "standard deviation", MEASURED, size=8.0)
-    return Figure(Axis(""), (Panel(Axis("deviation [% of the value]", log=True), (points,)),))
+    return Figure(
+        Axis(""), (Panel(Axis("standard deviation [% of the value]", log=True), (points,)),)
+    )
 
 
 def _stacked(
@@ -203,13 +184,13 @@ def _stacked(
     titles: tuple[str, str],
     caption: str,
 ) -> Figure:
-    """Lines over one time axis, on two axes, one above the other."""
-    looks = iter(zip(PALETTE * 2, DASHES * 2, strict=True))
+    """Two panels of lines over one time axis."""
+    styles = iter(zip(PALETTE * 2, DASHES * 2, strict=True))
     panels = []
     for title, group in zip(titles, (above, below), strict=True):
         marks = []
-        for (name, values), (colour, dash) in zip(group.items(), looks, strict=False):
-            pick = thinned(values)
-            marks.append(Line(time[pick], values[pick], name, colour, dash))
+        for (name, values), (colour, dash) in zip(group.items(), styles, strict=False):
+            rows = decimate(values)
+            marks.append(Line(time[rows], values[rows], name, colour, dash))
         panels.append(Panel(Axis(title), tuple(marks)))
     return Figure(Axis("time [s]"), tuple(panels), caption=caption)

@@ -1,4 +1,4 @@
-"""Records as small HTML tables; every text in them is escaped."""
+"""Records as HTML tables; every text is escaped."""
 
 from __future__ import annotations
 
@@ -21,39 +21,19 @@ from strainwave.domain import (
     Sweep,
 )
 from strainwave.domain.formatting import percent, plus_minus
-from strainwave.presentation.html import filled
+from strainwave.presentation.html import fill_template
 
 _PARAMETER_HEADS = ("parameter", "joint", "value", "± std", "unit")
 
 
 @singledispatch
 def html_of(record: object) -> str:
-    """A record's table.
-
-    Parameters
-    ----------
-    record : record of `strainwave.domain`
-
-    Returns
-    -------
-    str
-    """
-    raise TypeError(f"no table is known of a {type(record).__name__}")
+    """The table of a record."""
+    raise TypeError(f"a {type(record).__name__} has no table")
 
 
 def table_of_parameters(parameters: Iterable[Parameter], head: str = "") -> str:
-    """Parameters as a table.
-
-    Parameters
-    ----------
-    parameters : iterable of Parameter
-    head : str
-        Above the table.
-
-    Returns
-    -------
-    str
-    """
+    """Parameters as a table below a title."""
     return _html(head, _PARAMETER_HEADS, _rows(parameters), ())
 
 
@@ -64,7 +44,7 @@ def _(log: Log) -> str:
         for name, values in log.channels.items()
     ]
     head = f"log {log.name}: {len(log)} samples every {1e3 * log.sample_time:.4g} ms"
-    return _html(head, ("channel", "least", "largest", "deviation"), rows, log.warnings)
+    return _html(head, ("channel", "minimum", "maximum", "standard deviation"), rows, log.warnings)
 
 
 @html_of.register
@@ -76,17 +56,17 @@ def _(model: RigidModel) -> str:
 
 @html_of.register
 def _(joint: Decoupled) -> str:
-    rows = [("holds" if check.passed else "fails", check.message) for check in joint.checks]
-    head = f"joint {joint.joint} on its own, record {joint.experiment.name}: "
+    rows = [("pass" if check.passed else "fail", check.message) for check in joint.checks]
+    head = f"joint {joint.joint}, decoupled, record {joint.experiment.name}: "
     head += f"{len(joint.time)} samples, {joint.inputs.shape[1]} input(s)"
-    return _html(head, ("check", "of the data"), rows, joint.warnings)
+    return _html(head, ("check", "result"), rows, joint.warnings)
 
 
 @html_of.register
 def _(joint: JointModel) -> str:
     head = f"joint {joint.joint}, {joint.status}, by {joint.method} from "
     head += ", ".join(joint.experiments)
-    rows = [*_rows(joint.parameters), *_ringing(joint)]
+    rows = [*_rows(joint.parameters), *_modes(joint)]
     return _html(head, _PARAMETER_HEADS, rows, joint.warnings)
 
 
@@ -127,23 +107,23 @@ def _(sweep: Sweep) -> str:
 
 @html_of.register
 def _(arm: ArmModel) -> str:
-    head = f"the whole arm at once: {arm.status} after {arm.iterations} evaluations"
+    head = f"whole-arm fit: {arm.status} after {arm.iterations} evaluations"
     return _html(head, _PARAMETER_HEADS, _rows(arm.parameters), arm.warnings)
 
 
 @html_of.register
 def _(prediction: Prediction) -> str:
     rows = [(name, percent(fit)) for name, fit in prediction.fit_percent.items()]
-    head = f"record {prediction.experiment}, predicted"
+    head = f"prediction of record {prediction.experiment}"
     return _html(head, ("channel", "fit"), rows, prediction.warnings)
 
 
 @html_of.register
-def _(found: Identification) -> str:
-    head = f"{found.study.path.name}: {found.verdict.status}"
-    if found.reason is not None:
-        head += f" ({found.reason})"
-    return _html(head, _PARAMETER_HEADS, _rows(found.parameters), found.warnings)
+def _(result: Identification) -> str:
+    head = f"{result.study.path.name}: {result.verdict.status}"
+    if result.reason is not None:
+        head += f" ({result.reason})"
+    return _html(head, _PARAMETER_HEADS, _rows(result.parameters), result.warnings)
 
 
 def _rows(parameters: Iterable[Parameter]) -> list[tuple[str, ...]]:
@@ -152,7 +132,7 @@ def _rows(parameters: Iterable[Parameter]) -> list[tuple[str, ...]]:
     ]
 
 
-def _ringing(joint: JointModel) -> list[tuple[str, ...]]:
+def _modes(joint: JointModel) -> list[tuple[str, ...]]:
     modes: Mapping[str, Mode | None] = {
         "anti-resonance": joint.anti_resonance,
         "resonance": joint.resonance,
@@ -170,6 +150,6 @@ def _html(
     rows: Iterable[tuple[str, ...]],
     warnings: Iterable[Diagnostic],
 ) -> str:
-    """One table, a row of it a tuple of texts; the warnings below it."""
+    """One table with the warnings below it."""
     columns, rows, warnings = tuple(columns), tuple(rows), tuple(warnings)
-    return filled("notebook/table", head=head, columns=columns, rows=rows, warnings=warnings)
+    return fill_template("notebook/table", head=head, columns=columns, rows=rows, warnings=warnings)

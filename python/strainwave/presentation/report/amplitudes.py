@@ -1,89 +1,102 @@
-"""How a joint's response goes with the amplitude of its excitation: models of sweep records."""
+"""Amplitude dependence of a joint: responses by amplitude, and equivalent stiffness."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Identification, RecordModel
+from strainwave.domain import FloatArray, Identification, RecordModel, Sweep
+from strainwave.domain.formatting import plus_minus
+from strainwave.identification.amplitude_sweep import MIN_TREND_STD_ERRORS
+from strainwave.identification.joint_model.agreement import motor_response, vector_of
 from strainwave.presentation.figures import (
+    BRIEF,
     DASHES,
     LINEAR,
     MEASURED,
     MODEL,
+    NORMAL_95,
     RESIDUAL,
     Axis,
     Figure,
     Line,
+    Markers,
     Panel,
     decibel,
 )
-from strainwave.statespace import frequency_response
 
-WORDS = "State-space models of each record, within the band of their fit; see the resonances above."
-"""What the figure shows, for those who do not see it."""
-
-_POINTS = 200  # of one curve
+_CURVE_POINTS = 200
 _COLOURS = (MEASURED, LINEAR, MODEL, RESIDUAL)
-_DASHES = DASHES[:3]  # of one turn of colours each
-_NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
+_DASHES = DASHES[:3]  # one for each turn of the colours
+_TRENDS = {"hardening": "hardening", "softening": "softening", "no-trend": "no significant trend"}
 
 
-def swept(identification: Identification) -> dict[int, list[RecordModel]]:
-    """Records with a state-space model by joint, lowest amplitude first, where there is a sweep.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    dict
-        Joint, from 1, to its records.
-    """
-    found: dict[int, list[RecordModel]] = {}
+def swept_records(identification: Identification) -> dict[int, list[RecordModel]]:
+    """PRBS records of each joint that has a sweep, in order of amplitude."""
+    records: dict[int, list[RecordModel]] = {}
     for record in identification.records:
-        if record.state_space is not None and record.signals.experiment.prbs is not None:
-            found.setdefault(record.signals.joint, []).append(record)
+        if record.joint_model is not None and record.signals.experiment.prbs is not None:
+            records.setdefault(record.signals.joint, []).append(record)
     return {
-        joint: sorted(records, key=_amplitude)
-        for joint, records in found.items()
-        if any(record.signals.experiment.use == "sweep" for record in records)
+        joint: sorted(own, key=_amplitude)
+        for joint, own in records.items()
+        if any(record.signals.experiment.use == "sweep" for record in own)
     }
 
 
-def responses(records: Sequence[RecordModel]) -> Figure:
-    """Motor torque to motor velocity by the models of several amplitudes: magnitude and phase.
-
-    Parameters
-    ----------
-    records : sequence of RecordModel
-        From `swept`.
-
-    Returns
-    -------
-    Figure
-    """
+def response_figure(records: Sequence[RecordModel]) -> Figure:
+    """Motor torque to motor velocity by the joint model of each record: magnitude and phase."""
     magnitude, phase = [], []
     for k, record in enumerate(records):
-        model, joint = record.state_space, record.joint_model
-        if model is None or joint is None:
+        joint = record.joint_model
+        if joint is None:
             continue
-        top = min(joint.band_hz[1], _NYQUIST * 0.5 / model.sample_time)
-        f: FloatArray = np.geomspace(joint.band_hz[0], top, _POINTS)
-        G = frequency_response(replace(model, covariance=None), f).response[:, 0, 0]
+        f: FloatArray = np.geomspace(*joint.band_hz, _CURVE_POINTS)
+        G = motor_response(vector_of(joint), record.signals.gear_ratio, f)
         name = f"{_amplitude(record):g} V, {record.signals.experiment.name}"
-        turn, place_in_turn = divmod(k, len(_COLOURS))
-        colour, dash = _COLOURS[place_in_turn], _DASHES[turn % len(_DASHES)]
-        magnitude.append(Line(f, decibel(np.abs(G)), name, colour, dash))
-        phase.append(Line(f, np.rad2deg(np.angle(G)), name, colour, dash))
+        turn, position = divmod(k, len(_COLOURS))
+        style = (_COLOURS[position], _DASHES[turn % len(_DASHES)])
+        magnitude.append(Line(f, decibel(np.abs(G)), name, *style))
+        phase.append(Line(f, np.rad2deg(np.angle(G)), name, *style))
     panels = (
-        Panel(Axis("magnitude [dB]"), tuple(magnitude)),
+        Panel(Axis("dB re rad/s/(N m)"), tuple(magnitude)),
         Panel(Axis("phase [°]", step=90.0), tuple(phase)),
     )
     return Figure(Axis("frequency [Hz]", log=True), panels)
+
+
+def stiffness_figure(sweep: Sweep) -> Figure:
+    """Equivalent stiffness over amplitude with 95 % bars, and the fitted line."""
+    x = np.array([point.amplitude for point in sweep.points])
+    y = np.array([point.gear_stiffness for point in sweep.points])
+    std = np.array([point.gear_stiffness_std for point in sweep.points])
+    marks = Markers(x, y, "equivalent stiffness", MEASURED, 8.0, error=NORMAL_95 * std)
+    # the tested slope is that of the squared anti-resonance, which is proportional to the stiffness
+    squared = np.array([point.squared_anti_resonance for point in sweep.points])
+    weights = 1.0 / np.array([point.squared_anti_resonance_std for point in sweep.points]) ** 2
+    centre, level = np.average(x, weights=weights), np.average(squared, weights=weights)
+    ratio = float(np.mean(y / squared))
+    ends = np.array([x.min(), x.max()])
+    line = ratio * (level + sweep.slope * (ends - centre))
+    trend = Line(ends, line, "weighted line", RESIDUAL, BRIEF)
+    panel = Panel(Axis("equivalent stiffness [N m/rad]"), (trend, marks))
+    return Figure(Axis("amplitude of the excitation [V]"), (panel,))
+
+
+def trend_title(sweep: Sweep) -> str:
+    """The trend in words, with the test statistic."""
+    return f"{_TRENDS[sweep.verdict]} ({abs(sweep.slope) / sweep.slope_std:.1f} standard errors)"
+
+
+def describe_trend(sweep: Sweep) -> str:
+    """The test behind the trend: slope, standard error and limit."""
+    value, std = plus_minus(sweep.slope, sweep.slope_std)
+    return (
+        f"Slope of the squared anti-resonance: {value} ± {std} rad²/s² per V,"
+        f" {abs(sweep.slope) / sweep.slope_std:.1f} standard errors from zero; a trend is"
+        f" significant from {MIN_TREND_STD_ERRORS:g} standard errors."
+    )
 
 
 def _amplitude(record: RecordModel) -> float:

@@ -1,6 +1,6 @@
-"""What pages are made of: sections of tables, figures, sentences and facts, without any HTML.
+"""The parts of a page as data: sections with tables, figures, paragraphs and facts, without HTML.
 
-The report's modules make these; the templates know how each looks.
+The modules of the report make these records; the templates define how each looks.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class Span:
 
     text: str
     strong: bool = False
-    kind: Literal["", "code"] = ""
-    href: str = ""  # of an element of the page, "#warnings"
-    tip: str = ""  # what a pointer over the link shows
+    kind: Literal["", "code", "badge"] = ""
+    href: str = ""  # "#id" of an element of the page
+    tip: str = ""  # shown when the pointer is over the link
     mark: Mark = ""
 
 
@@ -38,47 +38,47 @@ class Paragraph:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A cell of a table that is not a plain word."""
+    """A cell of a table."""
 
     text: str
     kind: Literal["", "number", "text", "code", "symbol", "name"] = ""
-    href: str = ""  # of an element of the page
-    tip: str = ""  # what a pointer over the link shows
-    key: str = ""  # of a row's first cell: the row's id
+    href: str = ""  # "#id" of an element of the page
+    tip: str = ""  # shown when the pointer is over the link
+    key: str = ""  # of the first cell of a row: the id of the row
     mark: Mark = ""
 
     @property
     def classes(self) -> str:
-        """What the style sheet knows it by."""
+        """Classes in the style sheet."""
         return f"{self.kind} {self.mark}".strip()
 
     @property
     def plain(self) -> bool:
-        """Whether it is its text and nothing else."""
+        """Whether the cell needs no markup inside."""
         return not self.href and self.kind in ("", "number", "text")
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """A row that names those below it."""
+    """A row that titles the rows below it."""
 
     title: str
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows under heads; wide ones scroll sideways."""
+    """Rows under column heads; a wide table scrolls sideways."""
 
     kind: ClassVar[str] = "table"
     label: str
     heads: tuple[Cell, ...]
-    rows: tuple[tuple[Cell, ...] | Group, ...]  # the first cell is the row's head
-    heading: bool = True  # whether the label is written; else only screen readers say it
+    rows: tuple[tuple[Cell, ...] | Group, ...]  # the first cell is the head of the row
+    heading: bool = True  # whether the label is visible; screen readers always read it
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Terms, and what is said of each."""
+    """Terms and their values."""
 
     kind: ClassVar[str] = "facts"
     items: tuple[tuple[str, str], ...]
@@ -86,18 +86,18 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A figure."""
+    """A figure with its title and caption."""
 
     kind: ClassVar[str] = "plot"
-    name: str  # of its files, before it is made fit for one
-    label: str  # stands above
+    name: str  # of its files, before `slug`
+    label: str  # title above the figure
     figure: Figure
-    words: str = ""  # what it shows, below; also for those who do not see it
+    words: str = ""  # caption below the figure, also read by screen readers
 
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Blocks under a line that unfolds them."""
+    """Blocks that are hidden until the reader unfolds them."""
 
     kind: ClassVar[str] = "fold"
     summary: str
@@ -106,7 +106,7 @@ class Fold:
 
 @dataclass(frozen=True, slots=True)
 class Callout:
-    """Blocks that stand out of the page."""
+    """Highlighted blocks."""
 
     kind: ClassVar[str] = "callout"
     mark: Mark
@@ -118,24 +118,15 @@ Block = Paragraph | Table | Facts | Plot | Fold | Callout
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of a page that the contents list names."""
+    """A part of a page with an entry in the contents."""
 
-    key: str  # its element's id
+    key: str  # id of its element
     title: str
-    blocks: tuple[Block, ...]  # none: the section is left out
+    blocks: tuple[Block, ...]  # a section without blocks is left out
 
 
 def paragraph(*parts: str | Span) -> Paragraph:
-    """Sentences of plain and other parts.
-
-    Parameters
-    ----------
-    *parts : str or Span
-
-    Returns
-    -------
-    Paragraph
-    """
+    """A paragraph of plain and formatted parts."""
     return Paragraph(tuple(part if isinstance(part, Span) else Span(part) for part in parts))
 
 
@@ -146,47 +137,29 @@ def table(
     *,
     heading: bool = True,
 ) -> Iterator[Table]:
-    """A table; none where there are no rows.
-
-    Parameters
-    ----------
-    label : str
-    heads : iterable of str or Cell
-    rows : iterable of sequences of str or Cell, or Group
-        The first cell of a row is its head.
-    heading : bool
-        Whether the label is written above the table; else only screen readers say it.
-
-    Yields
-    ------
-    Table
-    """
-    found = tuple(row if isinstance(row, Group) else _cells(row) for row in rows)
-    if found:
-        yield Table(label, _cells(heads), found, heading)
+    """A table, or nothing if there are no rows. The first cell of a row is its head."""
+    cells = tuple(row if isinstance(row, Group) else _cells(row) for row in rows)
+    if cells:
+        yield Table(label, _cells(heads), cells, heading)
 
 
 def number(text: str) -> Cell:
-    """A cell of a column of numbers."""
+    """A cell of a numeric column."""
     return Cell(text, "number")
 
 
 def prose(text: str) -> Cell:
-    """A cell of sentences, which may take several lines."""
+    """A cell of text that may wrap."""
     return Cell(text, "text")
 
 
+def two_digits(value: float) -> str:
+    """A positive number with two significant digits, or all digits before the point."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:#.2g}"
+
+
 def plots_of(blocks: Iterable[Block]) -> Iterator[Plot]:
-    """The figures among blocks, also those in others, in their order.
-
-    Parameters
-    ----------
-    blocks : iterable of Block
-
-    Yields
-    ------
-    Plot
-    """
+    """The figures in blocks and in nested blocks, in order."""
     for block in blocks:
         if isinstance(block, Plot):
             yield block
@@ -195,36 +168,16 @@ def plots_of(blocks: Iterable[Block]) -> Iterator[Plot]:
 
 
 def keyed(sections: Iterable[Section]) -> dict[str, Plot]:
-    """Every figure by a name fit for a file and an element, one name for each.
-
-    Parameters
-    ----------
-    sections : iterable of Section
-
-    Returns
-    -------
-    dict
-        Small letters, digits and dashes, to a figure.
-    """
-    found: dict[str, Plot] = {}
+    """Every figure under a unique key that is valid as a file name and as an element's id."""
+    plots: dict[str, Plot] = {}
     for section in sections:
         for plot in plots_of(section.blocks):
-            found[_free(slug(plot.name), found)] = plot
-    return found
+            plots[_unique(slug(plot.name), plots)] = plot
+    return plots
 
 
 def slug(text: str) -> str:
-    """A name fit for a file and an element.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
-        Small letters and digits, joined by dashes; "figure" where there are none.
-    """
+    """Text as lower-case letters and digits joined by dashes; "figure" if nothing remains."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "figure"
 
 
@@ -232,9 +185,9 @@ def _cells(row: Iterable[str | Cell]) -> tuple[Cell, ...]:
     return tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in row)
 
 
-def _free(key: str, taken: Iterable[str]) -> str:
-    """The key, numbered where another figure has it."""
+def _unique(key: str, keys: Iterable[str]) -> str:
+    """The key, with a number if another figure has it."""
     candidate, k = key, 2
-    while candidate in taken:
+    while candidate in keys:
         candidate, k = f"{key}-{k}", k + 1
     return candidate

@@ -1,9 +1,9 @@
-"""Bode plots of one joint: what was measured and how far it is to be trusted, and its models."""
+"""Bode plots of one joint: measured response and models, each with its 95 % band."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from strainwave.domain import (
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.joint_model.agreement import (
     OUTSIDE,
-    REACH,
     motor_response,
     response_jacobian,
     trusted,
@@ -28,7 +27,9 @@ from strainwave.presentation.figures import (
     DASHES,
     LINEAR,
     MEASURED,
+    MIN_BAND_SHARE,
     MODEL,
+    NORMAL_95,
     RESIDUAL,
     SOLID,
     TUNED,
@@ -42,179 +43,198 @@ from strainwave.presentation.figures import (
     Panel,
     Upright,
     decibel,
+    spread_evenly,
 )
 from strainwave.statespace import frequency_response
 
-_POINTS = 300  # of a model's curve
-_MOST_LINES = 500  # measured; of more, those evenly spread over the logarithm of frequency
-_NYQUIST = 0.98  # of half the sample rate, up to which a sampled model is drawn
-_DASHES = DASHES[1:4]  # of sampled models
-_LONG: Dash = (8.0, 4.0)  # of the whole-arm fit
-_HEIGHTS = (1.4, 1.0, 0.6)  # of magnitude, phase and coherence
-_DOT, _PALE = 5, 0.4  # size and opacity of measured points
-_BOTTOM = 1e-2  # of the modulus: a band down to zero has no bottom in dB
-
-
-def bode(
-    joint: JointModel,
-    gear_ratio: float,
-    measured: FrequencyResponse | None,
-    sampled: Sequence[tuple[str, StateSpace]] = (),
-    *,
-    tuned: Mapping[str, float] | None = None,
-    straight: bool = False,
-) -> Figure:
-    """Motor torque to motor velocity: magnitude, phase, and coherence where it is known.
-
-    Parameters
-    ----------
-    joint : JointModel
-        The physical model, drawn with its 95 % band.
-    gear_ratio : float
-    measured : FrequencyResponse or None
-        The nonparametric one; doubtful points are grey.
-    sampled : sequence of (str, StateSpace)
-        State-space models by the names of their records, drawn within the band of the fit: beyond
-        it they were not asked.
-    tuned : mapping, optional
-        Name -> value of the same joint by the whole-arm fit, with one stiffness.
-    straight : bool
-        Whether the joint is prismatic.
-
-    Returns
-    -------
-    Figure
-    """
-    low, high = joint.band_hz[0] / OUTSIDE, joint.band_hz[1] * OUTSIDE
-    drawn = _Drawn()
-    if measured is not None:
-        seen = _lines_between(measured, low, high)
-        _measured(drawn, measured, seen)
-    for k, (name, model) in enumerate(sampled):
-        top = min(joint.band_hz[1], _NYQUIST * 0.5 / model.sample_time)
-        f: FloatArray = np.geomspace(joint.band_hz[0], top, _POINTS)
-        G = frequency_response(replace(model, covariance=None), f).response[:, 0, 0]
-        _curve(drawn, f, G, f"state space, {name}", LINEAR, _DASHES[k % len(_DASHES)])
-    f = np.geomspace(low, high, _POINTS)
-    _physical(drawn, joint, gear_ratio, f)
-    if tuned is not None:
-        vector = np.array([tuned[name] for name in list(joint.values)[:6]])
-        _curve(drawn, f, motor_response(vector, gear_ratio, f), "whole-arm fit", TUNED, _LONG)
-    axes = [
-        Axis(f"dB re {'m/s/N' if straight else 'rad/s/(N m)'}"),
-        Axis("phase [°]", step=90.0),
-        Axis("coherence", range=(0.0, 1.05)),
-    ]
-    every = zip(axes, (drawn.magnitude, drawn.phase, drawn.coherence), _HEIGHTS, strict=True)
-    panels = tuple(Panel(axis, tuple(marks), height) for axis, marks, height in every if marks)
-    return Figure(Axis("frequency [Hz]", log=True), panels, tuple(_uprights(joint)))
-
-
-def words(joint: JointModel, measured: FrequencyResponse | None) -> str:
-    """What the figure shows, for those who do not see it.
-
-    Parameters
-    ----------
-    joint : JointModel
-    measured : FrequencyResponse or None
-
-    Returns
-    -------
-    str
-    """
-    said = []
-    for name, mode in _modes(joint):
-        value, spread = plus_minus(mode.frequency_hz, mode.frequency_std_hz)
-        said.append(f"{name} at {value} ± {spread} Hz")
-    if measured is not None:
-        f = measured.frequencies_hz
-        inside = (f >= joint.band_hz[0]) & (f <= joint.band_hz[1])
-        share = float(np.mean(trusted(measured)[inside])) if inside.any() else 0.0
-        lines = f"{100.0 * share:.0f} % of the measured lines in the fit's band"
-        said.append(f"{lines} stand out of their noise")
-    text = "; ".join(said)
-    text = f"{text[:1].upper()}{text[1:]}." if text else ""
-    apart = [f"Warning: {w.message}." for w in joint.warnings if w.code == "response-apart"]
-    return " ".join([text, *apart]).strip()
-
-
-def _lines_between(measured: FrequencyResponse, low: float, high: float) -> np.ndarray:
-    f = measured.frequencies_hz
-    inside = np.flatnonzero((f >= low) & (f <= high))
-    if len(inside) <= _MOST_LINES:
-        return inside
-    wanted = np.geomspace(f[inside[0]], f[inside[-1]], _MOST_LINES)
-    return np.unique(np.searchsorted(f, wanted).clip(inside[0], inside[-1]))
+MAX_NYQUIST_SHARE = 0.98  # highest frequency of a sampled model's curve over the Nyquist frequency
+_CURVE_POINTS = 300
+_MAX_MEASURED_POINTS = 500
+_STATE_SPACE_DASHES = DASHES[1:4]
+_TUNED_DASH: Dash = (8.0, 4.0)
+_PANEL_HEIGHTS = (1.4, 1.0, 0.6)  # of magnitude, phase and coherence
+_POINT_SIZE, _POINT_OPACITY = 5, 0.4  # pale and large, so that lines on top stay visible
 
 
 @dataclass(frozen=True, slots=True)
-class _Drawn:
-    """Marks of each panel, as they come."""
+class TunedJoint:
+    """The parameters of one joint in the whole-arm fit."""
+
+    vector: FloatArray  # (6,) in the order of `TwoInertia`
+    covariance: FloatArray | None  # (6, 6); None if a parameter has no interval in that fit
+
+
+@dataclass(frozen=True, slots=True)
+class _Panels:
+    """Marks of each panel."""
 
     magnitude: list[Mark] = field(default_factory=list)
     phase: list[Mark] = field(default_factory=list)
     coherence: list[Mark] = field(default_factory=list)
 
 
-def _measured(drawn: _Drawn, measured: FrequencyResponse, seen: np.ndarray) -> None:
-    """Points, grey where they say little, and an area below the coherence."""
-    G = measured.response[seen, 0, 0]
-    f = measured.frequencies_hz[seen]
-    sure = trusted(measured)[seen]
-    kinds = (("measured", MEASURED, sure), ("measured, doubtful", RESIDUAL, ~sure))
+def bode(
+    joint: JointModel,
+    gear_ratio: float,
+    measured: FrequencyResponse | None,
+    state_space: Mapping[str, StateSpace] | None = None,
+    *,
+    tuned: TunedJoint | None = None,
+    is_prismatic: bool = False,
+) -> Figure:
+    """Motor torque to motor velocity: magnitude, phase, and coherence if it is known.
+
+    State-space models, by the names of their records, are drawn within the band of the fit only.
+    """
+    low, high = joint.band_hz[0] / OUTSIDE, joint.band_hz[1] * OUTSIDE
+    panels = _Panels()
+    if measured is not None:
+        _add_measured(panels, measured, low, high)
+    for k, (name, model) in enumerate((state_space or {}).items()):
+        _add_state_space(panels, model, joint.band_hz, name, k)
+    f: FloatArray = np.geomspace(low, high, _CURVE_POINTS)
+    covariance = joint.covariance[:6, :6]
+    _add_joint(panels, vector_of(joint), covariance, gear_ratio, f, ("joint model", MODEL, SOLID))
+    if tuned is not None:
+        style = ("whole-arm fit", TUNED, _TUNED_DASH)
+        _add_joint(panels, tuned.vector, tuned.covariance, gear_ratio, f, style)
+    axes = [
+        Axis(f"dB re {'m/s/N' if is_prismatic else 'rad/s/(N m)'}"),
+        Axis("phase [°]", step=90.0),
+        Axis("coherence", range=(0.0, 1.05)),
+    ]
+    marks = (panels.magnitude, panels.phase, panels.coherence)
+    drawn = tuple(
+        Panel(axis, tuple(each), height)
+        for axis, each, height in zip(axes, marks, _PANEL_HEIGHTS, strict=True)
+        if each
+    )
+    return Figure(Axis("frequency [Hz]", log=True), drawn, tuple(_uprights(joint)))
+
+
+def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
+    """Caption of the Bode plot."""
+    parts = []
+    for name, mode in _modes(joint):
+        value, std = plus_minus(mode.frequency_hz, mode.frequency_std_hz)
+        parts.append(f"{name} {value} ± {std} Hz")
+    if measured is not None:
+        f = measured.frequencies_hz
+        inside = (f >= joint.band_hz[0]) & (f <= joint.band_hz[1])
+        share = float(np.mean(trusted(measured)[inside])) if inside.any() else 0.0
+        parts.append(f"{100.0 * share:.0f} % of the measured lines in the fit band are reliable")
+    text = "; ".join(parts)
+    text = f"{text[:1].upper()}{text[1:]}. Shaded: 95 % bands." if text else ""
+    warnings = [f"Warning: {w.message}." for w in joint.warnings if w.code == "response-apart"]
+    return " ".join([text, *warnings]).strip()
+
+
+def _add_measured(panels: _Panels, measured: FrequencyResponse, low: float, high: float) -> None:
+    """Points with their 95 % band, grey where they are unreliable, and the coherence."""
+    rows = spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
+    f, G = measured.frequencies_hz[rows], measured.response[rows, 0, 0]
+    reliable = trusted(measured)[rows]
+    kinds = (("measured", MEASURED, reliable), ("measured, unreliable", RESIDUAL, ~reliable))
+    std = relative_std(measured)
+    if std is not None and reliable.any():
+        _add_band(panels, f[reliable], G[reliable], std[rows][reliable], "measured", MEASURED)
     for name, colour, chosen in kinds:
         if chosen.any():
-            at = f[chosen]
-            # paler and larger than the lines over them, which are then seen where both agree
-            size, phase = decibel(np.abs(G[chosen])), np.rad2deg(np.angle(G[chosen]))
-            drawn.magnitude.append(Markers(at, size, name, colour, _DOT, _PALE))
-            drawn.phase.append(Markers(at, phase, name, colour, _DOT, _PALE))
+            modulus, phase = decibel(np.abs(G[chosen])), np.rad2deg(np.angle(G[chosen]))
+            style = (name, colour, _POINT_SIZE, _POINT_OPACITY)
+            panels.magnitude.append(Markers(f[chosen], modulus, *style))
+            panels.phase.append(Markers(f[chosen], phase, *style))
     if measured.coherence is not None:
-        coherence, name = measured.coherence[seen, 0], "coherence"
-        drawn.coherence.append(Band(f, np.zeros(len(f)), coherence, MEASURED, name))
-        drawn.coherence.append(Line(f, coherence, name, MEASURED, width=1.0, legend=False))
+        coherence, name = measured.coherence[rows, 0], "coherence"
+        panels.coherence.append(Band(f, np.zeros(len(f)), coherence, MEASURED, name))
+        panels.coherence.append(Line(f, coherence, name, MEASURED, width=1.0, legend=False))
 
 
-def _physical(drawn: _Drawn, joint: JointModel, gear_ratio: float, f: FloatArray) -> None:
-    """The curve of the physical model and its 95 % band, by the delta method."""
-    vector = vector_of(joint)
+def relative_std(measured: FrequencyResponse) -> FloatArray | None:
+    """Standard deviation of the modulus over the modulus, and of the phase [rad]: (n,).
+
+    From the scatter between periods, else from the coherence c of n averages:
+    sqrt((1 - c) / (2 n c)) (Bendat and Piersol, Random Data, 9.2). Noise has no preferred
+    direction in the complex plane, so each of the two has half of its variance.
+    """
+    modulus = np.abs(measured.response[:, 0, 0])
+    if measured.noise_variance is not None:
+        return np.asarray(np.sqrt(0.5 * measured.noise_variance[:, 0, 0]) / modulus)
+    if measured.coherence is None or measured.n_averages < 1:
+        return None
+    c = np.clip(measured.coherence[:, 0], 1e-6, 1.0)
+    return np.asarray(np.sqrt((1.0 - c) / (2.0 * measured.n_averages * c)))
+
+
+def _add_state_space(
+    panels: _Panels, model: StateSpace, band_hz: tuple[float, float], name: str, k: int
+) -> None:
+    top = min(band_hz[1], MAX_NYQUIST_SHARE * 0.5 / model.sample_time)
+    f: FloatArray = np.geomspace(band_hz[0], top, _CURVE_POINTS)
+    response = frequency_response(model, f)
+    G, label = response.response[:, 0, 0], f"state space, {name}"
+    std, phase_std = response.magnitude_std, response.phase_std
+    if std is not None and phase_std is not None:
+        relative = std[:, 0, 0] / np.abs(G)
+        _add_band(panels, f, G, relative, label, LINEAR, phase_std[:, 0, 0])
+    _add_curve(panels, f, G, (label, LINEAR, _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]))
+
+
+def _add_joint(
+    panels: _Panels,
+    vector: FloatArray,
+    covariance: FloatArray | None,
+    gear_ratio: float,
+    f: FloatArray,
+    style: tuple[str, str, Dash],
+) -> None:
+    """The curve of a two-inertia joint and its band by the delta method."""
     G = motor_response(vector, gear_ratio, f)
-    name = "physical model"
-    _curve(drawn, f, G, name, MODEL, SOLID)
-    # dG/G: of the modulus, and i times the phase
+    _add_curve(panels, f, G, style)
+    if covariance is None or not np.isfinite(covariance).all():
+        return
+    # dG/G: real part for the modulus, imaginary part for the phase
     relative = response_jacobian(vector, gear_ratio, f) / G[:, None]
     J = np.concatenate([relative.real, relative.imag])
-    variance = np.einsum("fi,ij,fj->f", J, joint.covariance[:6, :6], J)
-    if np.isfinite(variance).all():
-        size, turn = np.split(REACH * np.sqrt(np.clip(variance, 0.0, None)), 2)
-        phase = np.rad2deg(np.angle(G))
-        reach = np.minimum(np.rad2deg(turn), 180.0)
-        modulus = np.abs(G)
-        low, high = modulus * np.maximum(1.0 - size, _BOTTOM), modulus * (1.0 + size)
-        drawn.magnitude.append(Band(f, decibel(low), decibel(high), MODEL, name))
-        drawn.phase.append(Band(f, phase - reach, phase + reach, MODEL, name))
+    variance = np.einsum("fi,ij,fj->f", J, covariance, J)
+    modulus_std, phase_std = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
+    _add_band(panels, f, G, modulus_std, style[0], style[1], phase_std)
 
 
-def _curve(
-    drawn: _Drawn, f: FloatArray, G: ComplexArray, name: str, colour: str, dash: Dash
+def _add_curve(
+    panels: _Panels, f: FloatArray, G: ComplexArray, style: tuple[str, str, Dash]
 ) -> None:
-    """Magnitude and phase of one model."""
-    drawn.magnitude.append(Line(f, decibel(np.abs(G)), name, colour, dash))
-    drawn.phase.append(Line(f, np.rad2deg(np.angle(G)), name, colour, dash))
+    panels.magnitude.append(Line(f, decibel(np.abs(G)), *style))
+    panels.phase.append(Line(f, np.rad2deg(np.angle(G)), *style))
+
+
+def _add_band(
+    panels: _Panels,
+    f: FloatArray,
+    G: ComplexArray,
+    relative: FloatArray,
+    name: str,
+    colour: str,
+    phase_std: FloatArray | None = None,
+) -> None:
+    """95 % bands of modulus and phase; the phase has the relative deviation unless given."""
+    half, modulus = NORMAL_95 * relative, np.abs(G)
+    low, high = modulus * np.maximum(1.0 - half, MIN_BAND_SHARE), modulus * (1.0 + half)
+    turn = half if phase_std is None else NORMAL_95 * phase_std
+    phase, turn = np.rad2deg(np.angle(G)), np.minimum(np.rad2deg(turn), 180.0)
+    panels.magnitude.append(Band(f, decibel(low), decibel(high), colour, name))
+    panels.phase.append(Band(f, phase - turn, phase + turn, colour, name))
 
 
 def _modes(joint: JointModel) -> list[tuple[str, Mode]]:
-    both = (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance))
-    return [(name, mode) for name, mode in both if mode is not None]
+    modes = (("anti-resonance", joint.anti_resonance), ("resonance", joint.resonance))
+    return [(name, mode) for name, mode in modes if mode is not None]
 
 
 def _uprights(joint: JointModel) -> Iterator[Upright]:
-    """Lines at both modes, and at the edges of the band that was fitted.
-
-    The words stand in the phase's panel, which is empty there: left of one, right of the other.
-    """
+    """Lines at both modes and at the edges of the fit band; labels are in the phase panel."""
     for name, mode in _modes(joint):
-        text, before = f"{name} {mode.frequency_hz:.4g} Hz", name == "anti-resonance"
-        yield Upright(mode.frequency_hz, text, panel=1, before=before, dash=SOLID)
+        text, is_left = f"{name} {mode.frequency_hz:.4g} Hz", name == "anti-resonance"
+        yield Upright(mode.frequency_hz, text, panel=1, before=is_left, dash=SOLID)
     for edge in joint.band_hz:
         yield Upright(edge)

@@ -1,4 +1,4 @@
-"""The page of the comparisons: a table of claims and numbers, then the figures."""
+"""The page of the comparisons with the paper: a table of claims, then their figures."""
 
 from __future__ import annotations
 
@@ -26,36 +26,26 @@ SOURCE = (
     "Joints”, IFAC SYSID 2009"
 )
 
-
 _MARKS: dict[Outcome, Mark] = {"shown": "good", "not-shown": "doubt", "does-not-hold": "bad"}
 _PROTOCOLS = {"own": "", "as-published": ", as published"}
 
 
 def render_comparisons(tallies: Sequence[Tally], *, arm: str) -> str:
-    """Every claim with the numbers that show it, as one HTML page that needs no network.
+    """All claims with the numbers behind them, as one HTML page that needs no network.
 
-    Parameters
-    ----------
-    tallies : sequence of Tally
-        Figures and numbers are those of the first run of each.
-    arm : str
-        What the claims were put to.
-
-    Returns
-    -------
-    str
+    Figures and numbers are those of the first run of each claim.
     """
     shown = sum(t.first.outcome == "shown" for t in tallies)
-    lead = Span(f"{shown} of {len(tallies)} claims are shown on this arm.", strong=True)
-    found = Callout("" if shown == len(tallies) else "doubt", (paragraph(lead),))
-    heads = (number("figure"), "claim", "what this arm shows", "verdict")
+    lead = Span(f"{shown} of {len(tallies)} claims are confirmed on this arm.", strong=True)
+    summary = Callout("" if shown == len(tallies) else "doubt", (paragraph(lead),))
+    heads = (number("figure"), "claim", "result on this arm", "verdict")
     rows = [_row(tally) for tally in tallies]
     sections = [
         Section("claims", "Claims", tuple(table("Claims", heads, rows, heading=False))),
         *(_section(tally) for tally in tallies),
     ]
-    subtitle = f"The figures of {SOURCE}, made again on {arm}"
-    return document("Comparisons", subtitle, sections, before=(found,))
+    subtitle = f"Figures of {SOURCE}, reproduced on {arm}"
+    return document("Comparisons", subtitle, sections, before=(summary,))
 
 
 def _row(tally: Tally) -> tuple[Cell, ...]:
@@ -81,7 +71,7 @@ def _blocks(tally: Tally) -> Iterator[Block]:
     yield paragraph(verdict, f" {c.message}")
     for reason in c.reasons:
         yield paragraph(reason)
-    heads: Row = ("criterion", number("value"), "limit", "kept")
+    heads: Row = ("criterion", number("value"), "limit", "met")
     yield from table("Criteria", heads, map(_criterion, c.criteria))
     for k, drawn in enumerate(c.plots):
         yield Plot(f"plot {_key(c)} {k}", drawn.caption or c.title, drawn)

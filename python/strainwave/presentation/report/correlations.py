@@ -1,4 +1,4 @@
-"""Parameters of which only a combination is identifiable: correlations of their errors."""
+"""Correlations between the errors of the estimated parameters."""
 
 from __future__ import annotations
 
@@ -10,31 +10,22 @@ import numpy as np
 from strainwave.domain import FloatArray, Identification, Parameter
 from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, HeatMap, Panel
 
-STRONG = 0.95  # from which two parameters are said to be identifiable only together
-_MOST_PAIRS = 8
-# what follows from others goes with them of necessity, and is left out beside them
-_PARTS = {"total_viscous_friction": "motor_viscous_friction", "link_inertia": "beta"}
+MIN_STRONG_CORRELATION = 0.95  # above it, only a combination of the two parameters is identified
+_MAX_LISTED_PAIRS = 8
+# a parameter that follows from others is correlated with them by definition, and is left out
+_COMPONENTS = {"total_viscous_friction": "motor_viscous_friction", "link_inertia": "beta"}
 
 
 @dataclass(frozen=True, slots=True)
 class Correlations:
-    """Of the errors of the parameters that have an interval."""
+    """Correlations of the parameters that have an interval."""
 
     names: tuple[str, ...]
     matrix: FloatArray  # (n_names, n_names)
 
 
 def correlations(identification: Identification) -> Correlations | None:
-    """From the whole-arm fit, else the last stage before; None without two errors known.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    Correlations or None
-    """
+    """Of the whole-arm fit, else of the last stage before; None with fewer than two parameters."""
     tuned, joints, rigid = identification.tuned, identification.joints, identification.rigid
     if tuned is not None:
         return _of(tuned.parameters, tuned.covariance)
@@ -44,80 +35,53 @@ def correlations(identification: Identification) -> Correlations | None:
     return _of(rigid.parameters, rigid.covariance) if rigid is not None else None
 
 
-def pairs(found: Correlations) -> list[tuple[str, str, float]]:
-    """The pairs whose errors are most alike, strongest first.
-
-    Parameters
-    ----------
-    found : Correlations
-
-    Returns
-    -------
-    list of (str, str, float)
-    """
-    rows, columns = np.triu_indices(len(found.names), 1)
-    sizes = found.matrix[rows, columns]
-    order = [k for k in np.argsort(-np.abs(sizes)) if abs(sizes[k]) >= STRONG]
+def strong_pairs(errors: Correlations) -> list[tuple[str, str, float]]:
+    """Pairs of strongly correlated parameters, strongest first."""
+    rows, columns = np.triu_indices(len(errors.names), 1)
+    values = errors.matrix[rows, columns]
+    order = [k for k in np.argsort(-np.abs(values)) if abs(values[k]) >= MIN_STRONG_CORRELATION]
     return [
-        (found.names[rows[k]], found.names[columns[k]], float(sizes[k]))
-        for k in order[:_MOST_PAIRS]
+        (errors.names[rows[k]], errors.names[columns[k]], float(values[k]))
+        for k in order[:_MAX_LISTED_PAIRS]
     ]
 
 
-def words(found: Correlations) -> str:
-    """The pairs in words.
-
-    Parameters
-    ----------
-    found : Correlations
-
-    Returns
-    -------
-    str
-    """
-    strong = pairs(found)
-    if not strong:
-        return f"No two errors correlate by {STRONG:g} or more: each parameter stands on its own."
-    said = "; ".join(f"{a} with {b} ({r:+.3f})" for a, b, r in strong)
+def describe(errors: Correlations) -> str:
+    """Caption of the heat map."""
+    pairs = strong_pairs(errors)
+    if not pairs:
+        return f"No correlation reaches {MIN_STRONG_CORRELATION:g}: each parameter is identified."
+    text = "; ".join(f"{a} and {b} ({r:+.3f})" for a, b, r in pairs)
     return (
-        f"Correlated errors: {said}. Of such a pair the data identify a combination better than"
-        " either alone."
+        f"Strong correlations: {text}. The data identify a combination of such a pair better than"
+        " either parameter."
     )
 
 
-def heat_map(found: Correlations) -> Figure:
-    """Correlation of every two parameters, from -1 blue over white to +1 vermilion.
-
-    Parameters
-    ----------
-    found : Correlations
-
-    Returns
-    -------
-    Figure
-    """
-    mark = HeatMap(found.names, found.matrix, -1.0, 1.0, (MEASURED, "#FFFFFF", MODEL))
+def heat_map(errors: Correlations) -> Figure:
+    """Correlation of every two parameters, from -1 (blue) over 0 (white) to +1 (vermilion)."""
+    mark = HeatMap(errors.names, errors.matrix, -1.0, 1.0, (MEASURED, "#FFFFFF", MODEL))
     return Figure(Axis(""), (Panel(Axis(""), (mark,)),))
 
 
 def _of(parameters: Sequence[Parameter], covariance: FloatArray) -> Correlations | None:
     variance = np.diag(covariance)
     names = {p.name for p in parameters}
-    known = [
+    rows = [
         k
         for k, p in enumerate(parameters)
         if p.value is not None
         and np.isfinite(variance[k])
         and variance[k] > 0.0
-        and _PARTS.get(p.name) not in names
+        and _COMPONENTS.get(p.name) not in names
     ]
-    if len(known) < 2:
+    if len(rows) < 2:
         return None
-    std = np.sqrt(variance[known])
-    matrix = covariance[np.ix_(known, known)] / np.outer(std, std)
-    return Correlations(tuple(_name(parameters[k]) for k in known), np.clip(matrix, -1.0, 1.0))
+    std = np.sqrt(variance[rows])
+    matrix = covariance[np.ix_(rows, rows)] / np.outer(std, std)
+    return Correlations(tuple(_label(parameters[k]) for k in rows), np.clip(matrix, -1.0, 1.0))
 
 
-def _name(parameter: Parameter) -> str:
+def _label(parameter: Parameter) -> str:
     joint = f" {parameter.joint}" if parameter.joint else ""
     return f"{parameter.name.replace('_', ' ')}{joint}"

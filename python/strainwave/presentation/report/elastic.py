@@ -1,64 +1,27 @@
-"""What the report says of elastic joints: resonances, amplitude sweeps, judged models."""
+"""Tables of the elastic joints: resonances, link motion, and tests of state-space models."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from strainwave.domain import Delay, Identification, JointModel, Mode, RecordModel, Sweep
+from strainwave.domain import Delay, Identification, JointModel, Mode, RecordModel
 from strainwave.domain.formatting import percent, plus_minus
-from strainwave.presentation.figures import MEASURED, Axis, Figure, Markers, Panel
-
-
-def stiffness(sweep: Sweep) -> Figure:
-    """Equivalent stiffness over the amplitude, with 95 % bars.
-
-    Parameters
-    ----------
-    sweep : Sweep
-
-    Returns
-    -------
-    Figure
-    """
-    x = np.array([point.amplitude for point in sweep.points])
-    y = np.array([point.gear_stiffness for point in sweep.points])
-    bars = 1.96 * np.array([point.gear_stiffness_std for point in sweep.points])
-    points = Markers(x, y, "equivalent stiffness", MEASURED, size=8.0, error=bars)
-    panel = Panel(Axis("k_G [N m/rad]"), (points,))
-    return Figure(Axis("amplitude of excitation [V]"), (panel,))
 
 
 def resonance_rows(identification: Identification) -> list[tuple[str, ...]]:
-    """Rows of the table of resonances: all records of a joint at once, then one by one.
+    """Joint, records, anti-resonance and its damping, resonance and its damping, stiffness.
 
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    list of tuple of str
-        Joint, records, anti-resonance, its damping, resonance, its damping, stiffness.
+    The model of all records of a joint comes first, then one row for each record.
     """
-    rows = [_row(joint, "all, at once") for joint in identification.joints]
+    rows = [_resonance_row(joint, "all records") for joint in identification.joints]
     for record in identification.records:
         if record.joint_model is not None:
-            rows.append(_row(record.joint_model, _name(record)))
+            rows.append(_resonance_row(record.joint_model, _name(record)))
     return sorted(rows, key=lambda row: row[0])
 
 
 def link_rows(identification: Identification) -> list[tuple[str, ...]]:
-    """Rows of the table of the links' motion: sources, fusion and delays, record by record.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    list of tuple of str
-        Joint, record, source, bias, error of the fusion (10), delays of link sensor and of drive.
-    """
+    """Joint, record, source, bias, fusion error (10), delays of link sensor and of drive."""
     return [
         (
             str(link.joint),
@@ -74,50 +37,50 @@ def link_rows(identification: Identification) -> list[tuple[str, ...]]:
 
 
 def _delay(delay: Delay | None) -> str:
-    """In milliseconds; nothing where the record does not show it."""
+    """In milliseconds; empty if the record does not determine it."""
     return "" if delay is None else " ± ".join(plus_minus(1e3 * delay.value, 1e3 * delay.std))
 
 
-def judgement_rows(identification: Identification) -> list[tuple[str, ...]]:
-    """Rows of the table of state-space models on data that were not fitted.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    list of tuple of str
-        Joint, record, fits one step ahead of motor and link velocity, then each test's verdict.
-    """
+def validation_rows(identification: Identification) -> list[tuple[str, ...]]:
+    """Joint, record, one-step fits of motor and link velocity, and the p-value of each test."""
     rows: list[tuple[str, ...]] = []
     for record in identification.records:
         check = record.check
         if check is not None:
-            fits = " / ".join(percent(fit) for fit in check.prediction_fit_percent)
-            verdicts = "; ".join(test.message for test in check.tests)
-            rows.append((str(record.signals.joint), _name(record), fits, verdicts))
+            fits = (percent(fit) for fit in check.prediction_fit_percent)
+            tests = {test.name: test for test in check.tests}
+            names = ("white", "independent-of-past-inputs", "no-feedback")
+            values = (
+                f"{_p_value(tests[name].p_value)} ({'pass' if tests[name].passed else 'fail'})"
+                if name in tests
+                else ""
+                for name in names
+            )
+            rows.append((str(record.signals.joint), _name(record), " / ".join(fits), *values))
     return rows
+
+
+def _p_value(p: float) -> str:
+    return f"{p:.2g}" if p >= 1e-3 else "< 0.001"
 
 
 def _name(record: RecordModel) -> str:
     return record.signals.experiment.name
 
 
-def _row(joint: JointModel, name: str) -> tuple[str, ...]:
-    names = list(joint.values)
-    k = names.index("gear_stiffness")
-    spread = float(np.sqrt(joint.covariance[k, k]))
+def _resonance_row(joint: JointModel, name: str) -> tuple[str, ...]:
+    k = list(joint.values).index("gear_stiffness")
+    std = float(np.sqrt(joint.covariance[k, k]))
     return (
         str(joint.joint),
         name,
-        *_cells(joint.anti_resonance),
-        *_cells(joint.resonance),
-        " ± ".join(plus_minus(joint.values["gear_stiffness"], spread)),
+        *_mode_cells(joint.anti_resonance),
+        *_mode_cells(joint.resonance),
+        " ± ".join(plus_minus(joint.values["gear_stiffness"], std)),
     )
 
 
-def _cells(mode: Mode | None) -> tuple[str, str]:
+def _mode_cells(mode: Mode | None) -> tuple[str, str]:
     if mode is None:
         return "none", ""
     return (

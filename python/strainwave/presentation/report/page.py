@@ -1,17 +1,26 @@
-"""The report's page: verdict first, then numbers, then pictures, then how it was made."""
+"""The report: verdict, rig, parameters, figures, residual analysis, warnings, provenance."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 
-from strainwave.domain import CONDITIONS, ArmModel, Identification, JointModel, Prediction
+import numpy as np
+
+from strainwave.domain import (
+    CONDITIONS,
+    ArmModel,
+    Identification,
+    JointModel,
+    Prediction,
+    StateSpace,
+)
 from strainwave.domain.combinations import value_of
 from strainwave.domain.formatting import percent
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import chosen_options
-from strainwave.presentation.figures import MOST_POINTS, Figure
+from strainwave.presentation.figures import MAX_POINTS, Figure
 from strainwave.presentation.report import (
     amplitudes,
     bode,
@@ -32,177 +41,207 @@ from strainwave.presentation.report.blocks import (
     keyed,
     number,
     paragraph,
-    prose,
     table,
 )
-from strainwave.presentation.report.criticism import criticised
 from strainwave.presentation.report.document import document
-from strainwave.presentation.report.parameters import meanings_table, parameter_table
-from strainwave.presentation.report.predictions import of_prediction
+from strainwave.presentation.report.parameters import descriptions_table, parameter_table
+from strainwave.presentation.report.pole_zero import pole_zero_map
+from strainwave.presentation.report.predictions import prediction_figure
+from strainwave.presentation.report.recordings import recordings
 from strainwave.presentation.report.remedies import warnings_table
+from strainwave.presentation.report.residuals import residual_correlations, residual_tests
+from strainwave.presentation.report.rig import rig_constants
 from strainwave.presentation.report.sensor_gains import gain_sentences
 from strainwave.presentation.report.verdict import verdict
 
-_ALL_POINTS = 150_000  # in all lines over time: more would make a page of many megabytes
-_FEWEST_POINTS = 300  # of one of them
+_MAX_PREDICTION_POINTS = 150_000  # of all lines over time: more make a page of many megabytes
+_MAX_RECORDING_POINTS = 60_000
+_MIN_LINE_POINTS = 300  # of one line
 
 
 def render(identification: Identification) -> str:
-    """The whole report as one HTML page that needs no network.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    str
-    """
+    """The report as one HTML page that needs no network."""
     return document(_name(identification), _subtitle(identification), _sections(identification))
 
 
 def figures_of(identification: Identification) -> dict[str, Figure]:
-    """Every figure of the report.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    dict
-        Name, fit for a file, to a figure.
-    """
+    """Every figure of the report, by a name that is valid as a file name."""
     return {key: plot.figure for key, plot in keyed(_sections(identification)).items()}
 
 
-def _sections(found: Identification) -> list[Section]:
+def _sections(result: Identification) -> list[Section]:
     parts = (
-        ("verdict", "Verdict", (verdict(found),)),
-        ("parameters", "Parameters", _parameters(found)),
-        ("responses", "Frequency responses", _responses(found)),
-        ("predictions", "Predicted and measured", _predictions(found)),
-        ("interaction", "Interaction torques", _interaction(found)),
-        ("gears", "Stiffness of the gears", _gears(found)),
-        ("residuals", "Residuals", _residuals(found)),
-        ("correlations", "Correlated parameters", _correlations(found)),
-        ("warnings", "Warnings", warnings_table(found.warnings)),
-        ("making", "How it was made", _making(found)),
+        ("verdict", "Verdict", (verdict(result),)),
+        ("rig", "Rig constants", rig_constants(result.study.arm)),
+        ("parameters", "Parameters", _parameters(result)),
+        ("responses", "Frequency responses", _responses(result)),
+        ("poles", "Poles and zeros", _poles(result)),
+        ("gears", "Gear stiffness", _gears(result)),
+        ("predictions", "Predicted and measured", _predictions(result)),
+        ("residuals", "Residual analysis", _residuals(result)),
+        ("interaction", "Interaction torques", _interaction(result)),
+        ("correlations", "Parameter correlations", _correlations(result)),
+        ("recordings", "Recorded data", _recordings(result)),
+        ("warnings", "Warnings", warnings_table(result.warnings)),
+        ("making", "Provenance", _provenance(result)),
     )
     return [Section(key, title, tuple(blocks)) for key, title, blocks in parts]
 
 
-def _parameters(found: Identification) -> Iterator[Block]:
-    """The table, and what link sensors that are not there would buy."""
-    yield from parameter_table(found.decisions)
-    for one in gain_sentences(found):
-        yield paragraph(f"{one[0].upper()}{one[1:]}.")
-    yield from meanings_table(found.decisions)
+def _parameters(result: Identification) -> Iterator[Block]:
+    """The table, the benefit of further link sensors, and the descriptions."""
+    yield from parameter_table(result.decisions)
+    for clause in gain_sentences(result):
+        yield paragraph(f"{clause[0].upper()}{clause[1:]}.")
+    descriptions = tuple(descriptions_table(result.decisions))
+    if descriptions:
+        yield Fold("Descriptions of the parameters", descriptions)
 
 
-def _name(identification: Identification) -> str:
-    path = identification.study.path
+def _name(result: Identification) -> str:
+    path = result.study.path
     return path.resolve().parent.name or path.name
 
 
-def _subtitle(identification: Identification) -> str:
-    study = identification.study
+def _subtitle(result: Identification) -> str:
+    study = result.study
     kind = study.arm.kind.replace("-", " ")
-    springs = ", ".join(joint.spring for joint in study.arm.joints)
-    return f"{kind}, gear springs: {springs}; stages: {', '.join(identification.stages)}"
+    springs = ", ".join(dict.fromkeys(joint.spring for joint in study.arm.joints))
+    return f"{kind}, gear springs: {springs}; stages: {', '.join(result.stages)}"
 
 
-def _responses(found: Identification) -> Iterator[Block]:
-    """Bode plots of every joint, its resonances, and its stiffness over the amplitude."""
-    for joint in found.joints:
-        yield _bode(found, joint)
-    for seen in found.motor_responses:
-        own = found.study.arm.joints[seen.joint - 1]
-        label = f"Motor {seen.joint} in {seen.experiment}, {CONDITIONS[seen.condition]}:"
-        label += " torque to velocity"
-        drawn = motors.figure_of(seen, straight=own.motion == "prismatic")
-        yield Plot(f"motor {seen.experiment}", label, drawn, motors.words_of(seen))
+def _responses(result: Identification) -> Iterator[Block]:
+    """Bode plots of every joint, resonances, responses of the motors, and amplitude sweeps."""
+    for joint in result.joints:
+        yield _bode(result, joint)
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
-    rows = elastic.resonance_rows(found)
+    rows = elastic.resonance_rows(result)
     yield from table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows)
-    for place, records in amplitudes.swept(found).items():
-        label = f"Joint {place} over the amplitude: motor torque to motor velocity"
-        drawn = amplitudes.responses(records)
-        yield Plot(f"sweep joint {place}", label, drawn, amplitudes.WORDS)
-    for sweep in found.sweeps:
-        label = f"Joint {sweep.joint}, stiffness over amplitude: {sweep.verdict}"
-        yield Plot(f"amplitude joint {sweep.joint}", label, elastic.stiffness(sweep))
+    for sweep in result.sweeps:
+        label = f"Joint {sweep.joint}, stiffness over amplitude: {amplitudes.trend_title(sweep)}"
+        figure, words = amplitudes.stiffness_figure(sweep), amplitudes.describe_trend(sweep)
+        yield Plot(f"amplitude joint {sweep.joint}", label, figure, words)
+    for joint_number, records in amplitudes.swept_records(result).items():
+        label = f"Joint {joint_number}, response by amplitude: motor torque to motor velocity"
+        figure = amplitudes.response_figure(records)
+        words = "Joint model of each record, within the band of its fit."
+        yield Plot(f"sweep joint {joint_number}", label, figure, words)
+    plots = tuple(_motor_plots(result))
+    if plots:
+        yield Fold(f"Responses of the motors in the complete arm ({len(plots)})", plots)
 
 
-def _bode(found: Identification, joint: JointModel) -> Plot:
-    own = found.study.arm.joints[joint.joint - 1]
-    measured = found.responses.get(joint.joint)
-    sampled = [
-        (r.signals.experiment.name, r.state_space)
-        for r in found.records
-        if r.signals.joint == joint.joint
-        and r.state_space is not None
-        and r.signals.experiment.use == "frequency"
-    ]
-    drawn = bode.bode(
+def _motor_plots(result: Identification) -> Iterator[Plot]:
+    for response in result.motor_responses:
+        joint_of_motor = result.study.arm.joints[response.joint - 1]
+        label = f"Motor {response.joint} in {response.experiment},"
+        label += f" {CONDITIONS[response.condition]}: torque to velocity"
+        figure = motors.motor_figure(response, is_prismatic=joint_of_motor.motion == "prismatic")
+        yield Plot(f"motor {response.experiment}", label, figure, motors.describe(response))
+
+
+def _bode(result: Identification, joint: JointModel) -> Plot:
+    description = result.study.arm.joints[joint.joint - 1]
+    measured = result.responses.get(joint.joint)
+    figure = bode.bode(
         joint,
-        own.gear_ratio,
+        description.gear_ratio,
         measured,
-        sampled,
-        tuned=_by_whole_arm(found, joint),
-        straight=own.motion == "prismatic",
+        _state_space_models(result, joint),
+        tuned=_tuned_joint(result, joint),
+        is_prismatic=description.motion == "prismatic",
     )
-    label = f"Joint {joint.joint} alone: motor torque to motor velocity"
-    return Plot(f"bode joint {joint.joint}", label, drawn, bode.words(joint, measured))
+    label = f"Joint {joint.joint}: motor torque to motor velocity"
+    return Plot(f"bode joint {joint.joint}", label, figure, bode.describe(joint, measured))
 
 
-def _by_whole_arm(found: Identification, joint: JointModel) -> dict[str, float] | None:
-    """One joint's parameters by the whole-arm fit; None without one, or where it has not all."""
-    if found.tuned is None:
+def _poles(result: Identification) -> Iterator[Block]:
+    for joint in result.joints:
+        ratio = result.study.arm.joints[joint.joint - 1].gear_ratio
+        models = _state_space_models(result, joint)
+        figure = pole_zero_map(joint, ratio, models, tuned=_tuned_joint(result, joint))
+        label = f"Joint {joint.joint}: poles and zeros of motor torque to motor velocity"
+        words = (
+            "Crosses are poles, circles are zeros, in continuous time; ellipses are 95 % regions."
+        )
+        yield Plot(f"poles joint {joint.joint}", label, figure, words)
+
+
+def _state_space_models(result: Identification, joint: JointModel) -> dict[str, StateSpace]:
+    """State-space models of a joint at full amplitude, by record."""
+    return {
+        record.signals.experiment.name: record.state_space
+        for record in result.records
+        if record.signals.joint == joint.joint
+        and record.state_space is not None
+        and record.signals.experiment.use == "frequency"
+    }
+
+
+def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint | None:
+    """One joint's parameters in the whole-arm fit; None if the fit lacks one of them.
+
+    A gear curve is represented by the joint model's equivalent stiffness, without a band.
+    """
+    tuned = result.tuned
+    if tuned is None:
         return None
-    values = dict(found.tuned.values)
-    own = {name: value for (name, of), value in values.items() if of == joint.joint}
-    if STIFFNESS not in own or found.study.arm.joints[joint.joint - 1].law.is_curved:
-        own[STIFFNESS] = joint.values[STIFFNESS]  # its equivalent
-    kind = kind_of(found.study.arm)
+    values = dict(tuned.values)
+    own = {name: value for (name, number), value in values.items() if number == joint.joint}
+    if STIFFNESS not in own or result.study.arm.joints[joint.joint - 1].law.is_curved:
+        own[STIFFNESS] = joint.values[STIFFNESS]
+    kind = kind_of(result.study.arm)
     if all(key in values for key in kind.inertias):
         own["link_inertia"] = value_of(kind.link_inertia(joint.joint), values)
-    return own if set(list(joint.values)[:6]) <= set(own) else None
+    names = list(joint.values)[:6]
+    if not set(names) <= set(own):
+        return None
+    rows = {p.name: k for k, p in enumerate(tuned.parameters) if p.joint == joint.joint}
+    vector = np.array([own[name] for name in names])
+    if not set(names) <= set(rows):
+        return bode.TunedJoint(vector, None)
+    order = [rows[name] for name in names]
+    return bode.TunedJoint(vector, tuned.covariance[np.ix_(order, order)])
 
 
-def _predictions(found: Identification) -> Iterator[Block]:
-    """Records over time: validation data first, then those that were fitted."""
-    tuned = found.tuned
+def _predictions(result: Identification) -> Iterator[Block]:
+    """Check records first, then fitted records, folded."""
+    tuned = result.tuned
     fitted = [("tuning", p) for p in (tuned.simulated if tuned else ())]
-    fitted += [("fitted", p) for p in found.fitted]
-    channels = sum(len(p.channels) for p in (*found.checks, *(p for _, p in fitted)))
-    most = min(MOST_POINTS, max(_FEWEST_POINTS, _ALL_POINTS // (3 * max(channels, 1))))
-    for prediction in found.checks:
-        yield _predicted(found, prediction, ("check", "validation"), most)
+    fitted += [("fitted", p) for p in result.fitted]
+    channels = sum(len(p.channels) for p in (*result.checks, *(p for _, p in fitted)))
+    limit = _line_points(_MAX_PREDICTION_POINTS, 3 * channels)
+    for prediction in result.checks:
+        yield _prediction(result, prediction, ("check", "check record"), limit)
     if fitted:
-        plots = [_predicted(found, p, (kind, "fitted"), most) for kind, p in fitted]
-        yield Fold(f"Records that were fitted ({len(plots)})", tuple(plots))
+        plots = [_prediction(result, p, (kind, "fitted record"), limit) for kind, p in fitted]
+        yield Fold(f"Fitted records ({len(plots)})", tuple(plots))
     if tuned is not None:
         yield from _fits(tuned)
 
 
-def _predicted(
-    found: Identification, prediction: Prediction, of: tuple[str, str], most: int
+def _line_points(total: int, lines: int) -> int:
+    """Points of one line, such that all lines have about `total`."""
+    return min(MAX_POINTS, max(_MIN_LINE_POINTS, total // max(lines, 1)))
+
+
+def _prediction(
+    result: Identification, prediction: Prediction, names: tuple[str, str], limit: int
 ) -> Plot:
-    """One record over time, with its fits in words."""
-    kind, use = of
+    """One record over time, with its fits."""
+    kind, use = names
     fits = [f"{name} {_fit(fit)}" for name, fit in prediction.fit_percent.items()]
+    model = "drive by the rigid model" if prediction.of_drive else "motion by the elastic model"
     return Plot(
         f"{kind} {prediction.experiment}",
-        f"{prediction.experiment}, {use}: {_what(prediction)}",
-        of_prediction(prediction, found.study.arm.joints, most),
+        f"{prediction.experiment}, {use}: {model}",
+        prediction_figure(prediction, result.study.arm.joints, limit),
         f"Fit: {', '.join(fits)}.",
     )
 
 
 def _fit(fit: float) -> str:
-    """A fit, where there was something to judge it by."""
-    return percent(fit) if math.isfinite(fit) else "at standstill, not judged"
+    return percent(fit) if math.isfinite(fit) else "no fit (standstill)"
 
 
 def _change(before: float, after: float | None) -> Cell:
@@ -213,96 +252,93 @@ def _change(before: float, after: float | None) -> Cell:
     return number(f"{percent(before)} → {percent(after)}")
 
 
-def _what(prediction: Prediction) -> str:
-    if prediction.channels[0].startswith(("u", "torque")):
-        return "drive, from the measured motion by the rigid model"
-    return "motion, simulated by the elastic model"
-
-
 def _fits(tuned: ArmModel) -> Iterator[Block]:
-    """Fits of the whole arm before and after tuning, one row per record."""
+    """Fits of each record before and after the whole-arm fit."""
     channels = list(dict.fromkeys(name for fits in tuned.fit_percent.values() for name in fits))
     rows: list[Row] = []
     for experiment, fits in tuned.fit_percent.items():
         before = tuned.initial_fit_percent.get(experiment, {})
         cells = [_change(before.get(name, math.nan), fits.get(name)) for name in channels]
         rows.append((experiment, *cells))
-    title = f"Fits before → after the whole-arm fit: {tuned.status}"
-    title += f" after {tuned.iterations} evaluations"
+    title = (
+        f"Fits before → after the whole-arm fit ({tuned.status}, {tuned.iterations} evaluations)"
+    )
     yield from table(title, ("record", *map(number, channels)), rows)
 
 
-def _interaction(found: Identification) -> Iterator[Block]:
-    for record in torques.interacting(found):
+def _interaction(result: Identification) -> Iterator[Block]:
+    for record in torques.interaction_records(result):
         where = f"Joint {record.joint}, {record.experiment.name}"
-        name = f"interaction joint {record.joint}"
-        words, drawn = torques.words(record), torques.over_time(record)
-        yield Plot(f"{name} time", f"{where}: torques over time", drawn, words)
-        drawn = torques.over_frequency(record)
-        yield Plot(f"{name} spectrum", f"{where}: their spectra", drawn)
-    heads = ("joint", "record", "from", "bias [rad/s²]", "error of (10) [rad/s]")
-    delays = ("link sensor late by [ms]", "motor's response late by [ms]")
-    rows = elastic.link_rows(found)
-    yield from table("How the links' motion was found", (*heads, *delays), rows)
+        name, words = f"interaction joint {record.joint}", torques.describe(record)
+        figure = torques.time_figure(record)
+        yield Plot(f"{name} time", f"{where}: torques over time", figure, words)
+        yield Plot(f"{name} spectrum", f"{where}: spectra", torques.spectrum_figure(record))
+    heads = ("joint", "record", "source", "bias [rad/s²]", "error of (10) [rad/s]")
+    delays = ("link sensor delay [ms]", "motor response delay [ms]")
+    rows = elastic.link_rows(result)
+    label = "Link motion of each record"
+    links = tuple(table(label, (*heads, *delays), rows, heading=False))
+    if links:
+        yield Fold(f"{label} ({len(rows)} rows)", links)
 
 
-def _gears(found: Identification) -> Iterator[Block]:
-    for curve in gears.curves(found):
-        label = f"Gear {curve.joint}: slope over torque, and the torques in the records"
+def _gears(result: Identification) -> Iterator[Block]:
+    for curve in gears.stiffness_curves(result):
+        label = f"Gear {curve.joint}: stiffness over torque, and torques in the records"
         name = f"gear joint {curve.joint}"
-        yield Plot(f"{name} slope", label, gears.slope_figure(curve), gears.words(curve))
-        if curve.bends:
+        figure = gears.stiffness_figure(curve)
+        yield Plot(f"{name} slope", label, figure, gears.describe(curve))
+        if curve.is_nonlinear:
             label = f"Gear {curve.joint}: torque over torsion"
             yield Plot(f"{name} torsion", label, gears.torsion_figure(curve))
 
 
-def _residuals(found: Identification) -> Iterator[Block]:
-    criticism = found.tuned.criticism if found.tuned else None
+def _residuals(result: Identification) -> Iterator[Block]:
+    criticism = result.tuned.criticism if result.tuned else None
     if criticism is not None:
-        yield from criticised(criticism)
-    rows: list[Row] = [(*cells[:-1], prose(cells[-1])) for cells in elastic.judgement_rows(found)]
-    title = "State-space models on the last quarter of their records, fitted to the rest"
-    yield from table(title, ("joint", "record", "one step ahead", "residuals"), rows)
+        yield from residual_tests(criticism)
+    yield from residual_correlations(result)
+    title = "State-space models on the last quarter of their record, fitted to the rest"
+    tests = ("whiteness p", "independence of past inputs p", "no feedback p")
+    heads = ("joint", "record", "one-step fits", *tests)
+    yield from table(title, heads, elastic.validation_rows(result))
 
 
-def _correlations(found: Identification) -> Iterator[Block]:
-    known = correlations.correlations(found)
-    if known is not None:
-        label = "Correlations of the parameters' errors"
-        drawn = correlations.heat_map(known)
-        yield Plot("correlations", label, drawn, correlations.words(known))
+def _correlations(result: Identification) -> Iterator[Block]:
+    errors = correlations.correlations(result)
+    if errors is not None:
+        label, words = "Correlations of the parameter errors", correlations.describe(errors)
+        yield Plot("correlations", label, correlations.heat_map(errors), words)
 
 
-def _making(identification: Identification) -> Iterator[Block]:
-    study = identification.study
-    timing = ", ".join(
-        f"{name} {seconds:.2f} s" for name, seconds in identification.timing_s.items()
-    )
+def _recordings(result: Identification) -> Iterator[Block]:
+    lines = sum(len(log.channels) for log in result.logs)
+    return recordings(result, _line_points(_MAX_RECORDING_POINTS, lines))
+
+
+def _provenance(result: Identification) -> Iterator[Block]:
+    study = result.study
+    timing = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.timing_s.items())
+    options = chosen_options(study.options)
     facts = [
         ("study", str(study.path)),
         ("sha256", study.sha256),
-        ("strainwave", identification.version),
-        ("made", identification.created),
-        ("time taken", timing),
+        ("strainwave", result.version),
+        ("created", result.created),
+        ("computing time", timing),
+        ("options", ", ".join(options) if options else "default"),
     ]
-    chosen = chosen_options(study.options)
-    facts.append(("options", ", ".join(chosen) if chosen else "as by default"))
-    if identification.rigid is not None:
-        model = identification.rigid
+    model = result.rigid
+    if model is not None:
         facts.append(
             (
                 "rigid step",
-                f"{model.n_rows} equations, zero-phase filter {model.bandwidth_hz:.3g} Hz, one "
-                f"sample in {model.decimation}, condition number {model.condition_number:.3g}",
+                f"{model.n_rows} equations, zero-phase low-pass {model.bandwidth_hz:.3g} Hz,"
+                f" decimation {model.decimation}, condition number {model.condition_number:.3g}",
             )
         )
         if model.torque_ratio is not None:
             value, std = model.torque_ratio
-            facts.append(
-                (
-                    "torque of joint 1 over joint 2",
-                    f"{value:.4f}, standard deviation {std:.2g}, of what the symmetry of the "
-                    "inertia matrix allows; 1 where both torque constants are right",
-                )
-            )
+            text = f"{value:.4f} ± {std:.2g}; 1 if both torque constants are correct"
+            facts.append(("torque ratio from the symmetry of the inertia matrix", text))
     yield Facts(tuple(facts))

@@ -1,4 +1,4 @@
-"""The table of parameters: one row each, the arm's own first, then joint by joint."""
+"""The table of parameters: first those of the arm, then joint by joint."""
 
 from __future__ import annotations
 
@@ -8,81 +8,72 @@ from strainwave.domain import Decision
 from strainwave.domain.formatting import plus_minus
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameter_words import ParameterWords, all_words
-from strainwave.presentation.report.blocks import Cell, Group, Row, Table, number, prose, table
+from strainwave.presentation.report.blocks import (
+    Cell,
+    Group,
+    Row,
+    Table,
+    number,
+    prose,
+    table,
+    two_digits,
+)
 
 _HEADS: tuple[str | Cell, ...] = (
     "parameter",
     "symbol",
-    *map(number, ("value", "± one sigma")),
+    *map(number, ("value", "standard deviation")),
     "unit",
-    *map(number, ("95 % interval", "95 % half-width [%]")),
-    "source stage",
+    *map(number, ("95 % interval", "half-width [%]")),
+    "stage",
 )
 _NO_WORDS = ParameterWords("", "")
 
 
-def meanings_table(decisions: Sequence[Decision]) -> Iterator[Table]:
-    """Symbol and description of every parameter in the table, once.
-
-    Parameters
-    ----------
-    decisions : sequence of Decision
-
-    Returns
-    -------
-    iterator of Table
-    """
+def descriptions_table(decisions: Sequence[Decision]) -> Iterator[Table]:
+    """Symbol and description of every parameter in the table, once."""
     names = dict.fromkeys(base_name(decision.parameter.name) for decision in decisions)
     words_of = all_words()
-    known = ((name, words_of[name]) for name in names if name in words_of)
+    pairs = ((name, words_of[name]) for name in names if name in words_of)
     rows = [
         (Cell(name, "name", key=_key(name)), Cell(words.symbol, "symbol"), prose(words.description))
-        for name, words in known
+        for name, words in pairs
     ]
-    return table("What the parameters are", ("parameter", "symbol", "description"), rows)
+    heads = ("parameter", "symbol", "description")
+    return table("Descriptions of the parameters", heads, rows, heading=False)
 
 
 def parameter_table(decisions: Sequence[Decision]) -> Iterator[Table]:
-    """All parameters with their intervals.
-
-    Parameters
-    ----------
-    decisions : sequence of Decision
-        The final table.
-
-    Returns
-    -------
-    iterator of Table
-    """
+    """All parameters of the final table with their intervals."""
     rows: list[Row | Group] = []
-    last: int | None = -1
+    group: int | None = -1
     for decision in decisions:
         p = decision.parameter
-        if p.joint != last:
-            rows.append(Group(f"joint {p.joint}" if p.joint else "arm"))
-            last = p.joint
+        if p.joint != group:
+            rows.append(Group(f"Joint {p.joint}" if p.joint else "Arm"))
+            group = p.joint
         rows.append(_row(decision))
     return table("Parameters", _HEADS, rows, heading=False)
 
 
 def _row(decision: Decision) -> Row:
     p = decision.parameter
-    value, spread = plus_minus(p.value, p.std)
+    value, std = plus_minus(p.value, p.std)
     if p.value is None:
         value = "rejected" if decision.rejected else "not identified"
-        spread, interval, half = "", decision.rejected or "not identifiable from these data", ""
+        std, interval, half = "", decision.rejected or "not identifiable from these data", ""
     elif p.ci95 is None:
         interval, half = "not known", ""
     else:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
-        half = _share(0.5 * (high - low), p.value)
+        half = _relative(0.5 * (high - low), p.value)
     words = all_words().get(base_name(p.name), _NO_WORDS)
     link = f"#{_key(base_name(p.name))}" if words.description else ""
     return (
         Cell(p.name, href=link, tip=words.description),
         Cell(words.symbol, "symbol"),
-        *map(number, (value, spread)),
+        *map(number, (value, std)),
         p.unit.replace("^2", "²").replace("^3", "³").replace(" ", "\N{NO-BREAK SPACE}"),
         *map(number, (interval, half)),
         p.stage,
@@ -94,15 +85,17 @@ def _key(name: str) -> str:
     return f"parameter-{name}"
 
 
-def _share(half: float, value: float) -> str:
-    """In percent of the value; beyond all of it the number says nothing more."""
-    return f"{100.0 * half / abs(value):.2g}" if half < abs(value) else "over 100"
+def _relative(half: float, value: float) -> str:
+    """Half-width in percent of the value, to two digits; "over 100" above."""
+    if half >= abs(value):
+        return "over 100"
+    return two_digits(100.0 * half / abs(value))
 
 
-def _like(shown: str, number: float) -> str:
-    """A number with the decimals, and the exponent, of another that is written already."""
-    digits, _, exponent = shown.partition("e")
+def _like(template: str, value: float) -> str:
+    """A number with the decimals and the exponent of another."""
+    digits, _, exponent = template.partition("e")
     decimals = len(digits.partition(".")[2])
     if not exponent:
-        return f"{number:.{decimals}f}"
-    return f"{number / 10.0 ** int(exponent):.{decimals}f}e{exponent}"
+        return f"{value:.{decimals}f}"
+    return f"{value / 10.0 ** int(exponent):.{decimals}f}e{exponent}"

@@ -1,4 +1,4 @@
-"""Records over time: what was measured and what the model predicts; below, the residuals."""
+"""Records over time: measured and predicted channels, with the residuals below each."""
 
 from __future__ import annotations
 
@@ -8,78 +8,65 @@ import numpy as np
 
 from strainwave.domain import Joint, Prediction
 from strainwave.presentation.figures import (
+    MAX_POINTS,
     MEASURED,
     MODEL,
-    MOST_POINTS,
     RESIDUAL,
     Axis,
     Dash,
     Figure,
     Line,
     Panel,
-    thinned,
+    decimate,
 )
 
-_WIDE: Dash = (6.0, 4.0)  # of the model, over what was measured
-_RESIDUALS = 0.45  # height of a panel of residuals beside the one above it
-_UNITS = {"u": "V", "torque": "N m", "omega_m": "rad/s", "a": "m/s²"}
-_STRAIGHT = {"u": "V", "torque": "N", "omega_m": "m/s", "a": "m/s²"}
+_MODEL_DASH: Dash = (6.0, 4.0)  # the measured line shows through
+_RESIDUAL_HEIGHT = 0.45  # of a residual panel relative to the panel above
+_UNITS = {
+    "u": "V",
+    "torque": "N m",
+    "omega_m": "rad/s",
+    "theta_l": "rad",
+    "deflection": "rad",
+    "gyro": "rad/s",
+    "a": "m/s²",
+    **dict.fromkeys(("ax", "ay", "az"), "m/s²"),
+    **dict.fromkeys(("gx", "gy", "gz"), "rad/s"),
+}
+_PRISMATIC_UNITS = _UNITS | {"torque": "N", "omega_m": "m/s", "theta_l": "m", "deflection": "m"}
 
 
-def of_prediction(
+def prediction_figure(
     prediction: Prediction,
     joints: Sequence[Joint] = (),
-    most: int = MOST_POINTS,
+    limit: int = MAX_POINTS,
     channels: Sequence[str] = (),
 ) -> Figure:
-    """A record's channels over time: measured and predicted, and beneath each its residuals.
+    """Measured and predicted channels of a record over time, and the residuals of each.
 
-    Parameters
-    ----------
-    prediction : Prediction
-    joints : sequence of Joint
-        Of the arm: a prismatic one has other units.
-    most : int
-        Points of a line.
-    channels : sequence of str
-        Those to show; all where none is named.
-
-    Returns
-    -------
-    Figure
+    All channels are shown unless some are named. A line has at most `limit` points.
     """
     panels: list[Panel] = []
     for channel in channels or prediction.channels:
         column = prediction.channels.index(channel)
         measured, predicted = prediction.measured[:, column], prediction.predicted[:, column]
         residuals = measured - predicted
-        pick = thinned(np.column_stack([measured, predicted, residuals]), most)
-        time = prediction.time[pick]
+        rows = decimate(np.column_stack([measured, predicted, residuals]), limit)
+        time = prediction.time[rows]
         both = (
-            Line(time, measured[pick], "measured", MEASURED, width=2.5),
-            Line(time, predicted[pick], "model", MODEL, _WIDE),
+            Line(time, measured[rows], "measured", MEASURED, width=2.5),
+            Line(time, predicted[rows], "model", MODEL, _MODEL_DASH),
         )
-        beneath = Line(time, residuals[pick], "residuals", RESIDUAL, width=1.0)
-        panels.append(Panel(Axis(f"{channel} [{unit_of(channel, joints)}]"), both))
-        panels.append(Panel(Axis(""), (beneath,), _RESIDUALS))
+        residual = Line(time, residuals[rows], "residual", RESIDUAL, width=1.0)
+        unit = unit_of(channel, joints)
+        panels.append(Panel(Axis(f"{channel} [{unit}]"), both))
+        panels.append(Panel(Axis(f"residual [{unit}]"), (residual,), _RESIDUAL_HEIGHT))
     return Figure(Axis("time [s]"), tuple(panels))
 
 
 def unit_of(channel: str, joints: Sequence[Joint] = ()) -> str:
-    """The unit of a log's channel.
-
-    Parameters
-    ----------
-    channel : str
-        `u1`, `omega_m2`, ...
-    joints : sequence of Joint
-        Revolute where there are none.
-
-    Returns
-    -------
-    str
-    """
+    """The unit of a log channel such as `u1` or `omega_m2`; joints are revolute by default."""
     kind = channel.rstrip("0123456789")
     number = int(channel[len(kind) :] or 1)
-    straight = number <= len(joints) and joints[number - 1].motion == "prismatic"
-    return (_STRAIGHT if straight else _UNITS).get(kind, "")
+    is_prismatic = number <= len(joints) and joints[number - 1].motion == "prismatic"
+    return (_PRISMATIC_UNITS if is_prismatic else _UNITS).get(kind, "")

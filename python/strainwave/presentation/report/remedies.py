@@ -1,135 +1,276 @@
-"""What to do about each warning, and which of them weigh most."""
+"""Meaning and remedy of each warning code, and the order of their severity."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import PurePath
+from typing import NamedTuple
 
 from strainwave.domain import Diagnostic
 from strainwave.domain.effects import all_effects
 from strainwave.presentation.report.blocks import Block, Cell, Span, paragraph, prose, table
 
 PAGE = "docs/troubleshooting.md"
-"""Has a section of every code, under the code's name."""
+"""The page with a section for each code."""
 
-_IN_DOUBT = {
-    "implausible": (
-        "Do not use the value. Check gear_ratio, torque_per_volt, the signs of the channels, "
-        "and what else acts on the joint."
+
+class Advice(NamedTuple):
+    """What a warning means for the result, and what to do."""
+
+    meaning: str
+    remedy: str
+
+
+_RESULT = {
+    "implausible": Advice(
+        "The model does not describe the records. Do not use any value of this stage.",
+        "Check gear_ratio, torque_per_volt, and the sign and scale of each channel.",
     ),
-    "stages-disagree": (
-        "Look for the causes in the order given: drive the motor with less voltage, check the "
-        "clock of the fast records, the drive's dead zone, then friction."
+    "stages-disagree": Advice(
+        "One of the two values is biased; from four standard deviations both are rejected.",
+        "Check in this order: motor constant at high current, clock of the logger, dead zone of the"
+        " drive, friction law.",
     ),
-    "torques-contradict": (
-        "Fit the effect that is named, and check the torque constants all the same."
+    "torques-contradict": Advice(
+        "The named effect biases the rigid model. The intervals are widened.",
+        "Add the effect to the joint's effects, and check torque_per_volt of both joints.",
     ),
-    "rejected": (
-        "Do not use the value, which no longer is in the table. The stage's own warnings say what "
-        "made it impossible."
+    "rejected": Advice(
+        "The value is null in the table of parameters and is not exported.",
+        "Read the other warnings of that stage: sensor and drive bandwidths, signs, scales.",
     ),
-    "elastic-not-validated": (
-        'Record steps under the servo, or a PRBS, with use = "check": motor angles, voltages and '
-        "the servo's references, and a [servo] table in the study."
+    "elastic-not-validated": Advice(
+        "No check record tests stiffness and damping.",
+        'Record steps under the servo, or a PRBS, with use = "check": motor angles, voltages and'
+        " references, and a [servo] table in the study.",
     ),
-    "not-tuned": (
-        "Use the values of single joints meanwhile; log the angle and the voltage of every motor."
+    "not-tuned": Advice(
+        "The result comes from the earlier stages only; its intervals are wider.",
+        "Log the angle and the voltage of every motor; check signs, units and channel assignment.",
     ),
-    "no-frequency-record": (
-        'Add a record with use = "frequency": pseudo-random voltage on one joint.'
+    "no-frequency-record": Advice(
+        "The gears are identified from steps alone, or not at all.",
+        'Record a PRBS on each joint with use = "frequency".',
     ),
-    "iteration-limit": "Record longer, or give better starts; do not trust the intervals.",
-    "at-bounds": (
-        "Look at what the records disagree on: friction that warms up, another payload, a "
-        "wrong gear_ratio."
+    "iteration-limit": Advice(
+        "The values are provisional; do not trust the intervals.",
+        "Record longer, or raise tuning.max_iterations.",
     ),
-    "response-apart": (
-        "Look at the Bode plot: at small amplitudes friction bends the measured points; else "
-        "take the joint's values from the whole-arm fit, and check torque_per_volt."
+    "at-bounds": Advice(
+        "The parameter compensates for an effect that the model lacks, and biases others.",
+        "Check gear_ratio, payload and scales in the study, then the residual tests.",
     ),
-    "grey-box-failed": "Look at the record: saturation, a link that strikes, a wrong channel.",
-    "not-identifiable": (
-        "Excite it more: a larger amplitude, other postures, faster reversals; or take it "
-        "from the data sheet."
+    "response-apart": Advice(
+        "The measured response or the joint model is wrong in that band.",
+        "Look at the Bode plot. Below the anti-resonance, raise the amplitude; at the resonances,"
+        " use the whole-arm fit; at all frequencies, check torque_per_volt.",
     ),
-    "only-together": (
-        "Add an experiment that moves one without the other, or hold one at its data-sheet value."
+    "grey-box-failed": Advice(
+        "This record gives no joint model; the others do.",
+        "Check the record for saturation, impacts and wrong channels.",
     ),
-    "motor-side-limit": (
-        "Add an accelerometer or an encoder to that link; more such records hardly help."
+    "not-identifiable": Advice(
+        "The value is null unless another stage identifies it.",
+        "Record a larger amplitude, other postures or faster reversals, or use the data sheet.",
     ),
-    "residual-not-noise": (
-        "Read the tests of what the fit leaves: they name the frequency and what might explain it."
+    "only-together": Advice(
+        "Only the combination of the two parameters is well determined.",
+        "Record at another amplitude or posture, or hold one parameter at its data-sheet value.",
     ),
-    "no-rigid-model": 'Add a record with use = "motion": slow, smooth, over the whole workspace.',
+    "motor-side-limit": Advice(
+        "The motor encoder alone cannot determine the parameter better.",
+        "Add an accelerometer or an encoder to that link.",
+    ),
+    "residual-not-noise": Advice(
+        "The model lacks an effect, the study has a wrong constant, or a disturbance acted. The"
+        " intervals are widened.",
+        "Read the score tests, then check torque_per_volt, distances and bandwidths in the study.",
+    ),
+    "no-rigid-model": Advice(
+        "Friction and inertia rest on the PRBS records alone.",
+        'Record a slow, smooth motion over the whole workspace with use = "motion".',
+    ),
 }
-"""Where the answer itself is in doubt, the most serious first."""
-_OF_DATA = {
-    "saturated": "Lower the amplitude, or raise the drive's limit; those stretches were left out.",
-    "spikes": "Check the sensor's cable, its shield and the plug.",
-    "frozen": "Look for lost packets, a loose plug, or a sensor that hangs.",
-    "encoder-steps": "Check the encoder's index and supply, and the counter's number of bits.",
-    "flat-tops": "Use a sensor of larger range, or a smaller amplitude.",
-    "mains-hum": "Shield and ground the sensor's cable, away from those of motors.",
-    "misaligned": (
-        "Check the logger's time stamps and the bandwidths of sensor and drive in the study."
+"""Warnings about the result, the most serious first."""
+_DATA = {
+    "saturated": Advice(
+        "Intervals at the limit of the drive are excluded.",
+        "Lower the amplitude, or correct limit in [servo].",
     ),
-    "sensor-delay": "Give the sensor's bandwidth in the study, or mend the latency of its bus.",
-    "sensor-scale": "Check the sensor's calibration, its direction and its distance in the study.",
-    "sensor-drift": "Let the sensor warm up before recording, and check its supply.",
-    "sensor-mount": "Glue or screw the sensor down, close to the link's structure.",
-    "start-rejected": "Check the signs, units and assignment of the channels.",
-    "no-link-sensor": "None is needed; with a sensor on that link intervals would be narrower.",
-    "silent-command": "Check that the drive held its last command, and that its node lived.",
-    "recorder-stamps": "Publish those messages with a header stamp of their own.",
-    "sub-sampled": "Log at least at the clock of the excitation.",
-    "constant-channel": "Check the sensor's cable and the channel map.",
-    "poor-excitation": (
-        "Move the joints through other postures, at other accelerations, each on its own."
+    "spikes": Advice(
+        "The samples are interpolated and excluded.", "Check the sensor's cable, shield and plug."
     ),
-    "not-rigid": "Move more slowly, or trust the whole-arm fit instead.",
-    "standing": "Move faster, and reverse less often.",
-    "load-friction": "None is needed; simulated and exported arms leave it out.",
-    "not-settled": "Record a longer or livelier motion.",
-    "sliding": "Raise the amplitude, so that the motor does not stick.",
-    "constant-inertia": "Excite around one posture, with less swing.",
-    "interaction-amplitude": (
-        "Leave the other joint free, so that it answers; or treat the joint as alone."
+    "frozen": Advice(
+        "The interval is excluded.", "Check for lost packets, a loose plug or a stalled sensor."
     ),
-    "interaction-spectrum": "Excite both joints, or leave the other one free.",
-    "input-richness": "Excite both joints with different sequences.",
-    "inertia-mismatch": "See what friction and torque_per_volt do to either value.",
-    "not-reciprocal": "Check the gear ratio, torque_per_volt and the link sensor.",
-    "lag-not-slow": "Check the rigid model's friction; prefer the equations of motion's values.",
-    "unstable-model": "Lower the order, or take off drifts.",
-    "state-space-failed": "The physical model does without; record longer for a state-space model.",
-    "transfer-function-failed": (
-        "The equations of motion give the values; this second way gave none."
+    "encoder-steps": Advice(
+        "The steps are subtracted from the later samples.",
+        "Check the encoder's index and supply, and the number of bits of the counter.",
     ),
-    "modes-failed": "The state-space model has no clear resonance: raise the amplitude.",
-    "not-judged": "Record longer, so that a part can be kept for judging.",
-    "pem-iteration-limit": "Lower the order, or record longer.",
-    "pem-stalled": "Take off means and drifts, or lower the order.",
-    "order-reduced": "Nothing for the resonances; record longer for a model of more states.",
-    "negative-fit": "Do not simulate with that model: take off drifts, or change the order.",
-    "pem-not-determined": "Lower the order, or excite every input.",
-    "subspace-not-determined": "Take off means and drifts, or change the order.",
-    "pole-near-nyquist": "Lower the order, or sample faster.",
+    "flat-tops": Advice(
+        "Samples at the end of the sensor's range are excluded.",
+        "Use a sensor with a larger range, or a smaller amplitude.",
+    ),
+    "mains-hum": Advice(
+        "The damping of a resonance within a few Hz of the line is less certain.",
+        "Shield and ground the sensor's cable.",
+    ),
+    "misaligned": Advice(
+        "Nothing is shifted. The delay acts like damping and moves the resonances.",
+        "Check the logger's time stamps; give accelerometer_hz and current_loop_hz.",
+    ),
+    "sensor-delay": Advice(
+        "The delay is estimated and corrected.",
+        "Give the sensor's bandwidth in the study, or correct the latency of its bus.",
+    ),
+    "sensor-scale": Advice(
+        "The scale is estimated and corrected.",
+        "Check the sensor's calibration, direction and accelerometer_distance.",
+    ),
+    "sensor-drift": Advice(
+        "The drift is estimated and corrected.", "Let the sensor warm up, and check its supply."
+    ),
+    "sensor-mount": Advice(
+        "The resonance of the mount is estimated and corrected.",
+        "Glue or screw the sensor down close to the link's structure.",
+    ),
+    "start-rejected": Advice(
+        "The fit starts from a typical value instead.",
+        "Check signs, units and assignment of the channels.",
+    ),
+    "no-link-sensor": Advice(
+        "The gear is identified from the motor; intervals are 1.5 to 5 times wider.",
+        "Nothing; or add a sensor to the link for narrower intervals.",
+    ),
+    "silent-command": Advice(
+        "The last command is held; the torque is wrong if the drive did otherwise.",
+        "Check the drive, or exclude the interval by start and stop.",
+    ),
+    "recorder-stamps": Advice(
+        "The topics are delayed relative to the others, which acts like damping.",
+        "Publish the messages with a header stamp.",
+    ),
+    "sub-sampled": Advice(
+        "The response is biased at high frequencies.",
+        "Log at least at the clock of the excitation.",
+    ),
+    "constant-channel": Advice(
+        "The channel is not used.", "Check the sensor's cable, its scale and [channels]."
+    ),
+    "poor-excitation": Advice(
+        "The named parameters are correlated; each one is uncertain.",
+        "Move all joints at once at varied speeds and postures; `strainwave excite` designs this.",
+    ),
+    "not-rigid": Advice(
+        "The inertias of the rigid step are biased.",
+        "Move more slowly, or use the whole-arm fit.",
+    ),
+    "standing": Advice(
+        "Friction is unknown at standstill, so intervals are wide.",
+        "Move faster and reverse less often.",
+    ),
+    "load-friction": Advice(
+        "The rigid model includes this friction; simulated and exported arms do not.", "Nothing."
+    ),
+    "not-settled": Advice(
+        "A parameter may be wrong by the given fraction of its standard deviation.",
+        "Record a longer or faster motion.",
+    ),
+    "sliding": Advice("A linear model mistakes stiction for inertia.", "Use a larger amplitude."),
+    "constant-inertia": Advice(
+        "The error of the joint model grows with the error of the rigid model.",
+        "Keep the motion of the outer joints small.",
+    ),
+    "interaction-amplitude": Advice(
+        "The response to the interaction torque is not identifiable.",
+        "Leave the other joint free, or excite it as well.",
+    ),
+    "interaction-spectrum": Advice(
+        "The response to the interaction torque is not identifiable in that band.",
+        "Raise the amplitude, and leave the other joint free.",
+    ),
+    "input-richness": Advice(
+        "The two columns of the frequency response are correlated.",
+        "Excite both joints at once with different sequences.",
+    ),
+    "inertia-mismatch": Advice(
+        "Rigid model or joint model is biased.",
+        "Check torque_per_volt and friction; if only the link inertia differs,"
+        " accelerometer_distance.",
+    ),
+    "not-reciprocal": Advice(
+        "A scale is wrong, and all parameters with it.",
+        "Check gear_ratio, torque_per_volt and accelerometer_distance.",
+    ),
+    "lag-not-slow": Advice(
+        "Parameters by (17) and (18) are rough.", "Use those of the equations of motion."
+    ),
+    "unstable-model": Advice(
+        "The simulated fit is meaningless; the resonances are not affected.",
+        "Raise the amplitude, lower the order, or remove drifts.",
+    ),
+    "state-space-failed": Advice(
+        "The record has no state-space model; the joint model does not need one.",
+        "Record a longer interval without saturation.",
+    ),
+    "transfer-function-failed": Advice("Only the equations of motion give parameters.", "Nothing."),
+    "modes-failed": Advice(
+        "The state-space model gives no resonance.", "Raise the amplitude, or change the order."
+    ),
+    "not-judged": Advice("The state-space model has no residual tests.", "Record more periods."),
+    "pem-iteration-limit": Advice(
+        "Matrices and standard deviations are provisional.", "Lower the order, or record longer."
+    ),
+    "pem-stalled": Advice(
+        "Matrices and standard deviations are provisional.",
+        "Remove means and drifts, or lower the order.",
+    ),
+    "order-reduced": Advice(
+        "The model has the three states of a joint; the resonances are valid.",
+        "Nothing; or record longer for a model of more states.",
+    ),
+    "negative-fit": Advice(
+        "Do not simulate with this state-space model.", "Remove drifts, or change the order."
+    ),
+    "pem-not-determined": Advice(
+        "The state-space model has no covariance.", "Lower the order, or excite every input."
+    ),
+    "subspace-not-determined": Advice(
+        "The subspace method gives no starting values.",
+        "Remove means and drifts, or change the order.",
+    ),
+    "pole-near-nyquist": Advice(
+        "The frequency of that mode is doubtful.", "Lower the order, or sample faster."
+    ),
 }
-"""Where the data are."""
-_OF_COVERAGE = {
-    "not-reached": "Use a larger amplitude, or hold the link, if the arm will be loaded that far.",
-    "equivalent-stiffness": "Use the curve of the whole-arm fit; this one is an average.",
-    "effect-taken-up": "Confirm it by the experiment, then name it in the joint's effects.",
-    "effect-left-out": "Take it out of the joint's effects, or record slow motions and reversals.",
-    "friction-settles": "Nothing: the fit allows for it, and a simulation may leave it out.",
-    "nothing-to-predict": (
-        "Nothing, if the channel is meant to rest; else move that joint in a check record."
+"""Warnings about the data and about single models."""
+_SCOPE = {
+    "not-reached": Advice(
+        "The stiffness above the largest gear torque is null; the values below are valid.",
+        "Use a larger amplitude, or hold the link and load it.",
     ),
-    "reordered": "Nothing: the messages were put in the order of their stamps.",
-    "resampled": "Nothing, if the motion is slow; else log at even steps.",
+    "equivalent-stiffness": Advice(
+        "The value depends on the amplitude.", "Use the curve of the whole-arm fit."
+    ),
+    "effect-taken-up": Advice(
+        "The values belong to the model with this effect.",
+        "Record the experiment in the message, then name the effect in the study.",
+    ),
+    "effect-left-out": Advice(
+        "The model does not include the effect.",
+        "Remove it from the joint's effects, or record slow motions and reversals.",
+    ),
+    "friction-settles": Advice("The time constant is fitted.", "Nothing."),
+    "nothing-to-predict": Advice(
+        "The channel has no fit.", "Nothing; or move that joint in a check record."
+    ),
+    "reordered": Advice("The messages are sorted by stamp.", "Nothing."),
+    "resampled": Advice(
+        "The log is interpolated to a uniform clock, which smooths fast content.",
+        "Nothing if the motion is slow; else log at a uniform rate.",
+    ),
 }
-"""Of what the answer covers."""
+"""Warnings about the scope of the result."""
 MILD = frozenset(
     {
         "equivalent-stiffness",
@@ -142,71 +283,64 @@ MILD = frozenset(
         "resampled",
     }
 )
-"""Of the codes those that take nothing from the answer."""
-_UNHEARD = "See the message."
+"""Codes that do not restrict the result."""
+_UNKNOWN = Advice("See the message.", "See the message.")
+
+
+def advice() -> Mapping[str, Advice]:
+    """Meaning and remedy by code, the most serious first."""
+    effects = {
+        effect.warning_code: Advice(
+            f"Without this effect, {effect.consequence}.",
+            effect.remedy,
+        )
+        for effect in all_effects()
+    }
+    return _RESULT | effects | _DATA | _SCOPE
 
 
 def remedies() -> Mapping[str, str]:
-    """By code, the most serious first."""
-    likely = {effect.warning_code: effect.remedy for effect in all_effects()}
-    return _IN_DOUBT | likely | _OF_DATA | _OF_COVERAGE
+    """Remedy by code, the most serious first."""
+    return {code: one.remedy for code, one in advice().items()}
 
 
 def most_serious(warnings: Iterable[Diagnostic]) -> Diagnostic:
-    """The warning that takes most from the answer; of equals the first.
-
-    Parameters
-    ----------
-    warnings : iterable of Diagnostic
-        At least one.
-
-    Returns
-    -------
-    Diagnostic
-    """
-    return min(warnings, key=_weight)
+    """The first of the most serious warnings; there must be at least one."""
+    return min(warnings, key=_severity)
 
 
-def by_weight(warnings: Iterable[Diagnostic]) -> list[Diagnostic]:
-    """The most serious first; of equals in their order.
-
-    Parameters
-    ----------
-    warnings : iterable of Diagnostic
-
-    Returns
-    -------
-    list of Diagnostic
-    """
-    return sorted(warnings, key=_weight)
+def by_severity(warnings: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """The most serious first; of equal severity in their order."""
+    return sorted(warnings, key=_severity)
 
 
 def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
-    """Every warning with its remedy, the most serious first, and where more is said of each.
-
-    Parameters
-    ----------
-    warnings : iterable of Diagnostic
-
-    Yields
-    ------
-    Block
-    """
-    known = remedies()
+    """Observation, meaning and remedy of every warning, the most serious first."""
+    known = advice()
+    ordered = by_severity(warnings)
     rows = [
         (
             prose(place_of(w)),
-            prose(w.message),
-            prose(known.get(w.code, _UNHEARD)),
+            prose(sentence(w.message)),
+            prose(known.get(w.code, _UNKNOWN).meaning),
+            prose(known.get(w.code, _UNKNOWN).remedy),
             Cell(w.code, "code"),
         )
-        for w in by_weight(warnings)
+        for w in ordered
     ]
-    yield from table("Warnings", ("where", "what", "what to do", "code"), rows, heading=False)
+    heads = ("where", "observed", "meaning", "what to do", "code")
+    yield from table("Warnings", heads, rows, heading=False)
     if rows:
-        anchors = dict.fromkeys(f"{PAGE}#{w.code}" for w in by_weight(warnings))
-        lead = "Cause and consequence of each code are in the documentation: "
-        yield paragraph(lead, *_listed(Span(anchor, kind="code") for anchor in anchors), ".")
+        anchors = dict.fromkeys(f"{PAGE}#{w.code}" for w in ordered)
+        yield paragraph("Details: ", *_listed(Span(anchor, kind="code") for anchor in anchors), ".")
+
+
+def sentence(text: str) -> str:
+    """Text with a capital letter and a full stop; a name at the beginning stays as it is."""
+    first = text.split(" ", 1)[0]
+    is_word = first.isalpha() and first.islower()
+    text = text[:1].upper() + text[1:] if is_word else text
+    return text if text.endswith((".", "?", "!")) else f"{text}."
 
 
 def _listed(spans: Iterable[Span]) -> Iterator[Span]:
@@ -217,10 +351,10 @@ def _listed(spans: Iterable[Span]) -> Iterator[Span]:
 
 
 def place_of(warning: Diagnostic) -> str:
-    """Where it is; of a file its name alone, the folders stand at the end of the page."""
+    """The place of a warning; a file by its name, since its folder is at the end of the page."""
     return PurePath(warning.where).name
 
 
-def _weight(warning: Diagnostic) -> int:
-    order = list(remedies())
+def _severity(warning: Diagnostic) -> int:
+    order = list(advice())
     return order.index(warning.code) if warning.code in order else -1

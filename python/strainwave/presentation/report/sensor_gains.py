@@ -1,4 +1,4 @@
-"""What a link sensor that is not there would buy, in sentences."""
+"""Predicted benefit of link sensors that the rig does not have."""
 
 from __future__ import annotations
 
@@ -6,59 +6,51 @@ from collections.abc import Iterator
 
 from strainwave.domain import Identification, LinkSensor, SensorGain
 
-_WORTH = 2.0 / 3.0  # of an interval that a sensor leaves
-_NARROW = 0.05  # [%] half-width of an interval that nobody needs narrower
-_NAMED = 2  # parameters in a sentence
-_CALLED: dict[LinkSensor, str] = {
+_MAX_INTERVAL_RATIO = 2.0 / 3.0  # a sensor is worth a word if it shrinks an interval by a third
+_MIN_HALF_WIDTH_PERCENT = 0.05  # narrower intervals need no sensor
+_MAX_PARAMETERS = 2  # named for each sensor
+_NAMES: dict[LinkSensor, str] = {
     "accelerometer": "an accelerometer",
     "link-encoder": "an encoder",
     "gyro": "a gyro",
 }
 
 
-def gain_sentences(found: Identification) -> list[str]:
-    """One sentence for each kind of link sensor, on the link where it would buy most.
+def gain_sentences(identification: Identification) -> list[str]:
+    """One clause for each kind of sensor, on the link where it helps most.
 
-    Named are at most two parameters, those whose intervals would shrink by most points of
-    per cent, and by a third at least.
-
-    Parameters
-    ----------
-    found : Identification
-
-    Returns
-    -------
-    list of str
-        Empty where every link has a sensor, or none would buy anything.
+    Each names at most two parameters, those whose intervals shrink most in percent of the value.
+    The list is empty if every link has a sensor or no sensor would help.
     """
-    return list(_sentences(found))
+    return list(_sentences(identification))
 
 
-def _sentences(found: Identification) -> Iterator[str]:
+def _sentences(identification: Identification) -> Iterator[str]:
     published = {
         (d.parameter.name, d.parameter.joint)
-        for d in found.decisions
+        for d in identification.decisions
         if d.identified and d.parameter.stage == "tuned"
     }
     groups: dict[LinkSensor, dict[int, list[SensorGain]]] = {}
-    for gain in found.tuned.sensor_gains if found.tuned else ():
-        worth = gain.predicted_std < _WORTH * gain.std and gain.percent > _NARROW
-        if worth and (gain.name, gain.joint) in published:
+    for gain in identification.tuned.sensor_gains if identification.tuned else ():
+        helps = gain.predicted_std < _MAX_INTERVAL_RATIO * gain.std
+        helps = helps and gain.percent > _MIN_HALF_WIDTH_PERCENT
+        if helps and (gain.name, gain.joint) in published:
             groups.setdefault(gain.sensor, {}).setdefault(gain.link, []).append(gain)
     for sensor, by_link in groups.items():
-        best = max(by_link.values(), key=lambda gains: max(map(_points, gains)))
-        first, *others = sorted(best, key=_points, reverse=True)[:_NAMED]
-        text = f"with {_CALLED[sensor]} on link {first.link} ({first.assumed}) the interval of "
-        text += f"{first.label} would shrink {_shrinks(first)}"
+        best = max(by_link.values(), key=lambda gains: max(map(_improvement, gains)))
+        first, *others = sorted(best, key=_improvement, reverse=True)[:_MAX_PARAMETERS]
+        text = f"{_NAMES[sensor]} on link {first.link} ({first.assumed}) would shrink the 95 %"
+        text += f" half-width of {first.label} {_change(first)}"
         for other in others:
-            text += f", that of {other.label} {_shrinks(other)}"
+            text += f", and of {other.label} {_change(other)}"
         yield text
 
 
-def _points(gain: SensorGain) -> float:
-    """[%] of the value."""
+def _improvement(gain: SensorGain) -> float:
+    """Reduction of the half-width [% of the value]."""
     return gain.percent - gain.predicted_percent
 
 
-def _shrinks(gain: SensorGain) -> str:
+def _change(gain: SensorGain) -> str:
     return f"from {gain.percent:.2g} to {gain.predicted_percent:.2g} %"

@@ -1,13 +1,13 @@
-"""The verdict in words: what is identified, what is not, and how validation data are predicted."""
+"""The verdict: what is identified, what is not, and how well check records are predicted."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from strainwave.domain import Decision, Identification, Parameter, Verdict, half_width
+from strainwave.domain import Decision, Identification, Parameter, half_width
 from strainwave.domain.diagnostics import not_exercised
 from strainwave.presentation.report.blocks import (
     Block,
@@ -15,95 +15,100 @@ from strainwave.presentation.report.blocks import (
     Facts,
     Mark,
     Paragraph,
+    Row,
     Span,
+    number,
     paragraph,
+    prose,
+    table,
 )
-from strainwave.presentation.report.remedies import MILD, most_serious, place_of
+from strainwave.presentation.report.remedies import MILD, most_serious, place_of, sentence
 
 _CLASSES = (
-    (0.01, "95 % half-width 1 % or better"),
-    (0.1, "95 % half-width 10 % or better"),
-    (1.0, "95 % half-width worse than 10 %"),
+    (0.01, "95 % half-width up to 1 %"),
+    (0.1, "95 % half-width up to 10 %"),
+    (1.0, "95 % half-width above 10 %"),
     (math.inf, "Zero within 2 % of the joint torque"),
 )
-"""Of identified parameters: half of the 95 % interval over the value, and what is said of it."""
+"""Classes of identified parameters by the half-width of the 95 % interval over the value."""
 _UNCERTAIN = "Not identified: the 95 % interval is wider than the value"
-_EMPTY = "Not identified"
+_NO_VALUE = "Not identified"
 _REJECTED = "Rejected: do not use"
-_USEFUL = 0.1  # of the half-width: up to which a parameter is good to simulate with
-_WELL = 85.0  # [%] median fit from which a model predicts well
-_GRADES = ((95.0, "very well"), (_WELL, "well"), (60.0, "in part"), (-math.inf, "badly"))
-_LEADS = {
-    "determined": "Determined.",
-    "partly-determined": "Partly determined.",
-    "not-determined": "Not determined.",
-    "inconsistent-input": "The input contradicts itself.",
+_USABLE_HALF_WIDTH = 0.1  # relative: good enough to simulate with
+MIN_GOOD_FIT = 85.0  # [%] median fit from which a model predicts its check records well
+_TITLES: Mapping[str, tuple[str, Mark]] = {
+    "determined": ("Determined", "good"),
+    "partly-determined": ("Partly determined", "doubt"),
+    "not-determined": ("Not determined", "bad"),
+    "inconsistent-input": ("Inconsistent input", "bad"),
 }
+Fit = tuple[float, str, str]
+"""Fit [%], channel and record."""
 
 
 def verdict(identification: Identification) -> Callout:
-    """The first thing on the page.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    Callout
-    """
-    found = identification.verdict
-    decisions = identification.decisions
-    grave = [w for w in identification.warnings if w.code not in MILD]
-    weak = any(fits and _median(fits) < _WELL for fits in _fits(identification).values())
-    doubtful = grave or weak or found.not_identified or found.rejected
-    mark: Mark = "doubt" if doubtful else ""
-    if found.status != "determined":
-        mark = "bad"
-    why = "; ".join(found.reasons)
-    rest = f" {why}. " if why else " "
+    """The summary at the top of the page."""
+    result = identification.verdict
+    title, mark = _TITLES[result.status]
+    serious = [w for w in identification.warnings if w.code not in MILD]
+    fits = check_fits(identification)
+    is_weak = any(values and _median(values) < MIN_GOOD_FIT for values in fits.values())
+    has_doubts = bool(serious or is_weak or result.not_identified or result.rejected)
+    reasons = () if result.suspected else result.reasons
     blocks: list[Block] = [
-        paragraph(Span(_LEADS[found.status], strong=True), rest + _counted(decisions)),
-        *_suspicions(found),
-        *_on_new_data(identification),
-        *_of_warnings(identification),
+        paragraph(Span(title, kind="badge", mark=mark), f" {_count(identification.decisions)}"),
+        *(paragraph(sentence(reason)) for reason in reasons),
+        *_suspicions(identification),
+        *_validation(identification, fits),
+        *_warnings(identification),
     ]
-    groups = tuple(_groups(identification, decisions))
+    groups = tuple(_groups(identification))
     if groups:
         blocks.append(Facts(groups))
-    return Callout(mark, tuple(blocks))
+    return Callout("doubt" if mark == "good" and has_doubts else mark, tuple(blocks))
 
 
-def _suspicions(found: Verdict) -> Iterator[Paragraph]:
-    """What is wrong with the input, and the line that would mend it."""
-    for one in found.suspected:
-        yield paragraph(Span(one.where, strong=True), f": {one.message} {one.remedy}")
+def _suspicions(identification: Identification) -> Iterator[Block]:
+    """Faults of the input and the corrections."""
+    rows: list[Row] = [
+        (one.where, prose(sentence(one.message)), prose(one.remedy))
+        for one in identification.verdict.suspected
+    ]
+    heads = ("channel or key", "observed", "correction")
+    yield from table("Faults of the input", heads, rows, heading=False)
 
 
-def _groups(
-    identification: Identification, decisions: Sequence[Decision]
-) -> Iterator[tuple[str, str]]:
-    """Parameters by how certain they are; those that do not count last."""
+def _groups(identification: Identification) -> Iterator[tuple[str, str]]:
+    """Parameters by certainty, the most certain first."""
+    decisions = identification.decisions
     groups: dict[str, list[Parameter]] = {name: [] for _, name in _CLASSES}
-    groups |= {_UNCERTAIN: [], _EMPTY: [], _REJECTED: []}
+    groups |= {_UNCERTAIN: [], _NO_VALUE: [], _REJECTED: []}
     for decision in decisions:
         groups[_class(decision)].append(decision.parameter)
-    yield from ((name, named(found)) for name, found in groups.items() if found)
-    known = {d.parameter.label for d in decisions}
-    absent = [name for name in identification.verdict.not_identified if name not in known]
-    if absent:
-        yield "Not reached", ", ".join(name.replace("_", " ") for name in absent)
-    together = [
+    for name, members in groups.items():
+        if members:
+            yield name, named((p.name, p.joint) for p in members)
+    listed = {d.parameter.label for d in decisions}
+    missing = [label for label in identification.verdict.not_identified if label not in listed]
+    if missing:
+        yield "Not estimated", named(map(_split, missing))
+    pairs = [
         w.where.replace("_", " ") for w in identification.warnings if w.code == "only-together"
     ]
-    if together:
-        yield "Only the combination is identified", "; ".join(together)
+    if pairs:
+        yield "Only the combination is identified", "; ".join(pairs)
+
+
+def _split(label: str) -> tuple[str, int | None]:
+    """Name and joint of a label such as "gear_stiffness 1"."""
+    name, _, joint = label.partition(" ")
+    return name, int(joint) if joint else None
 
 
 def _class(decision: Decision) -> str:
     p = decision.parameter
     if p.value is None:
-        return _REJECTED if decision.rejected else _EMPTY
+        return _REJECTED if decision.rejected else _NO_VALUE
     half = half_width(p)
     if not decision.identified or half is None:
         return _UNCERTAIN
@@ -111,98 +116,95 @@ def _class(decision: Decision) -> str:
     return next(name for limit, name in _CLASSES if relative <= limit)
 
 
-def named(parameters: Iterable[Parameter]) -> str:
-    """Names with the joints they are of: `gear stiffness (1, 2), alpha`.
-
-    Parameters
-    ----------
-    parameters : iterable of Parameter
-
-    Returns
-    -------
-    str
-    """
+def named(parameters: Iterable[tuple[str, int | None]]) -> str:
+    """Names with their joints: `gear stiffness (1, 2), alpha`."""
     joints: dict[str, list[str]] = {}
-    for p in parameters:
-        own = joints.setdefault(p.name.replace("_", " "), [])
-        if p.joint is not None:
-            own.append(str(p.joint))
+    for name, joint in parameters:
+        numbers = joints.setdefault(name.replace("_", " "), [])
+        if joint is not None:
+            numbers.append(str(joint))
     return ", ".join(
-        f"{name} ({', '.join(numbers)})" if numbers else name for name, numbers in joints.items()
+        f"{name} ({', '.join(sorted(numbers))})" if numbers else name
+        for name, numbers in joints.items()
     )
 
 
-def _counted(decisions: Sequence[Decision]) -> str:
-    """How many parameters are identified, and how many of these well enough to simulate with."""
+def _count(decisions: Sequence[Decision]) -> str:
+    """How many parameters are identified, and how many well enough to simulate with."""
     if not decisions:
         return "No parameter was estimated."
-    good = {name for limit, name in _CLASSES if limit <= _USEFUL}
-    sure = sum(_class(d) in good for d in decisions)
-    number = sum(d.identified for d in decisions)
-    whole = f"All {number}" if number == len(decisions) else f"{number} of {len(decisions)}"
-    verb = "is" if whole == "All 1" else "are"
-    noun = "parameter" if len(decisions) == 1 else "parameters"
+    usable = {name for limit, name in _CLASSES if limit <= _USABLE_HALF_WIDTH}
+    good = sum(_class(d) in usable for d in decisions)
+    identified = sum(d.identified for d in decisions)
+    noun = "parameter is" if len(decisions) == 1 else "parameters are"
+    whole = "All" if identified == len(decisions) > 1 else f"{identified} of"
     return (
-        f"{whole} {noun} {verb} identified, {sure} with a 95 % half-width of "
-        f"{100.0 * _USEFUL:.0f} % or better."
+        f"{whole} {len(decisions)} {noun} identified,"
+        f" {good} with a 95 % half-width of {100.0 * _USABLE_HALF_WIDTH:.0f} % or less."
     )
 
 
-def _on_new_data(identification: Identification) -> Iterator[Paragraph]:
-    """How well each model predicts validation data, and whether these exercise it at all."""
+def _validation(
+    identification: Identification, fits: Mapping[str, Sequence[Fit]]
+) -> Iterator[Block]:
+    """Fits of the check records by each model, and what they do not validate."""
+    names = [e.name for e in identification.study.experiments if e.use == "check"]
     if not identification.checks:
-        said = "No record was kept for validation: nothing says how the model does on new data."
-        yield paragraph(said)
+        reason = (
+            "the input is inconsistent" if identification.suspected else "no model was estimated"
+        )
+        yield paragraph(Span("Not validated: ", strong=True), _unpredicted(names, reason))
         return
-    fits, validated = _fits(identification), identification.verdict.validated
-    if fits["rigid"]:
-        yield _graded("The rigid model predicts the torques of validation data", fits["rigid"])
-    elastic = any(joint.elastic for joint in identification.study.arm.joints)
-    if elastic and validated.elastic:
-        yield _graded("The elastic model predicts the motion of validation data", fits["elastic"])
-    elif elastic:
-        lead = Span("Elastic model not validated:", strong=True)
-        yield paragraph(lead, f" {not_exercised(identification)}")
-    elif not fits["rigid"]:
-        said = "The validation data hardly move: nothing says how the model does on new data."
-        yield paragraph(said)
+    validated = identification.verdict.validated.elastic
+    rows = [_fit_row("rigid model, drive", fits["rigid"])] if fits["rigid"] else []
+    if fits["elastic"] and validated:
+        rows.append(_fit_row("elastic model, motion", fits["elastic"]))
+    numbers = map(number, ("channels", "median fit", "lowest fit"))
+    heads: Row = ("check records predicted by", *numbers, "lowest in")
+    yield from table("Fits of check records", heads, rows, heading=False)
+    if any(joint.elastic for joint in identification.study.arm.joints) and not validated:
+        lead = Span("Elastic model not validated: ", strong=True)
+        yield paragraph(lead, f"{not_exercised(identification)}.")
+    elif not rows:
+        lead = Span("Not validated: ", strong=True)
+        yield paragraph(lead, "the motors hardly move in the check records.")
 
 
-def _graded(lead: str, fits: Sequence[tuple[float, str, str]]) -> Paragraph:
-    worst, median = min(fits), _median(fits)
-    grade = next(word for least, word in _GRADES if median >= least)
-    return paragraph(
-        f"{lead} {grade}: median fit {median:.1f} % of {_count(len(fits), 'channel')}, "
-        f"least {worst[0]:.1f} % ({worst[2]} in “{worst[1]}”)."
-    )
+def _unpredicted(names: Sequence[str], reason: str) -> str:
+    if not names:
+        return 'the study has no check record. Record one with use = "check".'
+    noun = "check record was" if len(names) == 1 else "check records were"
+    return f"{len(names)} {noun} not predicted because {reason}: {', '.join(names)}."
 
 
-def _fits(identification: Identification) -> dict[str, list[tuple[float, str, str]]]:
-    """Fit, record and channel of all that moves, by model."""
-    found: dict[str, list[tuple[float, str, str]]] = {"rigid": [], "elastic": []}
+def _fit_row(model: str, fits: Sequence[Fit]) -> Row:
+    lowest, channel, record = min(fits)
+    numbers = (str(len(fits)), f"{_median(fits):.1f} %", f"{lowest:.1f} %")
+    return (model, *map(number, numbers), f"{channel} in {record}")
+
+
+def check_fits(identification: Identification) -> dict[str, list[Fit]]:
+    """Fits of the check channels that move, by model."""
+    fits: dict[str, list[Fit]] = {"rigid": [], "elastic": []}
     for prediction in identification.checks:
-        own = found["rigid" if prediction.of_drive else "elastic"]
-        own += [
-            (fit, prediction.experiment, channel)
+        fits["rigid" if prediction.of_drive else "elastic"] += [
+            (fit, channel, prediction.experiment)
             for channel, fit in prediction.fit_percent.items()
             if math.isfinite(fit)
         ]
-    return found
+    return fits
 
 
-def _median(fits: Sequence[tuple[float, str, str]]) -> float:
+def _median(fits: Sequence[Fit]) -> float:
     return float(np.median([fit for fit, _, _ in fits]))
 
 
-def _of_warnings(identification: Identification) -> Iterator[Paragraph]:
-    if not identification.warnings:
+def _warnings(identification: Identification) -> Iterator[Paragraph]:
+    """The number of warnings and the most serious one."""
+    count = len(identification.warnings)
+    if not count:
         return
     worst = most_serious(identification.warnings)
-    several = len(identification.warnings) > 1
-    lead = "the most serious, of" if several else "of"
-    counted = Span(_count(len(identification.warnings), "warning"), href="#warnings")
-    yield paragraph(counted, f"; {lead} {place_of(worst)}: {worst.message}.")
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+    link = Span("1 warning" if count == 1 else f"{count} warnings", href="#warnings")
+    lead = "; most serious: " if count > 1 else ": "
+    yield paragraph(link, f"{lead}{place_of(worst)}: {sentence(worst.message)}")

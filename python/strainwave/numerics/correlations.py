@@ -1,0 +1,74 @@
+"""Residual analysis: correlations of residuals with themselves and with the inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave.domain import FloatArray, ResidualCorrelation
+
+MAX_LAGS = 25
+"""Lags on either side, as in MATLAB's `resid`."""
+
+
+def correlate_residuals(
+    residual: FloatArray, inputs: FloatArray, lag_time: float
+) -> ResidualCorrelation:
+    """Normalised correlations r(l) = sum e[k] x[k - l] / sqrt(sum e^2 sum x^2), means removed.
+
+    `residual` has shape (n_samples,), `inputs` (n_samples, n_inputs), with `lag_time` [s] between
+    samples. If residual and input are independent, r has the variance
+    (1/n) sum_j rho_e(j) rho_u(j) at every lag (Bartlett, 1946), whatever their colour.
+    """
+    n = len(residual)
+    lags = max(1, min(MAX_LAGS, n // 4))
+    own = _spectrum(residual)
+    autocovariance = np.fft.irfft(np.abs(own) ** 2, 2 * n)[:n]
+    power = float(autocovariance[0]) or 1.0  # a constant has no correlation: zeros
+    cross, std = [], []
+    for column in inputs.T:
+        other = _spectrum(column)
+        covariance = np.fft.irfft(np.abs(other) ** 2, 2 * n)[:n]
+        scale = float(covariance[0]) or 1.0
+        products = np.fft.irfft(own * other.conj(), 2 * n) / np.sqrt(power) / np.sqrt(scale)
+        cross.append(np.concatenate([products[-lags:], products[: lags + 1]]))
+        terms = (autocovariance / power) * (covariance / scale)
+        std.append(np.sqrt(max(1.0, 1.0 + 2.0 * float(np.sum(terms[1 : n // 2]))) / n))
+    return ResidualCorrelation(
+        lag_time=lag_time,
+        n_samples=n,
+        autocorrelation=autocovariance[: lags + 1] / power,
+        cross_correlation=np.column_stack(cross) if cross else np.zeros((2 * lags + 1, 0)),
+        cross_std=np.array(std),
+    )
+
+
+def expected_autocorrelation(
+    frequency_hz: FloatArray, density: FloatArray, lag_time: float, lags: int, n_samples: int
+) -> tuple[FloatArray, FloatArray]:
+    """Autocorrelation of noise, and the standard deviation of an estimate: (lags + 1,) each.
+
+    The noise has a one-sided `density`, the estimate is from `n_samples`.
+    Var r(l) = (1/n) sum_j [rho_j^2 + rho_(j+l) rho_(j-l) - 4 rho_l rho_j rho_(j-l)
+    + 2 rho_j^2 rho_l^2] (Bartlett, 1946).
+    """
+    reach = np.arange(-4 * lags, 4 * lags + 1)
+    wave = np.cos(2.0 * np.pi * np.outer(reach * lag_time, frequency_hz))
+    weights = density / np.maximum(np.sum(density), np.finfo(float).tiny)
+    rho, zero = wave @ weights, 4 * lags
+    inner = np.arange(2 * lags, len(rho) - 2 * lags)
+    variance = [
+        np.sum(
+            rho[inner] ** 2
+            + rho[inner + lag] * rho[inner - lag]
+            - 4.0 * rho[zero + lag] * rho[inner] * rho[inner - lag]
+            + 2.0 * rho[inner] ** 2 * rho[zero + lag] ** 2
+        )
+        for lag in range(lags + 1)
+    ]
+    std = np.sqrt(np.clip(variance, 0.0, None) / n_samples)
+    return rho[zero : zero + lags + 1], std
+
+
+def _spectrum(column: FloatArray) -> np.ndarray:
+    """Spectrum without the mean, padded so that products do not wrap around."""
+    return np.asarray(np.fft.rfft(column - column.mean(), 2 * len(column)))

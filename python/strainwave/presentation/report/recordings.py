@@ -1,0 +1,106 @@
+"""The logs as recorded: drive, motor velocity and link sensors over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Identification, Joint, Log
+from strainwave.presentation.figures import (
+    DASHES,
+    PALETTE,
+    RESIDUAL,
+    SOLID,
+    Axis,
+    Figure,
+    Line,
+    Panel,
+    decimate,
+)
+from strainwave.presentation.report.blocks import Block, Fold, Plot
+from strainwave.presentation.report.predictions import unit_of
+
+_TITLES = {
+    "u": "voltage",
+    "torque": "motor torque",
+    "omega_m": "motor velocity",
+    "a": "acceleration",
+    "theta_l": "link angle",
+    "deflection": "torsion",
+    "gyro": "link rate",
+    **dict.fromkeys(("ax", "ay", "az"), "specific force"),
+    **dict.fromkeys(("gx", "gy", "gz"), "angular rate"),
+}
+"""Panel of each kind of channel; the position of a title is the position of its panel."""
+
+
+def recordings(identification: Identification, limit: int) -> Iterator[Block]:
+    """A figure of each record, at most `limit` points a line; folded if there are results."""
+    logs = {"Fitted records": list[Plot](), "Check records": list[Plot]()}
+    joints = identification.study.arm.joints
+    for log in identification.logs:
+        title = "Check records" if log.experiment.use == "check" else "Fitted records"
+        duration = float(log.time[-1] - log.time[0]) if len(log) else 0.0
+        words = f"{len(log)} samples, {duration:.4g} s, sample time {1e3 * log.sample_time:.4g} ms."
+        label = f"{log.name}: {log.experiment.use} record"
+        figure = recording_figure(log, joints, limit)
+        logs[title].append(Plot(f"record {log.name}", label, figure, words))
+    for title, plots in logs.items():
+        if identification.decisions and plots:
+            yield Fold(f"{title} ({len(plots)})", tuple(plots))
+        else:
+            yield from plots
+
+
+def recording_figure(log: Log, joints: Sequence[Joint], limit: int) -> Figure:
+    """One panel for each physical quantity, one line for each channel.
+
+    Lines keep the minimum and the maximum of each pixel column. A motor velocity that is not
+    logged is the mean slope of the encoder angle between the points drawn.
+    """
+    panels: dict[str, list[tuple[str, str, FloatArray, FloatArray]]] = {}
+    for name, time, values in _series(log, limit):
+        kind = name.rstrip("0123456789")
+        unit = unit_of("omega_m" + name[len(kind) :] if kind == "ref" else name, joints)
+        title = _TITLES["omega_m" if kind == "ref" else kind]
+        panels.setdefault(f"{title} [{unit}]", []).append((name, kind, time, values))
+    order = list(dict.fromkeys(_TITLES.values()))
+    titles = sorted(panels, key=lambda title: order.index(title.rsplit(" [", 1)[0]))
+    drawn = tuple(Panel(Axis(title), tuple(_lines(panels[title])), 0.8) for title in titles)
+    return Figure(Axis("time [s]"), drawn)
+
+
+def _series(log: Log, limit: int) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """Name, times and values of each line."""
+    channels: Mapping[str, FloatArray] = log.channels
+    for name, values in channels.items():
+        kind = name.rstrip("0123456789")
+        if kind == "theta_m":
+            number = name.removeprefix(kind)
+            if f"omega_m{number}" not in channels:
+                yield (f"omega_m{number}", *_mean_slope(log.time, values, limit))
+        elif kind in _TITLES or kind == "ref":
+            rows = decimate(values, limit)
+            yield name, log.time[rows], values[rows]
+
+
+def _mean_slope(time: FloatArray, angle: FloatArray, limit: int) -> tuple[FloatArray, FloatArray]:
+    """Mean velocity between evenly spaced rows, which averages the encoder's quantisation."""
+    rows = np.unique(np.linspace(0, len(time) - 1, max(2, limit // 2)).astype(np.intp))
+    t = time[rows]
+    return 0.5 * (t[1:] + t[:-1]), np.diff(angle[rows]) / np.diff(t)
+
+
+def _lines(series: Sequence[tuple[str, str, FloatArray, FloatArray]]) -> Iterator[Line]:
+    """Coloured by joint, axes of an IMU by dash; references are grey and lie below the others."""
+    for name, kind, time, values in sorted(series, key=lambda one: one[1] != "ref"):
+        number = int(name[len(kind) :] or 1)
+        if kind == "ref":
+            dash = DASHES[1 + (number - 1) % 3]
+            yield Line(time, values, f"reference {number}", RESIDUAL, dash, width=1.0)
+            continue
+        axis = kind[1:] if kind in ("ax", "ay", "az", "gx", "gy", "gz") else ""
+        label = f"joint {number}, {axis}" if axis else f"joint {number}"
+        dash, colour = DASHES["xyz".find(axis)] if axis else SOLID, PALETTE[(number - 1) % 6]
+        yield Line(time, values, label, colour, dash, width=1.2)

@@ -1,0 +1,369 @@
+"""Residual analysis: tests, spectra, correlations, and the effects that may explain residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from strainwave.domain import (
+    Cause,
+    Criticism,
+    FloatArray,
+    Identification,
+    Log,
+    ModelCheck,
+    ParameterShift,
+    Prediction,
+    RecordModel,
+    ResidualCorrelation,
+    ResidualTest,
+    ScoreTest,
+)
+from strainwave.domain.effects import effect_named
+from strainwave.domain.formatting import plus_minus
+from strainwave.identification.whole_arm.score_tests import LEAST, MATTERS
+from strainwave.numerics.correlations import correlate_residuals, expected_autocorrelation
+from strainwave.presentation.figures import (
+    BRIEF,
+    DASHES,
+    MEASURED,
+    MODEL,
+    NORMAL_99,
+    PALETTE,
+    RESIDUAL,
+    Axis,
+    Band,
+    Figure,
+    Line,
+    Mark,
+    Panel,
+)
+from strainwave.presentation.report.blocks import (
+    Block,
+    Fold,
+    Paragraph,
+    Plot,
+    Row,
+    Span,
+    Table,
+    number,
+    paragraph,
+    table,
+    two_digits,
+)
+from strainwave.presentation.report.predictions import unit_of
+
+MIN_PROBABILITY = 1e-3  # smaller probabilities are shown as "< 0.001"
+_SHOWN_SCORE_TESTS = 6  # the others are folded
+_LISTED_SIZES = 3  # sizes of one effect in a cell
+_LISTED_SHIFTS = 4  # parameters moved by one effect in a cell
+_CORRELATION_HEIGHT = 0.7  # of a panel
+_LIMITS = (
+    "Shaded: 99 % limits for residuals that are sensor noise (autocorrelation, after the low-pass"
+    " of the fit) and independent of the inputs (cross-correlation)."
+)
+
+
+def residual_tests(criticism: Criticism) -> Iterator[Block]:
+    """Tables of the residual tests and the score tests, and a spectrum for each channel."""
+    tests = criticism.residuals
+    channels = list(dict.fromkeys(test.channel for test in tests))
+    worst = [max((t for t in tests if t.channel == name), key=_noise_ratio) for name in channels]
+    yield from _residual_table("Whole-arm fit: largest residuals of each channel", worst)
+    if len(tests) > len(worst):
+        label = f"All {len(tests)} residual tests"
+        yield Fold(label, tuple(_residual_table(label, tests, heading=False)))
+    share = number("share of the cost")
+    heads: Row = ("effect", "joint", "its parameters", share, "changes other parameters by")
+    title = "Effects that likely act but are missing in the model, each fitted"
+    yield from table(title, heads, map(_cause_row, criticism.causes))
+    yield from map(_effect_words, dict.fromkeys(cause.effect for cause in criticism.causes))
+    yield from _score_table(criticism.score_tests)
+    for test in worst:
+        label = f"{test.experiment}, {test.channel}: residual spectrum"
+        words = f"The residuals are {_noise_ratio(test):.2g} times the sensor noise; the excess is"
+        words += f" largest near {test.worst_hz:.3g} Hz."
+        yield Plot(f"residuals {test.channel}", label, spectrum(test), words)
+
+
+def residual_correlations(identification: Identification) -> Iterator[Block]:
+    """Auto- and cross-correlations: check records open, fitted records and state space folded."""
+    tests = identification.tuned.criticism if identification.tuned else None
+    by_record: dict[str, list[ResidualTest]] = {}
+    for test in tests.residuals if tests else ():
+        by_record.setdefault(test.experiment, []).append(test)
+    yield from _check_correlations(identification, by_record)
+    fitted = tuple(
+        Plot(f"correlation {name}", f"{name}, fitted: residual correlations", figure, _LIMITS)
+        for name, record in by_record.items()
+        if (figure := _fitted_correlations(record)) is not None
+    )
+    if fitted:
+        yield Fold(f"Residual correlations of fitted records ({len(fitted)})", fitted)
+    models = tuple(_state_space_plots(identification.records))
+    if models:
+        yield Fold(f"Residual correlations of state-space models ({len(models)})", models)
+
+
+def spectrum(test: ResidualTest) -> Figure:
+    """Amplitude spectral density of the residuals and of the sensor noise."""
+    positive = test.frequency_hz > 0.0
+    f = test.frequency_hz[positive]
+    residuals, noise = (np.sqrt(d[positive]) for d in (test.density, test.noise_density))
+    axis = Axis(f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]", log=True)
+    lines = (
+        Line(f, residuals, "residuals", MEASURED),
+        Line(f, noise, "sensor noise", RESIDUAL, BRIEF),
+    )
+    return Figure(Axis("frequency [Hz]", log=True), (Panel(axis, lines),))
+
+
+def _residual_table(
+    title: str, tests: Sequence[ResidualTest], *, heading: bool = True
+) -> Iterator[Table]:
+    numbers = map(number, ("residual / noise", "largest excess at", "like sensor noise"))
+    heads: Row = ("record", "channel", *numbers, "correlated with an input")
+    return table(title, heads, map(_residual_row, tests), heading=heading)
+
+
+def _residual_row(test: ResidualTest) -> Row:
+    input_text = "no"
+    if test.input_probability < MIN_PROBABILITY:
+        input_text = f"joint {test.input_joint}, r = {test.input_correlation:.2f},"
+        input_text += f" delay {1e3 * test.input_delay:.3g} ms"
+    numbers = (
+        two_digits(_noise_ratio(test)),
+        f"{test.worst_hz:.3g} Hz",
+        _probability(test.whiteness),
+    )
+    return (test.experiment, test.channel, *map(number, numbers), input_text)
+
+
+def _noise_ratio(test: ResidualTest) -> float:
+    return test.deviation / test.noise if test.noise > 0.0 else 0.0
+
+
+def _probability(p: float) -> str:
+    return f"p = {p:.2g}" if p >= MIN_PROBABILITY else f"p < {MIN_PROBABILITY:g}"
+
+
+def _score_table(tests: Sequence[ScoreTest]) -> Iterator[Block]:
+    """The most significant tests with the limits behind the verdicts; the others are folded."""
+    title = "Effects that are not in the model (score tests)"
+    numbers = map(number, ("standard deviations", "limit", "share of the cost"))
+    heads: Row = ("effect", "joint", *numbers, "verdict", "estimated size")
+    rows = [_score_row(test) for test in tests]
+    yield from table(title, heads, rows[:_SHOWN_SCORE_TESTS])
+    if len(rows) > _SHOWN_SCORE_TESTS:
+        label = f"All {len(rows)} score tests"
+        yield Fold(label, tuple(table(label, heads, rows, heading=False)))
+    if rows:
+        yield paragraph(
+            "Significant: the standard deviations exceed the limit, which allows for the number of"
+            f" tests. Likely: significant, and explains over {100.0 * MATTERS:g} % of the cost,"
+            f" or more than {100.0 * LEAST:g} % while moving a parameter out of its 95 % interval."
+            " Negligible: significant, but below these shares."
+        )
+
+
+def _score_row(test: ScoreTest) -> Row:
+    prefix = test.effect.replace("-", "_") + "_"
+    sizes = [
+        f"{name.removeprefix(prefix)} {' ± '.join(plus_minus(size, test.stds[name]))}"
+        for name, size in test.sizes.items()
+    ]
+    deviations, limit = (two_digits(float(np.sqrt(max(v, 0.0)))) for v in (test.gain, test.limit))
+    numbers = (deviations, limit, f"{two_digits(100.0 * test.share)} %")
+    return (test.effect, str(test.joint), *map(number, numbers), _verdict(test), _listed(sizes))
+
+
+def _verdict(test: ScoreTest) -> str:
+    """What the number says: the verdict never contradicts the column before it."""
+    if test.evident:
+        return "likely"
+    return "negligible" if test.gain > test.limit else "not significant"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    """The first parts: some effects have a size for each record."""
+    more = len(parts) - _LISTED_SIZES
+    return ", ".join(parts[:_LISTED_SIZES]) + (f" and {more} more" if more > 0 else "")
+
+
+def _cause_row(cause: Cause) -> Row:
+    prefix = cause.effect.replace("-", "_") + "_"
+    sizes = [
+        f"{p.name.removeprefix(prefix)} {' ± '.join(plus_minus(p.value, p.std))} {p.unit}".rstrip()
+        for p in cause.parameters
+        if p.value is not None and p.std is not None
+    ]
+    shifts = ", ".join(map(_shift, cause.shifts[:_LISTED_SHIFTS]))
+    share = number(f"{two_digits(100.0 * cause.share)} %")
+    return (cause.effect, str(cause.joint), _listed(sizes) or "not identified", share, shifts)
+
+
+def _shift(shift: ParameterShift) -> str:
+    name = shift.name if shift.joint is None else f"{shift.name} {shift.joint}"
+    if not shift.without:
+        return f"{name} {shift.deviations:+.2g} standard deviations"
+    return f"{name} {100.0 * shift.shift / shift.without:+.2g} %"
+
+
+def _effect_words(name: str) -> Paragraph:
+    effect = effect_named(name)
+    return paragraph(
+        Span(effect.name, kind="code"),
+        f" is {effect.description}. Without it in the model, {effect.consequence}."
+        f" To confirm it, {effect.experiment}.",
+    )
+
+
+def _fitted_correlations(tests: Sequence[ResidualTest]) -> Figure | None:
+    """Panels of every channel of one fitted record."""
+    panels: list[Panel] = []
+    for test in tests:
+        if test.correlation is not None:
+            panels += _panels(test.channel, test.correlation, test)
+    return Figure(Axis("lag [ms]"), tuple(panels)) if panels else None
+
+
+def _check_correlations(
+    identification: Identification, by_record: Mapping[str, Sequence[ResidualTest]]
+) -> Iterator[Plot]:
+    """Of check records that the whole-arm fit predicts, at the lags of the fitted records."""
+    logs = {log.name: log for log in identification.logs}
+    lag_times = {
+        test.channel: test.correlation.lag_time
+        for tests in by_record.values()
+        for test in tests
+        if test.correlation is not None
+    }
+    noise = {  # the low-pass behind the noise depends on the sample time
+        (test.channel, logs[name].sample_time): test
+        for name, tests in by_record.items()
+        for test in tests
+        if name in logs
+    }
+    for prediction in identification.checks:
+        log = logs.get(prediction.experiment)
+        if prediction.of_drive or log is None:
+            continue
+        panels: list[Panel] = []
+        for column, channel in enumerate(prediction.channels):
+            is_moving = np.isfinite(prediction.fit_percent.get(channel, np.nan))
+            if channel in lag_times and is_moving:
+                correlation = _prediction_correlation(prediction, column, log, lag_times[channel])
+                panels += _panels(channel, correlation, noise.get((channel, log.sample_time)))
+        if panels:
+            label = f"{prediction.experiment}, check: residual correlations"
+            figure = Figure(Axis("lag [ms]"), tuple(panels))
+            yield Plot(f"correlation {prediction.experiment}", label, figure, _LIMITS)
+
+
+def _prediction_correlation(
+    prediction: Prediction, column: int, log: Log, lag_time: float
+) -> ResidualCorrelation:
+    """Residuals and drives of a check record, averaged over the lag time of the fitted records."""
+    sample_time = float(prediction.time[1] - prediction.time[0])
+    step = max(1, round(lag_time / sample_time))
+    residual = prediction.measured[:, column] - prediction.predicted[:, column]
+    names = [n for n in log.channels if n.rstrip("0123456789") in ("u", "torque")]
+    drives = np.column_stack(
+        [np.interp(prediction.time, log.time, log.channels[name]) for name in names]
+    )
+    rows = len(residual) // step * step
+    inputs = drives[:rows].reshape(-1, step, len(names)).mean(axis=1)
+    middle = residual[:rows].reshape(-1, step).mean(axis=1)
+    return correlate_residuals(middle, inputs, step * sample_time)
+
+
+def _panels(
+    channel: str, correlation: ResidualCorrelation, test: ResidualTest | None
+) -> list[Panel]:
+    """Autocorrelation above cross-correlation of one channel; limits if its noise is known."""
+    auto, limits = correlation.autocorrelation, None
+    if test is not None and test.noise > 0.0:
+        expected, std = expected_autocorrelation(
+            test.frequency_hz,
+            test.noise_density,
+            correlation.lag_time,
+            len(auto) - 1,
+            correlation.n_samples,
+        )
+        limits = (expected - NORMAL_99 * std, expected + NORMAL_99 * std)
+    lag = np.asarray(
+        1e3 * correlation.lag_time * np.arange(-len(auto) + 1, len(auto)), dtype=np.float64
+    )
+    return _correlation_panels(
+        channel,
+        lag,
+        auto,
+        limits,
+        {
+            f"input of joint {j + 1}": (column, NORMAL_99 * limit)
+            for j, (column, limit) in enumerate(
+                zip(correlation.cross_correlation.T, correlation.cross_std.tolist(), strict=True)
+            )
+        },
+    )
+
+
+def _correlation_panels(
+    channel: str,
+    lag: FloatArray,
+    auto: FloatArray,
+    limits: tuple[FloatArray, FloatArray] | None,
+    cross: Mapping[str, tuple[FloatArray, float]],
+) -> list[Panel]:
+    """Two panels over one lag axis; limits are bands around what independence predicts."""
+
+    def both(values: FloatArray) -> FloatArray:
+        return np.concatenate([values[:0:-1], values])
+
+    name = "autocorrelation"
+    above: list[Mark] = [Line(lag, both(auto), name, MODEL, size=3.0, width=1.0)]
+    if limits is not None:
+        above.insert(0, Band(lag, both(limits[0]), both(limits[1]), RESIDUAL, name))
+    below: list[Mark] = []
+    for k, (label, (values, limit)) in enumerate(cross.items()):
+        colour = PALETTE[(0, 2, 3, 4, 5)[k % 5]]
+        below.append(
+            Band(lag, np.full(len(lag), -limit), np.full(len(lag), limit), RESIDUAL, label)
+        )
+        below.append(Line(lag, values, label, colour, DASHES[k % len(DASHES)], size=3.0, width=1.0))
+    range_ = (-1.05, 1.05)
+    panels = [Panel(Axis(f"{channel} [auto]", range=range_), tuple(above), _CORRELATION_HEIGHT)]
+    if below:
+        panels.append(Panel(Axis(f"{channel} [cross]"), tuple(below), _CORRELATION_HEIGHT))
+    return panels
+
+
+def _state_space_plots(records: Sequence[RecordModel]) -> Iterator[Plot]:
+    """Of state-space models on the part of their record that was not fitted."""
+    for record in records:
+        if record.check is None or record.state_space is None:
+            continue
+        name, joint = record.signals.experiment.name, record.signals.joint
+        figure = _state_space_figure(record.check, record.state_space.sample_time)
+        label = f"Joint {joint}, {name}: state-space model on the data that were not fitted"
+        words = "Shaded: 99 % limits for white residuals that are independent of the inputs."
+        yield Plot(f"correlation joint {joint} {name}", label, figure, words)
+
+
+def _state_space_figure(check: ModelCheck, sample_time: float) -> Figure:
+    outputs, inputs = ("motor velocity", "link velocity"), ("motor torque", "interaction torque")
+    lags = len(check.autocorrelation) - 1
+    lag = np.asarray(1e3 * sample_time * np.arange(-lags, lags + 1), dtype=np.float64)
+    limit = check.confidence_99
+    flat = np.full(lags + 1, limit)
+    flat[0] = 1.0
+    panels: list[Panel] = []
+    for o in range(check.autocorrelation.shape[1]):
+        cross = {
+            inputs[i]: (check.cross_correlation[:, o, i], limit)
+            for i in range(check.cross_correlation.shape[2])
+        }
+        auto = check.autocorrelation[:, o, o]
+        panels += _correlation_panels(outputs[o], lag, auto, (-flat, flat), cross)
+    return Figure(Axis("lag [ms]"), tuple(panels))

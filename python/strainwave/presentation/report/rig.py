@@ -1,0 +1,97 @@
+"""The constants of the rig that the study states: every result depends on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+from strainwave.domain import ArmDescription, Joint
+from strainwave.presentation.report.blocks import Block, Cell, Facts, Row, number, table
+
+_NOT_GIVEN = "not given"
+
+
+def rig_constants(arm: ArmDescription) -> Iterator[Block]:
+    """A table of the constants of each joint and its servo, then the constants of the arm."""
+    joints = [f"joint {number}" for number in range(1, arm.n_joints + 1)]
+    heads: Row = ("constant", *map(number, joints), "unit", "key in study.toml")
+    yield from table("Rig constants", heads, _rows(arm), heading=False)
+    facts = tuple(_arm_facts(arm))
+    if facts:
+        yield Facts(facts)
+
+
+def _rows(arm: ArmDescription) -> Iterator[Row]:
+    for title, key, unit, value in _joint_constants(arm):
+        values = [value(joint) for joint in arm.joints]
+        if any(values):
+            yield _row(title, key, unit, values)
+    servo = arm.servo
+    if servo is None:
+        return
+    gains = (
+        ("servo, proportional gain", "kp", "V s/rad", servo.kp),
+        ("servo, integral gain", "ki", "V/rad", servo.ki),
+        ("servo, position gain", "position_gain", "1/s", servo.position_gain),
+    )
+    for title, key, unit, gain in gains:
+        if gain is not None:
+            yield _row(title, f"servo.{key}", unit, [f"{value:g}" for value in gain])
+
+
+def _joint_constants(
+    arm: ArmDescription,
+) -> Iterator[tuple[str, str, str, Callable[[Joint], str]]]:
+    """Title, key, unit and text of each constant of a joint; the text is empty if not given."""
+    is_prismatic = any(joint.motion == "prismatic" for joint in arm.joints)
+    if is_prismatic:
+        yield "motion", "motion", "", lambda joint: joint.motion
+    yield "gear spring", "spring", "", lambda joint: joint.spring
+    ratio = "link rad (or m) per motor rad" if is_prismatic else "link turns per motor turn"
+    yield "gear ratio n", "gear_ratio", ratio, _ratio
+    for title, key, unit in (
+        ("torque per volt e", "torque_per_volt", "N m/V"),
+        ("current loop bandwidth", "current_loop_hz", "Hz"),
+        ("motor encoder", "encoder_counts", "counts/turn"),
+        ("accelerometer distance from the joint axis", "accelerometer_distance", "m"),
+        ("accelerometer bandwidth", "accelerometer_hz", "Hz"),
+        ("gyro bandwidth", "gyro_hz", "Hz"),
+    ):
+        yield title, key, unit, partial(_given, key)
+    yield "IMU position", "imu.xyz", "m", lambda joint: _vector(joint, "xyz")
+    yield "IMU orientation", "imu.rpy", "rad", lambda joint: _vector(joint, "rpy")
+
+
+def _ratio(joint: Joint) -> str:
+    """The gear ratio, and its inverse if that is close to an integer."""
+    inverse = 1.0 / joint.gear_ratio
+    is_round = abs(inverse - round(inverse)) < 1e-6 * inverse and inverse > 1.5
+    return f"{joint.gear_ratio:.6g}" + (f" (1:{round(inverse)})" if is_round else "")
+
+
+def _given(key: str, joint: Joint) -> str:
+    value = getattr(joint, key)
+    return "" if value is None else f"{value:.6g}"
+
+
+def _vector(joint: Joint, key: str) -> str:
+    if joint.imu is None:
+        return ""
+    values = getattr(joint.imu, key)
+    return "estimated" if values is None else ", ".join(f"{value:g}" for value in values)
+
+
+def _row(title: str, key: str, unit: str, values: Sequence[str]) -> Row:
+    cells = (number(value or _NOT_GIVEN) for value in values)
+    return (title, *cells, unit, Cell(key, "code"))
+
+
+def _arm_facts(arm: ArmDescription) -> Iterator[tuple[str, str]]:
+    if arm.link_length is not None:
+        yield "link length, axis 1 to axis 2", f"{arm.link_length:g} m"
+    if arm.n_joints > 1:
+        gravity = "none: horizontal motion" if arm.gravity is None else f"{arm.gravity:g} m/s²"
+        yield "gravity in the plane of motion", gravity
+    if arm.servo is not None:
+        yield "servo period", f"{1e3 * arm.servo.period:g} ms"
+        yield "servo output limit", f"{arm.servo.limit:g} V"
