@@ -1,0 +1,64 @@
+"""Pole-zero maps: roots of known joints, and ellipses of their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from elastic_results import JOINT, SPREAD, joint_model, sampled
+from figure_parts import marks
+from strainwave.dynamics.two_inertia import coefficients
+from strainwave.presentation.figures import Figure, Line, Markers
+from strainwave.presentation.report.bode import TunedJoint
+from strainwave.presentation.report.pole_zero import pole_zero_map
+
+RATIO = JOINT.gear_ratio
+
+
+def roots(drawn: Figure, name: str) -> np.ndarray:
+    (found,) = (mark for mark in marks(drawn, Markers) if mark.name == name)
+    return np.sort_complex(np.asarray(found.x, dtype=float) + 1j * found.y)
+
+
+def test_the_roots_are_those_of_the_transfer_function() -> None:
+    b, a = coefficients(JOINT)
+    drawn = pole_zero_map(joint_model(), RATIO)
+    assert roots(drawn, "poles, joint model") == pytest.approx(np.sort_complex(np.roots(a[::-1])))
+    assert roots(drawn, "zeros, joint model") == pytest.approx(np.sort_complex(np.roots(b[::-1])))
+    symbols = {mark.name: mark.symbol for mark in marks(drawn, Markers)}
+    assert symbols == {"poles, joint model": "x", "zeros, joint model": "circle-open"}
+
+
+def test_a_sampled_model_has_the_poles_of_the_joint() -> None:
+    drawn = pole_zero_map(joint_model(), RATIO, {"prbs": sampled()})
+    poles = roots(drawn, "poles, joint model")
+    assert roots(drawn, "poles, state space, prbs") == pytest.approx(poles, rel=1e-6)
+
+
+def test_95_percent_of_random_parameters_lie_in_the_ellipse() -> None:
+    drawn = pole_zero_map(joint_model(), RATIO)
+    ellipse = max(marks(drawn, Line), key=lambda line: float(line.y.mean()))  # the upper pole
+    centre = complex(ellipse.x[:-1].mean(), ellipse.y[:-1].mean())
+    outline = ellipse.x + 1j * ellipse.y - centre
+    shape = np.stack([outline.real, outline.imag])
+    # points x of an ellipse of covariance P: x' P^-1 x is constant
+    P = shape[:, :-1] @ shape[:, :-1].T
+    limit = float(np.einsum("in,ij,jn->n", shape, np.linalg.inv(P), shape).max())
+    rng = np.random.default_rng(4)
+    inside = 0
+    for _ in range(1000):
+        moved = JOINT.with_vector(JOINT.vector * (1.0 + SPREAD * rng.standard_normal(6)))
+        pole = max(np.roots(coefficients(moved)[1][::-1]), key=lambda root: root.imag) - centre
+        x = np.array([pole.real, pole.imag])
+        inside += float(x @ np.linalg.solve(P, x)) <= limit
+    assert inside / 1000 == pytest.approx(0.95, abs=0.025)  # three standard deviations of a share
+
+
+def test_the_whole_arm_fit_is_drawn_without_ellipses_if_its_covariance_is_unknown() -> None:
+    unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
+    drawn = pole_zero_map(unknown, RATIO, tuned=TunedJoint(JOINT.vector, None))
+    assert marks(drawn, Line) == []
+    poles = roots(drawn, "poles, whole-arm fit")
+    assert poles == pytest.approx(roots(drawn, "poles, joint model"))
