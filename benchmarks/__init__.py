@@ -1,1 +1,1 @@
-"""Speed as ratios to named peers, measured in one run: `make bench`."""
+"""Speed relative to named peers, measured in one run: `make bench`."""

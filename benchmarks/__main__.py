@@ -1,6 +1,6 @@
-"""Runs every benchmark, or those that are named, and prints one table.
+"""Run all benchmarks, or the named ones, and print one table.
 
-python -m benchmarks [arm] [read] [rigid] [statespace] [tuning]
+python -m benchmarks [arm] [length] [read] [rigid] [statespace] [tuning]
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""How the rigid step grows with its record: time and peak memory of a process that does no more.
+"""Time and peak memory of the rigid step over the length of its record.
 
-A planar arm's records of 50,000 rows and more, written as Parquet, are read and fitted by a process
-of their own. Its two joints follow slow sums of sines, so that motors reverse as often per second
-in a long record as in a short one.
+A process of its own reads and fits one Parquet record of a planar arm. Both joints follow slow sums
+of sines, so that motors reverse equally often per second in short and long records.
 
 python -m benchmarks.bench_length 50000 500000 10000000
 """
@@ -26,7 +25,7 @@ from strainwave.dynamics.arm import Arm
 SIZES = (50_000, 500_000)
 SAMPLE_TIME = 1e-3
 COUNT = 2.0 * np.pi / 8192
-TRUTH = np.array([3.0, 0.9, 0.65, 0.7, 0.05, 0.03])  # inertias and Coulomb friction, link side
+TRUE_VALUES = np.array([3.0, 0.9, 0.65, 0.7, 0.05, 0.03])  # inertias [kg m^2], friction [N m]
 RATIO = 0.01
 STUDY = """\
 [arm]
@@ -59,43 +58,32 @@ control = ["servo", "servo"]
 
 
 def rows() -> list[Row]:
-    """Our time at each size; as peer, what a step linear in its rows would take from the first."""
-    found = [measured(size) for size in SIZES]
-    least = found[0]["seconds"] / SIZES[0]
+    """Our time at each size; the peer is the first time, scaled by the number of rows."""
+    runs = [measure(size) for size in SIZES]
+    per_row = runs[0]["seconds"] / SIZES[0]
     return [
         Row(
-            f"rigid step, {size:,} rows, {each['peak_mb']:.0f} MB in all",
-            each["seconds"],
-            f"as many times as long as {SIZES[0]:,} rows",
-            least * size,
+            f"rigid step, {size:,} rows, {run['peak_mb']:.0f} MB in all",
+            run["seconds"],
+            f"in proportion to {SIZES[0]:,} rows",
+            per_row * size,
         )
-        for size, each in zip(SIZES, found, strict=True)
+        for size, run in zip(SIZES, runs, strict=True)
     ]
 
 
-def measured(n_rows: int) -> dict[str, float]:
-    """Of a process of its own: seconds to read and to fit, its peak memory, and the worst error.
-
-    Parameters
-    ----------
-    n_rows : int
-        Of the record, 1 ms each.
-
-    Returns
-    -------
-    dict
-        seconds, cpu_seconds, read_seconds, peak_mb, error_percent (of the inertias).
-    """
+def measure(n_rows: int) -> dict[str, float]:
+    """Times [s], peak memory [MB] and largest error [%] of a process that fits one record."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder), n_rows)
         command = [sys.executable, "-m", "benchmarks.bench_length", "--fit", folder]
-        ended = subprocess.run(command, check=True, capture_output=True, text=True)
-        found: dict[str, float] = json.loads(ended.stdout)
-        return found
+        process = subprocess.run(command, check=True, capture_output=True, text=True)
+        figures: dict[str, float] = json.loads(process.stdout)
+        return figures
 
 
 def write(folder: Path, n_rows: int) -> None:
-    """A record of the arm in planned motion, and its study."""
+    """Write a record of the arm and its study."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -114,7 +102,7 @@ _CHANNELS = ("torque1", "torque2", "theta_m1", "theta_m2")
 
 
 def _channels(t: FloatArray, phase: FloatArray, rng: np.random.Generator) -> list[FloatArray]:
-    """Torques and motor angles of the arm, torques with noise, angles in counts."""
+    """Torques with noise, and motor angles in counts."""
     q, dq, ddq = (np.zeros((2, len(t))) for _ in range(3))
     for i in (0, 1):
         for k, f in enumerate((0.11, 0.31, 0.73, 1.37)):
@@ -123,7 +111,7 @@ def _channels(t: FloatArray, phase: FloatArray, rng: np.random.Generator) -> lis
             q[i] += size * np.sin(w * t + phase[i, k])
             dq[i] += size * w * np.cos(w * t + phase[i, k])
             ddq[i] -= size * w**2 * np.sin(w * t + phase[i, k])
-    first, motor, beta, gamma, *coulomb = TRUTH
+    first, motor, beta, gamma, *coulomb = TRUE_VALUES
     cos, sin = np.cos(q[1]), np.sin(q[1])
     torque = [
         (first + beta + 2 * gamma * cos) * ddq[0]
@@ -144,25 +132,25 @@ def _fit(folder: Path) -> None:
     from strainwave.io.study import read_study
     from strainwave.signals import motor as signals
 
-    begun, cpu = time.perf_counter(), time.process_time()
+    begin, cpu = time.perf_counter(), time.process_time()
     study = read_study(folder / "study.toml")
     (log,) = logs.read_logs(study)
     read = time.perf_counter()
-    seen = signals.motor_side(log, Arm.of(study.arm))
+    motion = signals.motor_side(log, Arm.of(study.arm))
     del log
-    model = rigid.fit([seen], Arm.of(study.arm))
-    ended = time.perf_counter()
-    found = [model.value(name) for name in ("beta", "gamma")]
-    errors = [abs((x or np.nan) / t - 1.0) for x, t in zip(found, TRUTH[2:4], strict=True)]
-    reported = {
-        "seconds": ended - begun,
+    model = rigid.fit([motion], Arm.of(study.arm))
+    end = time.perf_counter()
+    values = [model.value(name) for name in ("beta", "gamma")]
+    errors = [abs((x or np.nan) / t - 1.0) for x, t in zip(values, TRUE_VALUES[2:4], strict=True)]
+    figures = {
+        "seconds": end - begin,
         "cpu_seconds": time.process_time() - cpu,
-        "read_seconds": read - begun,
+        "read_seconds": read - begin,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
         "error_percent": 100.0 * max(errors),
         "bandwidth_hz": model.bandwidth_hz,
     }
-    print(json.dumps(reported))
+    print(json.dumps(figures))
 
 
 if __name__ == "__main__":
@@ -170,5 +158,5 @@ if __name__ == "__main__":
         _fit(Path(sys.argv[2]))
     else:
         for size in map(int, sys.argv[1:] or SIZES):
-            each = measured(size)
-            print(f"{size:,} rows: " + ", ".join(f"{k} {v:.4g}" for k, v in each.items()))
+            figures = measure(size)
+            print(f"{size:,} rows: " + ", ".join(f"{k} {v:.4g}" for k, v in figures.items()))

@@ -1,6 +1,6 @@
-"""Reading a study of some 9 MB: logs of several experiments, against pyarrow and NumPy alone.
+"""Reading a study of about 10 MB of CSV, compared with pyarrow and NumPy.
 
-The study is the built-in arm's, simulated for this once, written as CSV.
+The study is a simulation of the built-in arm.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The rigid step on ten seconds of motion of the built-in arm, against Pinocchio's regressor.
+"""The rigid step on ten seconds of motion, compared with Pinocchio's regressor.
 
-The error is the largest of the base parameters, the second motor's inertia and Coulomb friction,
-relative to the truth. The arm's gears are elastic, its motors stick, encoders count.
+The built-in arm has elastic gears, Coulomb friction with stiction, and encoders. The error is the
+largest relative error of base parameters, inertia of motor 2 and Coulomb friction.
 """
 
 from __future__ import annotations
@@ -27,24 +27,27 @@ COMPARED = ("rigid_inertia", "beta", "gamma", "motor_inertia", "motor_coulomb_fr
 
 
 def rows() -> list[Row]:
-    study, log, truth = _recorded()
+    study, log, true_values = _record()
     what, peer = "rigid step, 10 s of motion", "Pinocchio regressor, least squares"
-    ours, error = best_of(lambda: _ours(study, log), repeats=3), _error(_ours(study, log), truth)
+    ours, error = (
+        best_of(lambda: _ours(study, log), repeats=3),
+        _error(_ours(study, log), true_values),
+    )
     try:
-        peers = _error(pinocchio(study, log), truth)
+        peers = _error(pinocchio(study, log), true_values)
     except ImportError:
         return [Row(what, ours, peer, None, ours_error=error)]
     time = best_of(lambda: pinocchio(study, log), repeats=3)
     return [Row(what, ours, peer, time, ours_error=error, peers_error=peers)]
 
 
-def _recorded() -> tuple[Study, Log, Values]:
+def _record() -> tuple[Study, Log, Values]:
     values = scara.parameters()
     with TemporaryDirectory() as folder:
         study = scara.study(Path(folder))
         motion = tuple(e for e in study.experiments if e.name == "motion")
-        only = replace(study, experiments=motion)
-        simulate_study(only, values, Path(folder), noise=SensorNoise(), as_recorded=False)
+        motion_study = replace(study, experiments=motion)
+        simulate_study(motion_study, values, Path(folder), noise=SensorNoise(), as_recorded=False)
         written = read_study(Path(folder) / "study.toml")
         return written, read_log(written, written.experiments[0]), derived(values, written.arm)
 
@@ -54,6 +57,6 @@ def _ours(study: Study, log: Log) -> Values:
     return {(p.name, p.joint): p.value for p in model.parameters if p.value is not None}
 
 
-def _error(found: Values, truth: Values) -> float:
-    errors = [found[key] / truth[key] - 1.0 for key in found if key[0] in COMPARED]
+def _error(values: Values, true_values: Values) -> float:
+    errors = [values[key] / true_values[key] - 1.0 for key in values if key[0] in COMPARED]
     return max(map(abs, errors))

@@ -1,9 +1,9 @@
 """Fits of a two-input, two-output model of order 3, on one core.
 
-A joint's motor and link velocity, with coloured and with white noise. Beside the time stands the
-error: of the frequency response from 1 to 100 Hz, root mean square over the frequencies, relative
-to the true one. Peers, where they are installed: SLICOT (IB01AD and IB01BD by Cholesky), nfoursid
-and SIPPY for the subspace step, jax-sysid for the fit.
+The outputs are motor and link velocity of a joint, with coloured and with white noise. The error is
+the relative error of the frequency response from 1 to 100 Hz, root mean square over frequencies.
+Peers, if installed: SLICOT (IB01AD and IB01BD by Cholesky), nfoursid and SIPPY for the subspace
+estimate, jax-sysid for the fit.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ NOISE = np.array([0.3, 0.005])  # [rad/s]
 def rows() -> list[Row]:
     from threadpoolctl import threadpool_limits
 
-    found = []
+    table = []
     with threadpool_limits(1):
         for samples, goal in ((512, 10e-3), (20_000, 150e-3)):
             for kind, gain in (("coloured", GAIN), ("white", np.zeros_like(GAIN))):
                 data = _data(samples, gain)
-                time, error = _timed(partial(_pem, data))
+                time, error = _timed(partial(_fit_pem, data))
                 name = f"PEM, N = {samples}, {kind} noise"
-                found.append(Row(name, time, "goal", goal, ours_error=error))
+                table.append(Row(name, time, "goal", goal, ours_error=error))
         for samples in (512, 20_000):
-            found += _output_error(samples)
-            found += _subspace(samples)
-    return found
+            table += _output_error(samples)
+            table += _subspace(samples)
+    return table
 
 
 def _output_error(samples: int) -> list[Row]:
-    """White noise, where the simulation error is the best that can be minimised."""
+    """White noise, for which output error is the maximum-likelihood method."""
     data = _data(samples, np.zeros_like(GAIN))
     options = PemOptions(disturbance="none")
-    time, error = _timed(partial(_pem, data, options))
+    time, error = _timed(partial(_fit_pem, data, options))
     return [
-        _beside(
+        _compare(
             f"output error, N = {samples}, white noise",
             time,
             error,
@@ -66,34 +66,34 @@ def _output_error(samples: int) -> list[Row]:
 
 
 def _subspace(samples: int) -> list[Row]:
-    """Both of ours against the fastest peer, and the one for closed loops against the others."""
+    """Both methods against the fastest peer, and the closed-loop one against the others."""
     data = _data(samples, GAIN)
-    ways: tuple[Method, ...] = ("moesp", "predictor")
-    whats = [f"subspace step, {way}, N = {samples}, coloured noise" for way in ways]
-    timed = [_timed(partial(_subspaced, data, way)) for way in ways]
-    found = [
-        _beside(what, *ours, "SLICOT, MOESP, Cholesky", slicot, data)
-        for what, ours in zip(whats, timed, strict=True)
+    methods: tuple[Method, ...] = ("moesp", "predictor")
+    names = [f"subspace step, {method}, N = {samples}, coloured noise" for method in methods]
+    ours = [_timed(partial(_fit_subspace, data, method)) for method in methods]
+    table = [
+        _compare(name, *timing, "SLICOT, MOESP, Cholesky", slicot, data)
+        for name, timing in zip(names, ours, strict=True)
     ]
-    for peer, called in ((nfoursid, "nfoursid"), (sippy, "SIPPY, N4SID")):
-        found.append(_beside(whats[1], *timed[1], called, peer, data))
-    return found
+    for peer, peer_name in ((nfoursid, "nfoursid"), (sippy, "SIPPY, N4SID")):
+        table.append(_compare(names[1], *ours[1], peer_name, peer, data))
+    return table
 
 
-def _pem(data: InputOutput, options: PemOptions | None = None) -> Matrices:
+def _fit_pem(data: InputOutput, options: PemOptions | None = None) -> Matrices:
     model = pem(data, ORDER, options=options)
     return model.A, model.B, model.C, model.D
 
 
-def _subspaced(data: InputOutput, way: Method) -> Matrices:
-    model = subspace(data, ORDER, method=way, horizon=HORIZON)
+def _fit_subspace(data: InputOutput, method: Method) -> Matrices:
+    model = subspace(data, ORDER, method=method, horizon=HORIZON)
     return model.A, model.B, model.C, model.D
 
 
-def _beside(
+def _compare(
     what: str, ours: float, ours_error: float, peer: str, tool: Tool, data: InputOutput
 ) -> Row:
-    """A row with a peer's time and error; without them where it is not installed."""
+    """A row with a peer's time and error, or without them if it is not installed."""
     try:
         time, error = _timed(lambda: tool(data.inputs, data.outputs, ORDER, HORIZON))
     except ImportError:
@@ -102,25 +102,25 @@ def _beside(
 
 
 def _timed(work: Callable[[], Matrices]) -> tuple[float, float]:
-    """Time [s], and relative error of the frequency response."""
-    error = response_error(work(), _truth())
+    """Time [s] and relative error of the frequency response."""
+    error = response_error(work(), _true_model())
     return best_of(work), error
 
 
-def response_error(found: Matrices, true: Matrices) -> float:
-    """Of G(exp(j w T)) over frequencies, each relative to its own size."""
+def response_error(model: Matrices, true: Matrices) -> float:
+    """Relative error of G(exp(j w T)), root mean square over frequencies."""
     frequencies = np.geomspace(1.0, 100.0, 200)
     errors = []
     for hz in frequencies:
         z = np.exp(2j * np.pi * hz * SAMPLE_TIME)
-        ours, truth = (
-            C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D for A, B, C, D in (found, true)
+        estimate, reference = (
+            C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D for A, B, C, D in (model, true)
         )
-        errors.append(np.linalg.norm(ours - truth) / np.linalg.norm(truth))
+        errors.append(np.linalg.norm(estimate - reference) / np.linalg.norm(reference))
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _truth() -> Matrices:
+def _true_model() -> Matrices:
     from scipy.signal import cont2discrete
 
     m, mL, n, k, d = MOTOR_INERTIA, LINK_INERTIA, RATIO, STIFFNESS, DAMPING
@@ -138,7 +138,7 @@ def _truth() -> Matrices:
 
 
 def _data(samples: int, gain: FloatArray) -> InputOutput:
-    A, B, C, _ = _truth()
+    A, B, C, _ = _true_model()
     rng = np.random.default_rng(0)
     voltage = 10.0 * np.sign(rng.standard_normal(samples))
     u = np.column_stack([voltage, 10.0 * rng.standard_normal(samples)])

@@ -1,8 +1,8 @@
-"""What a campaign costs beyond its identifications, and what that makes of a thousand cores.
+"""Cost of a campaign in addition to its identifications.
 
     python -m benchmarks.campaign [--studies N] [--dask-tasks N]
 
-Each row is measured here, but for the last, which follows from the others.
+All rows are measured, except the two for a thousand cores, which are computed from them.
 """
 
 from __future__ import annotations
@@ -32,35 +32,35 @@ from strainwave.campaign.store import Record, Store
 from strainwave.numerics.parallel import own_process
 
 SMALL_ARM = Path(__file__).resolve().parents[1] / "tests" / "data" / "small-arm"
-CORES = 1000
-TYPICAL = 5.0  # [s] of one core for a whole-arm fit to short records
-ROWS = 10_000
+CORES = 1000  # of the projection
+STUDY_TIME = 5.0  # [s] of one core, typical of a whole-arm fit to short records
+ROWS = 10_000  # of the measured store
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A figure and what it is."""
+class Figure:
+    """A measured or computed figure."""
 
-    what: str
+    name: str
     value: float
     unit: str
 
 
-def rigs(folder: Path, count: int) -> list[Path]:
-    """The small arm of the tests, as many times."""
-    made = []
+def copy_studies(folder: Path, count: int) -> list[Path]:
+    """Copies of the small arm of the tests."""
+    studies = []
     for number in range(count):
-        own = folder / "rigs" / f"rig-{number:04d}"
-        own.mkdir(parents=True)
+        copy = folder / "rigs" / f"rig-{number:04d}"
+        copy.mkdir(parents=True)
         for path in SMALL_ARM.glob("*.parquet"):
-            (own / path.name).symlink_to(path)
-        (own / "study.toml").write_bytes((SMALL_ARM / "study.toml").read_bytes())
-        made.append(own / "study.toml")
-    return made
+            (copy / path.name).symlink_to(path)
+        (copy / "study.toml").write_bytes((SMALL_ARM / "study.toml").read_bytes())
+        studies.append(copy / "study.toml")
+    return studies
 
 
-def alone(studies: list[Path]) -> float:
-    """Time of one identification in this process [s]."""
+def time_identify(studies: list[Path]) -> float:
+    """Mean time of one identification in this process [s]."""
     own_process()
     pipeline.identify(studies[0], stages=("rigid",), threads=1)
     times = []
@@ -71,8 +71,8 @@ def alone(studies: list[Path]) -> float:
     return statistics.fmean(times)
 
 
-def campaigns(studies: list[Path], folder: Path, workers: int) -> tuple[float, float]:
-    """Time of a campaign, and the mean that its runs report, without the start of processes [s]."""
+def time_campaign(studies: list[Path], folder: Path, workers: int) -> tuple[float, float]:
+    """Time of a campaign without the start of processes, and mean time of its runs [s]."""
     store = folder / f"store-{workers}"
     settings = Settings(store=str(store), stages=("rigid",), workers=workers)
     summary = run([str(path) for path in studies], settings)
@@ -83,8 +83,8 @@ def campaigns(studies: list[Path], folder: Path, workers: int) -> tuple[float, f
     return (last - first).total_seconds(), statistics.fmean(row["seconds"] for row in table)
 
 
-def store_times(folder: Path) -> list[Measured]:
-    """Of one run written, of ten thousand listed while the last thousand are small, and merged."""
+def store_times(folder: Path) -> list[Figure]:
+    """Times to write a run, to list ten thousand, and to merge the last thousand."""
     store = Store.at(folder / "rows")
     day = datetime(2026, 1, 1)
 
@@ -103,32 +103,32 @@ def store_times(folder: Path) -> list[Measured]:
 
     merged = [record(number) for number in range(ROWS - 1000)]
     for kind, schema in (("runs", RUNS), ("parameters", PARAMETERS)):
-        rows = [each.row for each in merged]
+        rows = [entry.row for entry in merged]
         if kind == "parameters":
-            rows = [row for each in merged for row in each.parameters]
+            rows = [row for entry in merged for row in entry.parameters]
         (folder / "rows" / kind).mkdir(parents=True)
         table = pa.Table.from_pylist(rows, schema=schema)
         pq.write_table(table, folder / "rows" / kind / "part-first.parquet")
     begin = time.perf_counter()
     for number in range(ROWS - 1000, ROWS):
         store.write(record(number))
-    written = (time.perf_counter() - begin) / 1000
-    listed = _best(lambda: Store.at(folder / "rows").table("runs"))
-    known = _best(lambda: Store.at(folder / "rows").recorded(f"{17:032x}"))
+    write_time = (time.perf_counter() - begin) / 1000
+    list_time = _least_time(lambda: Store.at(folder / "rows").table("runs"))
+    query_time = _least_time(lambda: Store.at(folder / "rows").recorded(f"{17:032x}"))
     begin = time.perf_counter()
     store.merge()
-    merging = time.perf_counter() - begin
-    after = _best(lambda: Store.at(folder / "rows").table("runs"))
+    merge_time = time.perf_counter() - begin
+    merged_list_time = _least_time(lambda: Store.at(folder / "rows").table("runs"))
     return [
-        Measured("writing a run: row, 26 parameters, result.json of 200 kB", 1e3 * written, "ms"),
-        Measured("listing 10,000 runs, the last 1,000 not merged yet", listed, "s"),
-        Measured("listing 10,000 runs, merged", after, "s"),
-        Measured("asking a store opened anew for one of 10,000 runs", known, "s"),
-        Measured("merging 1,000 runs into 9,000", merging, "s"),
+        Figure("writing a run: row, 26 parameters, result.json of 200 kB", 1e3 * write_time, "ms"),
+        Figure("listing 10,000 runs, the last 1,000 not merged yet", list_time, "s"),
+        Figure("listing 10,000 runs, merged", merged_list_time, "s"),
+        Figure("asking a store opened anew for one of 10,000 runs", query_time, "s"),
+        Figure("merging 1,000 runs into 9,000", merge_time, "s"),
     ]
 
 
-def _best(work: Callable[[], object], repeats: int = 3) -> float:
+def _least_time(work: Callable[[], object], repeats: int = 3) -> float:
     times = []
     for _ in range(repeats):
         begin = time.perf_counter()
@@ -137,13 +137,13 @@ def _best(work: Callable[[], object], repeats: int = 3) -> float:
     return min(times)
 
 
-def nothing(line: str, limits: dict[str, object], since: str) -> str:
-    """A Dask task that does nothing with what a study's task is given."""
+def empty_task(line: str, limits: dict[str, object], since: str) -> str:
+    """A Dask task with the arguments of a study's task, without work."""
     return line[:0] + since[:0]
 
 
 def dask_overhead(count: int) -> float:
-    """Time per task that does nothing, submitted and gathered as a campaign does [s]."""
+    """Time per empty task, submitted and gathered as in a campaign [s]."""
     from distributed import Client
 
     with tempfile.TemporaryDirectory() as folder:
@@ -164,9 +164,11 @@ def dask_overhead(count: int) -> float:
             with Client(scheduler_file=str(file), set_as_default=False) as client:
                 client.wait_for_workers(1)
                 line = "x" * 600  # characters of a task
-                client.submit(nothing, line, {}, "warm", pure=False).result()
+                client.submit(empty_task, line, {}, "warm", pure=False).result()
                 begin = time.perf_counter()
-                futures = [client.submit(nothing, line, {}, "", pure=False) for _ in range(count)]
+                futures = [
+                    client.submit(empty_task, line, {}, "", pure=False) for _ in range(count)
+                ]
                 client.gather(futures)
                 return (time.perf_counter() - begin) / count
         finally:
@@ -175,35 +177,39 @@ def dask_overhead(count: int) -> float:
                 process.wait()
 
 
-def measured(studies: int, dask_tasks: int) -> list[Measured]:
+def measure(studies: int, dask_tasks: int) -> list[Figure]:
     with tempfile.TemporaryDirectory(prefix="strainwave-") as name:
         folder = Path(name)
-        made = rigs(folder, studies)
-        single = alone(made)
-        one, inside = campaigns(made, folder, 1)
-        two, inside_two = campaigns(made, folder, 2)
+        copies = copy_studies(folder, studies)
+        single = time_identify(copies)
+        one, run_time = time_campaign(copies, folder, 1)
+        two, run_time_of_two = time_campaign(copies, folder, 2)
         rows = store_times(folder)
-    overhead = one / studies - inside  # what lies between two runs
+    overhead = one / studies - run_time  # between two runs
     task = dask_overhead(dask_tasks)
-    # a core works on a study or for the campaign; the scheduler serves all cores by itself
-    by_core = TYPICAL / (TYPICAL + overhead)
-    by_scheduler = min(1.0, TYPICAL / task / CORES)
+    # a core works on a study or for the campaign; one scheduler serves all cores
+    by_core = STUDY_TIME / (STUDY_TIME + overhead)
+    by_scheduler = min(1.0, STUDY_TIME / task / CORES)
     return [
-        Measured("identification alone, stages rigid", 1e3 * single, "ms"),
-        Measured("the same in a campaign, by its row (1 worker)", 1e3 * inside, "ms"),
-        Measured("the same in a campaign, by its row (2 workers)", 1e3 * inside_two, "ms"),
-        Measured("campaign, 1 worker", studies / one, "runs/s"),
-        Measured("campaign, 2 workers", studies / two, "runs/s"),
-        Measured("efficiency of 2 workers against 1", 100.0 * one / two / 2.0, "%"),
-        Measured("overhead per run, between two of one worker", 1e3 * overhead, "ms"),
+        Figure("identification alone, stages rigid", 1e3 * single, "ms"),
+        Figure("the same in a campaign, by its row (1 worker)", 1e3 * run_time, "ms"),
+        Figure("the same in a campaign, by its row (2 workers)", 1e3 * run_time_of_two, "ms"),
+        Figure("campaign, 1 worker", studies / one, "runs/s"),
+        Figure("campaign, 2 workers", studies / two, "runs/s"),
+        Figure("efficiency of 2 workers against 1", 100.0 * one / two / 2.0, "%"),
+        Figure("overhead per run, between two of one worker", 1e3 * overhead, "ms"),
         *rows,
-        Measured("Dask, a task that does nothing", 1e3 * task, "ms"),
-        Measured(
-            f"projected efficiency of {CORES} cores, {TYPICAL:g} s a study",
+        Figure("Dask, an empty task", 1e3 * task, "ms"),
+        Figure(
+            f"projected efficiency of {CORES} cores, {STUDY_TIME:g} s per study",
             100.0 * min(by_core, by_scheduler),
             "%",
         ),
-        Measured(f"cores that one scheduler keeps busy, {TYPICAL:g} s a study", TYPICAL / task, ""),
+        Figure(
+            f"cores that one scheduler keeps busy, {STUDY_TIME:g} s per study",
+            STUDY_TIME / task,
+            "",
+        ),
     ]
 
 
@@ -211,13 +217,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--studies", type=int, default=40)
     parser.add_argument("--dask-tasks", type=int, default=3000)
-    given = parser.parse_args()
+    options = parser.parse_args()
     table = Table("what", "", box=None, pad_edge=False)
     table.columns[1].justify = "right"
     load = os.getloadavg()[0]
-    for row in measured(given.studies, given.dask_tasks):
-        table.add_row(row.what, f"{row.value:.3g} {row.unit}")
-    table.add_row("load of the machine before", f"{load:.1f}")
+    for figure in measure(options.studies, options.dask_tasks):
+        table.add_row(figure.name, f"{figure.value:.3g} {figure.unit}")
+    table.add_row("system load before", f"{load:.1f}")
     Console(width=100).print(table)
 
 

@@ -1,11 +1,11 @@
-"""Licences of all that is locked: `python -m benchmarks.licences`. Needs no network.
+"""Licences of all locked packages, without a network: `python -m benchmarks.licences`.
 
-What is installed says its own licence, and so does every crate that cargo has fetched. A package
-whose licence does not let everyone use strainwave is listed last, and is an error.
+Installed packages and fetched crates state their licences in their metadata. Packages whose licence
+is not free are listed last and are an error.
 
-Advisories are not checked here: the databases of known faults (OSV, RustSec, PyPA) change by the
-day and none is published as a package that could be locked, so a copy in this repository would say
-"nothing known" of an old date. With a network: `pip-audit -r requirements.lock`, `cargo audit`.
+Vulnerabilities are not checked here: the databases (OSV, RustSec, PyPA) change daily, and a copy in
+this repository would be out of date. With a network: `pip-audit -r requirements.lock`,
+`cargo audit`.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ FREE = {
     "PYTHON SOFTWARE FOUNDATION",
     "PUBLIC DOMAIN",
 }
-"""Beginnings of licences under which a dependency may be used by everyone."""
+"""Beginnings of the names of free licences."""
 
 EXAMINED = {
     "apsw": "any licence that the Open Source Initiative has approved",
     "docutils": "public domain and BSD; one of its files, an editor's mode, is under the GPL",
 }
-"""Packages whose metadata do not settle it -> what was found."""
+"""Packages whose metadata are ambiguous -> their licence."""
 
 
 @dataclass(frozen=True, slots=True)
 class Licensed:
-    """A locked package and what it says of its licence."""
+    """A locked package and the licence in its metadata."""
 
     name: str
     version: str
@@ -57,7 +57,7 @@ class Licensed:
 
     @property
     def free(self) -> bool:
-        """Whether one of the alternatives that it offers is free in all its parts."""
+        """Whether one of its alternative licences is free in all parts."""
         return any(
             all(_is_free(part) for part in re.split(r" AND | and |; ", alternative))
             for alternative in re.split(r" OR | or |/", self.licence.replace("License ::", ""))
@@ -65,56 +65,51 @@ class Licensed:
 
 
 def _is_free(licence: str) -> bool:
-    own = licence.replace("OSI Approved ::", "").strip(" ():").upper()
-    return any(own.startswith(name) for name in FREE)
+    name = licence.replace("OSI Approved ::", "").strip(" ():").upper()
+    return any(name.startswith(beginning) for beginning in FREE)
 
 
 def of_python() -> Iterator[Licensed]:
-    """Packages of requirements.lock that are installed."""
+    """Installed packages of requirements.lock."""
     for line in (ROOT / "requirements.lock").read_text().splitlines():
-        name, found, rest = line.partition("==")
-        if not found:
+        name, separator, rest = line.partition("==")
+        if not separator:
             continue
         try:
-            said = metadata.metadata(name)
+            fields = metadata.metadata(name)
         except metadata.PackageNotFoundError:
             continue  # for another system
-        yield Licensed(name, rest.split()[0], _of_metadata(said))
+        yield Licensed(name, rest.split()[0], _licence_of(fields))
 
 
-def _of_metadata(said: metadata.PackageMetadata) -> str:
-    fields = said.json
-    classes = [c for c in said.get_all("Classifier") or [] if c.startswith("License")]
-    own = fields.get("license_expression") or "; ".join(classes) or fields.get("license")
-    return str(own or "not said").splitlines()[0]
+def _licence_of(fields: metadata.PackageMetadata) -> str:
+    classes = [c for c in fields.get_all("Classifier") or [] if c.startswith("License")]
+    texts = fields.json
+    licence = texts.get("license_expression") or "; ".join(classes) or texts.get("license")
+    return str(licence or "unknown").splitlines()[0]
 
 
 def of_rust() -> Iterator[Licensed]:
-    """Crates of Cargo.lock.
-
-    Raises
-    ------
-    FileNotFoundError, subprocess.CalledProcessError
-        There is no cargo, or it has not fetched them.
-    """
+    """Crates of Cargo.lock; fails without cargo or before it has fetched them."""
     command = ["cargo", "metadata", "--offline", "--locked", "--format-version", "1"]
-    found = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
-    for crate in json.loads(found.stdout)["packages"]:
-        yield Licensed(crate["name"], crate["version"], crate["license"] or "not said")
+    process = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    for crate in json.loads(process.stdout)["packages"]:
+        yield Licensed(crate["name"], crate["version"], crate["license"] or "unknown")
 
 
 def main() -> None:
-    """Print them; ends with 1 where one is not free."""
-    every = [*of_python(), *of_rust()]
+    """Print all packages; exit with 1 if a licence is not free."""
+    packages = [*of_python(), *of_rust()]
     table = Table(box=None)
     for name in ("package", "version", "licence"):
         table.add_column(name)
-    doubtful = [one for one in every if not one.free and one.name not in EXAMINED]
-    for one in sorted(every, key=lambda each: (each in doubtful, each.name.lower())):
-        table.add_row(one.name, one.version, EXAMINED.get(one.name, one.licence))
+    not_free = [p for p in packages if not p.free and p.name not in EXAMINED]
+    for package in sorted(packages, key=lambda p: (p in not_free, p.name.lower())):
+        licence = EXAMINED.get(package.name, package.licence)
+        table.add_row(package.name, package.version, licence)
     Console(width=140).print(table)
-    print(f"{len(every)} packages, {len(doubtful)} of them not known to be free")
-    raise SystemExit(1 if doubtful else 0)
+    print(f"{len(packages)} packages, {len(not_free)} of them not known to be free")
+    raise SystemExit(1 if not_free else 0)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Robustness figures of campaigns on virtual arms: `python -m benchmarks.robustness STORE...`.
+"""Robustness of campaigns on virtual arms: `python -m benchmarks.robustness STORE...`.
 
-A store of a campaign whose campaign.toml has a `[family]` holds true values beside estimates. A
-*primary* parameter is an inertia, a stiffness, a knee, Coulomb friction or gear damping. It is
-*within accuracy* up to 1 % off (damping: 5 %) or where its 95 % interval holds the truth, and
-*wrong* where it is more than 5 % off and outside that interval. A wrong one that is published in a
-run with the verdict "determined" is a silent wrong answer.
+The store of a campaign with a `[family]` has true values and estimates. A *primary* parameter is an
+inertia, a stiffness, a knee, Coulomb friction or gear damping. It is *accurate* if its error is at
+most 1 % (damping: 5 %) or its 95 % interval contains the true value, and *wrong* if its error
+exceeds 5 % and it is outside that interval. A wrong value in a run with the verdict "determined" is
+a silent wrong answer.
 """
 
 from __future__ import annotations
@@ -41,12 +41,13 @@ KINDS = {
     "motor_coulomb_friction": "Coulomb friction",
     "gear_damping": "gear damping",
 }
-"""What primary parameters are counted under, by how their names begin."""
-ACCURACY = {"gear damping": 0.05}  # of a value; of all others 1 %
-WRONG = 0.05
+"""Group of a primary parameter by the beginning of its name."""
+MAX_ERROR = 0.01  # relative error of an accurate value
+MAX_DAMPING_ERROR = 0.05  # the same for gear damping
+MIN_WRONG_ERROR = 0.05  # relative error of a wrong value
 _PROMISED_OF = 1000  # runs
 PROMISED: dict[Group, int] = {"clean": 2, "faulty": 10}
-"""Silent wrong answers in 1,000 runs, at most."""
+"""Largest promised number of silent wrong answers in 1,000 runs."""
 OUTCOMES: tuple[Outcome, ...] = (
     *("named", "other code", "refused", "not determined", "harmless", "silent", "failed"),
 )
@@ -55,27 +56,28 @@ _REFUSED = 2  # exit code
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A primary parameter that was published, against its true value."""
+    """A published primary parameter compared with its true value."""
 
     label: str
     kind: str
-    error: float  # of the true value
-    inside: bool  # the 95 % interval
+    error: float  # relative
+    inside: bool  # whether the 95 % interval contains the true value
 
     @property
     def is_accurate(self) -> bool:
-        """Whether it is near the truth or its interval holds it."""
-        return self.inside or self.error <= ACCURACY.get(self.kind, 0.01)
+        """Whether its error is small or its interval contains the true value."""
+        limit = MAX_DAMPING_ERROR if self.kind == "gear damping" else MAX_ERROR
+        return self.inside or self.error <= limit
 
     @property
     def is_wrong(self) -> bool:
-        """Whether it is far from the truth, and its interval denies it."""
-        return not self.inside and self.error > WRONG
+        """Whether its error is large and its interval excludes the true value."""
+        return not self.inside and self.error > MIN_WRONG_ERROR
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A row of the runs, with its primary parameters."""
+    """One run with its primary parameters."""
 
     row: Row
     classes: Row
@@ -83,7 +85,7 @@ class Run:
 
     @property
     def group(self) -> Group:
-        """What was drawn beside the arm; unknown where its worker was ended."""
+        """What was drawn with the arm; unknown if its worker died."""
         if not self.classes:
             return "never opened"
         if self.classes.get("fault"):
@@ -92,32 +94,32 @@ class Run:
 
     @property
     def is_determined(self) -> bool:
-        """Whether the verdict stands behind every parameter."""
+        """Whether the verdict is "determined"."""
         return bool(self.row["status"] == "determined")
 
     @property
     def wrong(self) -> tuple[Estimate, ...]:
-        """What is published and wrong."""
-        return tuple(each for each in self.estimates if each.is_wrong)
+        """Wrong estimates."""
+        return tuple(estimate for estimate in self.estimates if estimate.is_wrong)
 
     @property
     def is_silently_wrong(self) -> bool:
-        """Whether a published parameter of a determined arm is wrong."""
+        """Whether the run is determined with a wrong estimate."""
         return self.is_determined and bool(self.wrong)
 
     @property
     def is_identified(self) -> bool:
-        """Whether the arm is determined and all of it within accuracy."""
-        return self.is_determined and all(each.is_accurate for each in self.estimates)
+        """Whether the run is determined and all estimates are accurate."""
+        return self.is_determined and all(estimate.is_accurate for estimate in self.estimates)
 
     @property
     def outcome(self) -> Outcome:
-        """What became of a fault."""
+        """How the run treats its fault."""
         if self.row["status"] == "failed":
             return "refused" if self.row["exit_code"] == _REFUSED else "failed"
         suspected = set(self.row["suspected"] or ())
-        own = set(self.classes.get("fault_codes", ()))
-        if own & (suspected | set(self.row["warnings"] or ())) or (suspected and not own):
+        codes = set(self.classes.get("fault_codes", ()))
+        if codes & (suspected | set(self.row["warnings"] or ())) or (suspected and not codes):
             return "named"
         if suspected:
             return "other code"
@@ -127,82 +129,79 @@ class Run:
 
 
 def kind_of(name: str) -> str | None:
-    """What a parameter is counted under; None where it is not primary."""
+    """Group of a parameter; None if it is not primary."""
     return next((kind for start, kind in KINDS.items() if name.startswith(start)), None)
 
 
 def runs_of(rows: Iterable[Row], parameters: Iterable[Row]) -> list[Run]:
-    """Runs of virtual arms with what they published.
+    """Runs of virtual arms with their estimates, from the two tables of a store.
 
-    Parameters
-    ----------
-    rows, parameters : iterable of dict
-        Of a store's tables.
-
-    Returns
-    -------
-    list of Run
-        Each once, without those of study files.
+    Repeated rows count once; runs of study files do not count.
     """
-    own: dict[str, list[Row]] = defaultdict(list)
+    parameters_of: dict[str, list[Row]] = defaultdict(list)
     for parameter in parameters:
-        own[parameter["run"]].append(parameter)
-    found = {}
+        parameters_of[parameter["run"]].append(parameter)
+    runs = {}
     for row in rows:
-        estimates = [each for p in own[row["run"]] if (each := _estimate(p, row)) is not None]
-        known = any(p["true_value"] is not None for p in own[row["run"]])
-        if known or row["classes"] or "#" in row["study"]:
+        of_run = parameters_of[row["run"]]
+        estimates = [e for p in of_run if (e := _estimate(p, row)) is not None]
+        has_true_values = any(p["true_value"] is not None for p in of_run)
+        if has_true_values or row["classes"] or "#" in row["study"]:
             classes = json.loads(row["classes"]) if row["classes"] else {}
-            found[row["run"]] = Run(row, classes, tuple(estimates))
-    return list(found.values())
+            runs[row["run"]] = Run(row, classes, tuple(estimates))
+    return list(runs.values())
 
 
 def _estimate(p: Row, row: Row) -> Estimate | None:
-    """A primary parameter that the run calls identified; None: another, or none has a truth."""
+    """An identified primary parameter with a true value, else None."""
     kind, true = kind_of(p["name"]), p["true_value"]
     label = p["name"] if p["joint"] is None else f"{p['name']} {p['joint']}"
-    given = p["value"] is not None and p["ci95_low"] is not None
-    if kind is None or not true or not given or label not in (row["identified"] or ()):
+    has_value = p["value"] is not None and p["ci95_low"] is not None
+    if kind is None or not true or not has_value or label not in (row["identified"] or ()):
         return None
     inside = bool(p["ci95_low"] <= true <= p["ci95_high"])
     return Estimate(label, kind, abs(p["value"] / true - 1.0), inside)
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:
-    """95 % interval of a share."""
-    found = binomtest(count, total).proportion_ci(method="wilson")
-    return float(found.low), float(found.high)
+    """95 % Wilson interval of a proportion."""
+    interval = binomtest(count, total).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def tables(runs: Sequence[Run]) -> list[Table]:
     """Verdicts, coverage, faults and silent wrong answers, by what was drawn."""
     groups = [group for group in get_args(Group) if any(run.group == group for run in runs)]
-    found = [_verdicts(runs, groups), _coverage(runs, groups)]
+    summaries = [_verdicts(runs, groups), _coverage(runs, groups)]
     if "faulty" in groups:
-        found.append(_faults([run for run in runs if run.group == "faulty"]))
-    return [*found, _silent(runs, groups)]
+        summaries.append(_faults([run for run in runs if run.group == "faulty"]))
+    return [*summaries, _silent(runs, groups)]
 
 
 def _verdicts(runs: Sequence[Run], groups: Sequence[str]) -> Table:
-    table = Table("arms", "runs", "determined %", "identified within accuracy %", "s", box=None)
+    table = Table("arms", "runs", "determined %", "determined and accurate %", "s", box=None)
     for group in groups:
-        own = [run for run in runs if run.group == group]
-        seconds = np.median([run.row["seconds"] for run in own])
-        shares = [_share(run.is_determined for run in own), _share(r.is_identified for r in own)]
-        table.add_row(group, str(len(own)), *shares, f"{seconds:.1f}")
+        in_group = [run for run in runs if run.group == group]
+        seconds = np.median([run.row["seconds"] for run in in_group])
+        determined = _percent(run.is_determined for run in in_group)
+        identified = _percent(run.is_identified for run in in_group)
+        table.add_row(group, str(len(in_group)), determined, identified, f"{seconds:.1f}")
     return table
 
 
 def _coverage(runs: Sequence[Run], groups: Sequence[str]) -> Table:
-    columns = ("intervals", "inside %", "within accuracy %", "median error %")
+    columns = ("intervals", "inside %", "accurate %", "median error %")
     table = Table("arms", "parameters", *columns, box=None, title="published")
     for group in groups:
         for kind in dict.fromkeys(KINDS.values()):
-            own = [e for r in runs if r.group == group for e in r.estimates if e.kind == kind]
-            if own:
-                shares = [_share(e.inside for e in own), _share(e.is_accurate for e in own)]
-                median = f"{100.0 * np.median([e.error for e in own]):.2g}"
-                table.add_row(group, kind, str(len(own)), *shares, median)
+            estimates = [
+                e for run in runs if run.group == group for e in run.estimates if e.kind == kind
+            ]
+            if estimates:
+                inside = _percent(e.inside for e in estimates)
+                accurate = _percent(e.is_accurate for e in estimates)
+                median = f"{100.0 * np.median([e.error for e in estimates]):.2g}"
+                table.add_row(group, kind, str(len(estimates)), inside, accurate, median)
     return table
 
 
@@ -213,47 +212,47 @@ def _faults(runs: Sequence[Run]) -> Table:
         kinds[run.classes["fault"]][run.outcome] += 1
         kinds["all"][run.outcome] += 1
     for kind in [*sorted(set(kinds) - {"all"}), "all"]:
-        counts = [str(kinds[kind][each] or "") for each in OUTCOMES]
+        counts = [str(kinds[kind][outcome] or "") for outcome in OUTCOMES]
         table.add_row(kind, str(kinds[kind].total()), *counts)
     return table
 
 
-def said_of(wrong: int, runs: int, most: int) -> str:
-    """Whether a promise of so many in 1,000 is kept; of fewer runs no more than that it is not."""
+def judge_promise(wrong: int, runs: int, promised: int) -> str:
+    """Whether a promise per 1,000 runs is kept; fewer runs can only show that it is broken."""
     if runs < _PROMISED_OF:
-        return "BROKEN" if 1e3 * wilson(wrong, runs)[0] > most else "too few runs"
-    return "kept" if 1e3 * wrong <= most * runs else "BROKEN"
+        return "BROKEN" if 1e3 * wilson(wrong, runs)[0] > promised else "too few runs"
+    return "kept" if 1e3 * wrong <= promised * runs else "BROKEN"
 
 
 def _silent(runs: Sequence[Run], groups: Sequence[str]) -> Table:
-    columns = ("runs", "wrong", "in 1,000", "95 % interval", "promised")
+    columns = ("runs", "wrong", "per 1,000", "95 % interval", "promised")
     table = Table("arms", *columns, "", box=None, title="SILENT WRONG ANSWERS")
     for group in groups:
-        own = [run for run in runs if run.group == group]
-        wrong = sum(run.is_silently_wrong for run in own)
-        low, high = wilson(wrong, len(own))
-        most = next((most for name, most in PROMISED.items() if name == group), None)
-        said = "" if most is None else said_of(wrong, len(own), most)
-        promised = "" if most is None else f"at most {most}"
+        in_group = [run for run in runs if run.group == group]
+        wrong = sum(run.is_silently_wrong for run in in_group)
+        low, high = wilson(wrong, len(in_group))
+        promised = next((most for name, most in PROMISED.items() if name == group), None)
+        verdict = "" if promised is None else judge_promise(wrong, len(in_group), promised)
+        promise = "" if promised is None else f"at most {promised}"
         interval = f"{1e3 * low:.2g} to {1e3 * high:.2g}"
-        share = f"{1e3 * wrong / len(own):.2g}"
-        table.add_row(group, str(len(own)), str(wrong), share, interval, promised, said)
+        rate = f"{1e3 * wrong / len(in_group):.2g}"
+        table.add_row(group, str(len(in_group)), str(wrong), rate, interval, promise, verdict)
     return table
 
 
-def _share(of: Iterable[bool]) -> str:
-    found = list(of)
-    return f"{100.0 * np.mean(found):.1f}" if found else ""
+def _percent(flags: Iterable[bool]) -> str:
+    values = list(flags)
+    return f"{100.0 * np.mean(values):.1f}" if values else ""
 
 
 def main() -> None:
-    """Print the tables of stores, and each silent wrong answer by name."""
+    """Print the tables of stores, and each silent wrong answer."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("stores", nargs="+", metavar="STORE")
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     rows: list[Row] = []
     parameters: list[Row] = []
-    for store in chosen.stores:
+    for store in options.stores:
         rows += read_runs(store).to_pylist()
         parameters += read_parameters(store).to_pylist()
     runs = runs_of(rows, parameters)
@@ -264,9 +263,9 @@ def main() -> None:
         console.print(table)
     for run in runs:
         if run.is_silently_wrong:
-            said = ", ".join(f"{e.label} {100.0 * e.error:.1f} % off" for e in run.wrong)
+            errors = ", ".join(f"{e.label} error {100.0 * e.error:.1f} %" for e in run.wrong)
             drawn = run.classes.get("fault") or run.classes.get("effect") or "clean"
-            console.print(f"{run.row['study']} ({drawn}): {said}")
+            console.print(f"{run.row['study']} ({drawn}): {errors}")
 
 
 if __name__ == "__main__":

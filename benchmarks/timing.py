@@ -1,4 +1,4 @@
-"""Timing by the best of several runs: the least disturbed one."""
+"""Timing by the fastest, least disturbed of several runs."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from dataclasses import dataclass
 def best_of(
     work: Callable[[], object], *, repeats: int = 7, at_least: float = 0.3, at_most: float = 4.0
 ) -> float:
-    """Least time [s] that `work` took; more repeats where it is quick, fewer where it is slow."""
-    begun = time.perf_counter()
+    """Least time of `work` [s], over more repeats if it is fast and fewer if it is slow."""
+    begin = time.perf_counter()
     times: list[float] = []
     spent = 0.0
     while (len(times) < repeats or spent < at_least) and spent < at_most:
         start = time.perf_counter()
         work()
         times.append(time.perf_counter() - start)
-        spent = time.perf_counter() - begun
+        spent = time.perf_counter() - begin
     return min(times)
 
 
 @dataclass(frozen=True)
 class Row:
-    """Our time beside a peer's, for the same work, and how far either is from the truth."""
+    """Times and errors of strainwave and of a peer for the same work."""
 
     what: str
     ours: float  # [s]
     peer: str
-    peers: float | None  # [s]; None where the peer is not installed
+    peers: float | None  # [s]; None if the peer is not installed
     ours_error: float | None = None  # relative
     peers_error: float | None = None
 

@@ -1,8 +1,8 @@
-"""False alarms and delays of `strainwave trend`: `python -m benchmarks.trend`.
+"""False alarms and detection delays of `strainwave trend`: `python -m benchmarks.trend`.
 
-Healthy arms of 12 parameters with correlated scatter between visits, half of them with a
-temperature that every other parameter follows; then arms that wear after 20 healthy visits, looked
-at after each visit.
+Unchanged arms have 12 parameters with correlated scatter between visits; in half of them every
+other parameter depends on temperature. Worn arms change after 20 visits and are tested after each
+further visit.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory
 
 PARAMETERS = 12
 HEALTHY = 20  # visits before wear
-PATIENCE = 40  # visits after which a fault counts as not named
-LEVEL = 0.01
+PATIENCE = 40  # visits after which a change counts as not detected
+LEVEL = 0.01  # probability of a false alarm per arm
 
 Wear = Callable[[FloatArray], FloatArray]
-"""Visits since the fault began, from zero -> share of its full size."""
+"""Visits since the change began, from zero -> share of its full size."""
 
 
 def step(since: FloatArray) -> FloatArray:
@@ -34,24 +34,24 @@ def step(since: FloatArray) -> FloatArray:
 
 
 def ramp(since: FloatArray) -> FloatArray:
-    """The full size after ten visits, and on at the same pace."""
+    """Full size after ten visits, continuing at the same rate."""
     return np.asarray(np.maximum(since + 1.0, 0.0) / 10.0)
 
 
 CASES: list[tuple[str, float, float, float, str, Wear]] = [
-    (what, size, own, between, name, wear)
-    for what, size, own, scatters in (
+    (fault, size, std, between, name, wear)
+    for fault, size, std, scatters in (
         ("stiffness -2 %", -0.02, 0.002, (0.0, 0.002, 0.005, 0.01)),
         ("friction +10 %", 0.10, 0.003, (0.01, 0.02, 0.04)),
     )
     for between in scatters
     for name, wear in (("step", step), ("ramp over 10 visits", ramp))
 ]
-"""Fault, size, deviation of a run, deviation between visits (of the value), and how it comes."""
+"""Fault, relative size, relative std of a run and between visits, and course over the visits."""
 
 
 def healthy_arm(rng: np.random.Generator, visits: int) -> Histories:
-    """An arm that does not change."""
+    """History of an arm that does not change."""
     time = 7.0 * np.arange(visits) + rng.uniform(0.0, 2.0, visits)
     warm = rng.integers(2) == 1
     temperature = 20.0 + 5.0 * np.sin(2.0 * np.pi * time / 365.0) + rng.normal(size=visits)
@@ -59,45 +59,49 @@ def healthy_arm(rng: np.random.Generator, visits: int) -> Histories:
     mixed = rng.normal(size=(PARAMETERS, PARAMETERS)) + 2.0 * np.eye(PARAMETERS)
     common = rng.normal(size=(visits, PARAMETERS)) @ mixed.T / np.sqrt(PARAMETERS + 4.0)
     start = datetime(2026, 1, 1, tzinfo=UTC)
-    seen = tuple(Visit(f"{k}", "arm", start + timedelta(days=float(t))) for k, t in enumerate(time))
+    visit_list = tuple(
+        Visit(f"{k}", "arm", start + timedelta(days=float(t))) for k, t in enumerate(time)
+    )
     parameters = []
     for k in range(PARAMETERS):
-        between = float(rng.choice([0.0, 0.5, 2.0, 8.0]))  # runs' own deviations
+        between = float(rng.choice([0.0, 0.5, 2.0, 8.0]))  # [std of a run]
         std = np.exp(0.4 * rng.normal(size=visits))
         value = 1000.0 + between * common[:, k] + std * rng.normal(size=visits)
         if warm and k % 2:
             value -= 3.0 * temperature
         series = Series(time, value, std, covariates)
-        parameters.append(ParameterHistory(f"p{k}", None, "", "tuned", seen, series))
+        parameters.append(ParameterHistory(f"p{k}", None, "", "tuned", visit_list, series))
     return Histories(
-        (ArmHistory("arm", seen, tuple(parameters)),), ("temperature",) if warm else (), "recorded"
+        (ArmHistory("arm", visit_list, tuple(parameters)),),
+        ("temperature",) if warm else (),
+        "recorded",
     )
 
 
 def false_alarms(rng: np.random.Generator, arms: int) -> dict[int, tuple[int, int]]:
-    """Visits -> arms, and those named though they do not change."""
-    found: dict[int, tuple[int, int]] = {}
+    """Number of visits -> number of arms and of false alarms."""
+    counts: dict[int, tuple[int, int]] = {}
     for k in range(arms):
         visits = (8, 12, 20, 40)[k % 4]
-        named = trend(healthy_arm(rng, visits), LEVEL).concern
-        before = found.get(visits, (0, 0))
-        found[visits] = before[0] + 1, before[1] + named
-    return found
+        alarm = trend(healthy_arm(rng, visits), LEVEL).concern
+        n_arms, n_alarms = counts.get(visits, (0, 0))
+        counts[visits] = n_arms + 1, n_alarms + alarm
+    return counts
 
 
-def delay(rng: np.random.Generator, size: float, own: float, between: float, wear: Wear) -> int:
-    """Visits from the first with a fault until it is named; `PATIENCE` where it is not."""
+def delay(rng: np.random.Generator, size: float, run_std: float, between: float, wear: Wear) -> int:
+    """Visits from the first with a change until its detection; at most `PATIENCE`."""
     n = HEALTHY + PATIENCE
     since = np.arange(n) - HEALTHY
-    std = np.full(n, own)
+    std = np.full(n, run_std)
     value = 1.0 + size * wear(since.astype(np.float64))
-    value += between * rng.normal(size=n) + own * rng.normal(size=n)
+    value += between * rng.normal(size=n) + run_std * rng.normal(size=n)
     for visits in range(HEALTHY + 1, n):
-        seen = slice(0, visits)
+        past = slice(0, visits)
         series = Series(
             7.0 * np.arange(visits, dtype=np.float64),
-            value[seen],
-            std[seen],
+            value[past],
+            std[past],
             np.empty((visits, 0)),
         )
         change = change_of(series, rng)
@@ -111,31 +115,31 @@ def main() -> None:
     parser.add_argument("--arms", type=int, default=1000)
     parser.add_argument("--faults", type=int, default=100, help="of each case")
     parser.add_argument("--seed", type=int, default=0)
-    chosen = parser.parse_args()
-    rng = np.random.default_rng(chosen.seed)
+    options = parser.parse_args()
+    rng = np.random.default_rng(options.seed)
     console = Console()
-    table = Table("visits", "healthy arms", "named", "share [%]", box=None)
-    counted = false_alarms(rng, chosen.arms)
-    for visits, (arms, named) in counted.items():
-        table.add_row(f"{visits}", f"{arms}", f"{named}", f"{100.0 * named / arms:.2f}")
-    arms, named = (sum(each[k] for each in counted.values()) for k in (0, 1))
-    table.add_row("all", f"{arms}", f"{named}", f"{100.0 * named / arms:.2f}")
+    table = Table("visits", "unchanged arms", "alarms", "share [%]", box=None)
+    counts = false_alarms(rng, options.arms)
+    for visits, (arms, alarms) in counts.items():
+        table.add_row(f"{visits}", f"{arms}", f"{alarms}", f"{100.0 * alarms / arms:.2f}")
+    arms, alarms = (sum(pair[k] for pair in counts.values()) for k in (0, 1))
+    table.add_row("all", f"{arms}", f"{alarms}", f"{100.0 * alarms / arms:.2f}")
     console.print(table)
-    table = Table("fault", "comes as", "run [%]", "between [%]", box=None)
+    table = Table("fault", "course", "run [%]", "between [%]", box=None)
     for head in ("median delay", "90 %", f"not within {PATIENCE}"):
         table.add_column(head, justify="right")
-    for what, size, own, between, name, wear in CASES:
-        delays = [delay(rng, size, own, between, wear) for _ in range(chosen.faults)]
-        late = sum(each == PATIENCE for each in delays)
-        middle, most = np.percentile(delays, [50, 90], method="higher")
+    for fault, size, run_std, between, name, wear in CASES:
+        delays = [delay(rng, size, run_std, between, wear) for _ in range(options.faults)]
+        undetected = sum(visits == PATIENCE for visits in delays)
+        median, most = np.percentile(delays, [50, 90], method="higher")
         cells = (
-            what,
+            fault,
             name,
-            f"{100 * own:g}",
+            f"{100 * run_std:g}",
             f"{100 * between:g}",
-            f"{middle}",
+            f"{median}",
             f"{most}",
-            f"{late}",
+            f"{undetected}",
         )
         table.add_row(*cells)
     console.print(table)

@@ -6,7 +6,7 @@ Run one with `python -m benchmarks.studies.NAME`; the page next to it has the nu
 |---|---|---|
 | lab | errors of every stage on logs of known arms | docs/benchmarks.md |
 | engine | errors on drawn arms simulated in MuJoCo | README, docs/benchmarks.md |
-| coverage | coverage of 95 % intervals on drawn arms, also over a gear catalogue | docs/benchmarks.md |
+| coverage | coverage of 95 % intervals, also over a gear catalogue | docs/benchmarks.md |
 | sensors | errors and coverage with few or mixed sensors | README, docs/benchmarks.md |
 | causes | likely effects named and included by "auto" on drawn arms | docs/benchmarks.md |
 | mutated | refusals of randomly changed studies | docs/benchmarks.md |

@@ -1,9 +1,9 @@
-"""What the stages say of one another on altered logs: `python -m benchmarks.studies.agreement`.
+"""Agreement of rigid and whole-arm values: `python -m benchmarks.studies.agreement`.
 
-A slow motion and a PRBS on either joint of the built-in arm with linear gears go through
-`identify` as they are, and with something changed that no single stage knows of. Shown is how far
-the rigid and the whole-arm fit disagree, all values at once and by groups, in standard deviations
-of a normal variable that is as unlikely as the chi-square.
+`identify` runs on a motion and a PRBS per joint of the built-in arm with linear gears, unchanged
+and with an alteration that no single stage detects. Printed are chi-square tests of the
+differences, of all values and by groups, as standard deviations of a normal variable of the same
+probability.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
 
 Change = Callable[[str, str, FloatArray], FloatArray]
-"""Of an experiment's use, a channel and its samples, what stands in the altered log."""
+"""Altered samples, from an experiment's use, a channel and its samples."""
 
-_DISKS = 5
+_DISKS = 5  # payload [kg]
 _DEAD_ZONE = 0.15  # [V]
-_CLOCK = 1.01
-_STRIBECK = 0.3  # of the Coulomb friction
-_STRIBECK_VELOCITY = 3.0  # [rad/s] of the motor
+_CLOCK = 1.01  # factor of all stamps
+_STRIBECK = 0.3  # Stribeck over Coulomb friction
+_STRIBECK_VELOCITY = 3.0  # [rad/s] motor side
 
 
-def _as_it_is(_use: str, _name: str, x: FloatArray) -> FloatArray:
+def _unchanged(_use: str, _name: str, x: FloatArray) -> FloatArray:
     return x
 
 
-def _weakening(share: float) -> Change:
-    """The voltage that a motor would need whose constant falls by a share at 10 V."""
+def _falling_torque_constant(share: float) -> Change:
+    """Voltages of a motor whose torque constant falls by a share at 10 V."""
 
     def change(_use: str, name: str, x: FloatArray) -> FloatArray:
         if not name.startswith("u"):
             return x
-        slope = 0.1 * share  # v = u (1 - slope |u|) is what the arm was given
+        slope = 0.1 * share  # the arm was driven by v = u (1 - slope |u|)
         return np.asarray(np.sign(x) * (1.0 - np.sqrt(1.0 - 4.0 * slope * np.abs(x))) / (2 * slope))
 
     return change
@@ -60,29 +60,29 @@ def _fast_clock(_use: str, name: str, x: FloatArray) -> FloatArray:
     return _CLOCK * x if name == "t" else x
 
 
-def _fast_clock_of_fast_records(use: str, name: str, x: FloatArray) -> FloatArray:
+def _fast_clock_of_prbs_records(use: str, name: str, x: FloatArray) -> FloatArray:
     return x if use == "motion" else _fast_clock(use, name, x)
 
 
 CASES: dict[str, tuple[bool, Change]] = {
-    "as it is": (False, _as_it_is),
-    "motor constants fall by 10 % at 10 V": (False, _weakening(0.10)),
-    "by 5 %": (False, _weakening(0.05)),
+    "unchanged": (False, _unchanged),
+    "motor constants fall by 10 % at 10 V": (False, _falling_torque_constant(0.10)),
+    "by 5 %": (False, _falling_torque_constant(0.05)),
     "dead zone of 0.15 V": (False, _dead_zone),
-    "Stribeck friction of 0.3 of Coulomb's": (True, _as_it_is),
+    "Stribeck friction of 0.3 of Coulomb's": (True, _unchanged),
     "clock of all records 1 % fast": (False, _fast_clock),
-    "clock of the fast records 1 % fast": (False, _fast_clock_of_fast_records),
+    "clock of the PRBS records 1 % fast": (False, _fast_clock_of_prbs_records),
 }
-"""Whether the arm has Stribeck friction that its study does not name, and how logs are changed."""
+"""Whether the arm has Stribeck friction that its study does not name, and the alteration."""
 
 
-def simulated(folder: Path, seed: int, *, stribeck: bool) -> Study:
-    """The records of one arm and its study, which names no effect."""
+def simulate_arm(folder: Path, seed: int, *, stribeck: bool) -> Study:
+    """Simulate the records of one arm; its study names no effect."""
     study, values = scara.study(Path(), "linear"), scara.parameters(_DISKS, "linear")
-    kept = [e for e in study.experiments if e.use in ("motion", "frequency")]
+    experiments = [e for e in study.experiments if e.use in ("motion", "frequency")]
     short = Prbs(10, 1e-3, 1, 10.0)
-    kept = [replace(e, prbs=short) if e.use == "frequency" else e for e in kept]
-    true = study = replace(study, experiments=tuple(kept))
+    experiments = [replace(e, prbs=short) if e.use == "frequency" else e for e in experiments]
+    true = study = replace(study, experiments=tuple(experiments))
     if stribeck:
         true = replace(
             true,
@@ -98,14 +98,14 @@ def simulated(folder: Path, seed: int, *, stribeck: bool) -> Study:
     return replace(written, arm=replace(written.arm, joints=study.arm.joints))
 
 
-def altered(study: Study, change: Change) -> Identification:
-    """The whole of `identify` on a study's records, every channel and the time changed."""
+def identify_altered(study: Study, change: Change) -> Identification:
+    """Run all stages on a study's records with every channel altered."""
     with TemporaryDirectory() as folder:
         for log in read_logs(study):
             columns = {"t": log.time, **log.channels}
             use = log.experiment.use
-            changed = {name: change(use, name, x) for name, x in columns.items()}
-            write_log(Path(folder) / log.experiment.file, changed)
+            columns = {name: change(use, name, x) for name, x in columns.items()}
+            write_log(Path(folder) / log.experiment.file, columns)
         copy = replace(study, path=Path(folder) / "study.toml")
         write_study(copy, copy.path)
         return identify(copy.path)
@@ -114,21 +114,23 @@ def altered(study: Study, change: Change) -> Identification:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=3)
-    chosen = parser.parse_args()
-    table = Table("arm", "seed", "all", "inertias", "friction 1", "friction 2", "said", box=None)
+    options = parser.parse_args()
+    table = Table("arm", "seed", "all", "inertias", "friction 1", "friction 2", "status", box=None)
     for name, (stribeck, change) in CASES.items():
-        for seed in range(chosen.seeds):
+        for seed in range(options.seeds):
             with TemporaryDirectory() as folder:
-                found = altered(simulated(Path(folder), seed, stribeck=stribeck), change)
-            tests = found.tuned.agreement if found.tuned else ()
+                result = identify_altered(
+                    simulate_arm(Path(folder), seed, stribeck=stribeck), change
+                )
+            tests = result.tuned.agreement if result.tuned else ()
             cells = [f"{test.deviations:.1f}" for test in tests] or [""] * 4
-            codes = [one.code for one in found.suspected]
+            codes = [suspicion.code for suspicion in result.suspected]
             codes += [
                 w.code
-                for w in found.warnings
+                for w in result.warnings
                 if w.code == "stages-disagree" or w.code.endswith("-likely")
             ]
-            table.add_row(name, str(seed), *cells, ", ".join([found.verdict.status, *codes]))
+            table.add_row(name, str(seed), *cells, ", ".join([result.verdict.status, *codes]))
     Console(width=140).print(table)
 
 

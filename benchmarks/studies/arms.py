@@ -1,4 +1,4 @@
-"""Drawn arms, their simulated logs, and a pool of processes to try methods on them."""
+"""Draw arms at random, simulate their logs, and evaluate methods on them in a pool of processes."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from strainwave.virtual.records import Simulator
 
 Work = Callable[[Path, Values], dict[str, Any]]
 Change = Callable[[Path, Rig], None]
-"""Made of a folder with logs and study before work sees it."""
+"""Changes a folder with logs and study before the work starts."""
 
-SPREAD = 0.3  # of the logarithms of a drawn arm's parameters, up and down
-SETTLES = 2.0  # one arm in as many has friction that takes its time
+SPREAD = 0.3  # half range of the logarithms of a drawn arm's parameters
+SETTLING_SHARE = 0.5  # of the motors have a friction settling time
 SETTLING = (5e-5, 2e-4)  # [s]
 SPRINGS: tuple[Spring, ...] = ("linear", "three-slope")
 
 
-def drawn(seed: int) -> tuple[Study, Values]:
-    """An arm unlike the built-in one: payload, gears, motors and friction by chance."""
+def draw_arm(seed: int) -> tuple[Study, Values]:
+    """Draw payload, gears, motors and friction around the built-in arm."""
     rng = np.random.default_rng([2009, seed])
     spring = SPRINGS[seed % len(SPRINGS)]
     values = scara.parameters(int(rng.integers(0, scara.MOST_DISKS + 1)), spring)
@@ -42,86 +42,90 @@ def drawn(seed: int) -> tuple[Study, Values]:
         if joint is None or name == "friction_offset":
             continue
         factor = float(np.exp(rng.uniform(-SPREAD, SPREAD)))
-        if name.startswith("gear_stiffness"):  # one for all slopes, so that they still rise
+        if name.startswith("gear_stiffness"):  # one factor for all slopes, so that they still rise
             factor = gears.setdefault(joint, factor)
         values[name, joint] *= factor
     for joint in (1, 2):
         friction = values["motor_coulomb_friction", joint]
         values["friction_offset", joint] = float(rng.uniform(-0.05, 0.05)) * friction
-        if rng.uniform() * SETTLES < 1.0:
+        if rng.uniform() < SETTLING_SHARE:
             values["friction_settling_time", joint] = float(rng.uniform(*SETTLING))
     return replace(scara.study(Path(), spring), experiments=_experiments(spring)), values
 
 
-def rig(seed: int) -> Rig:
-    """The same with the built-in rig's sensors."""
-    return Rig(*drawn(seed))
+def draw_rig(seed: int) -> Rig:
+    """Draw an arm with the built-in rig's sensors."""
+    return Rig(*draw_arm(seed))
 
 
 def _experiments(spring: Spring) -> tuple[Experiment, ...]:
-    """The built-in rig's, shorter; a curve needs records of more than one amplitude."""
-    kept = []
-    for own in scara.study(Path(), spring).experiments:
-        if own.use == "frequency":
-            kept.append(replace(own, prbs=Prbs(10, 1e-3, 2, 10.0)))
+    """The built-in rig's experiments, shorter; three-slope gears need a second amplitude."""
+    experiments = []
+    for experiment in scara.study(Path(), spring).experiments:
+        if experiment.use == "frequency":
+            experiments.append(replace(experiment, prbs=Prbs(10, 1e-3, 2, 10.0)))
             if spring == "three-slope":
-                name = f"sweep-j{own.joint}"
-                small = replace(own, name=name, file=f"{name}.parquet", use="sweep")
-                kept.append(replace(small, prbs=Prbs(10, 1e-3, 2, 4.0)))
-        elif own.use != "check":
-            kept.append(own)
-    return tuple(kept)
+                name = f"sweep-j{experiment.joint}"
+                sweep = replace(experiment, name=name, file=f"{name}.parquet", use="sweep")
+                experiments.append(replace(sweep, prbs=Prbs(10, 1e-3, 2, 4.0)))
+        elif experiment.use != "check":
+            experiments.append(experiment)
+    return tuple(experiments)
 
 
-def with_logs(
+def run_on_logs(
     seed: int,
     work: Work,
-    arm: Callable[[int], Rig] = rig,
+    arm: Callable[[int], Rig] = draw_rig,
     simulator: Simulator = simulate,
     change: Change = lambda folder, rig: None,
 ) -> dict[str, Any]:
-    """What `work` finds of a drawn arm's study file and its truth; failures are found as well."""
-    own = arm(seed)
-    study, values = own.study, own.values
+    """Simulate an arm's logs and call `work` with its study file and true values.
+
+    A failure is returned as a result.
+    """
+    rig = arm(seed)
+    study, values = rig.study, rig.values
     with TemporaryDirectory() as folder:
         simulate_study(
             study,
             values,
             Path(folder),
             seed=seed,
-            noise=own.noise,
+            noise=rig.noise,
             as_recorded=False,
-            sample_time=own.sample_time,
+            sample_time=rig.sample_time,
             simulator=simulator,
         )
-        change(Path(folder), own)
+        change(Path(folder), rig)
         try:
-            found = work(Path(folder) / "study.toml", values)
-        except Exception as failure:  # a study reports, it does not stop
-            found = {"failure": f"{type(failure).__name__}: {failure}"}
+            result = work(Path(folder) / "study.toml", values)
+        except Exception as failure:  # counted, so that the other arms run
+            result = {"failure": f"{type(failure).__name__}: {failure}"}
     spring = study.arm.joints[0].spring
-    return {"seed": seed, "spring": spring, "classes": own.classes, **found}
+    return {"seed": seed, "spring": spring, "classes": rig.classes, **result}
 
 
-def each(
+def run_all(
     n_arms: int,
-    found_by: Callable[[int], dict[str, Any]],
+    evaluate: Callable[[int], dict[str, Any]],
     out: Path | None,
     at_once: int | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Every drawn arm's findings as they come, one process a core; kept as lines of JSON.
+    """Results of all arms in order, one process per core.
 
-    `found_by` is `with_logs` for some work, and takes an arm's seed.
+    `evaluate` takes an arm's seed. With `out`, results are kept as lines of JSON, and seeds in that
+    file are not evaluated again.
     """
     lines = out.read_text().splitlines() if out is not None and out.exists() else []
-    before = [json.loads(line) for line in lines]
-    yield from before
-    done = {found["seed"] for found in before}
-    left = [seed for seed in range(n_arms) if seed not in done]
+    recorded = [json.loads(line) for line in lines]
+    yield from recorded
+    done = {result["seed"] for result in recorded}
+    remaining = [seed for seed in range(n_arms) if seed not in done]
     os.environ |= {"OPENBLAS_NUM_THREADS": "1"}
     with ProcessPoolExecutor(at_once or os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        for found in pool.map(found_by, left):
+        for result in pool.map(evaluate, remaining):
             if out is not None:
                 with out.open("a") as file:
-                    file.write(json.dumps(found) + "\n")
-            yield found
+                    file.write(json.dumps(result) + "\n")
+            yield result

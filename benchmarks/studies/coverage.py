@@ -1,8 +1,7 @@
-"""How often 95 % intervals hold the truth: `python -m benchmarks.studies.coverage --arms 500`.
+"""Coverage of 95 % intervals: `python -m benchmarks.studies.coverage --arms 500`.
 
-Every arm goes through the whole of `identify`, from logs to the whole-arm fit. With `--catalogue`
-arms are drawn over a gear catalogue, and counted by class, for the whole-arm fit and for the
-decoupled stage; `--engine` lets MuJoCo move them.
+All stages of `identify` run on every drawn arm. `--catalogue` draws arms over a gear catalogue;
+`--engine` simulates them in MuJoCo. Tables count intervals by parameter and by class of arm.
 """
 
 from __future__ import annotations
@@ -18,20 +17,24 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies.arms import each, rig, with_logs
+from benchmarks.studies import arms
+from benchmarks.studies.arms import run_all, run_on_logs
 from strainwave.domain import Parameter
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import simulate
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.catalogue import drawn as of_catalogue
+from strainwave.virtual.families import catalogue as gear_catalogue
 from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.records import Simulator
 
 EXACT_STEP = 4e-6
-"""[s] Of a truth: at 300 Hz the sensors' filters are wrong by 5e-6, below any deviation."""
-_NOMINAL = {"scale": 1.0}  # of link sensors; a delay is zero, and so is what was not drawn
+"""Time step of the simulated logs [s].
+
+The relative error of a sensor filter at 300 Hz is 5e-6, below any standard deviation.
+"""
+_NOMINAL = {"scale": 1.0}  # of link sensors; delays and parameters that are not drawn are zero
 _KINDS = {
     "inertia": "inertias",
     "alpha": "inertias",
@@ -46,45 +49,39 @@ _KINDS = {
     "offset": "friction offset",
     "settling": "settling time",
 }
-"""What parameters are counted under, by what their names hold; the first that fits."""
-OF_THE_ENGINE = "friction_settling_time"  # one or two of its steps, which no parameter says
+"""Group of a parameter by a part of its name; the first match counts."""
+ENGINE_PARAMETER = "friction_settling_time"  # MuJoCo has one or two of its steps, not this value
 
 
-def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]:
-    """Errors in deviations, relative deviations and coverage of every parameter.
+def evaluate(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]:
+    """Normalised errors, relative standard deviations and coverage of every parameter.
 
-    How long an engine's friction takes to stop a motor is no parameter, and is left out.
+    Friction settling times of MuJoCo are not counted.
     """
     identification = identify(path)
     tuned = identification.tuned
     if tuned is None:
-        suspected = [one.code for one in identification.suspected]
+        suspected = [suspicion.code for suspicion in identification.suspected]
         return {"failure": f"no whole-arm fit; suspected: {suspected}"}
-    known = derived(values, read_study(path).arm)
-    left_out = [
-        [name, joint]
-        for (name, joint), true in values.items()
-        if name == "friction_settling_time" and true and tuned.values.get((name, joint)) == 0.0
-    ]
+    true_values = derived(values, read_study(path).arm)
     decoupled = [p for joint in identification.joints for p in joint.parameters]
     return {
         "status": tuned.status,
-        "parameters": rows_of(
-            [p for p in tuned.parameters if not (engine and p.name == OF_THE_ENGINE)], known
+        "parameters": error_rows(
+            [p for p in tuned.parameters if not (engine and p.name == ENGINE_PARAMETER)],
+            true_values,
         ),
-        "decoupled": rows_of([p for p in decoupled if (p.name, p.joint) in known], known),
-        "left_out": left_out,
+        "decoupled": error_rows(
+            [p for p in decoupled if (p.name, p.joint) in true_values], true_values
+        ),
     }
 
 
-def rows_of(parameters: Sequence[Parameter], known: Values) -> list[list[Any]]:
-    """Name, joint, error and deviation, and whether the interval holds the truth, of each.
-
-    One stiffness for a curve has no truth.
-    """
+def error_rows(parameters: Sequence[Parameter], true_values: Values) -> list[list[Any]]:
+    """Name, joint, error over std, relative std, and whether the interval has the true value."""
     rows: list[list[Any]] = []
     for p in parameters:
-        true = known.get((p.name, p.joint), _NOMINAL.get(p.name.rsplit("_", 1)[-1], 0.0))
+        true = true_values.get((p.name, p.joint), _NOMINAL.get(p.name.rsplit("_", 1)[-1], 0.0))
         if p.value is None or p.std is None or p.ci95 is None:
             rows.append([p.name, p.joint, None, None, None])
             continue
@@ -94,61 +91,61 @@ def rows_of(parameters: Sequence[Parameter], known: Values) -> list[list[Any]]:
     return rows
 
 
-def by_class(found: Sequence[dict[str, Any]], key: str) -> Table:
-    """Shares of intervals that hold the truth, by kinds of parameters and classes of arms."""
-    held: dict[tuple[str, str], list[bool]] = defaultdict(list)
-    arms: dict[tuple[str, str], int] = defaultdict(int)
-    for one in found:
-        for place in [("all", ""), *one["classes"].items()]:
-            held[place] += [row[4] for row in one[key] if row[4] is not None]
-            arms[place] += 1
-        kinds = {kind_of(row[0]) for row in one[key]}
+def coverage_by_class(results: Sequence[dict[str, Any]], key: str) -> Table:
+    """Coverage by kind of parameter and by class of arm."""
+    coverage: dict[tuple[str, str], list[bool]] = defaultdict(list)
+    n_arms: dict[tuple[str, str], int] = defaultdict(int)
+    for result in results:
+        for group in [("all", ""), *result["classes"].items()]:
+            coverage[group] += [row[4] for row in result[key] if row[4] is not None]
+            n_arms[group] += 1
+        kinds = {parameter_kind(row[0]) for row in result[key]}
         for kind in kinds:
-            of_kind = [row for row in one[key] if kind_of(row[0]) == kind]
-            held["parameter", kind] += [row[4] for row in of_kind if row[4] is not None]
-            arms["parameter", kind] += 1
+            rows = [row for row in result[key] if parameter_kind(row[0]) == kind]
+            coverage["parameter", kind] += [row[4] for row in rows if row[4] is not None]
+            n_arms["parameter", kind] += 1
     table = Table("class", "", "arms", "intervals", "inside %", box=None, title=key)
-    for (kind, name), inside in sorted(held.items()):
+    for (kind, name), inside in sorted(coverage.items()):
         share = f"{100.0 * np.mean(inside):.1f}" if inside else ""
-        table.add_row(kind, name, str(arms[kind, name]), str(len(inside)), share)
+        table.add_row(kind, name, str(n_arms[kind, name]), str(len(inside)), share)
     return table
 
 
-def kind_of(name: str) -> str:
-    """What a parameter is counted under."""
+def parameter_kind(name: str) -> str:
+    """Group of a parameter in the tables."""
     return next((kind for part, kind in _KINDS.items() if part in name), "link sensors")
 
 
-def drawn_rig(seed: int, series: int, *, catalogue: bool) -> Rig:
-    """The arm of a seed: of the catalogue, or one like the built-in rig's."""
-    return of_catalogue(seed, series) if catalogue else rig(seed)
+def draw_rig(seed: int, series: int, *, catalogue: bool) -> Rig:
+    """Draw an arm over the gear catalogue, or around the built-in arm."""
+    return gear_catalogue.drawn(seed, series) if catalogue else arms.draw_rig(seed)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--arms", type=int, default=500)
     parser.add_argument("--catalogue", action="store_true", help="arms over a gear catalogue")
-    parser.add_argument("--seed", type=int, default=0, help="of the catalogue's series of arms")
-    parser.add_argument("--engine", action="store_true", help="let MuJoCo move the arms")
-    parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
-    chosen = parser.parse_args()
+    parser.add_argument("--seed", type=int, default=0, help="series of the catalogue's arms")
+    parser.add_argument("--engine", action="store_true", help="simulate in MuJoCo")
+    parser.add_argument("--out", type=Path, help="lines of JSON; a repeated run continues")
+    options = parser.parse_args()
     by_name: dict[str, list[list[Any]]] = defaultdict(list)
     failures: list[dict[str, Any]] = []
     statuses: dict[str, int] = defaultdict(int)
     simulator: Simulator = partial(simulate, longest=EXACT_STEP)
-    if chosen.engine:
+    if options.engine:
         from benchmarks.studies.engine import in_mujoco as simulator
-    arm = partial(drawn_rig, series=chosen.seed, catalogue=chosen.catalogue)
-    errors = partial(tried, engine=chosen.engine)
-    work = partial(with_logs, work=errors, arm=arm, simulator=simulator)
-    answered = []
-    for found in each(chosen.arms, work, chosen.out):
-        if "failure" in found:
-            failures.append(found)
+    arm = partial(draw_rig, series=options.seed, catalogue=options.catalogue)
+    errors = partial(evaluate, engine=options.engine)
+    work = partial(run_on_logs, work=errors, arm=arm, simulator=simulator)
+    results = []
+    for result in run_all(options.arms, work, options.out):
+        if "failure" in result:
+            failures.append(result)
             continue
-        answered.append(found)
-        statuses[found["status"]] += 1
-        for name, joint, *row in found["parameters"]:
+        results.append(result)
+        statuses[result["status"]] += 1
+        for name, joint, *row in result["parameters"]:
             by_name[name if joint is None else f"{name} {joint}"].append(row)
     table = Table("parameter", "identified", "inside %", "rms error/std", "median std %", box=None)
     for name, rows in by_name.items():
@@ -162,7 +159,7 @@ def main() -> None:
     console = Console()
     console.print(table)
     for key in ("parameters", "decoupled"):
-        console.print(by_class(answered, key))
+        console.print(coverage_by_class(results, key))
     console.print(f"{dict(statuses)}, {len(failures)} failures")
     for failure in failures:
         console.print(f"arm {failure['seed']}: {failure['failure']}")

@@ -1,9 +1,9 @@
-"""Errors on drawn arms whose logs MuJoCo made: `python -m benchmarks.studies.engine --arms 12`.
+"""Errors on drawn arms simulated in MuJoCo: `python -m benchmarks.studies.engine --arms 12`.
 
-Nothing of a log is ours but the excitation and the noise: motion and friction are MuJoCo's, in
-steps a fifth of the samples', filters are SciPy's; current loop, servo and encoder are below.
-MuJoCo's own first-order actuators lag half a step too much, and its friction takes two steps to
-stop a motor.
+Of a log only excitation and noise come from strainwave. MuJoCo computes motion and friction in
+steps of a fifth of the sampling period, SciPy the filters; current loop, servo and encoder are in
+this module. MuJoCo's own first-order actuators lag half a step too much, and its friction takes
+two steps to stop a motor.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
-from benchmarks.studies.arms import drawn, each, with_logs
+from benchmarks.studies.arms import draw_arm, run_all, run_on_logs
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
@@ -34,33 +34,33 @@ from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
 from strainwave.virtual.families.rigs import Rig
 
-STEP = 5e-5  # [s] of the engine
+STEP = 5e-5  # [s] time step of MuJoCo
 
 
 class Plant:
-    """An arm of the engine; what has more to it than the exported model overrides this."""
+    """An arm in MuJoCo; arms that differ from the exported model override its methods."""
 
     def __init__(self, arm: Arm, values: Values) -> None:
         self.arm, self.values = arm, values
 
     def edited(self, mjcf: str) -> str:
-        """The model's XML."""
+        """Change the model's XML."""
         return mjcf
 
     def begin(self, model: Any, data: Any, drive: Drive) -> None:
-        """Before the first step: links hang at standstill on their gears."""
+        """Set the initial state: links at standstill on their gears."""
         _hang(self.arm, self.values, drive, data)
 
     def bandwidths(self) -> list[float]:
-        """Of the joints' current loops [Hz]; infinite where a current is there at once."""
+        """Bandwidths of the current loops [Hz]; infinite without one."""
         return [joint.current_loop_hz or np.inf for joint in self.arm.joints]
 
     def amplified(self, commanded: FloatArray) -> FloatArray:
-        """The voltage that drives the motors."""
+        """Output of the amplifiers [V]."""
         return commanded
 
     def act(self, model: Any, data: Any) -> None:
-        """Torques and friction that hold for the next step."""
+        """Set torques and friction for the next step."""
 
 
 def in_mujoco(
@@ -73,55 +73,55 @@ def in_mujoco(
     record: Sequence[Quantity],
     plant: Callable[[Arm, Values], Plant] = Plant,
 ) -> Trajectory:
-    """One experiment, as `strainwave.dynamics.simulation.simulate` runs it."""
-    own = plant(arm, values)
-    model = _model(arm, values, own)
+    """Simulate one experiment, with the interface of `strainwave.dynamics.simulation.simulate`."""
+    simulated = plant(arm, values)
+    model = _model(arm, values, simulated)
     data = mujoco.MjData(model)
     joints = range(1, arm.n_joints + 1)
-    own.begin(model, data, drive)
+    simulated.begin(model, data, drive)
     per_tick, per_sample = round(drive.tick / STEP), round(sample_time / STEP)
     n = (samples - 1) * per_sample + 1
-    servo, current = _Servo(arm, drive), _CurrentLoop(own, drive)
-    seen = np.empty((n, model.nsensordata))
+    servo, current = _Servo(arm, drive), _CurrentLoop(simulated, drive)
+    sensor_data = np.empty((n, model.nsensordata))
     voltage = np.empty((n, arm.n_joints))
     motors = [model.joint(f"motor_joint{i}").qposadr[0] for i in joints]
     for k in range(n):
         if k % per_tick == 0:
             commanded = servo.command(k // per_tick, data.qpos[motors])
         voltage[k] = commanded
-        data.ctrl[:] = current.over_step(own.amplified(commanded))
-        own.act(model, data)
-        mujoco.mj_step(model, data)  # leaves the sensors as they were before it
-        seen[k] = data.sensordata
-    if not np.all(np.isfinite(seen)):
+        data.ctrl[:] = current.over_step(simulated.amplified(commanded))
+        simulated.act(model, data)
+        mujoco.mj_step(model, data)  # sensor data are those before the step
+        sensor_data[k] = data.sensordata
+    if not np.all(np.isfinite(sensor_data)):
         raise FloatingPointError("MuJoCo diverged")
 
-    def sensed(name: str, component: int) -> FloatArray:
-        at = [model.sensor(f"{name}{i}").adr[0] + component for i in joints]
-        return np.asarray(seen[:, at])
+    def sensor(name: str, component: int) -> FloatArray:
+        columns = [model.sensor(f"{name}{i}").adr[0] + component for i in joints]
+        return np.asarray(sensor_data[:, columns])
 
-    made: dict[Quantity, Callable[[], FloatArray]] = {
+    quantities: dict[Quantity, Callable[[], FloatArray]] = {
         "voltage": lambda: voltage,
-        "link_angle": lambda: sensed("theta_l", 0),
-        "encoder": lambda: _rounded(sensed("theta_m", 0), arm.joints),
-        "accelerometer": lambda: _filtered(
-            sensed("a", 1), 2, [j.accelerometer_hz for j in arm.joints]
+        "link_angle": lambda: sensor("theta_l", 0),
+        "encoder": lambda: _quantise(sensor("theta_m", 0), arm.joints),
+        "accelerometer": lambda: _filter(
+            sensor("a", 1), 2, [j.accelerometer_hz for j in arm.joints]
         ),
-        "gyro": lambda: _filtered(sensed("gyro", 2), 1, [j.gyro_hz for j in arm.joints]),
+        "gyro": lambda: _filter(sensor("gyro", 2), 1, [j.gyro_hz for j in arm.joints]),
     }
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
-    return Trajectory(time, {name: made[name]()[::per_sample] for name in record})
+    return Trajectory(time, {name: quantities[name]()[::per_sample] for name in record})
 
 
-def _model(arm: Arm, values: Values, own: Plant) -> Any:
+def _model(arm: Arm, values: Values, plant: Plant) -> Any:
     parameters = tuple(
         Parameter(name, joint, value, 0.0, "1", "truth") for (name, joint), value in values.items()
     )
-    # currents are followed here
+    # _CurrentLoop simulates the current loops
     joints = tuple(replace(joint, current_loop_hz=None) for joint in arm.joints)
     study = Study(arm=arm.with_joints(joints), experiments=())
     text = to_mjcf(IdentifiedArm(study, parameters, "truth")).data.decode()
-    model = mujoco.MjModel.from_xml_string(own.edited(text))
+    model = mujoco.MjModel.from_xml_string(plant.edited(text))
     model.opt.timestep = STEP
     for i in range(1, arm.n_joints + 1):
         at = model.joint(f"motor_joint{i}").dofadr[0]
@@ -130,12 +130,12 @@ def _model(arm: Arm, values: Values, own: Plant) -> Any:
 
 
 def settling(values: Values, joint: int) -> float:
-    """How long friction takes to stop a motor [s]: the engine needs a step at least."""
+    """Friction settling time [s], at least a step of MuJoCo."""
     return max(values.get(("friction_settling_time", joint), 0.0), STEP)
 
 
 def _hang(arm: Arm, values: Values, drive: Drive, data: Any) -> None:
-    """Links at standstill on their gears, of linear stiffness where gravity pulls."""
+    """Set links to standstill on their gears; under gravity, gears are linear."""
     motor = np.array(drive.motor_angle)
     unloaded = motor * [joint.gear_ratio for joint in arm.joints]
     link = unloaded
@@ -150,17 +150,17 @@ def _hang(arm: Arm, values: Values, drive: Drive, data: Any) -> None:
 
 
 class _CurrentLoop:
-    """Voltages that would bring a current at once where the loop's own lags."""
+    """Equivalent voltages of first-order current loops."""
 
     def __init__(self, plant: Plant, drive: Drive) -> None:
         x = 2.0 * np.pi * np.array(plant.bandwidths()) * STEP
-        self.left, self.mean = np.exp(-x), -np.expm1(-x) / x
-        self.now = np.array(drive.initial_voltage)
+        self.decay, self.mean = np.exp(-x), -np.expm1(-x) / x
+        self.state = np.array(drive.initial_voltage)
 
     def over_step(self, voltage: FloatArray) -> FloatArray:
-        """Their mean over the engine's next step."""
-        distance = self.now - voltage
-        self.now = voltage + self.left * distance
+        """Mean over the next step of MuJoCo."""
+        distance = self.state - voltage
+        self.state = voltage + self.decay * distance
         return np.asarray(voltage + self.mean * distance)
 
 
@@ -169,9 +169,9 @@ class _Servo:
 
     def __init__(self, arm: Arm, drive: Drive) -> None:
         self.arm, self.drive = arm, drive
-        self.last = _rounded(np.array([drive.motor_angle]), arm.joints)[0]
+        self.previous = _quantise(np.array([drive.motor_angle]), arm.joints)[0]
         ki = np.array(arm.servo.ki) if arm.servo else np.ones(arm.n_joints)
-        # what holds the arm at the start is in the integral
+        # the integral holds the arm at the start
         self.integral = np.where(drive.servo, drive.initial_voltage / ki, 0.0)
 
     def command(self, tick: int, angle: FloatArray) -> FloatArray:
@@ -180,35 +180,35 @@ class _Servo:
         servo = self.arm.servo
         if servo is None:
             return voltage
-        encoder = _rounded(angle[None], self.arm.joints)[0]
-        error = self.drive.reference[tick] - (encoder - self.last) / servo.period
-        self.last = encoder
+        encoder = _quantise(angle[None], self.arm.joints)[0]
+        error = self.drive.reference[tick] - (encoder - self.previous) / servo.period
+        self.previous = encoder
         integral = self.integral + error * servo.period
-        wanted = voltage + servo.kp * error + servo.ki * integral
-        limited = np.abs(wanted) > servo.limit
-        self.integral = np.where(limited, self.integral, integral)
-        limited_to = np.clip(wanted, -servo.limit, servo.limit)
-        return np.asarray(np.where(self.drive.servo, limited_to, voltage))
+        unlimited = voltage + servo.kp * error + servo.ki * integral
+        is_limited = np.abs(unlimited) > servo.limit
+        self.integral = np.where(is_limited, self.integral, integral)
+        limited = np.clip(unlimited, -servo.limit, servo.limit)
+        return np.asarray(np.where(self.drive.servo, limited, voltage))
 
 
-def _rounded(angle: FloatArray, joints: Sequence[Joint]) -> FloatArray:
+def _quantise(angle: FloatArray, joints: Sequence[Joint]) -> FloatArray:
     count = 2.0 * np.pi / np.array([joint.encoder_counts or np.inf for joint in joints])
     return np.asarray(count * np.round(angle / count))
 
 
-def _filtered(x: FloatArray, order: int, bandwidths: Sequence[float | None]) -> FloatArray:
-    """Behind continuous filters, signals being straight lines between the engine's steps.
+def _filter(x: FloatArray, order: int, bandwidths: Sequence[float | None]) -> FloatArray:
+    """Apply continuous Butterworth filters to signals joined by straight lines between steps.
 
-    A bilinear one of 1 kHz would be 2 us late, ten times what a good encoder's records see.
+    A bilinear filter of 1 kHz would be 2 us late, ten times the resolution of good records.
     """
-    found = x.copy()
+    filtered = x.copy()
     for i, hz in enumerate(bandwidths):
         if hz:
             analog = butter(order, 2.0 * np.pi * hz, analog=True)
             numerator, a, _ = cont2discrete(analog, STEP, method="foh")
             b = np.ravel(numerator)
-            found[:, i] = lfilter(b, a, x[:, i], zi=lfilter_zi(b, a) * x[0, i])[0]
-    return found
+            filtered[:, i] = lfilter(b, a, x[:, i], zi=lfilter_zi(b, a) * x[0, i])[0]
+    return filtered
 
 
 KINDS = ("linear", "three-slope", "vertical")
@@ -220,16 +220,16 @@ LIMITS = {
     "Coulomb friction": (0.3, 0.3, 0.5),
     "total viscous friction": (2.0, 2.0, 2.0),
 }
-"""Largest errors [%] that are asked for, kind by kind of `KINDS`."""
-_AMPLITUDES = (2.0, 3.0, 4.0, 6.0, 8.0)  # [V] of the records that show a curve
+"""Largest permitted errors [%], for each of `KINDS`."""
+_AMPLITUDES = (2.0, 3.0, 4.0, 6.0, 8.0)  # [V] of the sweep records of three-slope gears
 _GRAVITY = 9.81  # [m/s^2]
-_LEVER = (2.5, 3.5)  # [kg m] of the whole arm's mass about the first axis
+_FIRST_MOMENT = (2.5, 3.5)  # [kg m] of the whole arm about the first axis
 
 
 def lab_arm(seed: int) -> tuple[Study, Values]:
-    """A drawn arm with the experiments of a whole lab: linear, three slopes, upright in turn."""
+    """Draw an arm with a full set of experiments: linear, three-slope, vertical in turn."""
     kind = KINDS[seed % len(KINDS)]
-    study, values = drawn(2 * seed + (kind == "three-slope"))
+    study, values = draw_arm(2 * seed + (kind == "three-slope"))
     free: tuple[Control, Control] = ("open", "open")
     held: dict[int, tuple[Control, Control]] = {1: ("open", "servo"), 2: ("servo", "open")}
     both: tuple[Control, Control] = ("servo", "servo")
@@ -237,8 +237,8 @@ def lab_arm(seed: int) -> tuple[Study, Values]:
 
     def record(name: str, use: Use, j: int, volt: float, control: tuple[Control, Control]) -> None:
         prbs = Prbs(10, 1e-3, 4, volt)
-        own = Experiment(f"{name}-j{j}", f"{name}-j{j}.parquet", use, control, joint=j, prbs=prbs)
-        experiments.append(own)
+        name = f"{name}-j{j}"
+        experiments.append(Experiment(name, f"{name}.parquet", use, control, joint=j, prbs=prbs))
 
     for j in (1, 2):
         if kind == "vertical":
@@ -250,30 +250,30 @@ def lab_arm(seed: int) -> tuple[Study, Values]:
             record(f"sweep-{volt:g}V", "sweep", j, volt, free)
     if kind == "vertical":
         study = replace(study, arm=replace(study.arm, gravity=_GRAVITY))
-        lever = float(np.random.default_rng([1986, seed]).uniform(*_LEVER))
-        values["gravity_torque_1", None] = _GRAVITY * lever
+        first_moment = float(np.random.default_rng([1986, seed]).uniform(*_FIRST_MOMENT))
+        values["gravity_torque_1", None] = _GRAVITY * first_moment
         values["gravity_torque_2", None] = _GRAVITY * values["gamma", None] / scara.LINK_LENGTH[0]
     return replace(study, experiments=tuple(experiments)), values
 
 
 def lab_rig(seed: int) -> Rig:
-    """The same with the built-in rig's sensors."""
+    """Draw such an arm with the built-in rig's sensors."""
     return Rig(*lab_arm(seed))
 
 
-def tried(path: Path, values: Values) -> dict[str, Any]:
-    """Errors [%] and deviations [%] of what the whole-arm fit reported."""
+def evaluate(path: Path, values: Values) -> dict[str, Any]:
+    """Errors [%] and standard deviations [%] of the whole-arm fit."""
     identification = identify(path)
     tuned = identification.tuned
     if tuned is None:
         return {"failure": identification.reason}
     study = read_study(path)
-    known = derived(values, study.arm)
+    true_values = derived(values, study.arm)
     for joint in range(1, study.arm.n_joints + 1):
-        known["friction_settling_time", joint] = settling(values, joint)
+        true_values["friction_settling_time", joint] = settling(values, joint)
     rows = []
     for p in tuned.parameters:
-        true = known.get((p.name, p.joint), 0.0)
+        true = true_values.get((p.name, p.joint), 0.0)
         if p.value is None or p.std is None or p.ci95 is None:
             continue
         size = 0.01 * (abs(true) or 1.0)
@@ -284,7 +284,7 @@ def tried(path: Path, values: Values) -> dict[str, Any]:
 
 
 def group(name: str) -> str | None:
-    """Which of `LIMITS` a parameter falls under."""
+    """Entry of `LIMITS` of a parameter."""
     if name in ("alpha", "beta", "gamma") or name.endswith("inertia"):
         return "inertias"
     starts = {
@@ -294,31 +294,31 @@ def group(name: str) -> str | None:
         "motor_coulomb": "Coulomb friction",
         "total_viscous": "total viscous friction",
     }
-    return next((own for start, own in starts.items() if name.startswith(start)), None)
+    return next((kind for start, kind in starts.items() if name.startswith(start)), None)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--arms", type=int, default=12)
-    parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
-    chosen = parser.parse_args()
+    parser.add_argument("--out", type=Path, help="lines of JSON; a repeated run continues")
+    options = parser.parse_args()
     console = Console()
     table = Table("arm", "kind", *LIMITS, "inside", "status", box=None)
-    work = partial(with_logs, work=tried, arm=lab_rig, simulator=in_mujoco)
-    for found in each(chosen.arms, work, chosen.out):
-        place = found["seed"] % len(KINDS)
-        if "failure" in found:
-            console.print(f"arm {found['seed']}, {KINDS[place]}: {found['failure']}")
+    work = partial(run_on_logs, work=evaluate, arm=lab_rig, simulator=in_mujoco)
+    for result in run_all(options.arms, work, options.out):
+        kind = result["seed"] % len(KINDS)
+        if "failure" in result:
+            console.print(f"arm {result['seed']}, {KINDS[kind]}: {result['failure']}")
             continue
-        worst: dict[str, float] = {}
-        for name, _, error, _, _ in found["parameters"]:
-            own = group(name)
-            if own is not None:
-                worst[own] = max(worst.get(own, 0.0), abs(error))
-        cells = [_cell(worst.get(name), limits[place]) for name, limits in LIMITS.items()]
-        inside = [row[4] for row in found["parameters"]]
+        largest: dict[str, float] = {}
+        for name, _, error, _, _ in result["parameters"]:
+            row = group(name)
+            if row is not None:
+                largest[row] = max(largest.get(row, 0.0), abs(error))
+        cells = [_cell(largest.get(name), limits[kind]) for name, limits in LIMITS.items()]
+        inside = [parameter[4] for parameter in result["parameters"]]
         share = f"{sum(inside)}/{len(inside)}"
-        table.add_row(str(found["seed"]), KINDS[place], *cells, share, found["status"])
+        table.add_row(str(result["seed"]), KINDS[kind], *cells, share, result["status"])
     console.print(table)
 
 

@@ -1,10 +1,10 @@
-"""Wrong input on drawn arms: `python -m benchmarks.studies.faults --arms 12 --faults 6`.
+"""Input faults on drawn arms: `python -m benchmarks.studies.faults --arms 12 --faults 6`.
 
-Each arm is simulated once. Then faults are drawn, kind and size, and put one at a time into its
-logs or its study; every one goes through `identify` as a user's would. A fault is *named* where the
-run says so with the right code, *refused* where it ends at once with a message, *harmless* where
-nothing is said and every value published is within `_HARMLESS` of the truth or its interval holds
-it, and *silent* otherwise. Arms without a fault count too: there every finding is a false alarm.
+Each arm is simulated once. Faults of drawn kind and size are put into its logs or study one at a
+time, and `identify` runs on each. A fault is *named* if the run reports its code, *refused* if it
+ends with a message, *harmless* if nothing is reported and every value is within `_MAX_HARMLESS` of
+the true value or its interval contains it, and *silent* otherwise. Each arm is also identified
+without a fault; any suspicion is then a false alarm.
 """
 
 from __future__ import annotations
@@ -28,95 +28,99 @@ from strainwave.virtual.experiments import derived
 from strainwave.virtual.families import catalogue
 from strainwave.virtual.families.input_faults import Fault, drawn_faults
 
-_HARMLESS = 0.03  # of a value
-_SOURCES = {"rig": arms.rig, "catalogue": catalogue.drawn}
+_MAX_HARMLESS = 0.03  # relative error of a value
+_SOURCES = {"rig": arms.draw_rig, "catalogue": catalogue.drawn}
 
 
-def tried(n_faults: int, seed: int, stages: tuple[str, ...], path: Path, values: Values) -> Any:
-    """What `identify` says of one arm without a fault, and with each of some drawn ones."""
+def evaluate(n_faults: int, seed: int, stages: tuple[str, ...], path: Path, values: Values) -> Any:
+    """Outcomes of `identify` for one arm, without a fault and with each of the drawn faults."""
     study = read_study(path)
     logs = read_logs(study)
-    truth = derived(values, study.arm)
+    true_values = derived(values, study.arm)
     faults = [Fault("none", "", (), logs, study)]
     rng = np.random.default_rng([seed, len(logs[0]), int(1e6 * values["alpha", None])])
     for fault, _ in zip(drawn_faults(logs, study, rng), range(n_faults), strict=False):
         faults.append(fault)
-    return {"faults": [_outcome(path.parent, fault, truth, stages) for fault in faults]}
+    return {"faults": [_outcome(path.parent, fault, true_values, stages) for fault in faults]}
 
 
-def _outcome(folder: Path, fault: Fault, truth: Values, stages: tuple[str, ...]) -> dict[str, Any]:
+def _outcome(
+    folder: Path, fault: Fault, true_values: Values, stages: tuple[str, ...]
+) -> dict[str, Any]:
     for log in fault.logs:
         write_log(folder / log.experiment.file, {"t": log.time, **log.channels})
     path = folder / "study-with-fault.toml"
     write_study(fault.study, path)
-    said: dict[str, Any] = {"kind": fault.kind, "size": fault.size}
+    head: dict[str, Any] = {"kind": fault.kind, "size": fault.size}
     try:
-        found = identify(path, stages=stages)
+        result = identify(path, stages=stages)
     except InvalidInput as refusal:
-        return said | {"class": "refused", "codes": [], "status": str(refusal)[-160:]}
+        return head | {"class": "refused", "codes": [], "status": str(refusal)[-160:]}
     except Exception as failure:
-        return said | {"class": "traceback", "codes": [], "status": f"{type(failure).__name__}"}
-    codes = [each.code for each in found.suspected]
-    worst, of = _worst(found.verdict.identified, found.parameters, truth)
+        return head | {"class": "traceback", "codes": [], "status": f"{type(failure).__name__}"}
+    codes = [suspicion.code for suspicion in result.suspected]
+    worst, parameter = _largest_error(result.verdict.identified, result.parameters, true_values)
     named = bool(codes) and (not fault.codes or set(codes) & set(fault.codes))
     kind = "named" if named else "other code" if codes else "silent"
-    if not codes and (found.verdict.status != "determined" or worst < _HARMLESS):
-        kind = "harmless" if worst < _HARMLESS else "not identified" if not of else "silent"
-    return said | {
+    if not codes and (result.verdict.status != "determined" or worst < _MAX_HARMLESS):
+        kind = (
+            "harmless" if worst < _MAX_HARMLESS else "not identified" if not parameter else "silent"
+        )
+    return head | {
         "class": kind,
         "codes": codes,
-        "status": found.verdict.status,
+        "status": result.verdict.status,
         "worst": worst,
-        "of": of,
+        "parameter": parameter,
     }
 
 
-def _worst(identified: Any, parameters: Any, truth: Values) -> tuple[float, str]:
-    """Largest error of an identified value whose interval does not hold the truth."""
-    worst, of = 0.0, ""
+def _largest_error(identified: Any, parameters: Any, true_values: Values) -> tuple[float, str]:
+    """Largest error of an identified value outside its interval, and the parameter."""
+    largest, label = 0.0, ""
     for p in parameters:
-        true = truth.get((p.name, p.joint))
+        true = true_values.get((p.name, p.joint))
         if p.label not in identified or p.value is None or not true or p.ci95 is None:
             continue
-        if not p.ci95[0] <= true <= p.ci95[1] and abs(p.value / true - 1.0) > worst:
-            worst, of = abs(p.value / true - 1.0), p.label
-    return float(worst), of
+        if not p.ci95[0] <= true <= p.ci95[1] and abs(p.value / true - 1.0) > largest:
+            largest, label = abs(p.value / true - 1.0), p.label
+    return float(largest), label
 
 
 def main() -> None:
-    """Draw arms and faults, and print what was said of each."""
+    """Draw arms and faults, and print their outcomes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--arms", type=int, default=8)
     parser.add_argument("--faults", type=int, default=6, help="per arm, of 14 kinds")
     parser.add_argument("--source", choices=sorted(_SOURCES), default="rig")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--stages", default=",".join(STAGES))
-    parser.add_argument("--out", type=Path, help="keeps what was found as lines of JSON")
-    args = parser.parse_args()
-    work = partial(tried, args.faults, args.seed, tuple(args.stages.split(",")))
-    run = partial(arms.with_logs, work=work, arm=_SOURCES[args.source])
+    parser.add_argument("--out", type=Path, help="lines of JSON; a repeated run continues")
+    options = parser.parse_args()
+    work = partial(evaluate, options.faults, options.seed, tuple(options.stages.split(",")))
+    run = partial(arms.run_on_logs, work=work, arm=_SOURCES[options.source])
     rows: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for found in arms.each(args.arms, run, args.out):
-        if "failure" in found:
-            print(found["seed"], found["failure"])
-        for each in found.get("faults", []):
-            rows.setdefault((each["kind"], each["size"]), []).append(each)
+    for result in arms.run_all(options.arms, run, options.out):
+        if "failure" in result:
+            print(result["seed"], result["failure"])
+        for outcome in result.get("faults", []):
+            rows.setdefault((outcome["kind"], outcome["size"]), []).append(outcome)
     table = Table("fault", "size", "runs", "classes", "codes", "status", "worst wrong value")
-    for (kind, size), each in sorted(rows.items()):
-        worst = max(each, key=lambda one: one.get("worst", 0.0))
+    for (kind, size), outcomes in sorted(rows.items()):
+        worst = max(outcomes, key=lambda outcome: outcome.get("worst", 0.0))
         table.add_row(
             kind,
             size,
-            str(len(each)),
-            _counted([one["class"] for one in each]),
-            _counted([code for one in each for code in one["codes"]]),
-            _counted([one["status"] for one in each]),
-            f"{100.0 * worst.get('worst', 0.0):.1f} % {worst.get('of', '')}",
+            str(len(outcomes)),
+            _counts([outcome["class"] for outcome in outcomes]),
+            _counts([code for outcome in outcomes for code in outcome["codes"]]),
+            _counts([outcome["status"] for outcome in outcomes]),
+            f"{100.0 * worst.get('worst', 0.0):.1f} % {worst.get('parameter', '')}",
         )
     Console(width=160).print(table)
 
 
-def _counted(names: list[str]) -> str:
+def _counts(names: list[str]) -> str:
     return ", ".join(f"{names.count(name)} {name}" for name in dict.fromkeys(names))
 
 

@@ -1,9 +1,8 @@
 """Errors of every stage on logs of known arms: `python -m benchmarks.studies.lab FOLDER...`.
 
-A folder holds a study.toml, its logs and truth.json, as `strainwave simulate` takes parameters.
-Printed are the largest relative errors by kind of parameter, stage by stage, and how many values
-lie inside their 95 % intervals: the tables of the README. With `--without-link-sensors` the logs
-are copied first, without any channel of a link.
+A folder has a study.toml, its logs, and truth.json, a parameter file. Printed are the largest
+relative errors by kind of parameter and stage, and the number of values inside their 95 %
+intervals. `--without-link-sensors` removes all link channels first.
 """
 
 from __future__ import annotations
@@ -35,90 +34,85 @@ KINDS = {
     "Coulomb": ("motor_coulomb_friction",),
     "total viscous": ("total_viscous_friction",),
 }
-_OF_LINKS = ("a", "gyro", "theta_l", "deflection")
-_OWN = (*(name for names in KINDS.values() for name in names), "friction_offset")
+_LINK_CHANNELS = ("a", "gyro", "theta_l", "deflection")
+_COUNTED = (*(name for names in KINDS.values() for name in names), "friction_offset")
 
 
-def stages(found: Identification) -> dict[str, list[Parameter]]:
-    """Parameters by stage; of the decoupled stage each record's on its own, too."""
-    by_stage = {"rigid": list(found.rigid.parameters) if found.rigid else []}
-    records = [r.physical for r in found.records if r.physical is not None]
-    full = {e.name for e in found.study.experiments if e.use == "frequency"}
+def parameters_by_stage(result: Identification) -> dict[str, list[Parameter]]:
+    """Parameters by stage; of the decoupled stage, by record and by joint."""
+    by_stage = {"rigid": list(result.rigid.parameters) if result.rigid else []}
+    records = [r.physical for r in result.records if r.physical is not None]
+    frequency = {e.name for e in result.study.experiments if e.use == "frequency"}
     by_stage["decoupled, each record"] = [
-        p for model in records if set(model.experiments) <= full for p in model.parameters
+        p for model in records if set(model.experiments) <= frequency for p in model.parameters
     ]
-    by_stage["decoupled, each joint"] = [p for joint in found.joints for p in joint.parameters]
-    by_stage["whole arm"] = list(found.tuned.parameters) if found.tuned else []
-    by_stage["final table"] = list(found.parameters)
+    by_stage["decoupled, each joint"] = [p for joint in result.joints for p in joint.parameters]
+    by_stage["whole arm"] = list(result.tuned.parameters) if result.tuned else []
+    by_stage["final table"] = list(result.parameters)
     return by_stage
 
 
-def cells(parameters: Iterable[Parameter], truth: Values) -> list[str]:
-    """Largest error of each kind [%], and how many values lie inside their intervals."""
-    worst: dict[str, float] = defaultdict(float)
+def error_cells(parameters: Iterable[Parameter], true_values: Values) -> list[str]:
+    """Largest error of each kind [%], and the number of values inside their intervals."""
+    largest: dict[str, float] = defaultdict(float)
     inside, counted = 0, 0
     for p in parameters:
-        true = truth.get((p.name, p.joint))
-        if true is None or p.value is None or p.name not in _OWN:
+        true = true_values.get((p.name, p.joint))
+        if true is None or p.value is None or p.name not in _COUNTED:
             continue
         kind = next((kind for kind, names in KINDS.items() if p.name in names), None)
         if kind is not None and true != 0.0:
-            worst[kind] = max(worst[kind], abs(p.value / true - 1.0))
+            largest[kind] = max(largest[kind], abs(p.value / true - 1.0))
         if p.ci95 is not None:
             counted += 1
             inside += p.ci95[0] <= true <= p.ci95[1]
-    found = [f"{100.0 * worst[kind]:.2g}" if kind in worst else "" for kind in KINDS]
-    return [*found, f"{inside}/{counted}" if counted else ""]
+    errors = [f"{100.0 * largest[kind]:.2g}" if kind in largest else "" for kind in KINDS]
+    return [*errors, f"{inside}/{counted}" if counted else ""]
 
 
 def without_link_sensors(folder: Path, copy: Path) -> None:
-    """Copy logs and study to another folder, with motor angles and voltages only.
-
-    Parameters
-    ----------
-    folder, copy : Path
-    """
+    """Copy logs and study to the folder `copy`, without link channels."""
     study = read_study(folder / "study.toml")
-    gone = {f"{name}{i}" for name in _OF_LINKS for i in range(1, study.arm.n_joints + 1)}
+    removed = {f"{name}{i}" for name in _LINK_CHANNELS for i in range(1, study.arm.n_joints + 1)}
     experiments = []
     for experiment in study.experiments:
         log = logs.read_log(study, experiment)
-        kept = {name: x for name, x in log.channels.items() if name not in gone}
+        channels = {name: x for name, x in log.channels.items() if name not in removed}
         file = f"{experiment.name}.parquet"
-        logs.write_log(copy / file, {"t": log.time, **kept})
+        logs.write_log(copy / file, {"t": log.time, **channels})
         experiments.append(replace(experiment, file=file, start=None, stop=None, add={}))
     joints = tuple(
         replace(joint, accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None)
         for joint in study.arm.joints
     )
-    own = replace(
+    reduced = replace(
         study, arm=replace(study.arm, joints=joints), experiments=tuple(experiments), channels={}
     )
-    write_study(own, copy / "study.toml")
+    write_study(reduced, copy / "study.toml")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument(
-        "--without-link-sensors", action="store_true", help="drop the links' channels first"
+        "--without-link-sensors", action="store_true", help="remove the link channels first"
     )
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     console = Console(width=160)
-    for folder in chosen.folders:
-        found = _identified(folder, bare=chosen.without_link_sensors)
-        truth = derived(
+    for folder in options.folders:
+        result = _identify(folder, without_links=options.without_link_sensors)
+        true_values = derived(
             read_parameters(folder / "truth.json"), read_study(folder / "study.toml").arm
         )
         table = Table("stage", *(f"{kind} %" for kind in KINDS), "inside", box=None)
-        for stage, parameters in stages(found).items():
-            table.add_row(stage, *cells(parameters, truth))
-        console.print(f"{folder.name}: {found.verdict.status}")
+        for stage, parameters in parameters_by_stage(result).items():
+            table.add_row(stage, *error_cells(parameters, true_values))
+        console.print(f"{folder.name}: {result.verdict.status}")
         console.print(table)
 
 
-def _identified(folder: Path, *, bare: bool) -> Identification:
-    if not bare:
+def _identify(folder: Path, *, without_links: bool) -> Identification:
+    if not without_links:
         return identify(folder / "study.toml")
     with TemporaryDirectory() as copy:
         without_link_sensors(folder, Path(copy))

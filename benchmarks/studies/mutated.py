@@ -1,9 +1,8 @@
-"""Mutated studies through all of `identify`: `python -m benchmarks.studies.mutated --out DIR`.
+"""Random changes of a study: `python -m benchmarks.studies.mutated --out DIR`.
 
-A virtual arm's study and logs are copied many times, and each copy has one thing changed by
-chance: bytes, rows, columns, keys, units. A campaign identifies them all, so what the command makes
-of each is recorded: nothing may end by a traceback (1), a crash or a hang, and whatever is refused
-(2) is refused in one line. The same command goes on where it was stopped.
+Each copy of a virtual arm's study and logs has one random change: bytes, rows, columns, keys,
+units. A campaign identifies all copies. None may end with a traceback (exit code 1), a crash or a
+hang, and each refusal (2) must be one line. A repeated command continues where it stopped.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from strainwave.campaign.store import read_runs
 from strainwave.io.atomic_files import write_whole
 from strainwave.virtual.experiments import simulate_study
 
-_KINDS = {0: "determined", 2: "refused in one line", 3: "not all determined"}
-_LONGEST = 120.0  # [s] of one study
+_ENDS = {0: "determined", 2: "refused in one line", 3: "not all determined"}
+_TIME_LIMIT = 120.0  # [s] of one study
 _NUMBER = re.compile(r"(?<![\w.])-?\d+\.?\d*(?:e-?\d+)?(?![\w.])")
 _UNITS = (1e3, 1e-3, 180.0 / np.pi, np.pi / 180.0, 2.0 * np.pi, 60.0, 9.81, -1.0, 0.0, 1e9)
 
@@ -36,78 +35,78 @@ Random = np.random.Generator
 
 
 def main() -> None:
-    """Make the studies, identify them and print how they ended."""
+    """Write the studies, identify them and print how they end."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0, help="another changes all anew")
+    parser.add_argument("--seed", type=int, default=0, help="another seed makes other changes")
     parser.add_argument("--stages", help="only the first stages, for example: rigid")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--out", type=Path, required=True, help="folder of studies and store")
-    chosen = parser.parse_args()
-    folder: Path = chosen.out
-    studies = made(folder / "studies", chosen.runs, chosen.seed)
+    options = parser.parse_args()
+    folder: Path = options.out
+    studies = write_studies(folder / "studies", options.runs, options.seed)
     settings = campaign.Settings(
         store=str(folder / "store"),
-        stages=chosen.stages.split(",") if chosen.stages else None,
-        workers=chosen.workers,
-        limits=campaign.Limits(time_s=_LONGEST),
+        stages=options.stages.split(",") if options.stages else None,
+        workers=options.workers,
+        limits=campaign.Limits(time_s=_TIME_LIMIT),
         display=sys.stderr.isatty(),
     )
     campaign.run([str(path) for path in studies], settings)
     runs = read_runs(str(folder / "store")).select(["study", "exit_code", "message"]).to_pylist()
-    Console().print(counted(runs))
-    bad = [run for run in runs if not well_ended(run)]
+    Console().print(summary(runs))
+    bad = [run for run in runs if not ends_well(run)]
     for run in bad:
         print(f"{run['study']}: {run['exit_code']}: {run['message']}")
     raise SystemExit(1 if bad else 0)
 
 
-def well_ended(run: dict[str, object]) -> bool:
-    """Whether a run ended by an answer or by a refusal of one line."""
-    return run["exit_code"] in _KINDS and "\n" not in str(run["message"] or "")
+def ends_well(run: dict[str, object]) -> bool:
+    """Whether a run ends with a result or a refusal of one line."""
+    return run["exit_code"] in _ENDS and "\n" not in str(run["message"] or "")
 
 
-def counted(runs: Sequence[dict[str, object]]) -> Table:
-    """How often each change ended how."""
+def summary(runs: Sequence[dict[str, object]]) -> Table:
+    """Number of runs by kind of change and end."""
     table = Table(box=None)
-    table.add_column("changed")
-    columns = [*_KINDS.values(), "a bug, a crash or a hang"]
+    table.add_column("change")
+    columns = [*_ENDS.values(), "traceback, crash or hang"]
     for column in columns:
         table.add_column(column, justify="right")
     count: Counter[tuple[str, str]] = Counter()
     for run in runs:
-        changed = Path(str(run["study"])).parent.name.partition("-")[2]
-        ended = _KINDS[int(str(run["exit_code"]))] if well_ended(run) else columns[-1]
-        count[changed, ended] += 1
-        count["all", ended] += 1
-    for changed in [*sorted({name for name, _ in count} - {"all"}), "all"]:
-        table.add_row(changed, *(str(count[changed, column]) for column in columns))
+        change = Path(str(run["study"])).parent.name.partition("-")[2]
+        end = _ENDS[int(str(run["exit_code"]))] if ends_well(run) else columns[-1]
+        count[change, end] += 1
+        count["all", end] += 1
+    for change in [*sorted({name for name, _ in count} - {"all"}), "all"]:
+        table.add_row(change, *(str(count[change, column]) for column in columns))
     return table
 
 
-def made(folder: Path, runs: int, seed: int) -> list[Path]:
-    """Study files with one thing changed each, made where they are not there yet."""
+def write_studies(folder: Path, runs: int, seed: int) -> list[Path]:
+    """Write study files with one change each, unless they exist."""
     base = folder / "base"
     if not (base / "study.toml").exists():
         _simulate(base)
-    found = []
+    studies = []
     for number in range(runs):
         rng = np.random.default_rng([seed, number])
         name = list(_CHANGES)[number % len(_CHANGES)]
-        own = folder / f"{seed}.{number}-{name}"
-        if not (own / "study.toml").exists():
-            _change(base, own, name, rng)
-        found.append(own / "study.toml")
-    return found
+        copy = folder / f"{seed}.{number}-{name}"
+        if not (copy / "study.toml").exists():
+            _change(base, copy, name, rng)
+        studies.append(copy / "study.toml")
+    return studies
 
 
 def _simulate(base: Path) -> None:
-    rig = arms.rig(0)
+    rig = arms.draw_rig(0)
     study = replace(
         rig.study,
         experiments=tuple(
-            replace(each, file=f"{each.name}.csv", prbs=each.prbs and replace(each.prbs, order=9))
-            for each in rig.study.experiments
+            replace(e, file=f"{e.name}.csv", prbs=e.prbs and replace(e.prbs, order=9))
+            for e in rig.study.experiments
         ),
     )
     simulate_study(
@@ -115,27 +114,27 @@ def _simulate(base: Path) -> None:
     )
 
 
-def _change(base: Path, own: Path, name: str, rng: Random) -> None:
-    """A copy of a study's folder; what is not changed is the same file. The study comes last."""
+def _change(base: Path, copy: Path, name: str, rng: Random) -> None:
+    """Copy a study's folder with one change; unchanged files are links. The study comes last."""
     kind, change = _CHANGES[name]
     files = sorted(path for path in base.iterdir() if path.suffix in (".csv", ".toml"))
-    chosen = files[int(rng.integers(len(files)))]
+    changed = files[int(rng.integers(len(files)))]
     if kind == "study":
-        chosen = base / "study.toml"
+        changed = base / "study.toml"
     elif kind == "log":
         logs = [path for path in files if path.suffix == ".csv"]
-        chosen = logs[int(rng.integers(len(logs)))]
-    own.mkdir(parents=True, exist_ok=True)
+        changed = logs[int(rng.integers(len(logs)))]
+    copy.mkdir(parents=True, exist_ok=True)
     for path in files:
-        if path != chosen and path.name != "study.toml":
-            (own / path.name).unlink(missing_ok=True)
-            os.link(path, own / path.name)
-    changed = {chosen.name: change(chosen.read_bytes(), rng)}
-    write_whole(own, {"study.toml": (base / "study.toml").read_bytes()} | changed)
+        if path != changed and path.name != "study.toml":
+            (copy / path.name).unlink(missing_ok=True)
+            os.link(path, copy / path.name)
+    contents = {changed.name: change(changed.read_bytes(), rng)}
+    write_whole(copy, {"study.toml": (base / "study.toml").read_bytes()} | contents)
 
 
 def _bytes(data: bytes, rng: Random) -> bytes:
-    """A few stretches are cut out, doubled or overwritten."""
+    """Cut out, double or overwrite up to three intervals."""
     for _ in range(int(rng.integers(1, 4))):
         at, length = int(rng.integers(len(data) + 1)), int(rng.integers(40))
         new = (b"", data[at : at + length] * 2, rng.bytes(length))[int(rng.integers(3))]
@@ -148,25 +147,25 @@ def _cut(data: bytes, rng: Random) -> bytes:
 
 
 def _number(data: bytes, rng: Random) -> bytes:
-    """One number in another unit, of another sign, or absurd."""
+    """Change one number by a factor of units, its sign, or an absurd factor."""
     text = data.decode()
-    found = list(_NUMBER.finditer(text))
-    one = found[int(rng.integers(len(found)))]
-    value = float(one[0]) * float(rng.choice(_UNITS))
-    return f"{text[: one.start()]}{value!r}{text[one.end() :]}".encode()
+    numbers = list(_NUMBER.finditer(text))
+    number = numbers[int(rng.integers(len(numbers)))]
+    value = float(number[0]) * float(rng.choice(_UNITS))
+    return f"{text[: number.start()]}{value!r}{text[number.end() :]}".encode()
 
 
 def _lines(data: bytes, rng: Random) -> bytes:
-    """A line is missing, doubled or elsewhere."""
+    """Remove, double or move a line."""
     lines = data.splitlines(keepends=True)
-    one = lines.pop(int(rng.integers(len(lines))))
+    line = lines.pop(int(rng.integers(len(lines))))
     for _ in range(int(rng.integers(3))):
-        lines.insert(int(rng.integers(len(lines) + 1)), one)
+        lines.insert(int(rng.integers(len(lines) + 1)), line)
     return b"".join(lines)
 
 
 def _key(data: bytes, rng: Random) -> bytes:
-    """A key is written wrongly."""
+    """Misspell a key."""
     lines = data.decode().splitlines()
     places = [k for k, line in enumerate(lines) if "=" in line]
     k = places[int(rng.integers(len(places)))]
@@ -177,7 +176,7 @@ def _key(data: bytes, rng: Random) -> bytes:
 
 
 def _column(data: bytes, rng: Random) -> bytes:
-    """A channel is scaled, swapped with another, missing or constant."""
+    """Scale a channel, swap it with another, remove it or make it constant."""
     head, rows = _table(data)
     k, other = (int(rng.integers(len(head))) for _ in range(2))
     match int(rng.integers(4)):
@@ -193,7 +192,7 @@ def _column(data: bytes, rng: Random) -> bytes:
 
 
 def _rows(data: bytes, rng: Random) -> bytes:
-    """Rows are missing, doubled, in disorder, or not numbers."""
+    """Remove, double or permute rows, or replace their numbers."""
     head, rows = _table(data)
     start = int(rng.integers(len(rows)))
     stop = start + int(rng.integers(1, len(rows)))

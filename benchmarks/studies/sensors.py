@@ -1,10 +1,10 @@
-"""Whole runs on drawn arms with few or mixed sensors: `python -m benchmarks.studies.sensors none`.
+"""Errors and coverage with few or mixed sensors: `python -m benchmarks.studies.sensors none`.
 
-Sensors are named together, as `none 1khz`: which links have a sensor, then what else is unusual.
-Every arm's logs go through the whole of `identify`; beside it the whole-arm fit starts from the
-truth. Counted are runs by their verdicts, whole-arm fits that end where the one from the truth
-does, to half of each parameter's deviation, runs that are silently wrong (determined, with a
-primary parameter more than five deviations and 2 % off), and intervals that hold the truth.
+Arguments name the link sensors and other changes together, as `none 1khz`. All stages of
+`identify` run on every arm, and the whole-arm fit is repeated from the true values. Printed are
+verdicts, fits that end at the optimum reached from the true values (within half a standard
+deviation), silently wrong runs (determined, with a primary parameter more than five standard
+deviations and 2 % from its true value), and coverage.
 """
 
 from __future__ import annotations
@@ -22,8 +22,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.studies.arms import each, with_logs
-from benchmarks.studies.coverage import EXACT_STEP, OF_THE_ENGINE, drawn_rig, kind_of, rows_of
+from benchmarks.studies.arms import run_all, run_on_logs
+from benchmarks.studies.coverage import (
+    ENGINE_PARAMETER,
+    EXACT_STEP,
+    draw_rig,
+    error_rows,
+    parameter_kind,
+)
 from strainwave.domain import Channel, FloatArray, Identification, JointModel, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
@@ -44,54 +50,41 @@ LINKS: Mapping[str, tuple[str, ...]] = {
     "encoder+accelerometer": ("theta_l1", "a2"),
     "both": ("a1", "a2"),
 }
-"""Channels of link sensors by what a set of them is called."""
+"""Channels of link sensors by the name of the set."""
 OTHERS = ("torque", "counts500", "1khz", "steps")
-"""Torques logged for voltages, coarse encoders, slow sampling; only steps and motions."""
-FEW_COUNTS, SLOW = 500, 1e-3
-LINK_COUNTS = 2**18  # of a link encoder in a turn
-TORQUE_NOISE = 2e-4  # of the largest torque in a record, as drives measure their currents
-WRONG_DEVIATIONS, WRONG_SHARE = 5.0, 0.02
+"""Torques in place of voltages, coarse encoders, slow sampling; only steps and motions."""
+FEW_COUNTS = 500  # encoder counts per motor turn
+SLOW_SAMPLE_TIME = 1e-3  # [s]
+LINK_COUNTS = 2**18  # of a link encoder per turn
+TORQUE_NOISE = 2e-4  # std over the largest torque of a record, typical of current sensors
+MIN_WRONG_STD = 5.0  # [standard deviations] error of a silently wrong value
+MIN_WRONG_ERROR = 0.02  # relative error of a silently wrong value
 SAME_OPTIMUM = 0.5  # [standard deviations] between two ends of a fit that count as the same
 
 
-def with_sensors(own: Rig, sensors: Sequence[str]) -> Rig:
-    """A drawn arm with other sensors and experiments; link channels are left out of its logs later.
+def with_sensors(rig: Rig, sensors: Sequence[str]) -> Rig:
+    """Replace sensors and experiments of an arm, by names of `LINKS` and `OTHERS`.
 
-    Parameters
-    ----------
-    own : Rig
-    sensors : sequence of str
-        Of `LINKS` and `OTHERS`.
-
-    Returns
-    -------
-    Rig
+    `remove_channels` removes the link channels from the logs later.
     """
-    study = own.study
+    study = rig.study
     if "counts500" in sensors:
         joints = tuple(replace(joint, encoder_counts=FEW_COUNTS) for joint in study.arm.joints)
         study = replace(study, arm=replace(study.arm, joints=joints))
     if "steps" in sensors:
-        kept = tuple(e for e in study.experiments if e.use not in ("frequency", "sweep"))
-        study = replace(study, experiments=kept)
+        others = tuple(e for e in study.experiments if e.use not in ("frequency", "sweep"))
+        study = replace(study, experiments=others)
     if any("theta_l" in name for name in _link_channels(sensors)):
         encoders = {f"theta_l{i}": Channel(f"theta_l{i}") for i in (1, 2)}
         study = replace(study, channels=encoders)
-    return replace(own, study=study, sample_time=SLOW if "1khz" in sensors else own.sample_time)
+    sample_time = SLOW_SAMPLE_TIME if "1khz" in sensors else rig.sample_time
+    return replace(rig, study=study, sample_time=sample_time)
 
 
-def reduced(folder: Path, own: Rig, sensors: Sequence[str]) -> None:
-    """Leave the channels that a set of sensors lacks out of logs and study.
-
-    Parameters
-    ----------
-    folder : Path
-        With the logs and study.toml of `with_sensors`'s arm.
-    own : Rig
-    sensors : sequence of str
-    """
+def remove_channels(folder: Path, rig: Rig, sensors: Sequence[str]) -> None:
+    """Remove the channels of absent sensors from study.toml and logs of a folder."""
     study, links = read_study(folder / "study.toml"), _link_channels(sensors)
-    rng = np.random.default_rng(int(1e12 * own.values["motor_inertia", 1]))
+    rng = np.random.default_rng(int(1e12 * rig.values["motor_inertia", 1]))
     for experiment in study.experiments:
         path = folder / experiment.file
         log = logs.read_log(study, experiment)
@@ -105,7 +98,7 @@ def reduced(folder: Path, own: Rig, sensors: Sequence[str]) -> None:
                 columns[f"theta_l{i}"] = count * np.round(columns[f"theta_l{i}"] / count)
             if "torque" in sensors:
                 voltage = (joint.torque_per_volt or 1.0) * columns.pop(f"u{i}")
-                torque = _behind_loop(voltage, joint.current_loop_hz, log.sample_time)
+                torque = _measured_torque(voltage, joint.current_loop_hz, log.sample_time)
                 noise = TORQUE_NOISE * np.max(np.abs(torque))
                 columns[f"torque{i}"] = torque + rng.normal(0.0, noise, len(torque))
         path.unlink()
@@ -124,141 +117,149 @@ def _link_channels(sensors: Sequence[str]) -> tuple[str, ...]:
     return next((LINKS[name] for name in sensors if name in LINKS), LINKS["both"])
 
 
-def _behind_loop(torque: FloatArray, hz: float | None, sample_time: float) -> FloatArray:
-    """What the drive measures of its torque at the samples, commands being held between them."""
+def _measured_torque(torque: FloatArray, hz: float | None, sample_time: float) -> FloatArray:
+    """Torque behind the current loop at the samples; commands are held between them."""
     if hz is None:
         return torque
-    left, found = np.exp(-2.0 * np.pi * hz * sample_time), np.empty_like(torque)
-    now = torque[0]
-    for k, aim in enumerate(torque.tolist()):
-        found[k] = now
-        now = aim + left * (now - aim)
-    return found
+    decay, measured = np.exp(-2.0 * np.pi * hz * sample_time), np.empty_like(torque)
+    state = torque[0]
+    for k, command in enumerate(torque.tolist()):
+        measured[k] = state
+        state = command + decay * (state - command)
+    return measured
 
 
-def tried(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]:
-    """Verdict, errors, and how far the whole-arm fit ends from the one started at the truth.
+def evaluate(path: Path, values: Values, *, engine: bool = False) -> dict[str, Any]:
+    """Verdict, errors, and the distance to the fit that starts from the true values.
 
-    How long an engine's friction takes to stop a motor is no parameter, and is left out.
+    Friction settling times of MuJoCo are not counted.
     """
     begin = time.process_time()
-    found = identify(path)
+    identification = identify(path)
     seconds = time.process_time() - begin
-    verdict = found.verdict
+    verdict = identification.verdict
     reported: dict[str, Any] = {"verdict": verdict.status, "seconds": seconds}
     reported["reasons"] = list(verdict.reasons)
-    if found.tuned is None:
+    tuned = identification.tuned
+    if tuned is None:
         return reported
     study = read_study(path)
-    known = derived(values, study.arm)
-    own = [p for p in found.tuned.parameters if not (engine and p.name == OF_THE_ENGINE)]
-    rows = rows_of([p for p in own if p.value is not None], known)
-    reported |= {"status": found.tuned.status, "parameters": rows}
+    parameters = [p for p in tuned.parameters if not (engine and p.name == ENGINE_PARAMETER)]
+    rows = error_rows([p for p in parameters if p.value is not None], derived(values, study.arm))
+    reported |= {"status": tuned.status, "parameters": rows}
     reported["wrong"] = [
         f"{name} {joint or ''}".strip()
-        for name, joint, error, deviation, _ in rows
+        for name, joint, error, std, _ in rows
         if f"{name} {joint or ''}".strip() in verdict.identified
-        and abs(error) > WRONG_DEVIATIONS
-        and abs(error) * deviation > WRONG_SHARE
-        and kind_of(name) not in _SECONDARY
+        and abs(error) > MIN_WRONG_STD
+        and abs(error) * std > MIN_WRONG_ERROR
+        and parameter_kind(name) not in _SECONDARY
     ]
-    reported |= _apart(found, study, values)
+    reported |= _distance_to_optimum(identification, study, values)
     return reported
 
 
 _SECONDARY = ("split of viscous friction", "friction offset", "settling time", "link sensors")
 
 
-def _apart(found: Identification, study: Study, values: Values) -> dict[str, Any]:
-    """How far the end lies from the optimum found from the truth, in deviations."""
-    assert found.tuned is not None
-    every = logs.read_logs(study)
-    joints = found.joints
+def _distance_to_optimum(
+    identification: Identification, study: Study, values: Values
+) -> dict[str, Any]:
+    """Largest distance [standard deviations] to the fit that starts from the true values."""
+    assert identification.tuned is not None
+    arm, joints = Arm.of(study.arm), identification.joints
     if len(joints) < study.arm.n_joints:
-        joints = physical.models_from_catalogue(found.rigid, Arm.of(study.arm))[0]
-    joints = tuple(_true(joint, values, study) for joint in joints)
+        joints = physical.models_from_catalogue(identification.rigid, arm)[0]
+    joints = tuple(_with_true_values(joint, values, study) for joint in joints)
     options = study.options.tuning
     try:
-        home = tune(every, found.rigid, joints, Arm.of(study.arm), options, start=values)
-    except Exception as failure:  # the truth itself may not do
-        return {"home": f"{type(failure).__name__}: {failure}"}
-    at = {(q.name, q.joint): q for q in home.parameters if q.value is not None}
-    apart = {
+        optimum = tune(
+            logs.read_logs(study), identification.rigid, joints, arm, options, start=values
+        )
+    except Exception as failure:  # the fit may refuse true values
+        return {"optimum": f"{type(failure).__name__}: {failure}"}
+    at = {(q.name, q.joint): q for q in optimum.parameters if q.value is not None}
+    distances = {
         f"{p.name} {p.joint or ''}".strip(): abs(p.value - q.value) / q.std
-        for p in found.tuned.parameters
+        for p in identification.tuned.parameters
         if (q := at.get((p.name, p.joint))) is not None
         and p.value is not None
         and q.value is not None
         and q.std
     }
-    worst = max(apart, key=lambda name: apart[name], default="")
-    return {"worst": worst, "apart": apart.get(worst, np.inf), "home": home.status}
+    farthest = max(distances, key=lambda name: distances[name], default="")
+    distance = distances.get(farthest, np.inf)
+    return {"farthest": farthest, "distance": distance, "optimum": optimum.status}
 
 
-def _true(joint: JointModel, values: Values, study: Study) -> JointModel:
-    """A joint's model with the truth for its values: limits of the search lie about it."""
-    known = derived(values, study.arm)
-    own = {}
+def _with_true_values(joint: JointModel, values: Values, study: Study) -> JointModel:
+    """A joint's model with its true values, so that the ranges of the fit contain them."""
+    true_values = derived(values, study.arm)
+    model_values = {}
     for name, value in joint.values.items():
-        alike = "gear_stiffness_k2" if name == "gear_stiffness" else name
-        true = known.get((name, joint.joint), known.get((alike, joint.joint)))
-        own[name] = value if true is None else true
-    return replace(joint, values=own)
+        equivalent = "gear_stiffness_k2" if name == "gear_stiffness" else name
+        true = true_values.get((name, joint.joint), true_values.get((equivalent, joint.joint)))
+        model_values[name] = value if true is None else true
+    return replace(joint, values=model_values)
 
 
-def line(found: Mapping[str, Any]) -> str:
+def line(result: Mapping[str, Any]) -> str:
     """One arm, in a line."""
-    start = f"arm {found['seed']}, {found['spring']}: "
-    if "failure" in found:
-        return f"{start}{found['failure']}"
-    text = f"{start}{found['verdict']}, {found['seconds']:.0f} s"
-    if "parameters" not in found:
-        return f"{text}; {'; '.join(found['reasons'])}"
-    apart = found.get("apart")
-    text += f"; {found['status']}"
-    text += f", {apart:.2g} deviations apart ({found['worst']})" if apart is not None else ""
-    text += f"; truth: {found['home']}"
-    errors = ", ".join(f"{k} {v:.2g} %" for k, v in _largest([found]).items())
-    reasons = f"; {'; '.join(found['reasons'])}" if found["reasons"] else ""
-    return f"{text}; {errors}" + (f"; WRONG {found['wrong']}" if found["wrong"] else "") + reasons
+    head = f"arm {result['seed']}, {result['spring']}: "
+    if "failure" in result:
+        return f"{head}{result['failure']}"
+    text = f"{head}{result['verdict']}, {result['seconds']:.0f} s"
+    if "parameters" not in result:
+        return f"{text}; {'; '.join(result['reasons'])}"
+    distance = result.get("distance")
+    text += f"; {result['status']}"
+    text += (
+        f", {distance:.2g} std from optimum ({result['farthest']})" if distance is not None else ""
+    )
+    text += f"; from true values: {result['optimum']}"
+    errors = ", ".join(f"{k} {v:.2g} %" for k, v in _largest_errors([result]).items())
+    wrong = f"; WRONG {result['wrong']}" if result["wrong"] else ""
+    reasons = f"; {'; '.join(result['reasons'])}" if result["reasons"] else ""
+    return f"{text}; {errors}{wrong}{reasons}"
 
 
-def _largest(found: Iterable[Mapping[str, Any]]) -> dict[str, float]:
-    """Largest relative errors by kind [%]."""
-    worst: dict[str, float] = defaultdict(float)
-    for one in found:
-        for name, _, error, deviation, _ in one.get("parameters", ()):
-            if kind_of(name) not in _SECONDARY:
-                worst[kind_of(name)] = max(worst[kind_of(name)], 100.0 * abs(error) * deviation)
-    return dict(worst)
+def _largest_errors(results: Iterable[Mapping[str, Any]]) -> dict[str, float]:
+    """Largest relative errors by kind of parameter [%]."""
+    largest: dict[str, float] = defaultdict(float)
+    for result in results:
+        for name, _, error, std, _ in result.get("parameters", ()):
+            kind = parameter_kind(name)
+            if kind not in _SECONDARY:
+                largest[kind] = max(largest[kind], 100.0 * abs(error) * std)
+    return dict(largest)
 
 
-def summary(found: Sequence[Mapping[str, Any]]) -> Table:
-    """All arms: verdicts, ends, coverage, errors."""
+def summary(results: Sequence[Mapping[str, Any]]) -> Table:
+    """All arms: verdicts, optima, coverage, errors."""
     table = Table("", "", box=None)
-    fitted = [one for one in found if "parameters" in one]
+    fitted = [result for result in results if "parameters" in result]
     for verdict in ("determined", "partly-determined", "not-determined", "inconsistent-input"):
-        of_it = [one for one in found if one.get("verdict") == verdict]
-        home = [one for one in of_it if one.get("apart", np.inf) < SAME_OPTIMUM]
-        text = f"{len(of_it)}, {len(home)} at the optimum found from the truth"
+        group = [result for result in results if result.get("verdict") == verdict]
+        same = sum(result.get("distance", np.inf) < SAME_OPTIMUM for result in group)
+        text = f"{len(group)}, {same} at the optimum reached from the true values"
         table.add_row(verdict, text)
-    table.add_row("failures", str(sum("failure" in one for one in found)))
-    wrong = [one for one in fitted if one["verdict"] == "determined" and one["wrong"]]
-    table.add_row("silently wrong", str(len(wrong)))
-    held: dict[str, list[bool]] = defaultdict(list)
+    table.add_row("failures", str(sum("failure" in result for result in results)))
+    wrong = sum(result["verdict"] == "determined" and bool(result["wrong"]) for result in fitted)
+    table.add_row("silently wrong", str(wrong))
+    coverage: dict[str, list[bool]] = defaultdict(list)
     errors: dict[str, list[float]] = defaultdict(list)
-    for one in fitted:
-        for name, _, error, deviation, inside in one["parameters"]:
+    for result in fitted:
+        for name, _, error, std, inside in result["parameters"]:
             if inside is not None:
-                held[kind_of(name)].append(inside)
-                errors[kind_of(name)].append(100.0 * abs(error) * deviation)
-    every = [inside for own in held.values() for inside in own]
-    table.add_row("inside", f"{100.0 * np.mean(every):.1f} % of {len(every)}" if every else "")
-    for kind, own in sorted(held.items()):
+                coverage[parameter_kind(name)].append(inside)
+                errors[parameter_kind(name)].append(100.0 * abs(error) * std)
+    total = [inside for of_kind in coverage.values() for inside in of_kind]
+    table.add_row("inside", f"{100.0 * np.mean(total):.1f} % of {len(total)}" if total else "")
+    for kind, of_kind in sorted(coverage.items()):
         error = np.array(errors[kind])
-        text = f"inside {100.0 * np.mean(own):.1f} %, errors {np.median(error):.2g} %"
+        text = f"inside {100.0 * np.mean(of_kind):.1f} %, errors {np.median(error):.2g} %"
         table.add_row(kind, f"{text}, at most {error.max():.2g} %")
-    seconds = [one["seconds"] for one in found if "seconds" in one]
+    seconds = [result["seconds"] for result in results if "seconds" in result]
     text = f"{np.median(seconds):.1f}, at most {max(seconds):.1f}" if seconds else ""
     table.add_row("processor time [s]", text)
     return table
@@ -270,30 +271,30 @@ def main() -> None:
     parser.add_argument("sensors", nargs="+", choices=names)
     parser.add_argument("--arms", type=int, default=100)
     parser.add_argument("--catalogue", action="store_true", help="arms over a gear catalogue")
-    parser.add_argument("--seed", type=int, default=0, help="of the catalogue's series of arms")
-    parser.add_argument("--engine", action="store_true", help="let MuJoCo move the arms")
-    parser.add_argument("--out", type=Path, help="lines of JSON, from which a run goes on")
-    chosen = parser.parse_args()
+    parser.add_argument("--seed", type=int, default=0, help="series of the catalogue's arms")
+    parser.add_argument("--engine", action="store_true", help="simulate in MuJoCo")
+    parser.add_argument("--out", type=Path, help="lines of JSON; a repeated run continues")
+    options = parser.parse_args()
     simulator: Simulator = partial(simulate, longest=EXACT_STEP)
-    if chosen.engine:
+    if options.engine:
         from benchmarks.studies.engine import in_mujoco as simulator
-    arm = partial(_arm, sensors=chosen.sensors, series=chosen.seed, catalogue=chosen.catalogue)
+    arm = partial(_draw, sensors=options.sensors, series=options.seed, catalogue=options.catalogue)
     work = partial(
-        with_logs,
-        work=partial(tried, engine=chosen.engine),
+        run_on_logs,
+        work=partial(evaluate, engine=options.engine),
         arm=arm,
         simulator=simulator,
-        change=partial(reduced, sensors=chosen.sensors),
+        change=partial(remove_channels, sensors=options.sensors),
     )
-    found = []
-    for one in each(chosen.arms, work, chosen.out):
-        found.append(one)
-        print(line(one), flush=True)
-    Console().print(summary(found))
+    results = []
+    for result in run_all(options.arms, work, options.out):
+        results.append(result)
+        print(line(result), flush=True)
+    Console().print(summary(results))
 
 
-def _arm(seed: int, *, sensors: Sequence[str], series: int, catalogue: bool) -> Rig:
-    return with_sensors(drawn_rig(seed, series, catalogue=catalogue), sensors)
+def _draw(seed: int, *, sensors: Sequence[str], series: int, catalogue: bool) -> Rig:
+    return with_sensors(draw_rig(seed, series, catalogue=catalogue), sensors)
 
 
 if __name__ == "__main__":

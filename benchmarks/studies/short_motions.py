@@ -1,7 +1,7 @@
-"""Healthy arms that move for 6 s: `python -m benchmarks.studies.short_motions --arms 200`.
+"""False suspicions in short motions: `python -m benchmarks.studies.short_motions --arms 200`.
 
-Short motions hardly tell joints, delays and friction apart, so they are where an input check
-accuses wrongly. Every suspicion is printed with its arm's number.
+Arms without a fault move for 6 s. Short motions hardly separate joints, delays and friction, so
+they are most likely to cause false suspicions. Each one is printed with its arm's number.
 """
 
 from __future__ import annotations
@@ -22,37 +22,37 @@ from strainwave.virtual.families.short_records import plans, with_short_records
 from strainwave.virtual.records import recorded
 
 _SERIES = 7500  # of the catalogue
-_MOTIONS = 500_000  # seeds of motions, from here on
-_UPRIGHT = 3  # one arm in as many
+_FIRST_MOTION_SEED = 500_000
+_VERTICAL_EVERY = 3  # arms
 
 
 def suspected(number: int) -> tuple[Suspicion, ...]:
-    """What is said of an arm without a fault, by its motion alone."""
+    """Suspicions about an arm without a fault, from its motion record."""
     rng = np.random.default_rng(number)
-    drawn = catalogue.drawn(number, _SERIES)
-    rig = with_short_records(drawn, upright=number % _UPRIGHT == 0, rng=rng)
+    rig = catalogue.drawn(number, _SERIES)
+    rig = with_short_records(rig, upright=number % _VERTICAL_EVERY == 0, rng=rng)
     motion = rig.study.experiments[0]
     rig = replace(rig, study=replace(rig.study, experiments=(motion,)))
     arm = Arm.of(rig.study.arm)
-    plan = plans(rig, _MOTIONS + number)[0]
+    plan = plans(rig, _FIRST_MOTION_SEED + number)[0]
     channels = recorded(rig.study, arm, plan, rig.values, rig.noise, rng, simulate)
     logs = read_logs(rig.study, data={motion.name: channels})
     return check(logs, rig.study).suspected
 
 
 def main() -> None:
-    """Print every suspicion, and how many arms have one."""
+    """Print every suspicion and the number of arms with one."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--arms", type=int, default=200)
     parser.add_argument("--first", type=int, default=1000, help="the first arm's number")
-    chosen = parser.parse_args()
-    console, accused = Console(), 0
-    for number in range(chosen.first, chosen.first + chosen.arms):
-        found = suspected(number)
-        accused += bool(found)
-        for each in found:
-            console.print(f"{number}: {each.code}: {each.message}")
-    console.print(f"{accused} of {chosen.arms} arms without a fault are suspected")
+    options = parser.parse_args()
+    console, n_suspected = Console(), 0
+    for number in range(options.first, options.first + options.arms):
+        suspicions = suspected(number)
+        n_suspected += bool(suspicions)
+        for suspicion in suspicions:
+            console.print(f"{number}: {suspicion.code}: {suspicion.message}")
+    console.print(f"{n_suspected} of {options.arms} arms without a fault are suspected")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
-"""An arm that MuJoCo moves, for the tests: `python -m benchmarks.studies.small_arm`.
+"""Write tests/data/small-arm, simulated in MuJoCo: `python -m benchmarks.studies.small_arm`.
 
-A lighter arm than the built-in one, with gears of other sizes and ratios, moved as in `engine.py`:
-steps of 0.05 ms; current loop, servo, encoder and filters are not strainwave's. Time, voltages,
-angles and accelerations are logged as a data acquisition card gives them, in whole counts, whose
-size the study's channel map holds: a log of some ten bytes a row.
+The arm is lighter than the built-in one, with other gear sizes and ratios, and is simulated as in
+`engine.py`. Like a data acquisition card, the logs have time, voltages, angles and accelerations in
+whole counts, about ten bytes per row; the study's channel map has the size of a count.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from strainwave.virtual.experiments import derived, simulate_study
 
 SEED = 7
 COUNTS = 4096  # of an encoder per turn
-ACCELEROMETER_RANGE = 16.0 * 9.81  # [m/s^2]: a light arm shakes
+ACCELEROMETER_RANGE = 16.0 * 9.81  # [m/s^2]
 RESOLUTION = {
     "t": 1e-6,  # [s]
     "u": 2.0**-11,  # [V]
@@ -51,7 +50,7 @@ RESOLUTION = {
 
 def values() -> Values:
     """Links of 3.5 and 1.2 kg with 0.8 kg at the tip, gears of sizes 17 and 11."""
-    found: Values = {("alpha", None): 0.2186, ("beta", None): 0.0500, ("gamma", None): 0.0700}
+    parameters: Values = {("alpha", None): 0.2186, ("beta", None): 0.0500, ("gamma", None): 0.0700}
     joints: tuple[dict[str, float], ...] = (
         {
             "motor_inertia": 4e-5,
@@ -80,9 +79,9 @@ def values() -> Values:
             "gear_knee_t2": 2.0,
         },
     )
-    for joint, own in enumerate(joints, start=1):
-        found |= {(name, joint): value for name, value in own.items()}
-    return found
+    for number, joint in enumerate(joints, start=1):
+        parameters |= {(name, number): value for name, value in joint.items()}
+    return parameters
 
 
 def study(folder: Path) -> Study:
@@ -129,15 +128,15 @@ def _experiments() -> tuple[Experiment, ...]:
         prbs = Prbs(10, 1e-3, 2, volt) if volt else None
         return Experiment(name, f"{name}.parquet", use, control, joint=joint, prbs=prbs)
 
-    found = [record("motion", "motion", both), record("motion-check", "check", both)]
+    experiments = [record("motion", "motion", both), record("motion-check", "check", both)]
     for j in (1, 2):
-        found += [
+        experiments += [
             record(f"prbs-j{j}", "frequency", free, joint=j, volt=10.0),
             record(f"sweep-j{j}-4V", "sweep", free, joint=j, volt=4.0),
             record(f"step-j{j}", "tuning", both, joint=j),
             record(f"step-check-j{j}", "check", both, joint=j),
         ]
-    return tuple(found)
+    return tuple(experiments)
 
 
 def write(folder: Path) -> None:
@@ -173,7 +172,7 @@ def write(folder: Path) -> None:
 
 
 def _write_counts(path: Path, table: pa.Table) -> None:
-    """Every column in whole counts; differences of neighbours take little room."""
+    """Write every column in whole counts; the encoding stores differences of neighbours."""
     columns = {}
     for name in table.column_names:
         column: FloatArray = table[name].to_numpy()

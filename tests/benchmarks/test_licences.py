@@ -1,4 +1,4 @@
-"""All that is locked may be used by everyone, and what may not be is found."""
+"""Licences of locked packages are free, and other licences are detected."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from benchmarks.licences import EXAMINED, Licensed, of_python, of_rust
 
 
 def test_locked_packages_are_free() -> None:
-    found = list(of_python())
-    assert len(found) > 50
-    assert [one for one in found if not one.free and one.name not in EXAMINED] == []
+    packages = list(of_python())
+    assert len(packages) > 50
+    assert [p for p in packages if not p.free and p.name not in EXAMINED] == []
 
 
-@pytest.mark.skipif(shutil.which("cargo") is None, reason="there is no cargo to ask")
+@pytest.mark.skipif(shutil.which("cargo") is None, reason="cargo is not installed")
 def test_locked_crates_are_free() -> None:
-    assert [one for one in of_rust() if not one.free] == []
+    assert [crate for crate in of_rust() if not crate.free] == []
 
 
 @pytest.mark.parametrize(
@@ -32,8 +32,8 @@ def test_locked_crates_are_free() -> None:
         ("MIT AND AGPL-3.0-or-later", False),
         ("License :: OSI Approved :: GNU General Public License v3 (GPLv3)", False),
         ("Proprietary", False),
-        ("not said", False),
+        ("unknown", False),
     ],
 )
-def test_a_licence_is_free_where_one_alternative_is(licence: str, free: bool) -> None:
-    assert Licensed("one", "1", licence).free == free
+def test_a_licence_is_free_if_one_alternative_is(licence: str, free: bool) -> None:
+    assert Licensed("package", "1", licence).free == free

@@ -1,4 +1,4 @@
-"""Robustness figures: what is counted of runs whose outcome is known."""
+"""Robustness figures of runs with known outcomes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 import pytest
-from benchmarks.robustness import OUTCOMES, Run, runs_of, said_of, tables, wilson
+from benchmarks.robustness import OUTCOMES, Run, judge_promise, runs_of, tables, wilson
 
 Row = dict[str, Any]
 
@@ -29,24 +29,24 @@ def run_of(name: str, **keys: Any) -> Row:
 def estimate(run: str, name: str, value: float | None, half: float, true: float = 1.0) -> Row:
     joint = None if name == "alpha" else 1
     low, high = (None, None) if value is None else (value - half, value + half)
-    own = {"run": run, "name": name, "joint": joint, "value": value, "true_value": true}
-    return own | {"ci95_low": low, "ci95_high": high}
+    row = {"run": run, "name": name, "joint": joint, "value": value, "true_value": true}
+    return row | {"ci95_low": low, "ci95_high": high}
 
 
-def only(row: Row, *parameters: Row) -> Run:
-    (found,) = runs_of([row], parameters)
-    return found
+def single_run(row: Row, *parameters: Row) -> Run:
+    (run,) = runs_of([row], parameters)
+    return run
 
 
 @pytest.mark.parametrize(
     ("name", "value", "half", "accurate", "wrong"),
     [
-        ("alpha", 1.009, 0.0, True, False),  # near
+        ("alpha", 1.009, 0.0, True, False),  # close
         ("alpha", 1.03, 0.04, True, False),  # inside its interval
-        ("alpha", 1.03, 0.0, False, False),  # neither, and not far
+        ("alpha", 1.03, 0.0, False, False),  # neither, and not wrong
         ("alpha", 1.06, 0.01, False, True),
         ("alpha", 0.94, 0.01, False, True),
-        ("alpha", 1.5, 0.6, True, False),  # far, and its interval says so
+        ("alpha", 1.5, 0.6, True, False),  # far, inside its wide interval
         ("gear_damping", 1.04, 0.0, True, False),
         ("gear_damping", 1.06, 0.0, False, True),
     ],
@@ -54,24 +54,24 @@ def only(row: Row, *parameters: Row) -> Run:
 def test_an_estimate_is_judged_by_error_and_interval(
     name: str, value: float, half: float, accurate: bool, wrong: bool
 ) -> None:
-    run = only(run_of("a"), estimate("a", name, value, half))
-    (own,) = run.estimates
-    assert (own.is_accurate, own.is_wrong) == (accurate, wrong)
+    run = single_run(run_of("a"), estimate("a", name, value, half))
+    (result,) = run.estimates
+    assert (result.is_accurate, result.is_wrong) == (accurate, wrong)
     assert (run.is_identified, run.is_silently_wrong) == (accurate, wrong)
 
 
-def test_only_what_is_published_and_primary_counts() -> None:
+def test_only_identified_primary_parameters_count() -> None:
     rows = [
         estimate("a", "friction_offset", 2.0, 0.0),  # not primary
-        estimate("a", "gear_stiffness_k3", 2.0, 0.0),  # not among those identified
+        estimate("a", "gear_stiffness_k3", 2.0, 0.0),  # not identified
         estimate("a", "gear_damping", None, 0.0),
     ]
-    assert not only(run_of("a"), *rows).estimates
+    assert not single_run(run_of("a"), *rows).estimates
 
 
 def test_a_wrong_value_without_the_verdict_is_not_silent() -> None:
     wrong = estimate("a", "alpha", 2.0, 0.1)
-    assert not only(run_of("a", status="partly-determined"), wrong).is_silently_wrong
+    assert not single_run(run_of("a", status="partly-determined"), wrong).is_silently_wrong
 
 
 FAULT = {"fault": "angle-sign", "fault_codes": ["wrong-sign"]}
@@ -92,29 +92,29 @@ RIGHT, WRONG = estimate("a", "alpha", 1.0, 0.1), estimate("a", "alpha", 2.0, 0.1
         ({}, WRONG, "silent"),
     ],
 )
-def test_what_becomes_of_a_fault(keys: Row, parameter: Row, outcome: str) -> None:
-    run = only(run_of("a", classes=FAULT, **keys), parameter)
+def test_outcome_of_a_fault(keys: Row, parameter: Row, outcome: str) -> None:
+    run = single_run(run_of("a", classes=FAULT, **keys), parameter)
     assert run.group == "faulty"
     assert run.outcome == outcome
     assert outcome in OUTCOMES
 
 
-def test_any_suspicion_names_a_fault_without_a_code() -> None:
+def test_any_suspicion_names_a_fault_without_code() -> None:
     late = {"fault": "late-sensors", "fault_codes": []}
-    assert only(run_of("a", classes=late, suspected=["misaligned"]), RIGHT).outcome == "named"
-    assert only(run_of("a", classes=late), RIGHT).outcome == "harmless"
+    assert single_run(run_of("a", classes=late, suspected=["misaligned"]), RIGHT).outcome == "named"
+    assert single_run(run_of("a", classes=late), RIGHT).outcome == "harmless"
 
 
 def test_groups_are_those_drawn() -> None:
-    assert only(run_of("a"), RIGHT).group == "clean"
-    assert only(run_of("a", classes={"effect": "backlash"}), RIGHT).group == "with an effect"
-    assert only(run_of("a", classes=None, status="failed")).group == "never opened"
+    assert single_run(run_of("a"), RIGHT).group == "clean"
+    assert single_run(run_of("a", classes={"effect": "backlash"}), RIGHT).group == "with an effect"
+    assert single_run(run_of("a", classes=None, status="failed")).group == "never opened"
 
 
-def test_runs_of_study_files_and_doubles_do_not_count() -> None:
-    own = run_of("b", study="rigs/study.toml", classes=None)
-    untrue = estimate("b", "alpha", 2.0, 0.0) | {"true_value": None}
-    assert len(runs_of([run_of("a"), run_of("a"), own], [RIGHT, untrue])) == 1
+def test_runs_of_study_files_and_repeated_rows_do_not_count() -> None:
+    study_run = run_of("b", study="rigs/study.toml", classes=None)
+    without_truth = estimate("b", "alpha", 2.0, 0.0) | {"true_value": None}
+    assert len(runs_of([run_of("a"), run_of("a"), study_run], [RIGHT, without_truth])) == 1
 
 
 def test_tables_count_known_cases() -> None:
@@ -128,9 +128,9 @@ def test_tables_count_known_cases() -> None:
     assert cells(verdicts)[0] == ["clean", "10", "100.0", "100.0", "4.0"]
     assert cells(verdicts)[1] == ["faulty", "10", "100.0", "90.0", "4.0"]
     assert cells(published)[1][:5] == ["faulty", "inertias", "10", "90.0", "90.0"]
-    harmless, quiet = OUTCOMES.index("harmless") + 2, OUTCOMES.index("silent") + 2
+    harmless, silent_column = OUTCOMES.index("harmless") + 2, OUTCOMES.index("silent") + 2
     assert cells(faults)[0][0] == "angle-sign"
-    assert (cells(faults)[0][harmless], cells(faults)[0][quiet]) == ("9", "1")
+    assert (cells(faults)[0][harmless], cells(faults)[0][silent_column]) == ("9", "1")
     assert [row[:4] for row in cells(silent)] == [
         ["clean", "10", "0", "0"],
         ["faulty", "10", "1", "1e+02"],
@@ -146,7 +146,7 @@ def test_wilson_interval_of_a_rare_event() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "runs", "said"),
+    ("wrong", "runs", "verdict"),
     [
         (2, 1000, "kept"),
         (3, 1000, "BROKEN"),
@@ -155,5 +155,5 @@ def test_wilson_interval_of_a_rare_event() -> None:
         (20, 500, "BROKEN"),
     ],
 )
-def test_a_promise_of_a_thousand_runs_takes_a_thousand(wrong: int, runs: int, said: str) -> None:
-    assert said_of(wrong, runs, 2) == said
+def test_a_promise_per_thousand_needs_a_thousand_runs(wrong: int, runs: int, verdict: str) -> None:
+    assert judge_promise(wrong, runs, 2) == verdict

@@ -1,18 +1,16 @@
-"""Two visits to one arm: what changed is named, and nothing where nothing did."""
+"""Comparison of two visits: changes are named, and only changes."""
 
 from __future__ import annotations
 
 import pytest
-from benchmarks.studies.visits import compared
+from benchmarks.studies.visits import compare_visits
 
 
 @pytest.mark.parametrize(
     ("changes", "named"), [({}, set()), ({"friction": 10.0}, {"motor_coulomb_friction 1"})]
 )
-def test_what_changed_between_two_visits_is_named(
-    changes: dict[str, float], named: set[str]
-) -> None:
-    found = compared(0, changes=changes)
-    assert found["status"] == ["determined", "determined"]
-    assert named <= set(found["named"])
-    assert found["differs"] == bool(named)
+def test_changes_between_two_visits_are_named(changes: dict[str, float], named: set[str]) -> None:
+    comparison = compare_visits(0, changes=changes)
+    assert comparison["status"] == ["determined", "determined"]
+    assert named <= set(comparison["named"])
+    assert comparison["differs"] == bool(named)

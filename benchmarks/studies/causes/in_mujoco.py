@@ -1,7 +1,7 @@
-"""Arms with a cause in MuJoCo, each cause written a second time, without the project's core.
+"""Arms with a cause in MuJoCo, implemented independently of strainwave's core.
 
-A torque that is put on a joint holds for a step of the engine. It is worked out in the middle of
-that step, from velocities and accelerations, so that it does not lag.
+An applied torque is constant over a step of MuJoCo. It is computed for the middle of the step, from
+velocities and accelerations, so that it does not lag.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from strainwave.virtual.families.causes import (
 )
 
 _SETTLING_STEPS = 8000
-_SETTLING_LOSS = 0.995  # of the links' velocities that a settling step leaves
+_SETTLING_FACTOR = 0.995  # of the links' velocities per settling step
 _GRAVITY = 9.81  # [m/s^2]
-_FLEXIBLE_AT = 0.4  # of a link's length, where its hinge is
-_BEYOND = 0.6  # of a link's mass
+_HINGE_POSITION = 0.4  # of a link's length
+_OUTER_MASS = 0.6  # of a link's mass, beyond the hinge
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,9 @@ class InMujoco:
         samples: int,
         record: Sequence[Quantity],
     ) -> Trajectory:
-        """What the arm did, as its study's sensors show it."""
+        """Simulate the sensors of the arm's study."""
 
-        def simulated(sample_time: float, samples: int) -> Trajectory:
+        def simulate(sample_time: float, samples: int) -> Trajectory:
             return in_mujoco(
                 arm,
                 values,
@@ -66,12 +66,12 @@ class InMujoco:
                 plant=partial(_PLANTS[self.cause.name], cause=self.cause, record=self.record),
             )
 
-        found = with_sensor_mount(simulated, sample_time, samples, self.cause)
-        return with_encoder_zero(found, arm, self.cause)
+        trajectory = with_sensor_mount(simulate, sample_time, samples, self.cause)
+        return with_encoder_zero(trajectory, arm, self.cause)
 
 
-class _Ailing(Plant):
-    """An arm whose cause sits at one joint."""
+class _FaultyArm(Plant):
+    """An arm with a cause at one joint."""
 
     def __init__(self, arm: Arm, values: Values, cause: Cause, record: int) -> None:
         super().__init__(arm, values)
@@ -84,9 +84,9 @@ class _Ailing(Plant):
         return self.values[name, self.joint]
 
     def begin(self, model: Any, data: Any, drive: Drive) -> None:
-        """All hang at standstill, whatever pulls: motors held, all else slowed down.
+        """Find the equilibrium with the motors held, by damping all other velocities.
 
-        The places of the joint's angles and velocities in the engine's lists are known from here.
+        Sets the indices of the joint's angles and velocities in MuJoCo's arrays.
         """
         motor = model.joint(f"motor_joint{self.joint}")
         link = model.joint(f"joint{self.joint}")
@@ -101,7 +101,7 @@ class _Ailing(Plant):
         for _ in range(_SETTLING_STEPS):
             self.act(model, data)
             mujoco.mj_step(model, data)
-            data.qvel *= _SETTLING_LOSS
+            data.qvel *= _SETTLING_FACTOR
             data.qvel[speeds] = 0.0
             data.qpos[places] = drive.motor_angle
         data.qvel[:] = 0.0
@@ -129,25 +129,27 @@ class _Ailing(Plant):
         return math.copysign(torque, torsion)
 
 
-class _DryFriction(_Ailing):
-    """Coulomb friction that something else moves."""
+class _DryFriction(_FaultyArm):
+    """Coulomb friction that depends on the state."""
 
     def act(self, model: Any, data: Any) -> None:
-        model.dof_frictionloss[self.motor] = self.value("motor_coulomb_friction") + self.more(data)
+        model.dof_frictionloss[self.motor] = self.value("motor_coulomb_friction") + self.additional(
+            data
+        )
 
-    def more(self, data: Any) -> float:
-        """What there is beside its constant part [N m]."""
+    def additional(self, data: Any) -> float:
+        """Friction in addition to the constant part [N m]."""
         raise NotImplementedError
 
 
 class _Stribeck(_DryFriction):
-    def more(self, data: Any) -> float:
+    def additional(self, data: Any) -> float:
         share = self.middle(data)[1] / self.sizes["stribeck_velocity"]
         return self.sizes["stribeck_friction"] * math.exp(-share * share)
 
 
 class _LoadFriction(_DryFriction):
-    def more(self, data: Any) -> float:
+    def additional(self, data: Any) -> float:
         q_m, w_m, q_l, w_l = self.middle(data)
         torque = self.spring(self.ratio * q_m - q_l)
         torque += self.value("gear_damping") * (self.ratio * w_m - w_l)
@@ -155,12 +157,12 @@ class _LoadFriction(_DryFriction):
 
 
 class _FrictionByRecord(_DryFriction):
-    def more(self, data: Any) -> float:
+    def additional(self, data: Any) -> float:
         factor = self.sizes[f"factor_{self.record}"]
         return (factor - 1.0) * self.value("motor_coulomb_friction")
 
 
-class _PowerFriction(_Ailing):
+class _PowerFriction(_FaultyArm):
     def act(self, model: Any, data: Any) -> None:
         w = self.middle(data)[1]
         p = self.sizes["power_exponent"]
@@ -168,38 +170,38 @@ class _PowerFriction(_Ailing):
         data.qfrc_applied[self.motor] = -math.copysign(torque, w)
 
 
-class _TorqueRipple(_Ailing):
+class _TorqueRipple(_FaultyArm):
     def act(self, model: Any, data: Any) -> None:
         angle = self.sizes["torque_ripple_order"] * self.middle(data)[0]
         cos, sin = self.sizes["torque_ripple_cos"], self.sizes["torque_ripple_sin"]
         data.qfrc_applied[self.motor] = cos * math.cos(angle) + sin * math.sin(angle)
 
 
-class _Gear(_Ailing):
-    """A gear whose torque differs from that of the engine's spring and damper."""
+class _Gear(_FaultyArm):
+    """A gear whose torque differs from that of MuJoCo's spring and damper."""
 
-    def put(self, data: Any, torque: float, at_motor: float) -> None:
-        """A torque on the link, and one against the motor."""
+    def apply(self, data: Any, torque: float, at_motor: float) -> None:
+        """Apply a torque to the link and the opposite one to the motor."""
         data.qfrc_applied[self.link] = torque
         data.qfrc_applied[self.motor] = -at_motor
 
 
 class _Hysteresis(_Gear):
-    """Dahl's law, exact between two steps, of which none holds a reversal worth a word."""
+    """Dahl's law, exact between two steps; reversals within a step are neglected."""
 
     def __init__(self, arm: Arm, values: Values, cause: Cause, record: int) -> None:
         super().__init__(arm, values, cause, record)
-        self.z, self.before = 0.0, math.nan
+        self.z, self.previous = 0.0, math.nan
 
     def act(self, model: Any, data: Any) -> None:
         q_m, _, q_l, _ = self.middle(data)
         torsion = self.ratio * q_m - q_l
-        way = 0.0 if math.isnan(self.before) else torsion - self.before
-        self.before = torsion
-        limit = math.copysign(1.0, way)
-        self.z = limit + (self.z - limit) * math.exp(-abs(way) / self.sizes["hysteresis_twist"])
+        change = 0.0 if math.isnan(self.previous) else torsion - self.previous
+        self.previous = torsion
+        limit = math.copysign(1.0, change)
+        self.z = limit + (self.z - limit) * math.exp(-abs(change) / self.sizes["hysteresis_twist"])
         torque = self.sizes["hysteresis_torque"] * self.z
-        self.put(data, torque, self.ratio * torque)
+        self.apply(data, torque, self.ratio * torque)
 
 
 class _KinematicError(_Gear):
@@ -212,83 +214,83 @@ class _KinematicError(_Gear):
         slope = order * (sin * wave[0] - cos * wave[1])
         damping, torsion = self.value("gear_damping"), self.ratio * q_m - q_l
         rate = self.ratio * w_m - w_l
-        without = self.spring(torsion) + damping * rate
+        nominal = self.spring(torsion) + damping * rate
         torque = self.spring(torsion + error) + damping * (rate + slope * w_m)
-        self.put(data, torque - without, (self.ratio + slope) * torque - self.ratio * without)
+        self.apply(data, torque - nominal, (self.ratio + slope) * torque - self.ratio * nominal)
 
 
 class _Backlash(_Gear):
     def act(self, model: Any, data: Any) -> None:
         q_m, _, q_l, _ = self.middle(data)
         torsion, half = self.ratio * q_m - q_l, self.sizes["backlash"]
-        felt = torsion - max(-half, min(half, torsion))
-        torque = self.spring(felt) - self.spring(torsion)
-        self.put(data, torque, self.ratio * torque)
+        loaded = torsion - max(-half, min(half, torsion))
+        torque = self.spring(loaded) - self.spring(torsion)
+        self.apply(data, torque, self.ratio * torque)
 
 
-class _GroundSpring(_Ailing):
-    """The engine's own joint spring, whose zero is where it pulls with nothing."""
+class _GroundSpring(_FaultyArm):
+    """MuJoCo's joint spring, with its zero at the unloaded angle."""
 
     def edited(self, mjcf: str) -> str:
         root = ET.fromstring(mjcf)
-        joint = _found(root, f".//joint[@name='joint{self.joint}']")
+        joint = _find(root, f".//joint[@name='joint{self.joint}']")
         stiffness, preload = self.sizes["ground_stiffness"], self.sizes["ground_preload"]
         joint.set("stiffness", _text(stiffness))
         joint.set("springref", _text(-preload / stiffness))
         return ET.tostring(root, encoding="unicode")
 
 
-class _Drive(_Ailing):
-    """An amplifier that does not give what it is asked for."""
+class _Drive(_FaultyArm):
+    """An amplifier whose output differs from its command."""
 
     def amplified(self, commanded: FloatArray) -> FloatArray:
-        found = np.array(commanded, dtype=float)
-        found[self.joint - 1] = self.given(float(found[self.joint - 1]))
-        return found
+        output = np.array(commanded, dtype=float)
+        output[self.joint - 1] = self.output(float(output[self.joint - 1]))
+        return output
 
-    def given(self, voltage: float) -> float:
-        """Of one joint."""
+    def output(self, voltage: float) -> float:
+        """Output of the joint's amplifier [V]."""
         raise NotImplementedError
 
 
 class _DriveGain(_Drive):
-    def given(self, voltage: float) -> float:
+    def output(self, voltage: float) -> float:
         return self.sizes["gain"] * voltage
 
 
 class _DriveGainByRecord(_Drive):
-    def given(self, voltage: float) -> float:
+    def output(self, voltage: float) -> float:
         return self.sizes[f"factor_{self.record}"] * voltage
 
 
 class _DriveSaturation(_Drive):
-    def given(self, voltage: float) -> float:
+    def output(self, voltage: float) -> float:
         return voltage * (1.0 - self.sizes["drive_saturation"] * abs(voltage))
 
 
 class _DeadZone(_Drive):
-    def given(self, voltage: float) -> float:
+    def output(self, voltage: float) -> float:
         return math.copysign(max(0.0, abs(voltage) - self.sizes["dead_zone"]), voltage)
 
 
 class _DriveLimit(_Drive):
     """An amplifier that clips."""
 
-    def given(self, voltage: float) -> float:
+    def output(self, voltage: float) -> float:
         return float(np.clip(voltage, -self.sizes["drive_limit"], self.sizes["drive_limit"]))
 
 
-class _DriveLag(_Ailing):
-    """A current loop slower than the study has it."""
+class _DriveLag(_FaultyArm):
+    """A current loop that is slower than in the study."""
 
     def bandwidths(self) -> list[float]:
-        found = super().bandwidths()
-        found[self.joint - 1] = self.sizes["bandwidth"]
-        return found
+        bandwidths = super().bandwidths()
+        bandwidths[self.joint - 1] = self.sizes["bandwidth"]
+        return bandwidths
 
 
-class _Tilt(_Ailing):
-    """Gravity that is not where the study says: turned in the plane, or not quite across it."""
+class _Tilt(_FaultyArm):
+    """Gravity with a direction that differs from the study's, in or out of the plane."""
 
     def begin(self, model: Any, data: Any, drive: Drive) -> None:
         angle, azimuth = self.sizes["angle"], self.sizes["azimuth"]
@@ -301,23 +303,23 @@ class _Tilt(_Ailing):
         super().begin(model, data, drive)
 
 
-class _FlexibleLink(_Ailing):
-    """A hinge with a spring within a link, most of whose mass is beyond it."""
+class _FlexibleLink(_FaultyArm):
+    """A link with an elastic hinge; most of its mass is beyond the hinge."""
 
     def edited(self, mjcf: str) -> str:
         root = ET.fromstring(mjcf)
-        link = _found(root, f".//body[@name='link{self.joint}']")
-        inertial = _found(link, "inertial")
+        link = _find(root, f".//body[@name='link{self.joint}']")
+        inertial = _find(link, "inertial")
         mass, inertia = float(inertial.attrib["mass"]), _first(inertial.attrib["diaginertia"])
         place = _first(inertial.attrib["pos"])
-        away = _FLEXIBLE_AT * self._length()
+        away = _HINGE_POSITION * self._length()
         moved = [each for each in link if each.tag not in ("inertial", "joint")]
         name = f"beyond{self.joint}"
         beyond = ET.SubElement(link, "body", name=name, pos=f"{_text(away)} 0 0")
-        attributes = {"pos": f"{_text(place - away)} 0 0", "mass": _text(_BEYOND * mass)}
-        ET.SubElement(beyond, "inertial", attributes | _turning(_BEYOND * inertia))
-        inertial.attrib |= {"mass": _text((1.0 - _BEYOND) * mass)}
-        inertial.attrib |= _turning((1.0 - _BEYOND) * inertia)
+        attributes = {"pos": f"{_text(place - away)} 0 0", "mass": _text(_OUTER_MASS * mass)}
+        ET.SubElement(beyond, "inertial", attributes | _diagonal_inertia(_OUTER_MASS * inertia))
+        inertial.attrib |= {"mass": _text((1.0 - _OUTER_MASS) * mass)}
+        inertial.attrib |= _diagonal_inertia((1.0 - _OUTER_MASS) * inertia)
         stiffness = self.sizes["stiffness"] * self._gear()
         carried = self.values["beta", None] if self.joint == 2 else self._carried()
         damping = 2.0 * self.sizes["damping_ratio"] * math.sqrt(stiffness * carried)
@@ -336,27 +338,29 @@ class _FlexibleLink(_Ailing):
         return self.arm.joints[1].accelerometer_distance or 0.0
 
     def _gear(self) -> float:
-        """Stiffness of the gear without torsion."""
+        """Stiffness of the gear at zero torsion."""
         return self.spring(1e-9) / 1e-9
 
     def _carried(self) -> float:
         return sum(self.values[name, None] for name in ("alpha", "beta", "gamma"))
 
 
-class _SoftBase(_Ailing):
-    """The first axis stands on a heavy base that turns about it, and slides a little."""
+class _SoftBase(_FaultyArm):
+    """The first axis on a heavy base that turns about it and slides slightly."""
 
     def edited(self, mjcf: str) -> str:
         root = ET.fromstring(mjcf)
-        world = _found(root, "worldbody")
-        link = _found(world, "body[@name='link1']")
+        world = _find(root, "worldbody")
+        link = _find(world, "body[@name='link1']")
         links = sum(float(each.attrib["mass"]) for each in link.iter("inertial"))
         stiffness = 1.0 / self.sizes["base_compliance"]
         turning = stiffness / (math.tau * self.sizes["base_frequency"]) ** 2
         mass = self.sizes["mass"] * links
         base = ET.SubElement(world, "body", name="base")
         base.set("pos", "0 0 0")
-        ET.SubElement(base, "inertial", {"pos": "0 0 0", "mass": _text(mass)} | _turning(turning))
+        ET.SubElement(
+            base, "inertial", {"pos": "0 0 0", "mass": _text(mass)} | _diagonal_inertia(turning)
+        )
         held = mass * (math.tau * self.sizes["sliding_frequency"]) ** 2
         kinds = (
             ("slide", "1 0 0", mass, held),
@@ -372,11 +376,11 @@ class _SoftBase(_Ailing):
         return ET.tostring(root, encoding="unicode")
 
 
-def _found(element: ET.Element, path: str) -> ET.Element:
-    found = element.find(path)
-    if found is None:
+def _find(element: ET.Element, path: str) -> ET.Element:
+    child = element.find(path)
+    if child is None:
         raise LookupError(f"the exported model has no {path}")
-    return found
+    return child
 
 
 def _text(number: float) -> str:
@@ -387,20 +391,20 @@ def _first(numbers: str) -> float:
     return float(numbers.split(maxsplit=1)[0])
 
 
-def _turning(inertia: float) -> dict[str, str]:
+def _diagonal_inertia(inertia: float) -> dict[str, str]:
     return {"diaginertia": " ".join([_text(inertia)] * 3)}
 
 
 def _shift(element: ET.Element, away: float) -> None:
-    """An element of a body, where another body that begins further out has it."""
+    """Move an element into the frame of a body that begins farther out."""
     if "fromto" in element.attrib:
-        return  # it is drawn, nothing else
+        return  # for display only
     x, *others = element.attrib.get("pos", "0 0 0").split()
     element.set("pos", " ".join([_text(float(x) - away), *others]))
 
 
 _PLANTS: dict[str, Callable[..., Plant]] = {
-    NOTHING: _Ailing,
+    NOTHING: _FaultyArm,
     "stribeck": _Stribeck,
     "hysteresis": _Hysteresis,
     "kinematic-error": _KinematicError,
@@ -415,12 +419,12 @@ _PLANTS: dict[str, Callable[..., Plant]] = {
     "drive-limit": _DriveLimit,
     "drive-lag": _DriveLag,
     "tilt": _Tilt,
-    "encoder-zero": _Ailing,
-    "sensor-mount": _Ailing,
+    "encoder-zero": _FaultyArm,
+    "sensor-mount": _FaultyArm,
     "friction-by-record": _FrictionByRecord,
     "drive-gain-by-record": _DriveGainByRecord,
     "flexible-link": _FlexibleLink,
     "soft-base": _SoftBase,
 }
 CAUSES = tuple(name for name in _PLANTS if name != NOTHING)
-"""What the engine's arms can have."""
+"""Causes that MuJoCo can simulate."""

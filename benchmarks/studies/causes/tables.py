@@ -1,4 +1,4 @@
-"""What was found, counted cause by cause: as tables on a screen and in Markdown."""
+"""Tables by cause, for a terminal and in Markdown."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.studies.causes.judged import (
+from benchmarks.studies.causes.evaluation import (
+    OUTCOMES,
     SELECTIONS,
-    VERDICTS,
     error_percent,
-    is_sound,
+    is_accurate,
     matters,
-    taken_up,
-    verdict_on,
+    naming_outcome,
+    selection_outcome,
 )
 from strainwave.virtual.families.causes import NOTHING
 
-_UNNAMED = "nothing"
-_FITS = ("plain", "with_it", "auto")
+_NOT_NAMED = "nothing"
+_FITS = ("plain", "with_effect", "auto")
 
 
 @dataclass(frozen=True, slots=True)
-class Counted:
-    """A table: a title, headings, and rows of as many cells."""
+class TextTable:
+    """A title, headings, and rows of as many cells."""
 
     title: str
     head: tuple[str, ...]
@@ -48,107 +48,110 @@ class Counted:
         return f"**{self.title}.**\n\n{text}\n"
 
 
-def tables(found: Sequence[dict[str, Any]]) -> list[Counted]:
-    """All there are of some runs."""
-    ailing = [one for one in found if one["cause"] != NOTHING]
-    clean = [one for one in found if one["cause"] == NOTHING]
-    made = []
-    if ailing:
-        made += [_named(ailing), _mended(ailing), _confused(ailing)]
+def tables(results: Sequence[dict[str, Any]]) -> list[TextTable]:
+    """All tables of some runs."""
+    with_cause = [result for result in results if result["cause"] != NOTHING]
+    clean = [result for result in results if result["cause"] == NOTHING]
+    text_tables = []
+    if with_cause:
+        text_tables += [_naming(with_cause), _accuracy(with_cause), _confusion(with_cause)]
     if clean:
-        made.append(_alarms(clean))
-    if any("auto" in one for one in found):
-        made.append(_selected(found))
-    return made
+        text_tables.append(_false_alarms(clean))
+    if any("auto" in result for result in results):
+        text_tables.append(_selection(results))
+    return text_tables
 
 
-def _by_cause(found: Sequence[dict[str, Any]]) -> Iterable[tuple[str, list[dict[str, Any]]]]:
-    for cause in dict.fromkeys(one["cause"] for one in found):
-        yield cause, [one for one in found if one["cause"] == cause]
-    if len({one["cause"] for one in found}) > 1:
-        yield "all", list(found)
+def _by_cause(
+    results: Sequence[dict[str, Any]],
+) -> Iterable[tuple[str, list[dict[str, Any]]]]:
+    for cause in dict.fromkeys(result["cause"] for result in results):
+        yield cause, [result for result in results if result["cause"] == cause]
+    if len({result["cause"] for result in results}) > 1:
+        yield "all", list(results)
 
 
-def _named(found: Sequence[dict[str, Any]]) -> Counted:
-    """Of the runs whose cause matters, what is named; and of the others, what is named wrongly."""
+def _naming(results: Sequence[dict[str, Any]]) -> TextTable:
+    """Outcomes of runs whose cause matters, and right and wrong names of the others."""
     rows = []
-    for cause, runs in _by_cause(found):
-        fitted = [one for one in runs if one["plain"]["parameters"] and one["plain"].get("fit")]
-        mattering = [one for one in runs if matters(one)]
-        said = [verdict_on(one) for one in mattering]
-        others = [verdict_on(one) for one in runs if not matters(one)]
-        counts = [str(said.count(verdict)) for verdict in VERDICTS]
-        sizes = (str(len(each)) for each in (runs, fitted, mattering))
-        rest = (str(others.count(verdict)) for verdict in ("effect and joint", "another"))
-        rows.append((cause, *sizes, *counts, *rest))
-    head = ("cause", "runs", "fitted", "matter", *VERDICTS, "else: right", "else: another")
-    return Counted("What is named where it matters", head, tuple(rows))
+    for cause, runs in _by_cause(results):
+        n_fitted = sum(bool(r["plain"]["parameters"] and r["plain"].get("fit")) for r in runs)
+        outcomes = [naming_outcome(result) for result in runs if matters(result)]
+        others = [naming_outcome(result) for result in runs if not matters(result)]
+        counts = [str(outcomes.count(outcome)) for outcome in OUTCOMES]
+        sizes = (str(len(runs)), str(n_fitted), str(len(outcomes)))
+        other_counts = (str(others.count(outcome)) for outcome in ("effect and joint", "another"))
+        rows.append((cause, *sizes, *counts, *other_counts))
+    head = ("cause", "runs", "fitted", "matter", *OUTCOMES, "others: right", "others: another")
+    return TextTable("Named effect where the cause matters", head, tuple(rows))
 
 
-def _mended(found: Sequence[dict[str, Any]]) -> Counted:
-    """Sound parameters, largest errors and seconds of a core, without and with the cause."""
+def _accuracy(results: Sequence[dict[str, Any]]) -> TextTable:
+    """Accurate parameters, largest errors and processor time, without and with the effect."""
     rows = []
-    for cause, runs in _by_cause(found):
+    for cause, runs in _by_cause(results):
         cells = [cause]
         for fit in _FITS:
-            tried = [one[fit] for one in runs if fit in one]
-            parameters = [row for one in tried for row in one["parameters"]]
-            sound = [is_sound(row) for row in parameters]
-            given = [each for each in sound if each is not None]
-            share = f"{100.0 * np.mean(given):.1f}" if given else ""
-            missing = f"{len(sound) - len(given)}" if sound else ""
-            seconds = f"{np.median([one['seconds'] for one in tried]):.1f}" if tried else ""
-            cells += [share, missing, _largest(parameters), seconds]
+            fits = [result[fit] for result in runs if fit in result]
+            parameters = [row for result in fits for row in result["parameters"]]
+            accurate = [is_accurate(row) for row in parameters]
+            identified = [flag for flag in accurate if flag is not None]
+            share = f"{100.0 * np.mean(identified):.1f}" if identified else ""
+            missing = f"{len(accurate) - len(identified)}" if accurate else ""
+            seconds = f"{np.median([result['seconds'] for result in fits]):.1f}" if fits else ""
+            cells += [share, missing, _largest_error(parameters), seconds]
         rows.append(tuple(cells))
     head = ["cause"]
-    for fit in ("ignored", "named", "auto"):
-        head += [f"sound %, {fit}", "missing", "largest wrong %", "s"]
-    return Counted("Primary parameters", tuple(head), tuple(rows))
+    for fit in ("ignored", "in the study", "auto"):
+        head += [f"accurate %, {fit}", "missing", "largest error %", "s"]
+    return TextTable("Primary parameters", tuple(head), tuple(rows))
 
 
-def _largest(parameters: Sequence[list[Any]]) -> str:
-    """Error of the parameter that is furthest off among those that are not sound."""
-    wrong = [(abs(error_percent(row) or 0.0), row) for row in parameters if is_sound(row) is False]
+def _largest_error(parameters: Sequence[list[Any]]) -> str:
+    """The inaccurate parameter with the largest error [%]."""
+    wrong = [
+        (abs(error_percent(row) or 0.0), row) for row in parameters if is_accurate(row) is False
+    ]
     if not wrong:
         return ""
-    error, row = max(wrong, key=lambda each: each[0])
+    error, row = max(wrong, key=lambda pair: pair[0])
     return f"{error:.3g} {row[0]} {row[1] or ''}".strip()
 
 
-def _confused(found: Sequence[dict[str, Any]]) -> Counted:
-    """How often each cause is taken for which, whether it matters or not."""
-    taken = [(one["cause"], _taken_for(one)) for one in found]
-    columns = [*sorted({effect for _, effect in taken} - {_UNNAMED}), _UNNAMED]
+def _confusion(results: Sequence[dict[str, Any]]) -> TextTable:
+    """Number of runs by cause and named effect, whether the cause matters or not."""
+    pairs = [(result["cause"], _named(result)) for result in results]
+    columns = [*sorted({effect for _, effect in pairs} - {_NOT_NAMED}), _NOT_NAMED]
     rows = []
-    for cause in dict.fromkeys(name for name, _ in taken):
-        counts = [taken.count((cause, column)) for column in columns]
+    for cause in dict.fromkeys(name for name, _ in pairs):
+        counts = [pairs.count((cause, column)) for column in columns]
         rows.append((cause, *(str(count) if count else "" for count in counts)))
-    return Counted("What each cause is taken for", ("cause", *columns), tuple(rows))
+    return TextTable("Named effect by cause", ("cause", *columns), tuple(rows))
 
 
-def _taken_for(one: dict[str, Any]) -> str:
-    named = one["plain"]["named"]
+def _named(result: dict[str, Any]) -> str:
+    named = result["plain"]["named"]
     if named is not None:
         return str(named[0])
-    return ", ".join(one["plain"].get("suspected", ())) or _UNNAMED
+    return ", ".join(result["plain"].get("suspected", ())) or _NOT_NAMED
 
 
-def _selected(found: Sequence[dict[str, Any]]) -> Counted:
-    """What fits that select effects take up."""
+def _selection(results: Sequence[dict[str, Any]]) -> TextTable:
+    """Effects included by fits with "auto"."""
     rows = []
-    for cause, runs in _by_cause([one for one in found if "auto" in one]):
-        chosen = [taken_up(one) for one in runs]
-        counts = [str(chosen.count(selection)) for selection in SELECTIONS]
+    for cause, runs in _by_cause([result for result in results if "auto" in result]):
+        outcomes = [selection_outcome(result) for result in runs]
+        counts = [str(outcomes.count(selection)) for selection in SELECTIONS]
         rows.append((cause, str(len(runs)), *counts))
-    return Counted("What a fit takes up by itself", ("cause", "runs", *SELECTIONS), tuple(rows))
+    return TextTable('Effects included by "auto"', ("cause", "runs", *SELECTIONS), tuple(rows))
 
 
-def _alarms(clean: Sequence[dict[str, Any]]) -> Counted:
-    """What is named on arms that have no cause."""
-    named = [_taken_for(one) for one in clean]
+def _false_alarms(clean: Sequence[dict[str, Any]]) -> TextTable:
+    """Named effects of arms without a cause."""
+    named = [_named(result) for result in clean]
     rows = [(name, str(named.count(name))) for name in dict.fromkeys(sorted(named))]
-    sound = [is_sound(row) for one in clean for row in one["plain"]["parameters"]]
-    given = [each for each in sound if each is not None]
-    if given:
-        rows.append(("sound %", f"{100.0 * np.mean(given):.1f} of {len(given)}"))
-    return Counted(f"{len(clean)} arms without a cause", ("named", "arms"), tuple(rows))
+    accurate = [is_accurate(row) for result in clean for row in result["plain"]["parameters"]]
+    identified = [flag for flag in accurate if flag is not None]
+    if identified:
+        rows.append(("accurate %", f"{100.0 * np.mean(identified):.1f} of {len(identified)}"))
+    return TextTable(f"{len(clean)} arms without a cause", ("named", "arms"), tuple(rows))

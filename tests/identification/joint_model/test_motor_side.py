@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.studies.arms import drawn
+from benchmarks.studies.arms import draw_arm
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -140,7 +140,7 @@ def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generat
 
 @pytest.mark.parametrize("seed", [0, 2, 8])
 def test_the_search_finds_the_gears_of_drawn_arms(seed: int) -> None:
-    study, values = drawn(seed)  # linear gears
+    study, values = draw_arm(seed)  # linear gears
     for i, n in enumerate(
         Arm.of(study.arm).gear_ratios, start=1
     ):  # the split that a search takes for given
@@ -159,7 +159,7 @@ def test_the_search_finds_the_gears_of_drawn_arms(seed: int) -> None:
 
 
 def test_a_stiffness_that_hardly_shows_stays_in_question() -> None:
-    study, values = drawn(0)
+    study, values = draw_arm(0)
     rng = np.random.default_rng(0)
     family = known_family(study, values)
     records = [exact_piece(family, values, row, rng) for row in (0, 1)]
@@ -172,7 +172,7 @@ def test_a_stiffness_that_hardly_shows_stays_in_question() -> None:
 
 
 def test_a_motor_that_stands_is_refused_with_a_remedy() -> None:
-    study, _ = drawn(0)
+    study, _ = draw_arm(0)
     n = 2000
     still: FloatArray = np.zeros((n, 2))
     signals = _signals(study, still, n)
@@ -209,7 +209,7 @@ def _signals(study: Study, still: FloatArray, n: int) -> LinkSignals:
 
 
 def test_without_a_rigid_model_there_is_no_catalogue() -> None:
-    study, _ = drawn(0)
+    study, _ = draw_arm(0)
     with pytest.raises(NotIdentifiable, match='use = "motion"'):
         models_from_catalogue(None, Arm.of(replace(study, path=Path("study.toml")).arm))
     single = replace(

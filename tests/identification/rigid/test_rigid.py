@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.studies.arms import drawn
+from benchmarks.studies.arms import draw_arm
 from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray, RigidModel, Signals, Study
@@ -390,7 +390,7 @@ def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
 
 def test_too_few_rows_do_not_end_the_search(tmp_path: Path) -> None:
     """A drawn arm whose first band, 0.9 Hz, takes 60 times the compliance for certain."""
-    study, values = drawn(12)
+    study, values = draw_arm(12)
     motion = tuple(e for e in study.experiments if e.use == "motion")
     simulate_study(
         replace(study, experiments=motion), values, tmp_path, seed=12, noise=None, as_recorded=False

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.studies.arms import rig
+from benchmarks.studies.arms import draw_rig
 from benchmarks.studies.lab import without_link_sensors
-from benchmarks.studies.sensors import reduced, with_sensors
+from benchmarks.studies.sensors import remove_channels, with_sensors
 
 from strainwave.domain import Identification
 from strainwave.domain.parameters import Values
@@ -24,7 +24,7 @@ _OF_NO_ONE = ("motor_viscous_friction", "link_viscous_friction")  # their sum is
 
 def run(folder: Path, sensors: Sequence[str], seed: int = SEED) -> tuple[Identification, Values]:
     """A drawn arm's logs with a set of sensors, identified, and its truth."""
-    own = with_sensors(rig(seed), sensors)
+    own = with_sensors(draw_rig(seed), sensors)
     simulate_study(
         own.study,
         own.values,
@@ -34,7 +34,7 @@ def run(folder: Path, sensors: Sequence[str], seed: int = SEED) -> tuple[Identif
         as_recorded=False,
         sample_time=own.sample_time,
     )
-    reduced(folder, own, sensors)
+    remove_channels(folder, own, sensors)
     study = read_study(folder / "study.toml")
     return identify(folder / "study.toml"), derived(own.values, study.arm)
 
