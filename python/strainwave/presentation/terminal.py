@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -51,17 +52,27 @@ def print_summary(
         if table.row_count:
             console.print()
             console.print(table)
+    if identification.sweeps:
+        console.print()
     for sweep in identification.sweeps:
+        joint = identification.study.arm.joints[sweep.joint - 1]
+        unit = "N/m" if joint.motion == "prismatic" else "N m/rad"
         first, last = sweep.points[0], sweep.points[-1]
+        ends = [
+            " ± ".join(plus_minus(p.gear_stiffness, p.gear_stiffness_std)) for p in (first, last)
+        ]
         trend = f"joint {sweep.joint}, {first.amplitude:g} to {last.amplitude:g} V: stiffness"
-        trend += f" {first.gear_stiffness:.4g} to {last.gear_stiffness:.4g}, {trend_title(sweep)}"
+        trend += f" {ends[0]} to {ends[1]} {unit}, {trend_title(sweep)}"
         console.print(Text(trend))
     for clause in gain_sentences(identification):
         console.print(Text(sentence(clause)))
+    groups: dict[str, list[Diagnostic]] = {}
     for warning in by_severity(identification.warnings):
+        groups.setdefault(warning.code, []).append(warning)
+    for code, warnings in groups.items():
         console.print()
-        for text in _warning(warning):
-            console.print(text)
+        console.print(Text(f"warning [{code}]"), style="yellow")
+        console.print(_warning_table(warnings))
     console.print()
     for line, style in _verdict(identification.verdict):
         console.print(Text(line), style=style)
@@ -74,20 +85,26 @@ def _verdict(verdict: Verdict) -> Iterator[tuple[str, str]]:
     """Status, reasons and corrections, each with its style."""
     style = _STATUS_STYLES.get(verdict.status, _FAULT_STYLE)
     yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style
-    for reason in verdict.reasons:
+    for reason in () if verdict.suspected else verdict.reasons:
         yield f"  {sentence(reason)}", style
     for suspicion in verdict.suspected:
-        yield f"  correction of {suspicion.where}: {suspicion.remedy}", _FAULT_STYLE
+        yield f"  {suspicion.where}: {suspicion.message}", style
+        yield f"    correction: {suspicion.remedy}", style
 
 
-def _warning(warning: Diagnostic) -> Iterator[Text]:
-    """Observation, meaning and remedy."""
-    yield Text(f"warning [{warning.code}] {warning.where}", style="yellow")
-    known = advice().get(warning.code)
-    yield Text(f"  observed:   {sentence(warning.message)}")
+def _warning_table(warnings: Sequence[Diagnostic]) -> Table:
+    """Observations of one code, then meaning and remedy; the report has the whole messages."""
+    table = Table.grid(padding=(0, 1))
+    table.add_column(no_wrap=True)
+    table.add_column()
+    for warning in warnings:
+        observation = re.split(r"; |\. ", warning.message, maxsplit=1)[0]
+        table.add_row("  observed", Text(f"{warning.where}: {observation}"))
+    known = advice().get(warnings[0].code)
     if known is not None:
-        yield Text(f"  meaning:    {known.meaning}")
-        yield Text(f"  what to do: {known.remedy}")
+        table.add_row("  meaning", Text(known.meaning))
+        table.add_row("  what to do", Text(known.remedy))
+    return table
 
 
 def _fit_table(identification: Identification) -> Table:

@@ -17,6 +17,7 @@ from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
 from strainwave.domain import Diagnostic, Identification, Parameter
 from strainwave.domain.parameter_words import all_words
+from strainwave.presentation.html import read_template
 from strainwave.presentation.report import figures_of, remedies, render
 from strainwave.presentation.terminal import print_summary
 
@@ -274,7 +275,7 @@ def test_an_unknown_parameter_has_a_row() -> None:
 def test_warning_codes_name_their_section_of_the_documentation() -> None:
     page = render(identification())
     assert "<code>saturated</code>" in page
-    assert "<code>docs/troubleshooting.md#saturated</code>" in page
+    assert f"<code>{remedies.PAGE}</code>" in page
     sections = (ROOT / remedies.PAGE).read_text(encoding="utf-8")
     assert [code for code in remedies.remedies() if f"\n### `{code}`\n" not in sections] == []
 
@@ -288,3 +289,22 @@ def test_sections_are_open_and_fitted_records_are_folded() -> None:
     fitted = re.search(r"<details><summary>Fitted records.*?</details>", page, re.DOTALL)
     assert fitted is not None
     assert re.findall(r'id="figure-([^"]+)"', fitted[0]) == ["tuning-step-j1", "fitted-motion"]
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance by WCAG 2.2."""
+    parts = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_status_colours_have_contrast_in_both_themes() -> None:
+    """At least 4.5 : 1 (WCAG 2.2, AA) for text on a badge and for coloured text."""
+    themes = re.findall(r":root \{(.*?)\}", read_template("report/page.css"), re.DOTALL)
+    assert len(themes) == 2
+    for theme in themes:
+        colours = dict(re.findall(r"--(\w+): (#\w{6})", theme))
+        for status in ("good", "doubt", "bad", "ink", "faint"):
+            for ground in ("paper", "panel"):
+                low, high = sorted(luminance(colours[one]) for one in (status, ground))
+                assert (high + 0.05) / (low + 0.05) >= 4.5, (status, ground)

@@ -271,19 +271,6 @@ _SCOPE = {
     ),
 }
 """Warnings about the scope of the result."""
-MILD = frozenset(
-    {
-        "equivalent-stiffness",
-        "effect-left-out",
-        "effect-taken-up",
-        "friction-settles",
-        "elastic-not-validated",
-        "nothing-to-predict",
-        "reordered",
-        "resampled",
-    }
-)
-"""Codes that do not restrict the result."""
 _UNKNOWN = Advice("See the message.", "See the message.")
 
 
@@ -331,8 +318,7 @@ def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
     heads = ("where", "observed", "meaning", "what to do", "code")
     yield from table("Warnings", heads, rows, heading=False)
     if rows:
-        anchors = dict.fromkeys(f"{PAGE}#{w.code}" for w in ordered)
-        yield paragraph("Details: ", *_listed(Span(anchor, kind="code") for anchor in anchors), ".")
+        yield paragraph("Each code has a section in ", Span(PAGE, kind="code"), ".")
 
 
 def sentence(text: str) -> str:
@@ -341,13 +327,6 @@ def sentence(text: str) -> str:
     is_word = first.isalpha() and first.islower()
     text = text[:1].upper() + text[1:] if is_word else text
     return text if text.endswith((".", "?", "!")) else f"{text}."
-
-
-def _listed(spans: Iterable[Span]) -> Iterator[Span]:
-    for k, span in enumerate(spans):
-        if k:
-            yield Span(", ")
-        yield span
 
 
 def place_of(warning: Diagnostic) -> str:

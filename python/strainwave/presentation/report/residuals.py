@@ -49,6 +49,7 @@ from strainwave.presentation.report.blocks import (
     Table,
     number,
     paragraph,
+    prose,
     table,
     two_digits,
 )
@@ -175,7 +176,13 @@ def _score_row(test: ScoreTest) -> Row:
     ]
     deviations, limit = (two_digits(float(np.sqrt(max(v, 0.0)))) for v in (test.gain, test.limit))
     numbers = (deviations, limit, f"{two_digits(100.0 * test.share)} %")
-    return (test.effect, str(test.joint), *map(number, numbers), _verdict(test), _listed(sizes))
+    return (
+        test.effect,
+        str(test.joint),
+        *map(number, numbers),
+        _verdict(test),
+        prose(_listed(sizes)),
+    )
 
 
 def _verdict(test: ScoreTest) -> str:
@@ -200,7 +207,13 @@ def _cause_row(cause: Cause) -> Row:
     ]
     shifts = ", ".join(map(_shift, cause.shifts[:_LISTED_SHIFTS]))
     share = number(f"{two_digits(100.0 * cause.share)} %")
-    return (cause.effect, str(cause.joint), _listed(sizes) or "not identified", share, shifts)
+    return (
+        cause.effect,
+        str(cause.joint),
+        _listed(sizes) or "not identified",
+        share,
+        prose(shifts),
+    )
 
 
 def _shift(shift: ParameterShift) -> str:

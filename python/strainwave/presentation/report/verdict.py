@@ -22,7 +22,7 @@ from strainwave.presentation.report.blocks import (
     prose,
     table,
 )
-from strainwave.presentation.report.remedies import MILD, most_serious, place_of, sentence
+from strainwave.presentation.report.remedies import most_serious, place_of, sentence
 
 _CLASSES = (
     (0.01, "95 % half-width up to 1 %"),
@@ -35,7 +35,6 @@ _UNCERTAIN = "Not identified: the 95 % interval is wider than the value"
 _NO_VALUE = "Not identified"
 _REJECTED = "Rejected: do not use"
 _USABLE_HALF_WIDTH = 0.1  # relative: good enough to simulate with
-MIN_GOOD_FIT = 85.0  # [%] median fit from which a model predicts its check records well
 _TITLES: Mapping[str, tuple[str, Mark]] = {
     "determined": ("Determined", "good"),
     "partly-determined": ("Partly determined", "doubt"),
@@ -50,22 +49,18 @@ def verdict(identification: Identification) -> Callout:
     """The summary at the top of the page."""
     result = identification.verdict
     title, mark = _TITLES[result.status]
-    serious = [w for w in identification.warnings if w.code not in MILD]
-    fits = check_fits(identification)
-    is_weak = any(values and _median(values) < MIN_GOOD_FIT for values in fits.values())
-    has_doubts = bool(serious or is_weak or result.not_identified or result.rejected)
     reasons = () if result.suspected else result.reasons
     blocks: list[Block] = [
         paragraph(Span(title, kind="badge", mark=mark), f" {_count(identification.decisions)}"),
         *(paragraph(sentence(reason)) for reason in reasons),
         *_suspicions(identification),
-        *_validation(identification, fits),
+        *_validation(identification),
         *_warnings(identification),
     ]
     groups = tuple(_groups(identification))
     if groups:
         blocks.append(Facts(groups))
-    return Callout("doubt" if mark == "good" and has_doubts else mark, tuple(blocks))
+    return Callout(mark, tuple(blocks))
 
 
 def _suspicions(identification: Identification) -> Iterator[Block]:
@@ -144,9 +139,7 @@ def _count(decisions: Sequence[Decision]) -> str:
     )
 
 
-def _validation(
-    identification: Identification, fits: Mapping[str, Sequence[Fit]]
-) -> Iterator[Block]:
+def _validation(identification: Identification) -> Iterator[Block]:
     """Fits of the check records by each model, and what they do not validate."""
     names = [e.name for e in identification.study.experiments if e.use == "check"]
     if not identification.checks:
@@ -155,7 +148,7 @@ def _validation(
         )
         yield paragraph(Span("Not validated: ", strong=True), _unpredicted(names, reason))
         return
-    validated = identification.verdict.validated.elastic
+    fits, validated = check_fits(identification), identification.verdict.validated.elastic
     rows = [_fit_row("rigid model, drive", fits["rigid"])] if fits["rigid"] else []
     if fits["elastic"] and validated:
         rows.append(_fit_row("elastic model, motion", fits["elastic"]))

@@ -2,7 +2,7 @@
 (() => {
   const PAPER_WIDTH = 670; // [px] A4 and Letter between their margins
   // figure heights on paper [px] up to a number of panels: a third, a half or nearly a whole page
-  const PAPER_HEIGHTS = [[1.2, 225], [5.9, 410], [Infinity, 800]];
+  const PAPER_HEIGHTS = [[1.2, 225], [3.2, 370], [5.9, 410], [Infinity, 800]];
   const DARK = { // replacement of each figure colour on a dark page
     "#0072B2": "#56A8E8", "#D55E00": "#FF8A3C", "#009E73": "#35C99B", "#CC79A7": "#E59CC4",
     "#56B4E9": "#8ACCF5", "#E69F00": "#F2BB4E", "#888888": "#A0A8B4", "#FFFFFF": "#14181E",
