@@ -1,6 +1,6 @@
-"""What the docs show works, and what they list is complete.
+"""Examples of the documentation work, and its lists are complete.
 
-Study files, parameter files, commands, code, links and examples; codes, keys and equations.
+Examples: study files, parameter files, commands, code, links. Lists: codes, keys, equations.
 """
 
 from __future__ import annotations
@@ -48,18 +48,18 @@ def blocks_of(page: Path, language: str) -> list[str]:
 
 
 def blocks(language: str) -> list[tuple[str, str]]:
-    found = []
-    for page in PAGES:
-        texts = blocks_of(page, language)
-        found += [(f"{page.relative_to(ROOT)}-{k}", text) for k, text in enumerate(texts)]
-    return found
+    return [
+        (f"{page.relative_to(ROOT)}-{k}", text)
+        for page in PAGES
+        for k, text in enumerate(blocks_of(page, language))
+    ]
 
 
 def programs() -> list[tuple[str, str]]:
-    """Python of the docs: page by page, but that of the stages is one program."""
+    """Python programs of the docs: one per page; the pages of the stages form one program."""
     stages = [ROOT / f"docs/stages/{name}.md" for name in STAGES]
-    own = [page for page in PAGES if page not in stages and blocks_of(page, "python")]
-    groups = {page.stem: [page] for page in own} | {"stages": stages}
+    others = [page for page in PAGES if page not in stages and blocks_of(page, "python")]
+    groups = {page.stem: [page] for page in others} | {"stages": stages}
     return [
         (name, "\n".join(text for page in pages for text in blocks_of(page, "python")))
         for name, pages in groups.items()
@@ -67,24 +67,24 @@ def programs() -> list[tuple[str, str]]:
 
 
 def commands() -> list[tuple[str, str]]:
-    found = []
-    for page in PAGES:
-        for line in re.findall(r"^ {4}(strainwave .*)$", page.read_text("utf-8"), re.MULTILINE):
-            found.append((page.name, line))
-    return found
+    return [
+        (page.name, line)
+        for page in PAGES
+        for line in re.findall(r"^ {4}(strainwave .*)$", page.read_text("utf-8"), re.MULTILINE)
+    ]
 
 
 def test_study_files_are_read(tmp_path: Path) -> None:
     texts = [text for _, text in blocks("toml")]
-    whole = [text for text in texts if "[arm]" in text]
-    assert whole
+    complete = [text for text in texts if "[arm]" in text]
+    assert complete
     path = tmp_path / "study.toml"
-    for text in whole:
+    for text in complete:
         path.write_text(text, encoding="utf-8")
         read_study(path, logs_exist=False)
     studies = []
-    for part in (text for text in texts if text not in whole):
-        path.write_text(whole[0] + "\n" + part, encoding="utf-8")
+    for part in (text for text in texts if text not in complete):
+        path.write_text(complete[0] + "\n" + part, encoding="utf-8")
         studies.append(read_study(path, logs_exist=False))
     mapped = [study.channels["theta_m1"] for study in studies if study.channels]
     assert any(channel.scale < 1.0 for channel in mapped)
@@ -104,8 +104,8 @@ def test_parameter_files_are_read(name: str, text: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("page", "line"), commands())
 def test_commands_have_the_options_shown(page: str, line: str) -> None:
     words = shlex.split(line, comments=True)
-    shown = run(["-m", "strainwave", words[1], "--help"], ROOT)
-    assert [word for word in words if word.startswith("--") and word not in shown] == [], page
+    help_text = run(["-m", "strainwave", words[1], "--help"], ROOT)
+    assert [word for word in words if word.startswith("--") and word not in help_text] == [], page
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -123,7 +123,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(arguments: list[str], folder: Path) -> str:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, *arguments],
         cwd=folder,
         capture_output=True,
@@ -131,8 +131,8 @@ def run(arguments: list[str], folder: Path) -> str:
         check=False,
         env={**os.environ, "PYTHONWARNINGS": "error"},
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 @pytest.mark.parametrize(("name", "text"), programs())
@@ -154,7 +154,7 @@ def test_every_key_of_a_study_is_documented() -> None:
     for record in (ArmDescription, Joint, Servo, Experiment):
         for field in fields(record):
             if record is ArmDescription and field.name in ("joints", "servo"):
-                continue  # tables of their own
+                continue  # have their own tables
             assert f"`{field.name}`" in page or f"{field.name} =" in page, field.name
 
 
@@ -167,7 +167,7 @@ def test_every_key_of_a_result_is_documented(demo: Path) -> None:
     ]
 
 
-def test_notebooks_are_committed_without_what_running_them_gives() -> None:
+def test_notebooks_are_committed_without_outputs() -> None:
     assert len(NOTEBOOKS) == 4
     for path in NOTEBOOKS:
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
@@ -176,7 +176,7 @@ def test_notebooks_are_committed_without_what_running_them_gives() -> None:
         assert [cell["execution_count"] for cell in code] == [None] * len(code), path.name
 
 
-def test_no_equation_stands_twice() -> None:
+def test_every_equation_number_is_unique() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     numbers = re.findall(r"\\tag\{(.*?)\}", text)
     assert sorted(numbers) == sorted(set(numbers))
@@ -185,14 +185,14 @@ def test_no_equation_stands_twice() -> None:
 
 @cache
 def calls() -> list[ast.Call]:
-    """Every call in the package's code."""
+    """All calls in the package."""
     files = ROOT.glob("python/strainwave/**/*.py")
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
     return [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
 
 
 def first_arguments(function: str) -> list[ast.expr]:
-    """What the package's code calls a function with, as its first argument."""
+    """First arguments of the package's calls of a function."""
     return [
         call.args[0]
         for call in calls()
@@ -206,19 +206,21 @@ def constants(function: str) -> set[str]:
 
 
 def codes_of_warnings() -> set[str]:
-    """Every code a warning can have: written out, or made from a check, a step or an effect."""
-    made = [node for node in first_arguments("Diagnostic") if not isinstance(node, ast.Constant)]
+    """All codes of warnings: constants, and those of checks, stages and effects."""
+    computed = [
+        node for node in first_arguments("Diagnostic") if not isinstance(node, ast.Constant)
+    ]
     variable = {"check.name", "code", "kind", "effect.warning_code"}
-    assert {ast.unparse(node) for node in made} == variable
+    assert {ast.unparse(node) for node in computed} == variable
     likely = {effect.warning_code for effect in all_effects()}
-    written = constants("Diagnostic") | constants("Check") | constants("tried")
-    return written | likely | set(DETECTORS)
+    literal = constants("Diagnostic") | constants("Check") | constants("tried")
+    return literal | likely | set(DETECTORS)
 
 
-def test_every_warning_has_its_place_in_troubleshooting() -> None:
+def test_every_warning_has_a_section_in_troubleshooting() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
-    reported = re.findall(r"^### `(.*)`$", page, re.MULTILINE)
-    assert sorted(reported) == sorted(codes_of_warnings())
+    sections = re.findall(r"^### `(.*)`$", page, re.MULTILINE)
+    assert sorted(sections) == sorted(codes_of_warnings())
     for section in page.split("### `")[1:]:
         text = " ".join(section.split())
         for part in ("*Observed.*", "*Meaning.*", "*What to do.*"):
@@ -228,5 +230,5 @@ def test_every_warning_has_its_place_in_troubleshooting() -> None:
 def test_every_exit_code_is_explained() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
     table = page.split("## Exit codes")[1].split("## ")[0]
-    reported = {int(code) for code in re.findall(r"^\| (\d) \|", table, re.MULTILINE)}
-    assert reported == {cli.DONE, cli.AT_FAULT, cli.NOT_ANSWERED, cli.CHANGED, 1}
+    codes = {int(code) for code in re.findall(r"^\| (\d) \|", table, re.MULTILINE)}
+    assert codes == {cli.DONE, cli.AT_FAULT, cli.NOT_ANSWERED, cli.CHANGED, 1}

@@ -1,5 +1,4 @@
-"""Other tools at the same work, each at its best; `pip install -r benchmarks/peers.txt` gets them.
+"""Other tools for the same work; install them with `pip install -r benchmarks/peers.txt`.
 
-Each module has one tool, imported where it is called. A tool that is not installed is skipped, and
-the table says so.
+Tools are imported where they are called. The table marks a tool that is not installed.
 """

@@ -1,4 +1,4 @@
-"""Rigid identification by the textbook (IDIM-LS) with Pinocchio's regressor."""
+"""Textbook rigid identification (IDIM-LS) with Pinocchio's regressor."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from scipy.signal import butter, sosfiltfilt
 from strainwave.domain import FloatArray, Log, Study
 from strainwave.domain.parameters import Values
 
-CUTOFF = 5.0  # [Hz] the best of 5, 10 and 20: five times what moves, far below the resonances
-SLOW = 5.0  # [rad/s] of a motor, below which its friction is not certain to be Coulomb's
-ROW = 10  # samples
-EDGE = 200  # samples
+CUTOFF = 5.0  # [Hz] the best of 5, 10 and 20: above the motion, far below the resonances
+MIN_VELOCITY = 5.0  # [rad/s] of a motor; below it the sign of friction is uncertain
+DECIMATION = 10  # samples per row
+EDGE = 200  # [samples] omitted at both ends
 
 
 def pinocchio(study: Study, log: Log) -> Values:
@@ -40,23 +40,23 @@ def pinocchio(study: Study, log: Log) -> Values:
     model = _model(study)
     data = model.createData()
     blocks, targets = [], []
-    for k in range(EDGE, len(angle) - EDGE, ROW):
-        if np.abs(velocity[k]).min() < SLOW:
+    for k in range(EDGE, len(angle) - EDGE, DECIMATION):
+        if np.abs(velocity[k]).min() < MIN_VELOCITY:
             continue
         body = pin.computeJointTorqueRegressor(
             model, data, angle[k] * n, velocity[k] * n, acceleration[k] * n
         )
         row = np.zeros((2, 27))
-        row[:, :20] = body * n[:, None]  # at the motor
+        row[:, :20] = body * n[:, None]  # motor side
         row[1, 20] = acceleration[k, 1]
         for i in (0, 1):
             row[i, 21 + 3 * i : 24 + 3 * i] = velocity[k, i], np.sign(velocity[k, i]), 1.0
         blocks.append(row)
         targets.append(torque[k])
     rows, target = np.array(blocks), np.array(targets)
-    x = _solved(rows, target)
-    weight = 1.0 / (target - rows @ x).std(axis=0)  # of each joint's equations
-    x = _solved(rows * weight[:, None], target * weight)
+    x = _solve(rows, target)
+    weight = 1.0 / (target - rows @ x).std(axis=0)  # of each joint's rows
+    x = _solve(rows * weight[:, None], target * weight)
     l1 = study.arm.link_length or 0.0
     return {  # Izz about the joint's axis is the last of each link's ten, mx the second
         ("rigid_inertia", 1): float(x[9] + l1**2 * x[10]),
@@ -68,7 +68,7 @@ def pinocchio(study: Study, log: Log) -> Values:
     }
 
 
-def _solved(rows: FloatArray, target: FloatArray) -> FloatArray:
+def _solve(rows: FloatArray, target: FloatArray) -> FloatArray:
     """Least-norm solution of (n, 2, k) rows, whose columns are scaled to one."""
     flat = rows.reshape(-1, rows.shape[-1])
     size = np.linalg.norm(flat, axis=0)
@@ -81,7 +81,7 @@ def _model(study: Study) -> Any:
 
     model = pin.Model()
     model.gravity = pin.Motion.Zero()
-    ahead = np.array([study.arm.link_length or 0.0, 0.0, 0.0])
+    offset = np.array([study.arm.link_length or 0.0, 0.0, 0.0])
     first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "joint1")
-    model.addJoint(first, pin.JointModelRZ(), pin.SE3(np.eye(3), ahead), "joint2")
+    model.addJoint(first, pin.JointModelRZ(), pin.SE3(np.eye(3), offset), "joint2")
     return model

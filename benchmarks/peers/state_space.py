@@ -16,7 +16,7 @@ Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 def slicot(u: FloatArray, y: FloatArray, order: int, horizon: int) -> Matrices:
     """IB01AD with the fast Cholesky factorisation, and IB01BD on scaled signals.
 
-    A and C by MOESP, B and D by N4SID: its B and D by MOESP are off by their own size here.
+    A and C by MOESP, B and D by N4SID; B and D by MOESP have errors of their own size here.
     """
     import ctrlsys
 
@@ -35,19 +35,19 @@ def nfoursid(u: FloatArray, y: FloatArray, order: int, horizon: int) -> Matrices
 
     names = [f"u{i}" for i in range(u.shape[1])], [f"y{i}" for i in range(y.shape[1])]
     frame = pd.DataFrame(np.column_stack([u, y]), columns=[*names[0], *names[1]])
-    found = NFourSID(frame, output_columns=names[1], input_columns=names[0], num_block_rows=horizon)
-    found.subspace_identification()
-    model, _ = found.system_identification(rank=order)
+    fit = NFourSID(frame, output_columns=names[1], input_columns=names[0], num_block_rows=horizon)
+    fit.subspace_identification()
+    model, _ = fit.system_identification(rank=order)
     return model.a, model.b, model.c, model.d
 
 
 def sippy(u: FloatArray, y: FloatArray, order: int, horizon: int) -> Matrices:
-    """N4SID in Python; it prints as it goes."""
+    """N4SID in Python, without its printed output."""
     from sippy_unipi import system_identification
 
     with contextlib.redirect_stdout(io.StringIO()):
-        found: Any = system_identification(y.T, u.T, "N4SID", SS_fixed_order=order, SS_f=horizon)
-    return found.A, found.B, found.C, found.D
+        model: Any = system_identification(y.T, u.T, "N4SID", SS_fixed_order=order, SS_f=horizon)
+    return model.A, model.B, model.C, model.D
 
 
 def jax_sysid(u: FloatArray, y: FloatArray, order: int, horizon: int) -> Matrices:

@@ -1,4 +1,4 @@
-"""Page, file and command: whole, escaped, without a network, and left out on demand."""
+"""Page, file and command of the published figures: complete, escaped and offline."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from strainwave.presentation.terminal import print_comparisons
 from strainwave.virtual import experiments as virtual
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-SEED = 1  # of the short round
-Found = dict[int, Comparison]
+SEED = 1  # of the comparisons in the fixture
+ByFigure = dict[int, Comparison]
 Tallies = tuple[Tally, ...]
 
 
-class Outside(HTMLParser):
-    """What a page would fetch, and whether its elements are closed."""
+class ElementParser(HTMLParser):
+    """Collects open elements and external references of a page."""
 
     VOID = ("meta", "link", "br", "img", "wbr")
 
     def __init__(self) -> None:
         super().__init__()
         self.open: list[str] = []
-        self.fetched: list[str] = []
+        self.external: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.fetched += [v for k, v in attrs if k in ("src", "href") and v and v[0] not in "#d"]
+        self.external += [v for k, v in attrs if k in ("src", "href") and v and v[0] not in "#d"]
         if tag not in self.VOID:
             self.open.append(tag)
 
@@ -51,20 +51,20 @@ class Outside(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_the_page_is_whole_and_fetches_nothing(tallies: Tallies) -> None:
+def test_the_page_is_complete_and_offline(tallies: Tallies) -> None:
     page = render_comparisons(tallies, arm="an arm")
-    outside = Outside()
-    outside.feed(page)
-    assert (outside.open, outside.fetched) == ([], [])
+    parser = ElementParser()
+    parser.feed(page)
+    assert (parser.open, parser.external) == ([], [])
     for tally in tallies:
         assert f'id="fig-{tally.first.figure}"' in page
         assert all(e.name in page for e in tally.first.evidence)
-    drawn = re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)
-    assert drawn is not None
-    assert len(json.loads(drawn[1])) == sum(len(tally.first.plots) for tally in tallies)
+    figures = re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)
+    assert figures is not None
+    assert len(json.loads(figures[1])) == sum(len(tally.first.plots) for tally in tallies)
 
 
-def test_every_figure_can_be_drawn_without_a_browser(comparisons: Found) -> None:
+def test_every_figure_can_be_drawn_without_a_browser(comparisons: ByFigure) -> None:
     pytest.importorskip("matplotlib", reason="the extra 'plot' is not installed")
     for c in comparisons.values():
         for plot in c.plots:
@@ -72,29 +72,31 @@ def test_every_figure_can_be_drawn_without_a_browser(comparisons: Found) -> None
             assert len(axes) == len(plot.panels)
 
 
-def test_names_cannot_leave_their_place(comparisons: Found) -> None:
-    evil = "</script><script>alert(1)</script>"
+def test_names_are_escaped(comparisons: ByFigure) -> None:
+    script = "</script><script>alert(1)</script>"
     x = np.arange(2.0)
-    plot = curves.lines([curves.Series(evil, x, x)], evil, evil, evil)
-    one = replace(
+    plot = curves.lines([curves.Series(script, x, x)], script, script, script)
+    comparison = replace(
         comparisons[4],
-        title=evil,
-        claim=evil,
-        message=evil,
-        criteria=(Criterion(evil, 1.0, "at most", 0.0, evil, evil),),
-        evidence=(Evidence(evil, evil, "converged", warnings=(Diagnostic(evil, evil, evil),)),),
+        title=script,
+        claim=script,
+        message=script,
+        criteria=(Criterion(script, 1.0, "at most", 0.0, script, script),),
+        evidence=(
+            Evidence(script, script, "converged", warnings=(Diagnostic(script, script, script),)),
+        ),
         plots=(plot,),
     )
-    page = render_comparisons([Tally((one,))], arm=evil)
-    assert evil not in page
+    page = render_comparisons([Tally((comparison,))], arm=script)
+    assert script not in page
     assert "0 of 1" in page
     assert "does not hold" in page
 
 
-def test_the_file_holds_every_number(tallies: Tallies) -> None:
+def test_the_file_has_every_number(tallies: Tallies) -> None:
     first = tallies[1].first
-    lost = replace(first, criteria=(replace(first.criteria[0], value=float("nan")),))
-    document = package.document_of([Tally((first, lost)), *tallies[2:]], seeds=(3, 4))
+    without_value = replace(first, criteria=(replace(first.criteria[0], value=float("nan")),))
+    document = package.document_of([Tally((first, without_value)), *tallies[2:]], seeds=(3, 4))
     document = json.loads(package.to_json(document))
     assert document["seeds"] == [3, 4]
     entry, *rest = document["claims"]
@@ -108,7 +110,7 @@ def test_the_file_holds_every_number(tallies: Tallies) -> None:
         assert statuses == {e.name: [e.status] for e in tally.first.evidence}
 
 
-def test_the_markdown_counts_and_gives_reasons(tallies: Tallies) -> None:
+def test_the_markdown_has_counts_and_reasons(tallies: Tallies) -> None:
     good = next(t.first for t in tallies if t.first.outcome == "shown")
     bad = replace(good, criteria=tuple(replace(c, value=float("nan")) for c in good.criteria))
     text = package.to_markdown(package.document_of([Tally((good, good, bad))], seeds=(0, 1, 2)))
@@ -118,7 +120,7 @@ def test_the_markdown_counts_and_gives_reasons(tallies: Tallies) -> None:
     assert f"does not hold in 1: {good.criteria[0].name} none, expected" in text
 
 
-def test_the_committed_page_is_what_its_data_make() -> None:
+def test_the_committed_page_follows_from_its_data() -> None:
     document = json.loads((DOCS / "comparisons.json").read_text(encoding="utf-8"))
     assert package.to_markdown(document) == (DOCS / "comparisons.md").read_text(encoding="utf-8")
     assert len(document["seeds"]) == 10
@@ -126,23 +128,23 @@ def test_the_committed_page_is_what_its_data_make() -> None:
     assert {claim["figure"] for claim in document["claims"]} == {2, *range(4, 16)}
 
 
-def test_the_committed_data_are_of_this_program(comparisons: Found) -> None:
-    """What the short round computes in full has the committed verdict, and nearly its numbers."""
+def test_the_committed_data_agree_with_this_version(comparisons: ByFigure) -> None:
+    """Figures that do not need the whole-arm fit have the committed verdicts and numbers."""
     document = json.loads((DOCS / "comparisons.json").read_text(encoding="utf-8"))
     committed = {c["figure"]: c for c in document["claims"] if c["protocol"] == "own"}
-    place = document["seeds"].index(SEED)
+    index = document["seeds"].index(SEED)
     for figure in (4, 5, 8, 10, 12):
-        now, then = comparisons[figure], committed[figure]
-        assert then["outcomes"][place] == now.outcome, "run make comparisons"
-        for criterion in then["criteria"]:
-            value = next(c.value for c in now.criteria if c.name == criterion["name"])
-            # a tenth of the limit: other compilers and small changes of an estimator move less
+        comparison, stored = comparisons[figure], committed[figure]
+        assert stored["outcomes"][index] == comparison.outcome, "run make comparisons"
+        for criterion in stored["criteria"]:
+            value = next(c.value for c in comparison.criteria if c.name == criterion["name"])
+            # a tenth of the limit exceeds the effect of compilers and small changes of an estimator
             margin = 0.1 * abs(criterion["limit"])
-            if criterion["values"][place] < 2.0 * criterion["limit"]:
-                assert value == pytest.approx(criterion["values"][place], abs=margin)
+            if criterion["values"][index] < 2.0 * criterion["limit"]:
+                assert value == pytest.approx(criterion["values"][index], abs=margin)
 
 
-def test_one_line_a_figure(tallies: Tallies) -> None:
+def test_the_terminal_has_one_line_per_figure(tallies: Tallies) -> None:
     text = StringIO()
     good = tallies[1].first
     bad = replace(good, criteria=(replace(good.criteria[0], value=9.0),))
@@ -157,15 +159,15 @@ def test_one_line_a_figure(tallies: Tallies) -> None:
     assert lines[3:] == names
 
 
-def test_quick_leaves_the_comparisons_out(
+def test_quick_omits_the_comparisons(
     tallies: Tallies, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[tuple[object, ...]] = []
+    calls: list[tuple[object, ...]] = []
 
     def compare(
         seeds: Sequence[int], *, tuned: object, settings: Sequence[Settings], **_: object
     ) -> Tallies:
-        given.append((list(seeds), tuned, [how.protocol for how in settings]))
+        calls.append((list(seeds), tuned, [how.protocol for how in settings]))
         return tuple(Tally(tally.runs * len(seeds)) for tally in tallies)
 
     monkeypatch.setattr(run, "compare_seeds", compare)
@@ -176,8 +178,8 @@ def test_quick_leaves_the_comparisons_out(
         (["--seeds", "3", "--seed", "5"], written),
         (["--as-published"], written),
     ):
-        done = CliRunner().invoke(cli.app, ["demo", "--out", str(tmp_path), *arguments])
-        assert done.exit_code == identification().verdict.exit_code, done.output
+        result = CliRunner().invoke(cli.app, ["demo", "--out", str(tmp_path), *arguments])
+        assert result.exit_code == identification().verdict.exit_code, result.output
         assert {path.name for path in tmp_path.iterdir()} == expected
-        assert ("Fig. 15" in done.output) == bool(expected)
-    assert given == [([5, 6, 7], None, ["own"]), ([0], None, ["own", "as-published"])]
+        assert ("Fig. 15" in result.output) == bool(expected)
+    assert calls == [([5, 6, 7], None, ["own"]), ([0], None, ["own", "as-published"])]
