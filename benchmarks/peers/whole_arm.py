@@ -1,8 +1,8 @@
-"""Whole-arm fits by other tools, on the records and from the start that ours has.
+"""Whole-arm fits by other tools, with the records and starting values of ours.
 
-Linear gears, joints in open loop. A peer gets what a good engineer would give it: voltages through
-the current loop exactly, both sides of a comparison through one zero-phase low-pass, every channel
-over its noise, robust residuals, logarithms of the parameters.
+Gears are linear, joints in open loop. Each tool is used well: exact current loops, one zero-phase
+low-pass on both sides of the comparison, channels scaled by their noise, robust residuals, and
+logarithms of the parameters.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ KEYS: tuple[tuple[str, int | None], ...] = (
     *((name, None) for name in NAMES),
     *((name, joint) for joint in (1, 2) for name in JOINT_NAMES),
 )
-NOISE = np.array([0.5, 0.5, 0.1, 0.1])  # [rad/s], [m/s^2]: what a row may be off
-SUBSTEPS = 2  # of a sample of 0.25 ms
-CORNER = 0.05  # [rad/s] over which regularised friction changes its sign
-EDGE = 0.05  # [s] of a record's ends, where the low-pass still rings
-ROW = 8  # samples
+NOISE = np.array([0.5, 0.5, 0.1, 0.1])  # [rad/s], [m/s^2] scale of a row
+SUBSTEPS = 2  # per sample of 0.25 ms
+FRICTION_WIDTH = 0.05  # [rad/s] of the regularised sign function
+EDGE = 0.05  # [s] omitted at both ends of a record, the transient of the low-pass
+DECIMATION = 8  # samples per row
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Records of an arm, where to start, and the bandwidth in which rows are compared."""
+    """Records of an arm, starting values, and the bandwidth of the comparison."""
 
     study: Study
     logs: Sequence[Log]
@@ -56,91 +56,93 @@ class Problem:
 
     @cached_property
     def measured(self) -> list[FloatArray]:
-        """(n_rows, 4) of each record: motor velocities and accelerations, behind the low-pass."""
-        return [self.rows(_measured(log), log) for log in self.logs]
+        """(n_rows, 4) per record: filtered motor velocities and accelerations."""
+        return [self.rows(_measured_channels(log), log) for log in self.logs]
 
     def rows(self, samples: FloatArray, log: Log) -> FloatArray:
-        """Low-pass, ends off, every eighth, mean off for a sensor's bias: (n_rows, k)."""
+        """Low-pass, remove ends and means (sensor biases), decimate: (n_rows, k)."""
         sos = butter(3, self.bandwidth_hz, fs=1.0 / log.sample_time, output="sos")
-        slow = sosfiltfilt(sos, samples, axis=0)
+        filtered = sosfiltfilt(sos, samples, axis=0)
         edge = round(EDGE / log.sample_time)
-        kept: FloatArray = slow[edge : len(slow) - edge : ROW]
-        return np.asarray(kept - kept.mean(axis=0))
+        rows: FloatArray = filtered[edge : len(filtered) - edge : DECIMATION]
+        return np.asarray(rows - rows.mean(axis=0))
 
-    def sensed(self, samples: FloatArray, log: Log) -> FloatArray:
-        """Accelerations, the last half of columns of a group of four, as the sensors give them."""
-        found = samples.copy()
+    def apply_sensors(self, samples: FloatArray, log: Log) -> FloatArray:
+        """Filter the accelerations, the last two of each four columns, by the accelerometers."""
+        filtered = samples.copy()
         for i, joint in enumerate(self.study.arm.joints):
             b, a = butter(2, joint.accelerometer_hz or 300.0, fs=1.0 / log.sample_time)
-            found[..., 2 + i] = lfilter(b, a, samples[..., 2 + i], axis=0)
-        return found
+            filtered[..., 2 + i] = lfilter(b, a, samples[..., 2 + i], axis=0)
+        return filtered
 
     def torques(self, log: Log) -> FloatArray:
-        """Motor torques at the begin, middle and end of every substep: (n, substeps, 3, 2)."""
+        """Motor torques at begin, middle and end of every substep: (n, substeps, 3, 2)."""
         h = log.sample_time / SUBSTEPS
         e = np.array([joint.torque_per_volt or 1.0 for joint in self.study.arm.joints])
         w = 2.0 * np.pi * np.array([j.current_loop_hz or np.inf for j in self.study.arm.joints])
-        goal = np.column_stack([log.channels["u1"], log.channels["u2"]]) * e
-        found, now = np.empty((len(goal), SUBSTEPS, 3, 2)), np.zeros(2)
-        for k, wanted in enumerate(goal):
+        commands = np.column_stack([log.channels["u1"], log.channels["u2"]]) * e
+        torques, torque = np.empty((len(commands), SUBSTEPS, 3, 2)), np.zeros(2)
+        for k, command in enumerate(commands):
             for s in range(SUBSTEPS):
                 for part, share in enumerate((0.0, 0.5, 1.0)):
-                    found[k, s, part] = wanted + (now - wanted) * np.exp(-w * h * share)
-                now = found[k, s, 2]
-        return found
+                    torques[k, s, part] = command + (torque - command) * np.exp(-w * h * share)
+                torque = torques[k, s, 2]
+        return torques
 
 
-def _measured(log: Log) -> FloatArray:
+def _measured_channels(log: Log) -> FloatArray:
     angle = np.column_stack([log.channels["theta_m1"], log.channels["theta_m2"]])
     velocity = np.gradient(angle, log.sample_time, axis=0)
     return np.column_stack([velocity, log.channels["a1"], log.channels["a2"]])
 
 
 def casadi(problem: Problem, run: Callable[..., None]) -> Values:
-    """SciPy's optimiser on C that CasADi generates: the step and its derivatives, looped in C.
+    """SciPy's optimiser with simulations and derivatives in C generated by CasADi.
 
-    `run` is what `generated` gives, once for an arm.
+    `run` comes from `generated`, once per arm.
     """
-    studied = len(KEYS)
+    n_parameters = len(KEYS)
     start = np.array([problem.start[key] for key in KEYS])
     torques = [np.ascontiguousarray(problem.torques(log)) for log in problem.logs]
 
-    def simulated(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def simulate(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         p = start * np.exp(z)
         residuals, slopes = [], []
         for log, tau, measured in zip(problem.logs, torques, problem.measured, strict=True):
-            samples = np.empty((len(tau), 4, 1 + studied))
+            samples = np.empty((len(tau), 4, 1 + n_parameters))
             run(len(tau), tau.ctypes.data, p.ctypes.data, samples.ctypes.data)
-            sensed = problem.sensed(samples.transpose(0, 2, 1), log)
-            rows = problem.rows(sensed.reshape(len(tau), -1), log).reshape(-1, 1 + studied, 4)
+            readings = problem.apply_sensors(samples.transpose(0, 2, 1), log)
+            rows = problem.rows(readings.reshape(len(tau), -1), log).reshape(
+                -1, 1 + n_parameters, 4
+            )
             residuals.append((rows[:, 0] - measured) / NOISE)
             slopes.append((rows[:, 1:] / NOISE).transpose(0, 2, 1) * p)
         return (
             np.concatenate(residuals).ravel(),
-            np.concatenate([s.reshape(-1, studied) for s in slopes]),
+            np.concatenate([s.reshape(-1, n_parameters) for s in slopes]),
         )
 
     last: dict[str, Any] = {}
 
     def both(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         if "z" not in last or not np.array_equal(last["z"], z):
-            last.update(z=z.copy(), found=simulated(z))
-        found: tuple[FloatArray, FloatArray] = last["found"]
-        return found
+            last.update(z=z.copy(), result=simulate(z))
+        result: tuple[FloatArray, FloatArray] = last["result"]
+        return result
 
-    solved = least_squares(
+    solution = least_squares(
         lambda z: both(z)[0],
-        np.zeros(studied),
+        np.zeros(n_parameters),
         lambda z: both(z)[1],
         loss="soft_l1",
         x_scale="jac",
         ftol=1e-6,
     )
-    return dict(zip(KEYS, (start * np.exp(solved.x)).tolist(), strict=True))
+    return dict(zip(KEYS, (start * np.exp(solution.x)).tolist(), strict=True))
 
 
 def generated(study: Study) -> Callable[..., None]:
-    """void run(n, torques, parameters, samples): compiled from CasADi's C."""
+    """Compile void run(n, torques, parameters, samples) from CasADi's C."""
     import casadi as ca
 
     step = _step(study)
@@ -185,7 +187,7 @@ def _step(study: Study) -> Any:
     import casadi as ca
 
     n = [joint.gear_ratio for joint in study.arm.joints]
-    reach = [joint.accelerometer_distance or 1.0 for joint in study.arm.joints]
+    distance = [joint.accelerometer_distance or 1.0 for joint in study.arm.joints]
     l1 = study.arm.link_length or 0.0
     p, x = ca.SX.sym("p", len(KEYS)), ca.SX.sym("x", 8)
     tau = ca.SX.sym("tau", SUBSTEPS * 6)
@@ -196,13 +198,13 @@ def _step(study: Study) -> Any:
 
     def field(x: Any, torque: Any) -> Any:
         motor, link = [], []
-        for i, own in enumerate(joint):
-            gear = own["gear_stiffness"] * (n[i] * x[i] - x[4 + i])
-            gear += own["gear_damping"] * (n[i] * x[2 + i] - x[6 + i])
-            friction = own["motor_viscous_friction"] * x[2 + i]
-            friction += own["motor_coulomb_friction"] * ca.tanh(x[2 + i] / CORNER)
-            motor.append((torque[i] - friction - n[i] * gear) / own["motor_inertia"])
-            link.append(gear - own["link_viscous_friction"] * x[6 + i])
+        for i, values in enumerate(joint):
+            gear = values["gear_stiffness"] * (n[i] * x[i] - x[4 + i])
+            gear += values["gear_damping"] * (n[i] * x[2 + i] - x[6 + i])
+            friction = values["motor_viscous_friction"] * x[2 + i]
+            friction += values["motor_coulomb_friction"] * ca.tanh(x[2 + i] / FRICTION_WIDTH)
+            motor.append((torque[i] - friction - n[i] * gear) / values["motor_inertia"])
+            link.append(gear - values["link_viscous_friction"] * x[6 + i])
         s, c = ca.sin(x[5]), ca.cos(x[5])
         r1 = link[0] + gamma * s * x[7] * (2.0 * x[6] + x[7])
         r2 = link[1] - gamma * s * x[6] ** 2
@@ -212,30 +214,30 @@ def _step(study: Study) -> Any:
         accelerations = (beta * r1 - m12 * r2) * scale, (m11 * r2 - m12 * r1) * scale
         return ca.vertcat(x[2:4], *motor, x[6:8], *accelerations)
 
-    now, h = x, 2.5e-4 / SUBSTEPS
+    state, h = x, 2.5e-4 / SUBSTEPS
     for s in range(SUBSTEPS):
         begin, middle, end = (tau[6 * s + 2 * k : 6 * s + 2 * k + 2] for k in range(3))
-        k1 = field(now, begin)
-        k2 = field(now + 0.5 * h * k1, middle)
-        k3 = field(now + 0.5 * h * k2, middle)
-        k4 = field(now + h * k3, end)
-        now = now + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        k1 = field(state, begin)
+        k2 = field(state + 0.5 * h * k1, middle)
+        k3 = field(state + 0.5 * h * k2, middle)
+        k4 = field(state + h * k3, end)
+        state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     rate = field(x, tau[0:2])
     dd1, dd2 = rate[6], rate[7]
     tangential = l1 * (dd1 * ca.cos(x[5]) + x[6] ** 2 * ca.sin(x[5]))
-    y = ca.vertcat(x[2:4], reach[0] * dd1, reach[1] * (dd1 + dd2) + tangential)
-    # of the state with respect to the parameters, before and after; Y by rows, as NumPy has it
+    y = ca.vertcat(x[2:4], distance[0] * dd1, distance[1] * (dd1 + dd2) + tangential)
+    # S: derivatives of the state by the parameters; Y is row-major, as in NumPy
     S = ca.SX.sym("S", 8, len(KEYS))
-    after = [ca.jacobian(out, x) @ S + ca.jacobian(out, p) for out in (now, y)]
-    found = [
-        ca.cse(ca.horzcat(now, after[0])),
+    after = [ca.jacobian(out, x) @ S + ca.jacobian(out, p) for out in (state, y)]
+    outputs = [
+        ca.cse(ca.horzcat(state, after[0])),
         ca.cse(ca.horzcat(y, after[1]).T),
     ]
-    return ca.Function("arm_sample", [ca.horzcat(x, S), tau, p], found)
+    return ca.Function("arm_sample", [ca.horzcat(x, S), tau, p], outputs)
 
 
 def mujoco_sysid(problem: Problem) -> Values:
-    """MuJoCo's own least squares, rollouts and finite differences on all cores."""
+    """MuJoCo's least squares, with rollouts and finite differences on all cores."""
     import mujoco
     from mujoco import sysid
 
@@ -249,10 +251,9 @@ def mujoco_sysid(problem: Problem) -> Values:
     )
 
     def values(z: FloatArray) -> Values:
-        found = problem.start | {
-            key: problem.start[key] * float(np.exp(at)) for key, at in zip(KEYS, z, strict=True)
+        return dict(problem.start) | {
+            key: problem.start[key] * float(np.exp(x)) for key, x in zip(KEYS, z, strict=True)
         }
-        return found
 
     def text(z: FloatArray) -> str:
         parameters = tuple(
@@ -280,7 +281,7 @@ def mujoco_sysid(problem: Problem) -> Values:
     ) -> Any:
         log = by_length[id(target)]
         samples = predicted.data[:, at][:: round(log.sample_time / step)][: len(log)]
-        rows = problem.rows(problem.sensed(samples, log), log)
+        rows = problem.rows(problem.apply_sensors(samples, log), log)
         return ((rows - measured[id(target)]) / NOISE).ravel(), predicted, predicted
 
     groups = sysid.ModelSequences(
@@ -303,27 +304,27 @@ def mujoco_sysid(problem: Problem) -> Values:
             for name, joint in KEYS
         }
     )
-    found, _ = sysid.optimize(
+    solution, _ = sysid.optimize(
         params, residual, optimizer="mujoco", verbose=False, max_iters=30, eps=1e-5
     )
-    ended = values(found.as_vector())
-    return {key: ended[key] for key in KEYS}
+    fitted = values(solution.as_vector())
+    return {key: fitted[key] for key in KEYS}
 
 
 def _sequence(
     problem: Problem, log: Log, model: Any, study: Study, step: float
 ) -> tuple[Any, Any, FloatArray]:
-    """What drives a rollout, what it is compared with, and where it begins."""
+    """Controls, target and initial state of a rollout."""
     from mujoco import sysid
 
     per_sample = round(log.sample_time / step)
     e = np.array([joint.torque_per_volt or 1.0 for joint in study.arm.joints])
-    tau = problem.torques(log)  # Simpson's mean over each step is what an impulse needs
+    tau = problem.torques(log)  # the mean over each step by Simpson's rule
     mean = (tau[:, :, 0] + 4.0 * tau[:, :, 1] + tau[:, :, 2]) / 6.0
     control = np.repeat(mean, per_sample // SUBSTEPS, axis=1).reshape(-1, 2) / e
     times = step * np.arange(len(control))
     names = [model.actuator(i).name for i in range(model.nu)]
-    driven = sysid.TimeSeries.from_control_names(times, control, model, names)
-    seen = np.zeros((len(control), model.nsensordata))
-    sensed = sysid.TimeSeries.from_names(times, seen, model)
-    return driven, sensed, sysid.create_initial_state(model, np.zeros(model.nq))
+    controls = sysid.TimeSeries.from_control_names(times, control, model, names)
+    sensor_data = np.zeros((len(control), model.nsensordata))
+    target = sysid.TimeSeries.from_names(times, sensor_data, model)
+    return controls, target, sysid.create_initial_state(model, np.zeros(model.nq))
