@@ -15,7 +15,7 @@ _PROTOCOLS = {
     "own": "default settings",
     "as-published": "published settings",
 }
-_MAX_REASONS = 2  # per claim on the page; comparisons.json has them all
+_MAX_REASONS = 1  # per claim on the page; comparisons.json has them all
 
 
 def to_markdown(document: Mapping[str, Any]) -> str:
