@@ -64,8 +64,10 @@ def _fields(record: type) -> list[str]:
     for field in body.body:
         if isinstance(field, ast.AnnAssign):
             first, last = field.lineno - 1, field.end_lineno or field.lineno
-            above = [lines[first - 1]] if lines[first - 1].lstrip().startswith("#") else []
-            comments = [_COMMENT.search(line) for line in above + lines[first:last]]
+            start = first
+            while lines[start - 1].lstrip().startswith("#"):
+                start -= 1
+            comments = [_COMMENT.search(line) for line in lines[start:last]]
             text = _literal(" ".join(comment[1] for comment in comments if comment))
             kind = ast.unparse(field.annotation)
             entries.append(

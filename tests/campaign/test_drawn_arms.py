@@ -67,7 +67,7 @@ def test_a_refused_run_says_its_fault(tmp_path: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[family]\narms = 1\nseeds = 3\n", "the key 'seeds' is not known"),
+        ("[family]\narms = 1\nseeds = 3\n", "the key 'seeds' is unknown"),
         ('[family]\narms = 1\n[studies]\npaths = ["a"]\n', "beside [studies]"),
         ("family = 3\n", "is no table"),
     ],

@@ -108,7 +108,7 @@ def test_every_effect_asks_for_its_parameters_and_changes_the_motion(effect: Eff
     own = {key: value for key, value in EFFECTS.items() if key[0].startswith(effect[:9])}
     first, second, *_ = [name for name, _ in own]
     assert Arm.of(study.arm).parameter_names[-len(own) :] == tuple(own)
-    with pytest.raises(InvalidInput, match=f"lack {first} of joint 1, {second}"):
+    with pytest.raises(InvalidInput, match=f"missing parameters: {first} of joint 1, {second}"):
         simulate(
             Arm.of(study.arm), VALUES, volts, sample_time=1e-3, samples=200, record=["encoder"]
         )
@@ -186,7 +186,7 @@ def test_a_study_with_effects_is_simulated_from_its_files(tmp_path: Path) -> Non
     study = replace(
         study, arm=replace(study.arm, joints=(first, study.arm.joints[1])), experiments=step
     )
-    with pytest.raises(InvalidInput, match="lack stribeck_friction of joint 1"):
+    with pytest.raises(InvalidInput, match="missing parameters: stribeck_friction of joint 1"):
         virtual.simulate_study(study, scara.parameters(), tmp_path / "none")
     virtual.simulate_study(study, scara.parameters() | EFFECTS, tmp_path / "with")
     plain = replace(study, arm=replace(study.arm, joints=scara.study(tmp_path).arm.joints))

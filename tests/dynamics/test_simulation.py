@@ -63,7 +63,7 @@ def test_the_parameters_of_an_arm_go_by_name() -> None:
     assert named["gravity_torque_1", None] == 0.0
     incomplete = scara.parameters()
     del incomplete["gear_damping", 2]
-    with pytest.raises(InvalidInput, match="lack gear_damping of joint 2"):
+    with pytest.raises(InvalidInput, match="missing parameters: gear_damping of joint 2"):
         arm.parameter_vector(incomplete)
 
 

@@ -48,9 +48,9 @@ FAULTS = {
         "gear_ratio",
         "gear_ration",
         1,
-        r"line 7.*'gear_ration' is not known.*mean 'gear_ratio'",
+        r"line 7.*'gear_ration' is unknown.*mean 'gear_ratio'",
     ),
-    "unknown table": ("[servo]", "[server]", 1, r"'server' is not known.*mean 'servo'"),
+    "unknown table": ("[servo]", "[server]", 1, r"'server' is unknown.*mean 'servo'"),
     "wrong type": (
         "link_length = 0.35",
         'link_length = "0.35"',
@@ -67,26 +67,26 @@ FAULTS = {
         "gear_ratio = 0.01",
         "gear_ratio = 100",
         1,
-        r"100 .*0.01 was probably meant",
+        r"100 .*probably inverted: set 0.01",
     ),
     "millimetres": (
         "link_length = 0.35",
         "link_length = 350",
         1,
-        r"0.35 was probably meant, if 350 is in mm",
+        r"if 350 is in mm, set 0.35",
     ),
     "milliseconds": (
         "period = 0.001",
         "period = 1.0",
         1,
-        r"0.001 was probably meant, if 1 is in ms",
+        r"if 1 is in ms, set 0.001",
     ),
-    "clock in ms": ("clock = 0.001", "clock = 10.0", 1, r"0.01 was probably meant, if 10 is in ms"),
+    "clock in ms": ("clock = 0.001", "clock = 10.0", 1, r"if 10 is in ms, set 0.01"),
     "kilohertz": (
         "encoder_counts = 8192",
         "current_loop_hz = 1.0",
         1,
-        r"1000 was probably meant, if 1 is in kHz",
+        r"if 1 is in kHz, set 1000",
     ),
     "negative": (
         "limit = 10.0",
@@ -115,7 +115,7 @@ FAULTS = {
         1,
         r"the window is empty",
     ),
-    "same name": ('name = "prbs"', 'name = "motion"', 1, r"two experiments named 'motion'"),
+    "same name": ('name = "prbs"', 'name = "motion"', 1, r"two experiments have the name 'motion'"),
     "no such log": (
         "motion.csv",
         "motoin.csv",
@@ -126,7 +126,7 @@ FAULTS = {
         "[servo]",
         '[channels]\ntheta1 = "x"\n[servo]',
         1,
-        r"'theta1' is no channel.*mean 'theta_m1'",
+        r"'theta1' is not a channel.*mean 'theta_m1'",
     ),
     "no scale": (
         "[servo]",
@@ -138,7 +138,7 @@ FAULTS = {
         "[servo]",
         "[channels]\nu1 = 3\n[servo]",
         1,
-        r"'u1' is 3.*give a name",
+        r"'u1' is 3.*write a name",
     ),
     "no link length": ("link_length = 0.35\n", "", 1, r"'link_length' is missing"),
     "bad TOML": ("[servo]", "[servo", 1, r"is not valid TOML .*line 17"),
@@ -165,9 +165,9 @@ FAULTS = {
         'spring = "linear"',
         'spring = "rigid"\neffects = ["stribeck", "kinematic-error"]',
         1,
-        r"line 7, \[\[joint\]\] 1: a rigid gear has no kinematic error",
+        r"line 7, \[\[joint\]\] 1: the effect 'kinematic-error' needs an elastic gear",
     ),
-    "prbs unknown": ("periods = 4", "period = 4", 1, r"'period' is not known.*mean 'periods'"),
+    "prbs unknown": ("periods = 4", "period = 4", 1, r"'period' is unknown.*mean 'periods'"),
 }
 
 
@@ -178,10 +178,10 @@ def test_six_joints_are_reported_what_can_be_identified(tmp_path: Path) -> None:
     arm = '[arm]\nkind = "planar-two-link"\nlink_length = 0.3\n'
     path = studies.write(tmp_path, f"{arm}{joints}[[experiment]]\n{experiment}")
     with pytest.raises(
-        InvalidInput, match=r"6 .*one joint, or of two links in one plane"
+        InvalidInput, match=r"6 .*one joint or of two links in one plane"
     ) as caught:
         read_study(path)
-    assert "record them while the others stand still" in str(caught.value)
+    assert "record them with the other joints at rest" in str(caught.value)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -200,14 +200,14 @@ def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
 def test_a_slider_does_not_feel_gravity(tmp_path: Path) -> None:
     text = '[arm]\nkind = "single-joint"\ngravity = 9.81\n[[joint]]\nmotion = "prismatic"\n'
     text += 'spring = "rigid"\ngear_ratio = 1.0\n[[experiment]]\nname = "a"\nfile = "motion.csv"\nuse = "motion"\n'
-    with pytest.raises(InvalidInput, match="across gravity"):
+    with pytest.raises(InvalidInput, match="perpendicular to gravity"):
         read_study(studies.write(tmp_path, text))
 
 
 @pytest.mark.parametrize("table", ["arm", "joint", "experiment"])
 def test_a_study_needs_its_tables(table: str, tmp_path: Path) -> None:
     kept = [part for part in studies.STUDY.split("\n\n") if not part.lstrip("[").startswith(table)]
-    with pytest.raises(InvalidInput, match=f"has no .*{table}"):
+    with pytest.raises(InvalidInput, match=f"there is no .*{table}"):
         read_study(studies.write(tmp_path, "\n\n".join(kept)))
 
 

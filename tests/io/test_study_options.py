@@ -70,7 +70,7 @@ FAULTS = {
     "unknown stage": ("link = { order = 1 }", r"line HERE, \[options\]: .*'link'.*mean 'links'"),
     "unknown key": (
         "links = { ordr = 1 }",
-        r"line HERE, \[options.links\]: the key 'ordr' is not known.*mean 'order'",
+        r"line HERE, \[options.links\]: the key 'ordr' is unknown.*mean 'order'",
     ),
     "no table": ("links = 1", r"line HERE, \[options\]: 'links' is 1.*links = "),
     "out of range": ("links = { order = 3 }", r"line HERE.*'order' is 3, but it should be 1 or 2"),
@@ -84,19 +84,19 @@ FAULTS = {
     ),
     "unknown parameter": (
         'tuning = { hold = ["gear_stifness"] }',
-        r"'gear_stifness' is no parameter.*mean 'gear_stiffness'",
+        r"'gear_stifness' is not a parameter.*mean 'gear_stiffness'",
     ),
     "parameter of no joint": (
         "tuning = { ranges = { 'gear_damping 3' = [0.5, 2] } }",
-        r"'gear_damping 3' is no parameter",
+        r"'gear_damping 3' is not a parameter",
     ),
     "range beside the start": (
         "tuning = { ranges = { beta = [1.5, 2] } }",
-        r"range of beta, 1.5 to 2 times.*leaves the start out",
+        r"range of beta, 1.5 to 2 times.*does not contain the starting value",
     ),
     "range of an offset": (
         "tuning = { ranges = { friction_offset = [0.5, 2] } }",
-        r"either sign.*hold it",
+        r"negative.*put it into hold",
     ),
 }
 
@@ -129,13 +129,13 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
 
 
 FLAG_FAULTS = {
-    "no value": ("links.order", r"--set links.order: is not of the form"),
-    "no stage": ("order=1", r"--set order=1: is not of the form"),
+    "no value": ("links.order", r"--set links.order: the option does not have the form"),
+    "no stage": ("order=1", r"--set order=1: the option does not have the form"),
     "not TOML": ("links.order=[1", r"--set links.order=\[1: '\[1' is not a TOML value"),
     "unknown stage": ("link.order=1", r"--set link.order=1: .*mean 'links'"),
     "unknown key": ("links.ordre=1", r"--set links.ordre=1: .*mean 'order'"),
     "out of range": ("links.order=3", r"--set links.order=3: 'order' is 3"),
-    "unknown parameter": ('tuning.hold=["k"]', r"--set tuning.hold=.*'k' is no parameter"),
+    "unknown parameter": ('tuning.hold=["k"]', r"--set tuning.hold=.*'k' is not a parameter"),
     "two values": ("links.order=1\norder=2", r"more than one value"),
 }
 
@@ -154,9 +154,9 @@ def test_callers_give_records_or_tables(tmp_path: Path) -> None:
     assert with_options(study, other).options == other
     changed = with_options(study, {"links": {"order": 2}}).options
     assert changed == replace(study.options, links=LinkOptions(0.1, 2))
-    with pytest.raises(InvalidInput, match=r"options.links: the key 'orde' is not known"):
+    with pytest.raises(InvalidInput, match=r"options.links: the key 'orde' is unknown"):
         with_options(study, {"links": {"orde": 2}})
-    with pytest.raises(InvalidInput, match="'k' is no parameter"):
+    with pytest.raises(InvalidInput, match="'k' is not a parameter"):
         with_options(study, Options(tuning=TuningOptions(hold=("k",))))
 
 

@@ -26,7 +26,7 @@ from strainwave.campaign.tasks import Limits, Outcome, merged
 from strainwave.domain import Options
 from strainwave.errors import InvalidInput
 from strainwave.io import atomic_files
-from strainwave.io.study.flags import Flag, parsed
+from strainwave.io.study.flags import Flag, parse_flag
 
 __all__ = ["Limits", "Settings", "Summary", "run"]
 
@@ -94,7 +94,7 @@ def run(studies: Sequence[str], settings: Settings) -> Summary:
 
 def _plan(found: Found, settings: Settings) -> Plan:
     stages = pipeline.check_stages(settings.stages or found.stages or pipeline.STAGES)
-    options = merged([found.options, *map(parsed, settings.options)])
+    options = merged([found.options, *map(parse_flag, settings.options)])
     Flag(Path("campaign"), "options").options(options, Options())  # a fault of all is said once
     name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{secrets.token_hex(3)}"
     where = settings.store

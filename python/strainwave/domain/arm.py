@@ -1,4 +1,7 @@
-"""The arm as its rig describes it; `strainwave.io.study` checks the `annotated_types`."""
+"""Description of an arm, as its study file states it.
+
+`strainwave.io.study` checks the constraints of `annotated_types`.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,9 @@ EffectName = str  # of one of `domain.effects`
 
 @dataclass(frozen=True, slots=True)
 class Imu:
-    """Accelerometers and gyros in one case on a joint's link, placed anywhere."""
+    """Accelerometers and gyros in one case on a joint's link, at any position and attitude."""
 
-    xyz: tuple[float, float, float] | None = None  # [m] in the link's frame
+    xyz: tuple[float, float, float] | None = None  # position [m] in the link's frame
     rpy: tuple[float, float, float] | None = None  # [rad] roll, pitch and yaw, as in URDF
     accelerometer_hz: Positive | None = None  # second-order Butterworth
     gyro_hz: Positive | None = None  # second-order Butterworth
@@ -32,44 +35,44 @@ class Imu:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """One joint's drive and sensors: `[[joint]]`."""
+    """Drive, gear and sensors of one joint: `[[joint]]`."""
 
     spring: Spring
     gear_ratio: Positive  # n, link turns per motor turn
     motion: Motion = "revolute"
-    torque_per_volt: Positive | None = None  # e [N m/V] at the motor
+    torque_per_volt: Positive | None = None  # e [N m/V], motor side
     current_loop_hz: Positive | None = None
     encoder_counts: Positive | None = None  # per motor turn
-    accelerometer_distance: Positive | None = None  # l_a [m]; left out: estimated
+    accelerometer_distance: Positive | None = None  # l_a [m]; None: estimated
     accelerometer_hz: Positive | None = None  # second-order Butterworth
-    gyro_hz: Positive | None = None  # first order
+    gyro_hz: Positive | None = None  # first-order low-pass
     imu: Imu | None = None
-    # that its friction and gear may have; "auto": those that the records demand
+    # optional terms of the model; "auto": those that the data support
     effects: tuple[EffectName, ...] | Literal["auto"] = ()
 
     @property
     def law(self) -> GearLaw:
-        """The elastic law of its gear."""
+        """Elastic law of the gear."""
         return gear_law(self.spring)
 
     @property
     def elastic(self) -> bool:
-        """Whether its gear gives way between motor and link."""
+        """Whether the gear is elastic."""
         return self.law.elastic
 
     @property
     def selects_effects(self) -> bool:
-        """Whether the fit looks for its effects itself."""
+        """Whether the fit selects the effects of this joint."""
         return self.effects == "auto"
 
     @property
     def named_effects(self) -> tuple[EffectName, ...]:
-        """The effects that a study names."""
+        """Effects that the study names."""
         return () if self.effects == "auto" else self.effects
 
     @property
     def possible_effects(self) -> tuple[EffectName, ...]:
-        """The effects that it may have: those named, or all that such a gear can have."""
+        """Effects that the joint may have: the named ones, or all if the fit selects."""
         if self.effects != "auto":
             return self.effects
         return tuple(e.name for e in all_effects() if self.elastic or not e.needs_elastic_gear)
@@ -79,8 +82,8 @@ class Joint:
 class Servo:
     """PI velocity servo: u = kp e + ki integral(e), e = reference - encoder difference / period.
 
-    With gains of a position loop around it e has position_gain (theta_M(0) + integral(reference) -
-    encoder) as well.
+    With `position_gain`, e contains position_gain (theta_M(0) + integral(reference) - encoder) in
+    addition.
     """
 
     kind: Literal["pi-velocity"]
@@ -93,11 +96,11 @@ class Servo:
 
 @dataclass(frozen=True, slots=True)
 class ArmDescription:
-    """What is known of an arm before any log: `[arm]`, its `[[joint]]` tables and `[servo]`."""
+    """Prior knowledge of an arm: `[arm]`, its `[[joint]]` tables and `[servo]`."""
 
     kind: ArmKind
-    joints: tuple[Joint, ...]  # from the base
-    link_length: Positive | None = None  # l_1 [m], joint 1 axis to joint 2 axis
+    joints: tuple[Joint, ...]  # in order from the base
+    link_length: Positive | None = None  # l_1 [m], from axis 1 to axis 2
     gravity: NonNegative | None = None  # [m/s^2] along -y in the plane of motion
     servo: Servo | None = None
 
@@ -107,9 +110,9 @@ class ArmDescription:
         return len(self.joints)
 
     def with_joints(self, joints: Iterable[Joint]) -> Self:
-        """The same arm with other joints."""
+        """Copy of the arm with other joints."""
         return replace(self, joints=tuple(joints))
 
     def behind_rigid_gears(self) -> Self:
-        """The same arm with gears that neither give way nor have effects."""
+        """Copy of the arm with rigid gears and without effects."""
         return self.with_joints(replace(j, spring=RIGID, effects=()) for j in self.joints)

@@ -1,4 +1,4 @@
-"""A published claim put to the test: what it is judged by, what it rests on, and the verdict."""
+"""Test of a published claim: its criteria, the models behind them, and the outcome."""
 
 from __future__ import annotations
 
@@ -17,54 +17,54 @@ OUTCOMES: dict[Outcome, str] = {
     "not-shown": "not shown",
     "does-not-hold": "does not hold",
 }
-"""Verdicts in words."""
+"""Texts of the outcomes."""
 
-_SOUND = ("estimated", "converged", "determined", "partly-determined")
+_USABLE_STATUSES = ("estimated", "converged", "determined", "partly-determined")
 
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """One number that a claim stands or falls by."""
+    """One number that decides on a claim."""
 
-    name: str  # what is measured, with its unit
-    value: float  # NaN: there is none; infinite: an estimate lacks what is compared
+    name: str  # of the measured quantity, with its unit
+    value: float  # NaN: no value; infinite: an estimate lacks the compared quantity
     bound: Literal["at least", "at most"]
     limit: float
-    reason: str  # for the limit
-    otherwise: str = ""  # why it fails, where it does
+    reason: str  # of the limit
+    otherwise: str = ""  # explanation of a failure
 
     @property
     def passed(self) -> bool:
-        """Whether the value keeps the limit; one that does not exist never does."""
+        """Whether the value satisfies the limit; NaN does not."""
         return self.value >= self.limit if self.bound == "at least" else self.value <= self.limit
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """One estimated model that a figure shows, and whether it may be relied on."""
+    """One estimated model of a figure, and whether the claim may rely on it."""
 
     name: str
     method: str
-    status: str  # as the model says, or "failed"
+    status: str  # of the model, or "failed"
     order: int | None = None  # of a state-space model
-    growth: float = math.nan  # largest modulus of its sampled poles: above one it is unstable
+    growth: float = math.nan  # largest modulus of the discrete-time poles; above 1: unstable
     warnings: tuple[Diagnostic, ...] = ()
-    decisive: bool = True  # whether the claim rests on it; else it is only shown beside
+    decisive: bool = True  # whether the claim relies on the model; else it is only plotted
 
     @property
     def sound(self) -> bool:
-        """Whether it converged and is stable.
+        """Whether the model converged and is stable.
 
-        One that is implausible, or at the end of ranges that belong to the method, will do where
-        only its response counts: `growth` is given.
+        A model that is implausible or at the published bounds is usable if only its response
+        counts, which requires `growth`.
         """
         if self.status in ("implausible", "at-bounds"):
             return self.growth <= 1.0
-        return self.status in _SOUND and not self.growth > 1.0
+        return self.status in _USABLE_STATUSES and not self.growth > 1.0
 
     @property
     def fault(self) -> str:
-        """Why it is not to be relied on; empty if it is."""
+        """Reason why the model is not usable; empty if it is."""
         if self.sound:
             return ""
         if self.growth > 1.0:
@@ -74,28 +74,28 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One claim of the source, put to an arm whose truth is known."""
+    """One claim of the source, tested on an arm with known true values."""
 
-    figure: int  # of the source that makes the claim
+    figure: int  # of the source
     title: str
     claim: str  # in one sentence
     criteria: tuple[Criterion, ...]
-    evidence: tuple[Evidence, ...]  # every estimated model behind it
-    message: str  # what the arm shows
-    plots: tuple[Any, ...]  # figures of `strainwave.presentation`, which lies above
-    values: Mapping[str, float] = field(default_factory=dict)  # further numbers; NaN: there is none
-    protocol: Protocol = "own"  # whose settings
+    evidence: tuple[Evidence, ...]  # all estimated models behind the claim
+    message: str  # result on this arm
+    plots: tuple[Any, ...]  # figures of `strainwave.presentation`, a higher layer
+    values: Mapping[str, float] = field(default_factory=dict)  # further numbers; NaN: no value
+    protocol: Protocol = "own"  # source of the settings
 
     @property
     def outcome(self) -> Outcome:
-        """Not shown where it rests on a model that did not converge or is unstable."""
+        """Value "not-shown" if the claim relies on a model that did not converge or is unstable."""
         if not self.criteria or not all(e.sound for e in self.evidence if e.decisive):
             return "not-shown"
         return "shown" if all(c.passed for c in self.criteria) else "does-not-hold"
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why it is not shown, or does not hold; empty if it is shown."""
+        """Reasons why the claim is not shown or does not hold; empty if it is shown."""
         if self.outcome == "not-shown":
             return tuple(e.fault for e in self.evidence if e.decisive and not e.sound)
         return tuple(_failure(c) for c in self.criteria if not c.passed)
@@ -103,34 +103,34 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """One claim over several seeds of sensors' noise and of motions."""
+    """One claim over several seeds of sensor noise and motions."""
 
     runs: tuple[Comparison, ...]  # one per seed, of one figure and one protocol
 
     @property
     def first(self) -> Comparison:
-        """Of the first seed, with its plots."""
+        """Result of the first seed, with its plots."""
         return self.runs[0]
 
     def count(self, outcome: Outcome) -> int:
-        """In how many runs the claim came out so."""
+        """Number of runs with an outcome."""
         return sum(run.outcome == outcome for run in self.runs)
 
     @property
     def verdict(self) -> str:
-        """How often it came out how, in words."""
+        """Text of the outcomes."""
         return outcomes_text([run.outcome for run in self.runs])
 
 
 def outcomes_text(outcomes: Sequence[Outcome]) -> str:
-    """One verdict as it is, several with their counts: "shown 8/10, not shown 2/10"."""
-    counted = {outcome: outcomes.count(outcome) for outcome in OUTCOMES}
+    """Text of one outcome, or of several with counts: "shown 8/10, not shown 2/10"."""
+    counts = {outcome: outcomes.count(outcome) for outcome in OUTCOMES}
     if len(outcomes) == 1:
         return OUTCOMES[outcomes[0]]
     return ", ".join(
-        f"{word} {counted[outcome]}/{len(outcomes)}"
+        f"{word} {counts[outcome]}/{len(outcomes)}"
         for outcome, word in OUTCOMES.items()
-        if counted[outcome]
+        if counts[outcome]
     )
 
 

@@ -1,4 +1,4 @@
-"""Numbers as an engineer writes them."""
+"""Number formats for text."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ UNKNOWN = "not known"
 
 
 def plus_minus(value: float | None, std: float | None) -> tuple[str, str]:
-    """A value and its standard deviation with digits to match: two significant ones of the latter.
+    """A value and its standard deviation, both to the second significant digit of the latter.
 
-    `value`, `std`: None, or not finite: not known. Returns: (value, std), for example ("25 010",
-    "31") without the space; large and small numbers carry one common exponent, as in ("1.502e-04",
-    "0.012e-04").
+    None and non-finite numbers give `UNKNOWN`. Large and small numbers share one exponent, as in
+    ("1.502e-04", "0.012e-04").
     """
     if value is None or not math.isfinite(value):
         return UNKNOWN, UNKNOWN
@@ -28,8 +27,5 @@ def plus_minus(value: float | None, std: float | None) -> tuple[str, str]:
 
 
 def percent(fit: float) -> str:
-    """A fit with one decimal; `UNKNOWN` where there was nothing to predict.
-
-    `fit` [%].
-    """
+    """A fit [%] with one decimal; `UNKNOWN` if it is not finite."""
     return f"{fit:.1f} %" if math.isfinite(fit) else UNKNOWN

@@ -1,4 +1,4 @@
-"""One joint with an elastic gear: decoupled from the others, modelled, swept over amplitudes."""
+"""Models of one joint with an elastic gear: decoupled data, parameters, amplitude sweep."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from strainwave.domain.study import Experiment
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A question asked of the data, and the verdict."""
+    """One check of the data and its result."""
 
     name: str
     passed: bool
@@ -27,7 +27,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Decoupled(Displayed):
-    """One joint on its own: the other links act on it as an input like any other.
+    """One joint with the interaction torque as second input.
 
     m_M ddtheta_M + d_M dtheta_M = u - n [k delta + d_G ddelta]
     m_L ddtheta_L + d_L dtheta_L = k delta + d_G ddelta + tau
@@ -37,25 +37,25 @@ class Decoupled(Displayed):
     joint: int  # from 1
     time: FloatArray  # (n_samples,) [s]
     sample_time: float  # [s]
-    inputs: FloatArray  # (n_samples, 1 or 2) [N m] u, and tau where other links or gravity act
+    inputs: FloatArray  # (n_samples, 1 or 2) [N m] u, and tau if other links or gravity act
     outputs: FloatArray  # (n_samples, 2) [rad/s] motor velocity, link velocity
     valid: BoolArray  # (n_samples,)
-    held: bool  # u stays constant until the next sample; tau runs straight
+    held: bool  # zero-order hold of u; tau has a first-order hold
     gear_ratio: float  # n, link turns per motor turn
-    total_inertia: float | None  # c_1 = m_M + n^2 m_L [kg m^2] at the motor; None: not known
-    total_viscous_friction: float | None  # c_0 = d_M + n^2 d_L [N m s/rad] at the motor
-    bandwidth_hz: float | None  # of a zero-phase filter over everything; None: there is none
-    shared: tuple[Lag, ...]  # low-passes that every signal has behind it
-    fusion: Fusion | None  # how the link velocity was made; belongs into the output equation
+    total_inertia: float | None  # c_1 = m_M + n^2 m_L [kg m^2] motor side; None: unknown
+    total_viscous_friction: float | None  # c_0 = d_M + n^2 d_L [N m s/rad] motor side
+    bandwidth_hz: float | None  # of a zero-phase filter of all signals; None: no filter
+    shared: tuple[Lag, ...]  # low-passes applied to every signal
+    fusion: Fusion | None  # of the link velocity; part of the output equation
     richness_hz: FloatArray  # (n_frequencies,) [Hz]
-    richness: FloatArray  # (n_frequencies,) least over largest eigenvalue of the inputs' spectrum
+    richness: FloatArray  # (n_frequencies,) smallest over largest eigenvalue of the input spectrum
     checks: tuple[Check, ...]
     warnings: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Resonance:
-    """The zero and the pole pair of motor input to motor velocity."""
+    """Zero pair and pole pair from motor torque to motor velocity."""
 
     anti_resonance_hz: float  # modulus over 2 pi
     anti_resonance_damping: float  # ratio
@@ -65,13 +65,13 @@ class Resonance:
 
 @dataclass(frozen=True, slots=True)
 class JointModel(Displayed):
-    """One joint's physical parameters, as one or several records of it give them."""
+    """Physical parameters of one joint, estimated from one or several records."""
 
     joint: int  # from 1
     experiments: tuple[str, ...]
     method: Literal["grey-box", "transfer-function", "motor-response", "catalogue"]
     parameters: tuple[Parameter, ...]
-    values: Mapping[str, float]  # of all parameters, also of those that the data hardly identify
+    values: Mapping[str, float]  # of all parameters, including poorly identified ones
     covariance: FloatArray  # (n_values, n_values), in the order of `values`
     anti_resonance: Mode | None  # zeros of motor torque to motor velocity
     resonance: Mode | None  # its poles
@@ -83,31 +83,30 @@ class JointModel(Displayed):
 
 @dataclass(frozen=True, slots=True)
 class RecordModel(Displayed):
-    """Everything one record shows of the joint that was excited in it."""
+    """All models of the joint that was excited in one record."""
 
     signals: Decoupled
-    physical: JointModel | None  # from the equations of motion; None: it failed, or not wanted
-    state_space: StateSpace | None  # by prediction-error minimisation; None: it failed
+    physical: JointModel | None  # from the equations of motion; None: failed or not requested
+    state_space: StateSpace | None  # by the prediction-error method; None: failed
     modes: Modes | None  # of the state-space model
-    transfer: (
-        JointModel | None
-    )  # from the state-space model, by (17), (18); None: failed, not wanted
-    check: ModelCheck | None = None  # the state-space model on a part that it was not fitted to
-    response: FrequencyResponse | None = None  # nonparametric; None: inputs not separated
+    # from the state-space model, by (17), (18); None: failed or not requested
+    transfer: JointModel | None
+    check: ModelCheck | None = None  # the state-space model on held-out data
+    response: FrequencyResponse | None = None  # nonparametric; None: inputs not separable
     warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def joint_model(self) -> JointModel | None:
-        """From the equations of motion, or where there is none, by (17), (18)."""
+        """The model from the equations of motion, or else the model by (17), (18)."""
         return self.physical or self.transfer
 
 
 @dataclass(frozen=True, slots=True)
 class SweepPoint:
-    """One joint at one amplitude of excitation."""
+    """Estimates of one joint at one excitation amplitude."""
 
     experiment: str
-    amplitude: float  # [V], or [N m] where torque is logged
+    amplitude: float  # [V], or [N m] if torque is logged
     squared_anti_resonance: float  # (2 pi f_a)^2 [rad^2/s^2], proportional to the stiffness
     squared_anti_resonance_std: float
     gear_stiffness: float  # [N m/rad], equivalent
@@ -116,7 +115,7 @@ class SweepPoint:
 
 @dataclass(frozen=True, slots=True)
 class Sweep(Displayed):
-    """How one joint's equivalent stiffness goes with the amplitude."""
+    """Equivalent stiffness of one joint over the amplitude."""
 
     joint: int  # from 1
     points: tuple[SweepPoint, ...]  # by amplitude

@@ -1,4 +1,4 @@
-"""Linear models that know nothing of arms: state space, modes, responses, residual tests."""
+"""Linear models without reference to arms: state space, modes, responses, residual tests."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.estimates import Diagnostic
 
-Hold = Literal["zero", "first"]  # between samples: held, or joined by straight lines
+Hold = Literal["zero", "first"]  # zero-order or first-order hold between samples
 
 
 @dataclass(frozen=True, slots=True)
 class InputOutput:
-    """One uninterrupted stretch of inputs and outputs on a uniform time base."""
+    """An uninterrupted section of inputs and outputs on a uniform time base."""
 
     inputs: FloatArray  # (n_samples, n_inputs)
     outputs: FloatArray  # (n_samples, n_outputs)
     sample_time: float  # [s]
-    hold: tuple[Hold, ...] = ()  # one an input; empty: all "zero"
+    hold: tuple[Hold, ...] = ()  # one per input; empty: all "zero"
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
 
@@ -33,10 +33,10 @@ class InputOutput:
 
 @dataclass(frozen=True, slots=True)
 class StateSpace:
-    """x+ = A x + B u + K e, y = C x + D u + e, e white: a sampled model in innovations form.
+    """Discrete-time model in innovations form: x+ = A x + B u + K e, y = C x + D u + e, e white.
 
-    Its coordinates are arbitrary; whatever does not depend on them has a variance, which
-    `covariance` gives through the delta method (`strainwave.statespace.propagate`).
+    Its coordinates are arbitrary. Quantities that do not depend on them have a variance, which
+    `covariance` gives by the delta method (`strainwave.statespace.propagate`).
     """
 
     A: FloatArray  # (order, order)
@@ -47,13 +47,13 @@ class StateSpace:
     noise_covariance: FloatArray  # (n_outputs, n_outputs) of e
     initial_states: FloatArray  # (n_records, order) at the first sample of each record
     sample_time: float  # [s]
-    hold: tuple[Hold, ...]  # one an input
+    hold: tuple[Hold, ...]  # one per input
     method: Literal["subspace", "pem", "output-error"]
     status: Literal["estimated", "converged", "iteration-limit", "stalled", "not-determined"]
-    fit_percent: tuple[float, ...]  # one an output: simulated from the inputs alone
-    prediction_fit_percent: tuple[float, ...]  # one an output: one step ahead
+    fit_percent: tuple[float, ...]  # one per output: simulation
+    prediction_fit_percent: tuple[float, ...]  # one per output: one-step prediction
     n_samples: int
-    n_parameters: int  # directions in which the model moves; initial states included
+    n_parameters: int  # degrees of freedom, initial states included
     log_likelihood: float  # Gaussian, at the estimate
     # of the entries A, B, C, D, K, each row by row; singular along changes of coordinates
     covariance: FloatArray | None = None
@@ -73,18 +73,18 @@ class StateSpace:
 
     @property
     def aic(self) -> float:
-        """Akaike's criterion; less is better."""
+        """Akaike's information criterion; smaller is better."""
         return 2.0 * self.n_parameters - 2.0 * self.log_likelihood
 
     @property
     def bic(self) -> float:
-        """Schwarz's criterion; less is better."""
+        """Schwarz's information criterion; smaller is better."""
         return self.n_parameters * float(np.log(self.n_samples)) - 2.0 * self.log_likelihood
 
 
 @dataclass(frozen=True, slots=True)
 class ContinuousStateSpace:
-    """dx/dt = A x + B u, y = C x + D u: what a sampled model is between the samples."""
+    """Continuous-time model dx/dt = A x + B u, y = C x + D u."""
 
     A: FloatArray  # (order, order) [1/s]
     B: FloatArray  # (order, n_inputs)
@@ -104,28 +104,28 @@ class ContinuousStateSpace:
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A pole or a zero of a continuous-time model: one complex pair, or one real number."""
+    """A pole or zero of a continuous-time model: a complex pair or a real number."""
 
-    value: complex  # [rad/s], imaginary part not negative
+    value: complex  # [rad/s], imaginary part non-negative
     frequency_hz: float  # modulus over 2 pi
-    damping: float  # -real part over modulus; one on the negative real axis
+    damping: float  # -real part over modulus; 1 on the negative real axis
     frequency_std_hz: float | None
     damping_std: float | None
 
     @property
     def oscillates(self) -> bool:
-        """Whether it is a complex pair."""
+        """Whether the mode is a complex pair."""
         return self.value.imag > 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """Poles of a model, and zeros from one of its inputs to one of its outputs."""
+    """Poles of a model, and zeros from one input to one output."""
 
     poles: tuple[Mode, ...]  # by frequency
     zeros: tuple[Mode, ...]  # by frequency
-    resonance: Mode | None  # the least damped pair of poles, if any oscillates
-    anti_resonance: Mode | None  # the least damped pair of zeros
+    resonance: Mode | None  # the least damped pair of poles; None: no complex pair
+    anti_resonance: Mode | None  # the least damped pair of zeros; None: no complex pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,40 +137,37 @@ class FrequencyResponse(Displayed):
     # (n_frequencies, n_outputs, n_inputs, 2, 2) of real and imaginary part
     covariance: FloatArray | None = None
     coherence: FloatArray | None = None  # (n_frequencies, n_outputs), multiple
-    # Variance of the response, (n_frequencies, n_outputs, n_inputs), by its source; None: unknown
+    # variance of the response, (n_frequencies, n_outputs, n_inputs), by source; None: unknown
     noise_variance: FloatArray | None = None
-    distortion_variance: FloatArray | None = None  # of one record's response
+    distortion_variance: FloatArray | None = None  # of the response of one record
     method: Literal["model", "periods", "welch"] = "model"
     n_averages: int = 0
     warnings: tuple[Diagnostic, ...] = ()
 
     def between(self, low_hz: float, high_hz: float, most: int) -> FrequencyResponse:
-        """Its lines in a band; of more than `most`, those evenly spread over log frequency.
-
-        `low_hz`, `high_hz` [Hz].
-        """
+        """Lines in a band [Hz], at most `most` of them, evenly spread over log frequency."""
         f = self.frequencies_hz
-        kept = np.flatnonzero((f >= low_hz) & (f <= high_hz))
-        if len(kept) > most:
-            wanted = np.geomspace(f[kept[0]], f[kept[-1]], most)
-            kept = np.unique(np.searchsorted(f, wanted).clip(kept[0], kept[-1]))
+        lines = np.flatnonzero((f >= low_hz) & (f <= high_hz))
+        if len(lines) > most:
+            targets = np.geomspace(f[lines[0]], f[lines[-1]], most)
+            lines = np.unique(np.searchsorted(f, targets).clip(lines[0], lines[-1]))
 
-        def of(lines: FloatArray | None) -> FloatArray | None:
-            return None if lines is None else lines[kept]
+        def select(values: FloatArray | None) -> FloatArray | None:
+            return None if values is None else values[lines]
 
         return replace(
             self,
-            frequencies_hz=f[kept],
-            response=self.response[kept],
-            covariance=of(self.covariance),
-            coherence=of(self.coherence),
-            noise_variance=of(self.noise_variance),
-            distortion_variance=of(self.distortion_variance),
+            frequencies_hz=f[lines],
+            response=self.response[lines],
+            covariance=select(self.covariance),
+            coherence=select(self.coherence),
+            noise_variance=select(self.noise_variance),
+            distortion_variance=select(self.distortion_variance),
         )
 
     @property
     def magnitude_std(self) -> FloatArray | None:
-        """Standard deviation of the modulus, to first order."""
+        """Standard deviation of the magnitude, to first order."""
         return self._std(self.response / np.abs(self.response))
 
     @property
@@ -188,44 +185,44 @@ class FrequencyResponse(Displayed):
 
 @dataclass(frozen=True, slots=True)
 class HypothesisTest:
-    """One test of residuals, with its verdict."""
+    """One residual test and its result."""
 
     name: Literal["white", "independent-of-past-inputs", "no-feedback"]
-    statistic: float  # chi-square if the hypothesis holds
+    statistic: float  # chi-square distributed under the hypothesis
     degrees: int
     p_value: float
     passed: bool
-    message: str  # the verdict in a sentence
+    message: str  # the result in one sentence
 
 
 @dataclass(frozen=True, slots=True)
 class ModelCheck:
-    """A state-space model on data: fits and residual tests."""
+    """Fits and residual tests of a state-space model on data."""
 
-    fit_percent: tuple[float, ...]  # one an output: simulated, initial state from the data
-    prediction_fit_percent: tuple[float, ...]
+    fit_percent: tuple[float, ...]  # one per output: simulation, initial state from the data
+    prediction_fit_percent: tuple[float, ...]  # one per output: one-step prediction
     tests: tuple[HypothesisTest, ...]
     autocorrelation: FloatArray  # (lags, n_outputs, n_outputs), lags 0, 1, ..., normalised
     cross_correlation: FloatArray  # (2 lags + 1, n_outputs, n_inputs), lags -L..L, normalised
-    confidence_99: float  # bound of one normalised correlation
+    confidence_99: float  # 99 % bound of one normalised correlation
 
     @property
     def passed(self) -> bool:
-        """Whether no test failed."""
+        """Whether all tests passed."""
         return all(test.passed for test in self.tests)
 
 
 @dataclass(frozen=True, slots=True)
 class OrderSelection:
-    """Models of several orders, and the one to take."""
+    """Models of several orders, and the selected order."""
 
     models: tuple[StateSpace, ...]
-    # One tuple a model, one number an output: one step ahead, or simulated if K was not estimated.
+    # one tuple per model, one number per output: prediction, or simulation if K is not estimated
     held_out_fit_percent: tuple[tuple[float, ...], ...]
-    chosen: int  # the order
-    rule: str  # why
+    chosen: int  # the selected order
+    rule: str  # reason of the selection
 
     @property
     def model(self) -> StateSpace:
-        """The chosen one."""
+        """The model of the selected order."""
         return next(model for model in self.models if model.order == self.chosen)

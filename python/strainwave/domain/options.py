@@ -1,4 +1,4 @@
-"""What may be set by hand of each stage; `strainwave.io.study` checks the `annotated_types`."""
+"""Options of each stage. `strainwave.io.study` checks the constraints of `annotated_types`."""
 
 from __future__ import annotations
 
@@ -16,87 +16,87 @@ Channels = Literal["both", "motor"]
 Route = Literal["equations", "transfer-function"]
 
 PUBLISHED_RANGE = (0.5, 2.0)
-"""How far from its start tuning as published may move a parameter, where no range is given."""
+"""Default range of a parameter over its starting value for a fit with `as_published`."""
 
 
 @dataclass(frozen=True, slots=True)
 class RigidOptions:
-    """Of the rigid-joint model, (5) to (7): `rigid`."""
+    """Options of the rigid-joint model, (5) to (7): `rigid`."""
 
-    bandwidth_hz: Positive | None = None  # of the equations' filter; None: chosen from the data
-    load_friction: bool | None = (
-        None  # of rigid joints, in proportion to the load; None: by the data
-    )
+    bandwidth_hz: Positive | None = None  # of the equations' filter; None: from the data
+    load_friction: bool | None = None  # friction proportional to the load; None: from the data
 
 
 @dataclass(frozen=True, slots=True)
 class LinkOptions:
-    """Of the links' motion, (8) to (10): `links`."""
+    """Options of the links' motion, (8) to (10): `links`."""
 
     time_constant: Positive = 0.2  # T_V [s] of the fusion (10)
     order: Literal[1, 2] = 2  # of its low-pass
-    bandwidth_hz: Positive | None = None  # zero-phase, over all; None: only where angles are
-    # differenced twice, and then as wide as their noise allows
+    # of a zero-phase filter of all signals; None: no filter, unless angles are
+    # differentiated twice: then the widest bandwidth that their noise allows
+    bandwidth_hz: Positive | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class FrequencyOptions:
-    """Of the nonparametric frequency responses: `responses`."""
+    """Options of the nonparametric frequency responses: `responses`."""
 
-    inputs: Annotated[int, Ge(1)] | None = None  # how many of the inputs to use; None: all
+    inputs: Annotated[int, Ge(1)] | None = None  # number of inputs to use; None: all
     segment: Positive | None = None  # [s] of Welch's method; None: a period, or a quarter record
-    transient_periods: Annotated[int, Ge(0)] = 1  # left out at the start, where there are enough
+    transient_periods: Annotated[int, Ge(0)] = 1  # discarded at the start if enough remain
 
 
 @dataclass(frozen=True, slots=True)
 class LinearOptions:
-    """Of the state-space models, (11), (12): `statespace`."""
+    """Options of the state-space models, (11), (12): `statespace`."""
 
-    # None: of 2 to 6, by held-out data and Schwarz's criterion
+    # None: 2 to 6, selected by held-out data and Schwarz's criterion
     order: Annotated[int, Ge(2), Le(10)] | None = None
     outputs: Channels = "both"
-    inputs: Channels = "both"  # "motor": the interaction torque is left out
-    # "subspace": the better of MOESP and of a long autoregression, which feedback does not harm
+    inputs: Channels = "both"  # "motor": without the interaction torque
+    # "subspace": the better of MOESP and a long autoregression (consistent under feedback)
     method: EstimationMethod = "pem"
-    horizon: Annotated[int, Ge(2)] | None = None  # past samples of a subspace estimate; None: AIC
-    decimation: Annotated[int, Ge(1)] | None = None  # every how many-th sample is kept; None: from
-    # the band. The band's upper edge follows it
-    # "band": what a prediction-error estimate asks for; "decimation": as in the source, a low-pass
-    # below the new Nyquist frequency, link velocities as fused
+    horizon: Annotated[int, Ge(2)] | None = None  # past samples of the subspace step; None: AIC
+    # factor of downsampling, which sets the upper edge of the band; None: from the band
+    decimation: Annotated[int, Ge(1)] | None = None
+    # "band": for the prediction-error method; "decimation": as published, a low-pass below the new
+    # Nyquist frequency, with fused link velocities
     filter: Literal["band", "decimation"] = "band"
-    band_hz: Band | None = None  # of the filter; None: from the resonances found
+    band_hz: Band | None = None  # of the filter; None: from the estimated resonances
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicalOptions:
-    """Of a joint's physical parameters: `physical`."""
+    """Options of a joint's physical parameters: `physical`."""
 
-    route: Route = "equations"  # of motion; or (15) to (18), from the state-space models
+    route: Route = "equations"  # equations of motion, or (15) to (18) from the state-space models
     band_hz: Band | None = None  # of the equations' filter; None: from the data
-    use_rigid: bool = True  # whether what the rigid model knows joins as equations, or in (18)
+    use_rigid: bool = True  # whether the rigid model adds equations, or enters (18)
 
 
 @dataclass(frozen=True, slots=True)
 class TuningOptions:
-    """Of the whole-arm fit: `tuning`."""
+    """Options of the whole-arm fit: `tuning`."""
 
-    # `tuning` records in closed loop, motor velocities alone, no other stage's knowledge but the
-    # start; Coulomb friction held, and all else in `PUBLISHED_RANGE` where `ranges` say nothing
+    # `tuning` records in closed loop, motor velocities only, no information of other stages
+    # except starting values; Coulomb friction fixed, other parameters without an entry in `ranges`
+    # limited to `PUBLISHED_RANGE`
     as_published: bool = False
-    # (least, most) of a parameter over the value where the fit starts; "gear_stiffness" or, of one
-    # joint, "gear_stiffness 2"
+    # (lowest, highest) value over the starting value, by parameter: "gear_stiffness", or
+    # "gear_stiffness 2" for one joint
     ranges: Mapping[str, tuple[Positive, Positive]] = field(default_factory=dict)
-    hold: tuple[str, ...] = ()  # parameters that stay where the fit starts, named as in `ranges`
-    cutoff_hz: Positive | None = None  # of what is compared; None: from the resonances
-    settling: bool | None = None  # whether friction takes its time; None: if the data say so
-    closed_loop: bool = False  # servoed joints by references and servo, not recorded voltages
-    least_deviation: Positive = 0.002  # of what the rigid step knows, as a share of each value
+    hold: tuple[str, ...] = ()  # parameters fixed at their starting values, named as in `ranges`
+    cutoff_hz: Positive | None = None  # of the compared signals; None: from the resonances
+    settling: bool | None = None  # whether friction has a settling time; None: from the data
+    closed_loop: bool = False  # simulate the servo from references instead of recorded voltages
+    least_deviation: Positive = 0.002  # relative standard deviation added to rigid estimates
     max_iterations: Annotated[int, Ge(1)] = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What may be set by hand, one record a stage: `[options]`."""
+    """Options of all stages: `[options]`."""
 
     rigid: RigidOptions = RigidOptions()
     links: LinkOptions = LinkOptions()
@@ -107,11 +107,11 @@ class Options:
 
 
 def chosen_options(options: Options) -> list[str]:
-    """What differs from the defaults, as on the command line: "links.order=1"."""
-    usual = asdict(Options())
+    """Options that differ from the defaults, in the command line's notation: "links.order=1"."""
+    defaults = asdict(Options())
     return [
         f"{stage}.{key}={value}"
         for stage, table in asdict(options).items()
         for key, value in table.items()
-        if value != usual[stage][key]
+        if value != defaults[stage][key]
     ]

@@ -1,7 +1,7 @@
-"""What is known of every parameter beforehand: symbol, description, units, range.
+"""Prior knowledge of every parameter: symbol, description, units and range.
 
-The core declares those of the equations of motion, beside the equations. Here stand those that
-follow from them, and those of effects that change what the core is given.
+The core declares the parameters of its equations of motion. This module adds combinations of them
+and the parameters of effects that the core does not simulate.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from functools import cache
 from types import MappingProxyType
 from typing import Literal
 
-from strainwave._core import parameter_table as declared_in_the_core
+from strainwave._core import parameter_table as core_parameter_table
 
 Range = Literal["positive", "non-negative", "any"]
-"""Values that a parameter of an arm can have."""
+"""Range of a parameter's values."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterDescription:
-    """One parameter, by the name that it has in docs/notation.md and in results."""
+    """One parameter under its name in docs/notation.md and in results."""
 
     name: str
-    symbol: str  # as plain text: `m_M` is m with the index M; empty: none
+    symbol: str  # plain text, `m_M` is m with the index M; empty: no symbol
     description: str  # in one line
-    units: tuple[str, str]  # of a revolute joint, of a prismatic one
+    units: tuple[str, str]  # revolute joint, prismatic joint
     range: Range
 
 
@@ -35,28 +35,28 @@ _DERIVED = (
     ParameterDescription(
         "rigid_inertia",
         "",
-        "alpha + m_M1/n1²: inertia of joint 1 with its motor, at the link",
+        "alpha + m_M1/n1²: inertia of joint 1 with its motor, link side",
         _INERTIA,
         "positive",
     ),
     ParameterDescription(
         "inertia",
         "c_1",
-        "m_M + n² m_L: motor and link together, at the motor",
+        "m_M + n² m_L: inertia of motor and link, motor side",
         _INERTIA,
         "positive",
     ),
     ParameterDescription(
         "total_viscous_friction",
         "c_0",
-        "d_M + n² d_L: viscous friction of the joint, at the motor",
+        "d_M + n² d_L: viscous friction of the joint, motor side",
         ("N m s/rad", "N s/m"),
         "non-negative",
     ),
 )
-"""Combinations of the core's parameters that are reported by a name of their own."""
+"""Combinations of the core's parameters that results report by name."""
 
-_OF_RECORDS = (
+_EFFECT_PARAMETERS = (
     ParameterDescription(
         "friction_change",
         "phi",
@@ -74,36 +74,33 @@ _OF_RECORDS = (
     ParameterDescription(
         "encoder_zero",
         "q_0",
-        "what a joint's angle is more than its encoder says",
+        "joint angle minus encoder reading",
         ("rad", "m"),
         "any",
     ),
 )
-"""What effects that the core does not know change in a record."""
+"""Parameters of effects that the core does not simulate."""
 
 
 def of_record(name: str, record: str) -> str:
-    """The name of a parameter that each record has one of.
-
-    `name`: As in docs/notation.md.
-    """
+    """Name of a parameter in one record, such as "friction_change[NAME]"."""
     return f"{name}[{record}]"
 
 
 def base_name(name: str) -> str:
-    """The name of a parameter as in docs/notation.md, without that of a record."""
+    """Name of a parameter without its record."""
     return name.partition("[")[0]
 
 
 @cache
 def parameter_table() -> Mapping[str, ParameterDescription]:
-    """Every parameter of arms and joints by name; of a name that several owners have, the first.
+    """All parameters of arms and joints by name: those of the core, then the additional ones.
 
-    Returns: In the core's order, then what follows from its parameters or changes them.
+    If several parts of the core share a name, the first description counts.
     """
-    found: dict[str, ParameterDescription] = {}
-    for _, name, symbol, description, units, values in declared_in_the_core():
-        found.setdefault(name, ParameterDescription(name, symbol, description, units, values))
-    for own in (*_DERIVED, *_OF_RECORDS):
-        found[own.name] = own
-    return MappingProxyType(found)
+    table: dict[str, ParameterDescription] = {}
+    for _, name, symbol, description, units, values in core_parameter_table():
+        table.setdefault(name, ParameterDescription(name, symbol, description, units, values))
+    for parameter in (*_DERIVED, *_EFFECT_PARAMETERS):
+        table[parameter.name] = parameter
+    return MappingProxyType(table)

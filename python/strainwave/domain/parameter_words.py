@@ -1,6 +1,6 @@
-"""What parameters are called in equations, and what they are in one line.
+"""Symbols and one-line descriptions of parameters.
 
-Symbols are those of docs/notation.md, as plain text: `m_M` is m with the index M.
+Symbols are those of docs/notation.md in plain text: `m_M` is m with the index M.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from strainwave.domain.parameter_table import parameter_table
 
 @dataclass(frozen=True, slots=True)
 class ParameterWords:
-    """A parameter's symbol and one-line description."""
+    """Symbol and one-line description of a parameter."""
 
-    symbol: str  # empty: none
+    symbol: str  # empty: no symbol
     description: str
 
 
-_OF_SENSORS = (
+_SENSOR_PARAMETERS = (
     {
-        "accelerometer_delay": ("D", "delay of the accelerometer behind the motor encoder"),
-        "gyro_delay": ("D", "delay of the gyro behind the motor encoder"),
-        "link_encoder_delay": ("D", "delay of the link encoder behind the motor encoder"),
-        "accelerometer_scale": ("s", "reading of the accelerometer over the motion"),
-        "gyro_scale": ("s", "reading of the gyro over the motion"),
+        "accelerometer_delay": ("D", "delay of the accelerometer relative to the motor encoder"),
+        "gyro_delay": ("D", "delay of the gyro relative to the motor encoder"),
+        "link_encoder_delay": ("D", "delay of the link encoder relative to the motor encoder"),
+        "accelerometer_scale": ("s", "scale factor of the accelerometer"),
+        "gyro_scale": ("s", "scale factor of the gyro"),
         "accelerometer_drift": ("r", "drift of the accelerometer's bias in one record"),
         "gyro_drift": ("r", "drift of the gyro's bias in one record"),
         "accelerometer_distance": ("l_a", "distance of the accelerometer from its link's own axis"),
@@ -33,42 +33,45 @@ _OF_SENSORS = (
         "gyro_bandwidth": ("", "bandwidth of the gyro"),
         "accelerometer_tilt": (
             "",
-            "angle of the accelerometer to the tangent, in the plane of motion",
+            "angle between the accelerometer and the tangent, in the plane of motion",
         ),
-        "imu_x": ("x", "place of the IMU along its link, from the link's own axis"),
-        "imu_y": ("y", "place of the IMU across its link, from the link's own axis"),
+        "imu_x": ("x", "position of the IMU along its link, from the link's own axis"),
+        "imu_y": ("y", "position of the IMU across its link, from the link's own axis"),
         "imu_distance": ("", "distance of the IMU from its link's own axis"),
         "imu_roll": ("", "roll of the IMU in its link's frame, as in URDF"),
         "imu_pitch": ("", "pitch of the IMU in its link's frame, as in URDF"),
         "imu_yaw": ("", "yaw of the IMU in its link's frame, as in URDF"),
         "imu_accelerometer_delay": (
             "",
-            "delay of the IMU's accelerometers behind the motor encoder",
+            "delay of the IMU's accelerometers relative to the motor encoder",
         ),
-        "imu_gyro_delay": ("", "delay of the IMU's gyros behind the motor encoder"),
+        "imu_gyro_delay": ("", "delay of the IMU's gyros relative to the motor encoder"),
         "imu_accelerometer_bandwidth": ("", "bandwidth of the IMU's accelerometers"),
         "imu_gyro_bandwidth": ("", "bandwidth of the IMU's gyros"),
     }
     | {
-        f"{sensor}_mount_{what}": (symbol, f"{said} of the mount of the {words}")
-        for sensor, words in (
+        f"{sensor}_mount_{quantity}": (symbol, f"{text} of the mount of the {sensor_text}")
+        for sensor, sensor_text in (
             ("accelerometer", "accelerometer"),
             ("gyro", "gyro"),
             ("imu_accelerometer", "IMU's accelerometers"),
             ("imu_gyro", "IMU's gyros"),
         )
-        for what, symbol, said in (
+        for quantity, symbol, text in (
             ("frequency", "f_h", "natural frequency"),
             ("damping", "zeta_h", "damping ratio"),
         )
     }
     | {
-        f"imu_{letter}{axis}_scale": ("", f"reading of the IMU's {axis} {sensor} over the motion")
+        f"imu_{letter}{axis}_scale": ("", f"scale factor of the IMU's {axis} {sensor}")
         for letter, sensor in (("a", "accelerometer"), ("g", "gyro"))
         for axis in "xyz"
     }
     | {
-        f"imu_{letter}{axis}_drift": ("", f"drift of the IMU's {axis} {sensor} in one record")
+        f"imu_{letter}{axis}_drift": (
+            "",
+            f"drift of the bias of the IMU's {axis} {sensor} in one record",
+        )
         for letter, sensor in (("a", "accelerometer"), ("g", "gyro"))
         for axis in "xyz"
     }
@@ -76,6 +79,6 @@ _OF_SENSORS = (
 
 
 def all_words() -> Mapping[str, ParameterWords]:
-    """Of every parameter, those of all gear laws included, by the name that it has in results."""
+    """Symbols and descriptions of all parameters in results, by name."""
     words = {p.name: (p.symbol, p.description) for p in parameter_table().values()}
-    return {name: ParameterWords(*own) for name, own in (words | _OF_SENSORS).items()}
+    return {name: ParameterWords(*texts) for name, texts in (words | _SENSOR_PARAMETERS).items()}

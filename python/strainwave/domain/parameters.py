@@ -1,4 +1,4 @@
-"""Values of an arm's parameters: units, names in options, and what follows from them."""
+"""Units of parameters, their names in options, and values that follow from other values."""
 
 from __future__ import annotations
 
@@ -38,14 +38,13 @@ SENSOR_PARAMETERS = (
     "gyro_drift",
     *(f"imu_{axis}_drift" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),
 )
-"""Constants of link sensors that the whole-arm fit estimates where the records show them."""
+"""Sensor constants that the whole-arm fit estimates if the data support them."""
 
 
 def unit_of(name: str, joint: Joint | None = None) -> str:
-    """The SI unit of a parameter.
+    """SI unit of a parameter, by its name in docs/notation.md; None for a parameter of the arm.
 
-    `name`: As in docs/notation.md. `joint`: Whose it is; None: the arm's. Raises `KeyError`: There
-    is no parameter of that name.
+    Raises KeyError if there is no parameter of that name.
     """
     return parameter_table()[base_name(name)].units[
         joint is not None and joint.motion == "prismatic"
@@ -53,36 +52,34 @@ def unit_of(name: str, joint: Joint | None = None) -> str:
 
 
 def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:
-    """Names that the options of the whole-arm fit may use: of all joints, and of each on its own.
+    """Parameter names that the options of the whole-arm fit accept.
 
-    Returns: "beta", "gear_stiffness", "gear_stiffness 1", ...
+    They are names of the arm and of all joints, "gear_stiffness", or of one joint, "gear_stiffness
+    1".
     """
     inertias = kind_of(arm).inertias
     names = [name for name, joint in inertias if joint is None]
     if arm.gravity is not None:
         names += [f"gravity_torque_{i}" for i in range(1, arm.n_joints + 1)]
-    of_joints: dict[str, list[int]] = {}
+    joints_by_name: dict[str, list[int]] = {}
     for number, joint in enumerate(arm.joints, start=1):
-        own = ["motor_inertia", "motor_viscous_friction", "motor_coulomb_friction"]
-        own += ["friction_offset", "link_viscous_friction", STIFFNESS, "gear_damping"]
-        own += [name for name, of in inertias if of == number]
-        for name in dict.fromkeys((*own, *joint.law.names)):
-            of_joints.setdefault(name, []).append(number)
-    for name, numbers in of_joints.items():
+        joint_names = ["motor_inertia", "motor_viscous_friction", "motor_coulomb_friction"]
+        joint_names += ["friction_offset", "link_viscous_friction", STIFFNESS, "gear_damping"]
+        joint_names += [name for name, owner in inertias if owner == number]
+        for name in dict.fromkeys((*joint_names, *joint.law.names)):
+            joints_by_name.setdefault(name, []).append(number)
+    for name, numbers in joints_by_name.items():
         names += [name, *(f"{name} {number}" for number in numbers)]
     return tuple(names)
 
 
 def completed(values: Values, arm: ArmDescription) -> Values:
-    """What an arm needs for being simulated, made of what an identification found.
+    """Identified values and those that follow from them, as a simulation of the arm needs them.
 
-    A sum stands for its parts where they hardly matter apart: `total_viscous_friction` for the
-    motor's, where that is not known; one `gear_stiffness` for all slopes of a gear; and
-    where motor and link only ever move together, `inertia` or `rigid_inertia` for both. The links'
-    inertias follow as their kind of arm has it.
-
-    `values`: (name, joint) -> value. Returns: With what follows added; nothing that was there is
-    changed.
+    A sum replaces its parts if the parts hardly matter separately: `total_viscous_friction` for the
+    motor's, one `gear_stiffness` for all slopes of a gear, and, with a rigid gear, `inertia` or
+    `rigid_inertia` for motor and link. The arm's kind completes the link inertias. Existing values
+    do not change.
     """
     known = dict(values)
     for number, joint in enumerate(arm.joints, start=1):

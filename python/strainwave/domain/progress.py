@@ -1,4 +1,4 @@
-"""What a run is doing, as it goes on."""
+"""Progress of a run."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ProgressEvent:
-    """The beginning of a part of a run, or a step within it."""
+    """Start of a part of a run, or a step within it."""
 
     stage: str  # "read", "consistency", "rigid", "checks", "decoupled", "tuned", "report"
-    fraction: float  # of all parts, by number: 0 at the start, 1 at the end
-    message: str  # what is being done
-    part: int  # from 1; parts that cannot run are passed over
+    fraction: float  # completed parts over all parts, from 0 to 1
+    message: str  # current activity
+    part: int  # from 1; parts that cannot run are skipped
     parts: int
 
     def __str__(self) -> str:
@@ -25,4 +25,4 @@ Progress = Callable[[ProgressEvent], None]
 
 
 def ignored(_event: ProgressEvent) -> None:
-    """Progress that nobody follows."""
+    """Ignore progress events."""

@@ -1,4 +1,4 @@
-"""Named things that a program may add to: laws of gears, effects of joints."""
+"""Registry of extensible kinds: gear laws and effects."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from strainwave.errors import InvalidInput
 
 
 class Named(Protocol):
-    """Something with a name."""
+    """An object with a name."""
 
     @property
     def name(self) -> str:
-        """As in a study file."""
+        """Name in a study file."""
         ...
 
 
@@ -21,43 +21,43 @@ T = TypeVar("T", bound=Named)
 
 
 class Registry(Generic[T]):
-    """What is known of one kind, in the order in which it was registered."""
+    """Objects of one kind, in the order of registration."""
 
-    def __init__(self, kind: str, article: str, key: str, known: Iterable[T]) -> None:
-        """Of a kind, such as "gear law", named by a key of a study file."""
+    def __init__(self, kind: str, article: str, key: str, entries: Iterable[T]) -> None:
+        """Registry of a kind such as "gear law", which a key of the study file names."""
         self._kind, self._article, self._key = kind, article, key
-        self._known = {one.name: one for one in known}
+        self._entries = {entry.name: entry for entry in entries}
 
     def __getitem__(self, name: str) -> T:
-        """The one of a name; InvalidInput where there is none."""
-        if name not in self._known:
+        """Entry with a name. Raises InvalidInput if there is none."""
+        if name not in self._entries:
             raise InvalidInput(
                 f"there is no {self._kind} {name!r}",
                 where=self._key,
-                remedy=f"use one of {', '.join(self._known)}",
+                remedy=f"use one of {', '.join(self._entries)}",
             )
-        return self._known[name]
+        return self._entries[name]
 
     def names(self) -> tuple[str, ...]:
-        """Of all."""
-        return tuple(self._known)
+        """Names of all entries."""
+        return tuple(self._entries)
 
     def all(self) -> tuple[T, ...]:
-        """All of them."""
-        return tuple(self._known.values())
+        """All entries."""
+        return tuple(self._entries.values())
 
     def check_new(self, name: str) -> None:
-        """Whether a name is free; InvalidInput where it is not."""
-        if name in self._known:
+        """Raise InvalidInput if a name is taken."""
+        if name in self._entries:
             raise InvalidInput(
-                f"there is {self._article} {self._kind} {name!r} already",
-                remedy="give it another name",
+                f"{self._article} {self._kind} {name!r} exists already",
+                remedy="choose another name",
             )
 
-    def add(self, one: T) -> None:
-        """Make one known; its name is free."""
-        self._known[one.name] = one
+    def add(self, entry: T) -> None:
+        """Add an entry whose name is free."""
+        self._entries[entry.name] = entry
 
     def remove(self, name: str) -> None:
-        """Forget one; InvalidInput where there is none of that name."""
-        del self._known[self[name].name]
+        """Remove an entry. Raises InvalidInput if there is none of that name."""
+        del self._entries[self[name].name]

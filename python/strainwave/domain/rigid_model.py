@@ -1,4 +1,4 @@
-"""The arm with rigid joints."""
+"""Model of the arm with rigid joints."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from strainwave.domain.estimates import Diagnostic, Parameter
 
 @dataclass(frozen=True, slots=True)
 class RigidModel(Displayed):
-    """The rigid-joint arm (5)-(7) as estimated."""
+    """Estimate of the arm with rigid joints, (5) to (7)."""
 
     parameters: tuple[Parameter, ...]
-    solution: FloatArray  # (n_parameters,) their values, of least norm where not determined
+    solution: FloatArray  # (n_parameters,) values, of minimum norm if not determined
     covariance: FloatArray  # (n_parameters, n_parameters), order of `parameters`; NaN where unknown
     condition_number: float  # of the column-scaled, weighted regressor
-    fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
-    bandwidth_hz: float  # of the zero-phase filter the data asked for
+    fit_percent: Mapping[str, Mapping[str, float]]  # by experiment and channel
+    bandwidth_hz: float  # of the zero-phase filter, chosen from the data
     decimation: int
-    n_rows: int  # equations used, after decimation and rejection
+    n_rows: int  # equations after decimation and rejection
     status: Literal["determined", "partly-determined", "not-identifiable"]
     warnings: tuple[Diagnostic, ...] = ()
-    torque_ratio: tuple[float, float] | None = None  # joint 1's torque over joint 2's, against what
-    # the symmetry of M(q) allows, and its deviation; 1 where both torque constants are right
-    load_friction: tuple[Parameter, ...] = ()  # of joints whose friction grows with the load: share
-    # of the torque of the body, gravity included, that Coulomb friction is higher by
+    # torque of joint 1 over joint 2 relative to the symmetry of M(q), and its standard deviation;
+    # 1 if both torque constants are right
+    torque_ratio: tuple[float, float] | None = None
+    # friction per load torque, gravity included, of the joints whose friction grows with the load
+    load_friction: tuple[Parameter, ...] = ()
 
     def value(self, name: str, joint: int | None = None) -> float | None:
-        """The value of one parameter; `None` where it is not identifiable.
+        """Value of one parameter; None if it is not identifiable.
 
-        Raises `KeyError`: The model has no such parameter.
+        Raises KeyError if the model has no such parameter.
         """
         for parameter in self.parameters:
             if parameter.name == name and parameter.joint == joint:

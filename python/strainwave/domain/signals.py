@@ -1,4 +1,4 @@
-"""Logs, and the signals made of them: of the motors alone, and of both sides of every gear."""
+"""Logs, and the signals derived from them: motor side alone, or both sides of every gear."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from strainwave.domain.study import Experiment
 
 @dataclass(frozen=True, slots=True)
 class Log(Displayed):
-    """One experiment's measured channels on a uniform time base, in SI units."""
+    """Measured channels of one experiment on a uniform time base, in SI units."""
 
     experiment: Experiment
     time: FloatArray  # (n_samples,) [s], uniform
     sample_time: float  # [s]
-    channels: Mapping[str, FloatArray]  # contract's channel name -> (n_samples,)
+    channels: Mapping[str, FloatArray]  # by channel name, (n_samples,)
     warnings: tuple[Diagnostic, ...] = ()
-    # channel -> (n_samples,) True where it was bridged and is no measurement
+    # by channel name, (n_samples,): True where a value is interpolated, not measured
     masked: Mapping[str, BoolArray] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
-        """The experiment's."""
+        """Name of the experiment."""
         return self.experiment.name
 
     def __len__(self) -> int:
@@ -35,31 +35,31 @@ class Log(Displayed):
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """Motor-side signals of one experiment, every one through the same zero-phase filter.
+    """Motor-side signals of one experiment, all with the same zero-phase filter.
 
-    Filtered quantities of different kinds may be put into one equation: the same linear filter
-    acts on both sides of it. What is not linear, the direction of sliding, comes unfiltered.
+    A linear filter preserves linear equations, so filtered quantities can enter one equation. The
+    sliding direction is nonlinear and not filtered.
     """
 
     experiment: Experiment
     time: FloatArray  # (n_samples,) [s]
     sample_time: float  # [s]
-    motor_torque: FloatArray  # (n_samples, n_joints) [N m] at the motor, filtered
+    motor_torque: FloatArray  # (n_samples, n_joints) [N m] motor side, filtered
     motor_angle: FloatArray  # (n_samples, n_joints) [rad], filtered
     motor_velocity: FloatArray  # (n_samples, n_joints) [rad/s], filtered
     motor_acceleration: FloatArray  # (n_samples, n_joints) [rad/s^2], filtered
-    direction: FloatArray  # (n_samples, n_joints) +-1 where the motor slides; 0: it may stand
-    bandwidth_hz: float | None  # of the zero-phase filter; None where nothing was filtered
-    angle_noise: FloatArray  # (n_joints,) [rad] standard deviation, white
-    valid: BoolArray  # (n_samples, n_joints): False at edges, limits of the drive, defects
-    unfiltered_torque: FloatArray  # (n_samples, n_joints) [N m] at the motor, at the stamps
-    torque_channel: tuple[str, ...]  # the log's channel each torque came from
+    direction: FloatArray  # (n_samples, n_joints) +-1 if the motor slides, 0 if it may stick
+    bandwidth_hz: float | None  # of the zero-phase filter; None: not filtered
+    angle_noise: FloatArray  # (n_joints,) [rad] standard deviation of the white noise
+    valid: BoolArray  # (n_samples, n_joints): False at edges, drive saturation and defects
+    unfiltered_torque: FloatArray  # (n_samples, n_joints) [N m] motor side, at the stamps
+    torque_channel: tuple[str, ...]  # log channel of each torque
     warnings: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """A low-pass filter that a sensor or a drive has."""
+    """Low-pass filter of a sensor or a drive."""
 
     order: Literal[1, 2]  # 2: Butterworth
     cutoff_hz: float
@@ -67,10 +67,12 @@ class Lag:
 
 @dataclass(frozen=True, slots=True)
 class Fusion:
-    """How a link velocity was put together, (10), with the low-pass F of unit gain at 0 Hz.
+    """Fusion of a link velocity, (10), with a low-pass F of unit gain at 0 Hz.
 
-    dtheta_L = (1 - F) integral(ddtheta_L) + F n dtheta_M: above the corner from the acceleration,
-    below it from the motor. F = 1/(1 + s T_V), or 1/(1 + sqrt(2) s T_V + (s T_V)^2).
+        dtheta_L = (1 - F) integral(ddtheta_L) + F n dtheta_M
+
+    The acceleration gives the velocity above the corner frequency, the motor below it. F is 1/(1 +
+    s T_V) or 1/(1 + sqrt(2) s T_V + (s T_V)^2).
     """
 
     time_constant: float  # T_V [s]
@@ -79,7 +81,7 @@ class Fusion:
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """How far one channel lags behind another."""
+    """Delay of one channel relative to another."""
 
     value: float  # [s]
     std: float  # [s]
@@ -87,9 +89,9 @@ class Delay:
 
 @dataclass(frozen=True, slots=True)
 class Activity:
-    """How hard one joint worked in the fitted records: root mean squares, seen at the motor.
+    """Root mean squares of one joint's motion in the fitted records, motor side.
 
-    What makes a parameter's interval a torque, so that "nearly nothing" has a size.
+    They convert the interval of a parameter into a torque and so give a scale for "negligible".
     """
 
     joint: int  # from 1
@@ -100,25 +102,25 @@ class Activity:
 
 @dataclass(frozen=True, slots=True)
 class LinkSummary:
-    """How one link's motion was put together in one record, and how late its channels came."""
+    """Source of one link's motion in one record, and the delays of its channels."""
 
     experiment: str
     joint: int  # from 1
     source: LinkSource
-    fusion: Fusion | None  # None: the velocity is a sensor's own
-    fusion_error: float  # [rad/s] rms that (10) is wrong by, estimated
-    bias: float  # [rad/s^2] taken off the link acceleration
-    sensor_delay: Delay | None  # link sensor behind encoder; None: not identifiable
-    drive_delay: Delay | None  # torque behind the log's; None: not identifiable
+    fusion: Fusion | None  # None: a sensor measures the velocity
+    fusion_error: float  # [rad/s] estimated rms error of (10)
+    bias: float  # [rad/s^2] removed from the link acceleration
+    sensor_delay: Delay | None  # link sensor relative to encoder; None: not identifiable
+    drive_delay: Delay | None  # torque relative to the log; None: not identifiable
 
 
 LinkSource = Literal["accelerometer", "encoder", "deflection", "gyro", "motor"]
-"""Where a link's acceleration comes from; "motor": the gear was taken as rigid."""
+"""Source of a link's acceleration; "motor": the gear is assumed rigid."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkSignals:
-    """Both sides of every gear in one experiment, every signal through the same filters.
+    """Signals on both sides of every gear in one experiment, all with the same filters.
 
     Angles, velocities and accelerations of links are relative, as in the equations of motion.
     """
@@ -126,34 +128,32 @@ class LinkSignals:
     experiment: Experiment
     time: FloatArray  # (n_samples,) [s]
     sample_time: float  # [s]
-    motor_torque: FloatArray  # (n_samples, n_joints) [N m] at the motor, behind the current loop
+    motor_torque: FloatArray  # (n_samples, n_joints) [N m] motor side, after the current loop
     motor_angle: FloatArray  # (n_samples, n_joints) [rad]
     motor_velocity: FloatArray  # (n_samples, n_joints) [rad/s]
-    direction: (
-        FloatArray  # (n_samples, n_joints) sgn of the motor's velocity, in (-1, 1): may stand
-    )
-    sliding: (
-        FloatArray  # (n_samples, n_joints) +-1 where the motor surely slides, else 0; unfiltered
-    )
+    # (n_samples, n_joints) sign of the motor's velocity; in (-1, 1) if it may stick
+    direction: FloatArray
+    # (n_samples, n_joints) +-1 if the motor certainly slides, else 0; unfiltered
+    sliding: FloatArray
     link_angle: FloatArray  # (n_samples, n_joints) [rad]
     link_velocity: FloatArray  # (n_samples, n_joints) [rad/s]
     link_acceleration: FloatArray  # (n_samples, n_joints) [rad/s^2]
-    valid: BoolArray  # (n_samples, n_joints): False at edges and where the drive saturates
+    valid: BoolArray  # (n_samples, n_joints): False at edges and drive saturation
     sources: tuple[LinkSource, ...]  # one per joint
-    held: tuple[bool, ...]  # one per joint: the torque stays constant until the next sample
-    shared: tuple[Lag, ...]  # low-passes that every signal has behind it
-    bandwidth_hz: float | None  # of a zero-phase filter over everything; None: there is none
-    fusion: tuple[Fusion | None, ...]  # one per joint; None: the velocity is a sensor's own
-    fusion_error: FloatArray  # (n_joints,) [rad/s] rms that (10) is wrong by, estimated
-    bias: FloatArray  # (n_joints,) [rad/s^2] taken off the link acceleration
-    sensor_delay: tuple[Delay | None, ...]  # link sensor behind encoder; None: not identifiable
-    drive_delay: tuple[Delay | None, ...]  # torque behind the log's; None: not identifiable
+    held: tuple[bool, ...]  # one per joint: zero-order hold of the torque
+    shared: tuple[Lag, ...]  # low-passes applied to every signal
+    bandwidth_hz: float | None  # of a zero-phase filter of all signals; None: no filter
+    fusion: tuple[Fusion | None, ...]  # one per joint; None: a sensor measures the velocity
+    fusion_error: FloatArray  # (n_joints,) [rad/s] estimated rms error of (10)
+    bias: FloatArray  # (n_joints,) [rad/s^2] removed from the link acceleration
+    sensor_delay: tuple[Delay | None, ...]  # link sensor relative to encoder; see `LinkSummary`
+    drive_delay: tuple[Delay | None, ...]  # torque relative to the log; see `LinkSummary`
     warnings: tuple[Diagnostic, ...] = ()
-    removed_delay: tuple[Delay, ...] = ()  # of link sensors, one per joint; (): none was taken off
+    removed_delay: tuple[Delay, ...] = ()  # of link sensors, one per joint; (): none removed
 
     @property
     def summaries(self) -> tuple[LinkSummary, ...]:
-        """What there is to say of each link's motion, one per joint."""
+        """One summary per joint."""
         return tuple(
             LinkSummary(
                 experiment=self.experiment.name,

@@ -1,4 +1,7 @@
-"""What was measured, on what arm, and how; `strainwave.io.study` checks the `annotated_types`."""
+"""A study: an arm and its experiments.
+
+`strainwave.io.study` checks the constraints of `annotated_types`.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ Control = Literal["open", "servo"]
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """Where a channel comes from: value = scale * column + offset."""
+    """Source of a channel in a table: value = scale * column + offset."""
 
     column: str
     scale: float = 1.0
@@ -27,24 +30,24 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class TopicChannel:
-    """Where a channel comes from in a bag: a number in each message of a topic."""
+    """Source of a channel in a bag: one number of each message of a topic."""
 
     topic: Annotated[str, MinLen(1)]
-    field: Annotated[str, MinLen(1)]  # as in a message: "position", "data[0]", "a.b.c"
-    name: str | None = None  # of the joint, where the field has one number a joint
+    field: Annotated[str, MinLen(1)]  # path in the message: "position", "data[0]", "a.b.c"
+    name: str | None = None  # of the joint, if the field has one number per joint
     scale: float = 1.0
     offset: float = 0.0
 
     @property
     def channel(self) -> Channel:
-        """The same, with the name that the bag's reader gives to the column."""
-        at = "" if self.name is None else f"[{self.name}]"
-        return Channel(f"{self.topic}.{self.field}{at}", self.scale, self.offset)
+        """The channel with the column name that the bag's reader assigns."""
+        joint = "" if self.name is None else f"[{self.name}]"
+        return Channel(f"{self.topic}.{self.field}{joint}", self.scale, self.offset)
 
 
 @dataclass(frozen=True, slots=True)
 class Prbs:
-    """A maximum-length binary sequence, `2**order - 1` clocks long."""
+    """Maximum-length pseudo-random binary sequence of `2**order - 1` clocks."""
 
     order: Annotated[int, Ge(2)]
     clock: Positive  # [s]
@@ -54,10 +57,12 @@ class Prbs:
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """One log file and what it is for: `[[experiment]]`."""
+    """One log file and its use: `[[experiment]]`."""
 
     name: Annotated[str, MinLen(1)]
-    file: Annotated[str, MinLen(1)]  # beside the study file; "" in code that gives the data
+    file: Annotated[
+        str, MinLen(1)
+    ]  # relative to the study file; "" if the data are passed in memory
     use: Use
     control: tuple[Control, ...]  # one per joint
     joint: Annotated[int, Ge(1)] | None = None  # the excited joint, from 1
@@ -69,27 +74,27 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """An arm and its experiments: a whole study file, checked, or what a program puts together."""
+    """An arm and its experiments: a checked study file, or a study built in memory."""
 
     arm: ArmDescription
     experiments: tuple[Experiment, ...]
     channels: Mapping[str, Channel] = field(default_factory=dict)
-    options: Options = field(default_factory=Options)  # of the stages: `[options]`
-    path: Path = Path("study")  # of the file, beside which the logs lie
+    options: Options = field(default_factory=Options)  # `[options]`
+    path: Path = Path("study")  # of the file; log paths are relative to its folder
     sha256: str = ""  # of the file
 
     def log_path(self, experiment: Experiment) -> Path:
-        """Where an experiment's log lies: beside the study file."""
+        """Path of an experiment's log."""
         return self.path.parent / experiment.file
 
 
 CHANNELS = (
     *("u", "torque", "theta_m", "omega_m", "a", "theta_l", "deflection", "gyro", "ref"),
-    *("ax", "ay", "az", "gx", "gy", "gz"),  # of an IMU
+    *("ax", "ay", "az", "gx", "gy", "gz"),  # IMU
 )
-"""Channels there is one of per joint; `t` stands alone."""
+"""Channels of each joint. The channel `t` belongs to the whole record."""
 
 
 def channel_names(count: int) -> tuple[str, ...]:
-    """Every channel an arm of `count` joints can have."""
+    """All channels that an arm of `count` joints can have."""
     return ("t", *(f"{name}{i}" for name in CHANNELS for i in range(1, count + 1)))

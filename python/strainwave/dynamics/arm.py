@@ -1,4 +1,4 @@
-"""The arm with its equations: what follows from a description is worked out here, and once."""
+"""The arm with its equations of motion: everything that follows from a description."""
 
 from __future__ import annotations
 
@@ -24,20 +24,23 @@ from strainwave.domain.parameters import completed
 from strainwave.errors import InvalidInput, NumericalFailure
 
 LONGEST_STEP = 1.25e-4
-"""[s] Of the integrator, where no gear resonance asks for shorter ones."""
-_STEPS_PER_PERIOD = 120.0
-"""Of the fastest gear resonance: there w h = 0.05. The integrator, of fourth order, is then off by
-(w h)^4/120 or 6e-8, the sensors' filters, of second, by (w h)^2/12 or 2e-4: a fiftieth of an
-accelerometer's usual error of calibration. Records that are to be truths ask for shorter steps."""
+"""Upper limit [s] of the integrator's time step. Fast gear resonances need shorter steps."""
 
-_OPTIONAL = ("friction_offset", "friction_settling_time")
+# Time steps per period of the fastest gear resonance, so that w h = 0.05. The relative error of the
+# fourth-order integrator is (w h)^4/120 = 6e-8, that of the second-order sensor filters is
+# (w h)^2/12 = 2e-4: 1/50 of a usual calibration error. Reference solutions use shorter steps.
+_STEPS_PER_PERIOD = 120.0
+
+_ZERO_BY_DEFAULT = ("friction_offset", "friction_settling_time")
 
 
 class Arm(ArmDescription):
-    """An arm as its rig describes it, with its equations of motion (1)-(3), (5)-(7).
+    """An arm description with its equations of motion (1)-(3), (5)-(7).
 
-    A value: variants are `replace`d or `with_joints`. All arrays have the joints in order from the
-    base; motions are those of the links, each relative to the one before it.
+    An immutable value: `replace` and `with_joints` make variants. Arrays hold the joints in order
+    from the base. Motions (n_samples, n_joints) [rad, rad/s, rad/s^2] are those of the links, each
+    relative to the previous link. `base` is the vector (n_base,) of base parameters in the order of
+    `base_names`.
     """
 
     @classmethod
@@ -66,7 +69,7 @@ class Arm(ArmDescription):
         )
 
     def _imu_bandwidths(self) -> dict[str, Any]:
-        """What the core needs to know of IMUs' low-passes; nothing where there is no IMU."""
+        """Low-passes of IMUs as arguments of the core; empty without an IMU."""
         imus = [joint.imu for joint in self.joints]
         if not any(imus):
             return {}
@@ -82,28 +85,28 @@ class Arm(ArmDescription):
 
     @cached_property
     def torque_per_volt(self) -> FloatArray:
-        """E [N m/V] at the motors, or one where torque is commanded: (n_joints,)."""
+        """Torque per volt e [N m/V], motor side: (n_joints,). One if the input is a torque."""
         return _constant([joint.torque_per_volt or 1.0 for joint in self.joints])
 
     @cached_property
     def parameter_names(self) -> tuple[Key, ...]:
-        """Parameters of a simulated arm, in the core's order."""
+        """Parameters of a simulated arm in the order of the core."""
         return tuple(self.core.parameter_names)
 
     @cached_property
     def base_names(self) -> tuple[Key, ...]:
-        """Those in which the links' inverse dynamics are linear, in the core's order."""
+        """Base parameters, which come first in the core; the links' torques are linear in them."""
         still = np.zeros((1, self.n_joints))
         return self.parameter_names[: self.core.base_regressor(still, still, still).shape[2]]
 
     @cached_property
     def rigid_columns(self) -> tuple[RigidColumn, ...]:
-        """The rigid model's unknowns: inertias, gravity, then friction joint by joint."""
+        """Unknowns of the rigid model: inertias and gravity, then friction joint by joint."""
         return rigid_columns(self)
 
     @cached_property
     def n_body(self) -> int:
-        """How many of `rigid_columns` are not friction; they come first."""
+        """Number of `rigid_columns` that are not friction; they come first."""
         return len(rigid_body_columns(self))
 
     @cached_property
@@ -117,46 +120,43 @@ class Arm(ArmDescription):
         return lumped_inertias(self)
 
     def link_inertia(self, joint: int) -> Row:
-        """m_L of a joint, from 1, the arm stretched, as a row over the parameters: (3)."""
+        """m_L of (3) for a joint, from 1, with the arm stretched: a row over the parameters."""
         return kind_of(self).link_inertia(joint)
 
     def parameter_vector(self, values: Values) -> FloatArray:
-        """Values by name as the core takes them.
+        """Values by name and joint as the vector (n_parameters,) in the order of `parameter_names`.
 
-        `values`: (name, joint) -> value. Returns (n_parameters,): In the order of
-        `parameter_names`. Raises `InvalidInput`: A parameter the arm needs is not there.
+        Raises InvalidInput if a required parameter is missing.
         """
         known = self._effects_by_default | completed(values, self)
-        missing = [key for key in self.parameter_names if key not in known and not _optional(key)]
+        missing = [
+            key for key in self.parameter_names if key not in known and not _is_zero_by_default(key)
+        ]
         if missing:
             listed = ", ".join(
                 f"{name} of joint {joint}" if joint else name for name, joint in missing
             )
             raise InvalidInput(
-                f"the parameters lack {listed}",
+                f"missing parameters: {listed}",
                 where="--parameters",
-                remedy="give every parameter of docs/notation.md that this arm has",
+                remedy="add these parameters; docs/notation.md describes them",
             )
         return np.array([known.get(key, 0.0) for key in self.parameter_names])
 
     @property
     def _effects_by_default(self) -> Values:
-        """Parameters of effects that values need not have, and of those of single records."""
-        found: Values = {}
+        """Default values of parameters of effects; values without effect for record effects."""
+        defaults: Values = {}
         for number, joint in enumerate(self.joints, start=1):
             for effect in map(effect_named, joint.named_effects):
                 needs = effect.needs if isinstance(effect, RecordEffect) else effect.defaults
-                found |= {(name, number): value for name, value in needs.items()}
-        return found
+                defaults |= {(name, number): value for name, value in needs.items()}
+        return defaults
 
     def base_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
-        """The links' torques per base parameter: (S2).
-
-        `angle`, `velocity`, `acceleration` (n_samples, n_joints) [rad, rad/s, rad/s^2]. Returns
-        (n_samples, n_joints, n_base): Columns as in `base_names`.
-        """
+        """Torques of the links per base parameter, (S2): (n_samples, n_joints, n_base)."""
         motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
         return self.core.base_regressor(*motion)
 
@@ -167,24 +167,18 @@ class Arm(ArmDescription):
         velocity: FloatArray,
         acceleration: FloatArray,
     ) -> FloatArray:
-        """The links' torques, M(q) ddq + c(q, dq) + g(q).
-
-        `base` (n_base,). `angle`, `velocity`, `acceleration` (n_samples, n_joints) [rad, rad/s,
-        rad/s^2]. Returns (n_samples, n_joints) [N m].
-        """
+        """Torques of the links, M(q) ddq + c(q, dq) + g(q): (n_samples, n_joints) [N m]."""
         rows = self.base_regressor(angle, velocity, acceleration)
         return np.asarray((rows.reshape(-1, len(base)) @ base).reshape(rows.shape[:2]))
 
     def rigid_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
-        """Motor torques per inertia and gravity torque of the rigid model: (5), (S2), (S3).
+        """Motor torques per inertia and gravity torque of the rigid model, (5), (S2), (S3).
 
-        The core's regressor, brought to the motors; a motor's own inertia adds a column, unless
-        it is part of a link's.
-
-        `angle`, `velocity`, `acceleration` (n_samples, n_joints) [rad, rad/s, rad/s^2]. Returns
-        (n_samples, n_joints, n_body): Columns as in `rigid_columns`, friction left out.
+        This is the core's regressor reflected to the motors. A motor inertia that is not part of a
+        lumped inertia adds a column. Shape (n_samples, n_joints, n_body), columns as in
+        `rigid_columns`.
         """
         base = self.base_regressor(angle, velocity, acceleration)
         phi = np.zeros((*angle.shape, self.n_body))
@@ -198,10 +192,9 @@ class Arm(ArmDescription):
         return phi
 
     def base_of_rigid(self, motor_share: float = 0.0) -> FloatArray:
-        """How base parameters follow from the rigid model's unknowns: (n_base, n_body).
+        """Base parameters from the rigid model's unknowns: (n_base, n_body).
 
-        `motor_share`: What motors have of the inertias that rigid motion does not separate from the
-        links'. Returns (n_base, n_body).
+        `motor_share` is the share of the motors in inertias that rigid motion does not separate.
         """
         rows = np.zeros((len(self.base_names), self.n_body))
         for k, column in enumerate(self.rigid_columns[: self.n_body]):
@@ -212,10 +205,10 @@ class Arm(ArmDescription):
         return rows
 
     def motors_of_rigid(self, motor_share: float) -> FloatArray:
-        """How motors' inertias follow from the rigid model's unknowns: (n_joints, n_body).
+        """Motor inertias from the rigid model's unknowns: (n_joints, n_body).
 
-        `motor_share`: As of `base_of_rigid`; an unknown that is a motor's inertia alone is all the
-        motor's. Returns (n_joints, n_body).
+        `motor_share` is the same as in `base_of_rigid`. It does not apply to unknowns that are a
+        motor inertia alone.
         """
         rows = np.zeros((self.n_joints, self.n_body))
         for k, column in enumerate(self.rigid_columns[: self.n_body]):
@@ -225,62 +218,55 @@ class Arm(ArmDescription):
         return rows
 
     def inertia_matrix(self, base: FloatArray, angle: FloatArray) -> FloatArray:
-        """M(q) of the links, (3), out of the core's regressor.
+        """M(q) of the links, (3), from the core's regressor: (n_joints, n_joints) [kg m^2].
 
-        Column k is the torques of a unit acceleration of joint k, less those of gravity.
-
-        `base` (n_base,). `angle` (n_joints,) [rad]. Returns (n_joints, n_joints) [kg m^2].
+        Column k is the torque of a unit acceleration of joint k minus gravity.
         """
         unit = np.eye(self.n_joints)
-        at, still = np.tile(angle, (self.n_joints, 1)), np.zeros_like(unit)
-        torque = self.link_torques(base, at, still, unit)
-        return np.asarray(torque - self.link_torques(base, at, still, still)).T
+        posture, rest = np.tile(angle, (self.n_joints, 1)), np.zeros_like(unit)
+        torque = self.link_torques(base, posture, rest, unit)
+        return np.asarray(torque - self.link_torques(base, posture, rest, rest)).T
 
     def torques_of_accelerations(
         self, base: FloatArray, angle: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
-        """What each joint's acceleration alone takes at every link: M_ij(q) ddq_j.
+        """Torque at every link due to each joint's acceleration alone, M_ij(q) ddq_j.
 
-        `base` (n_base,). `angle`, `acceleration` (n_samples, n_joints) [rad, rad/s^2]. Returns
-        (n_samples, n_joints, n_joints) [N m]: By link, and by the joint that accelerates.
+        Shape (n_samples, n_joints, n_joints) [N m]: by link, then by accelerated joint.
         """
-        weightless = np.where(self._pulled, 0.0, base)
-        still = np.zeros_like(angle)
-        found = np.empty((*angle.shape, self.n_joints))
+        without_gravity = np.where(self._is_gravity, 0.0, base)
+        rest = np.zeros_like(angle)
+        torques = np.empty((*angle.shape, self.n_joints))
         for j in range(self.n_joints):
-            alone = still.copy()
-            alone[:, j] = acceleration[:, j]
-            found[:, :, j] = self.link_torques(weightless, angle, still, alone)
-        return found
+            single = rest.copy()
+            single[:, j] = acceleration[:, j]
+            torques[:, :, j] = self.link_torques(without_gravity, angle, rest, single)
+        return torques
 
     def link_inertias(self, base: FloatArray) -> FloatArray:
-        """m_L of each joint, the arm stretched: the diagonal of M(0).
-
-        `base` (n_base,). Returns (n_joints,) [kg m^2].
-        """
+        """m_L of each joint, the diagonal of M(0): (n_joints,) [kg m^2]."""
         return np.diagonal(self.inertia_matrix(base, np.zeros(self.n_joints))).copy()
 
     @cached_property
-    def _pulled(self) -> tuple[bool, ...]:
-        """Of each base parameter, whether it is gravity's."""
+    def _is_gravity(self) -> tuple[bool, ...]:
+        """Whether each base parameter is a gravity torque."""
         return tuple(name.startswith("gravity") for name, _ in self.base_names)
 
     def holding_voltage(self, values: Values, motor_angle: tuple[float, ...]) -> tuple[float, ...]:
-        """What keeps the arm up where it stands: gravity's torque over the torque per volt.
+        """Voltage [V] of each joint that balances gravity at the motor angles [rad].
 
-        `values`: (name, joint) -> value. `motor_angle` (n_joints,) [rad]. Returns (n_joints,) [V].
-        Raises `InvalidInput`: A parameter is missing or impossible.
+        Raises InvalidInput if a parameter is missing or impossible.
         """
-        still = np.zeros((1, self.n_joints))
+        rest = np.zeros((1, self.n_joints))
         angle = np.array([motor_angle]) * self.gear_ratios
         vector = self.parameter_vector(values)
         try:
-            holding = self.core.inverse_dynamics(vector, angle, still, still)[0]
+            torque = self.core.inverse_dynamics(vector, angle, rest, rest)[0]
         except ValueError as error:
             raise InvalidInput(
-                str(error), where="--parameters", remedy="mend that value"
+                str(error), where="--parameters", remedy="correct that value"
             ) from error
-        return tuple((holding / self.torque_per_volt).tolist())
+        return tuple((torque / self.torque_per_volt).tolist())
 
     def inverse_dynamics(
         self,
@@ -289,42 +275,41 @@ class Arm(ArmDescription):
         velocity: FloatArray,
         acceleration: FloatArray,
     ) -> FloatArray:
-        """Motor torques of a motion behind rigid gears, (5), friction included.
+        """Motor torques of a motion with rigid gears, (5), friction included.
 
-        `vector` (n_parameters,): From `parameter_vector`. `angle`, `velocity`, `acceleration`
-        (n_samples, n_joints) [rad, rad/s, rad/s^2]. Returns (n_samples, n_joints) [N m].
+        `vector` is the result of `parameter_vector`.
         """
         motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
         return self.core.inverse_dynamics(vector, *motion)
 
     def longest_step(self, values: Values) -> float:
-        """The integrator's longest step that the fastest gear resonance allows.
+        """Longest time step [s] of the integrator that resolves the fastest gear resonance.
 
-        `values`: (name, joint) -> value. Returns [s]: `LONGEST_STEP` where no resonance asks for
-        less.
+        `LONGEST_STEP` if no resonance needs a shorter step.
         """
         fastest = self.fastest_resonance(values)
         return min(LONGEST_STEP, 1.0 / (_STEPS_PER_PERIOD * fastest)) if fastest else LONGEST_STEP
 
     def fastest_resonance(self, values: Values) -> float:
-        """The highest undamped natural frequency of motors and links on their stiffest springs.
+        """Highest undamped natural frequency [Hz] of motors and links with the stiffest slopes.
 
-        det(K - w^2 M) = 0 with M of the links, folded or stretched, and of the motors, J/n^2.
+            det(K - w^2 M) = 0
 
-        `values`: (name, joint) -> value. Returns [Hz]: Zero where the values do not give it.
+        M contains the links, folded or stretched, and the motors, J/n^2. Zero if the values do not
+        determine the frequency.
         """
         known, n = completed(values, self), self.n_joints
         numbers = range(1, n + 1)
         if not all(joint.elastic for joint in self.joints):
             return 0.0
         try:
-            own = [joint.law.of_joint(known, i) for i, joint in enumerate(self.joints, start=1)]
-            pairs = zip(self.joints, own, strict=True)
+            laws = [joint.law.of_joint(known, i) for i, joint in enumerate(self.joints, start=1)]
+            pairs = zip(self.joints, laws, strict=True)
             k = np.diag([joint.law.stiffness_range(values)[1] for joint, values in pairs])
             motor = np.diag([known["motor_inertia", i] for i in numbers] / self.gear_ratios**2)
             base = [
-                0.0 if pulled else known[key]
-                for key, pulled in zip(self.base_names, self._pulled, strict=True)
+                0.0 if is_gravity else known[key]
+                for key, is_gravity in zip(self.base_names, self._is_gravity, strict=True)
             ]
         except KeyError:
             return 0.0
@@ -337,33 +322,33 @@ class Arm(ArmDescription):
             try:
                 root = np.linalg.inv(np.linalg.cholesky(inertia))
             except np.linalg.LinAlgError:
-                return 0.0  # an impossible arm: the core says what is wrong with it
+                return 0.0  # an impossible arm: the core reports the fault
             squared = float(np.linalg.eigvalsh(root @ stiffness @ root.T)[-1])
             fastest = max(fastest, float(np.sqrt(max(squared, 0.0)) / (2.0 * np.pi)))
         return fastest
 
 
 def _core_effects(joint: Joint) -> list[str]:
-    """The core's names of those of a joint's effects that it has, each once."""
+    """Names of the core's effects of a joint, without duplicates."""
     known = (effect_named(name).core_name for name in joint.named_effects)
     return list(dict.fromkeys(name for name in known if name is not None))
 
 
 def _constant(values: list[float]) -> FloatArray:
-    """An array that nobody changes."""
+    """A read-only array."""
     array = np.array(values)
     array.setflags(write=False)
     return array
 
 
-def _optional(key: Key) -> bool:
-    """Whether a parameter is zero where it is not given."""
-    return key[0] in _OPTIONAL or key[0].startswith("gravity_torque_")
+def _is_zero_by_default(key: Key) -> bool:
+    """Whether a parameter is zero if it is not given."""
+    return key[0] in _ZERO_BY_DEFAULT or key[0].startswith("gravity_torque_")
 
 
 @contextmanager
 def core_errors() -> Iterator[None]:
-    """The core's complaints as this package's errors."""
+    """Convert errors of the core into InvalidInput and NumericalFailure."""
     try:
         yield
     except ValueError as error:

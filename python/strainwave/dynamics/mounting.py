@@ -1,13 +1,13 @@
-"""Sensors glued anywhere on a link: what their axes read, and where they sit by what they read.
+"""Mounting of link sensors: their readings, and the estimation of their position and attitude.
 
-At (x, y) in the frame of its link, along the direction c in that plane, an accelerometer of a
-planar arm reads
+An accelerometer at (x, y) in the frame of its link, with direction c in that plane, reads on a
+planar arm
 
-    c_x f_x + c_y f_y + (c_y x - c_x y) alpha - (c_x x + c_y y) w^2 + bias,
+    c_x f_x + c_y f_y + (c_y x - c_x y) alpha - (c_x x + c_y y) w^2 + bias
 
-f the specific force at the link's own axis, alpha and w the link's angular acceleration and rate in
-space. A gyro reads c_z w + bias. A link's frame has its origin on the link's own axis, x along the
-link, and z along the axis.
+f is the specific force at the link's own axis, alpha and w are the absolute angular acceleration
+and rate of the link. A gyro reads c_z w + bias. The frame of a link has its origin on the link's
+own axis, x along the link, and z along the axis. Joints count from 1; keys are (name, joint).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ BASIS: tuple[Quantity, ...] = (
     "angular_acceleration",
     "squared_rate",
 )
-"""What every accelerometer on a link reads a combination of."""
+"""Quantities whose linear combination is the reading of an accelerometer on a link."""
 
 RATE: Quantity = "angular_rate"
-"""What every gyro on it reads a share of."""
+"""Quantity that a gyro on a link measures a share of."""
 
 DISTANCE, TILT = "accelerometer_distance", "accelerometer_tilt"
 PLACE = ("imu_x", "imu_y")
@@ -41,67 +41,63 @@ FROM_AXIS, BEARING = "imu_distance", "imu_bearing"
 TURN = ("imu_turn_x", "imu_turn_y", "imu_turn_z")
 START = ("imu_start_roll", "imu_start_pitch", "imu_start_yaw")
 _LETTERS = "xyz"
-_STEP = 1e-6  # by which slopes are taken; factors are products of few sines and numbers
+_DIFFERENCE_STEP = 1e-6  # of central differences: factors are smooth, of the order of one
 
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One axis of a sensor whose place is not taken for known."""
+    """One axis of a sensor whose mounting is not completely known."""
 
     channel: str
     joint: int  # from 1
     kind: str  # "tangential": a{i} without accelerometer_distance; "accelerometer", "gyro"
-    number: int = 0  # of the IMU's axes, from 0
+    number: int = 0  # index of the IMU's axis
 
     @property
     def sensor(self) -> str:
-        """The sensor that it is part of, as its constants are named."""
+        """Name of the sensor in its constants."""
         return "accelerometer" if self.kind == "tangential" else f"imu_{self.kind}"
 
     @property
     def scaled(self) -> str:
-        """By what its scale is named: each axis of an IMU has its own."""
+        """Name of the scale: each axis of an IMU has its own."""
         if self.kind == "tangential":
             return "accelerometer"
         return f"imu_{self.kind[0]}{_LETTERS[self.number]}"
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """What it reads a combination of."""
+        """Quantities whose combination the axis reads."""
         return (RATE,) if self.kind == "gyro" else BASIS
 
 
 def axes_of(channels: Collection[str], arm: Arm, joint: int) -> tuple[Axis, ...]:
-    """The axes on a link that need a mounting: all of its IMU, or `a{i}` of unknown distance.
+    """Axes on a link that need a mounting: all axes of its IMU, or `a{i}` of unknown distance.
 
-    Beside an IMU such an `a{i}` is left out: it has little to add.
-
-    `channels`: That were logged. `joint`: From 1.
+    If there is an IMU, such an `a{i}` is left out because it adds little information.
     """
-    own = arm.joints[joint - 1]
-    if own.motion == "prismatic":
+    description = arm.joints[joint - 1]
+    if description.motion == "prismatic":
         return ()
-    found = tuple(
+    axes = tuple(
         Axis(f"{kind[0]}{letter}{joint}", joint, kind, number)
         for kind in ("accelerometer", "gyro")
         for number, letter in enumerate(_LETTERS)
         if f"{kind[0]}{letter}{joint}" in channels
     )
-    if found or own.accelerometer_distance is not None or f"a{joint}" not in channels:
-        return found
+    if axes or description.accelerometer_distance is not None or f"a{joint}" not in channels:
+        return axes
     return (Axis(f"a{joint}", joint, "tangential"),)
 
 
 def unknowns_of(axes: Sequence[Axis], arm: Arm) -> list[Key]:
-    """What of the mounting of a link's axes is unknown, in the terms that a fit searches in.
+    """Unknowns of the mounting of one link's axes, in the coordinates of a fit.
 
-    An attitude is a start, `START`, which stays, and a turn from there, which has no singular
-    point. On the first link, whose axis stands still, the place is a distance from it and, under
-    gravity, a bearing, and the attitude is relative to that: what records of short motions identify
-    is apart from what they do not. One accelerometer alone lies in the plane of motion, and what
-    gyros read of the rate is then unknown axis by axis.
-
-    `axes`: Of one link.
+    An attitude is a fixed start, `START`, and a rotation vector from there, which has no singular
+    point. Axis 1 is fixed. On link 1 the position is therefore the distance from the axis and,
+    under gravity, a bearing, and the attitude is relative to the bearing. This separates what short
+    motions identify from what they do not. A single accelerometer is assumed to lie in the plane of
+    motion, and each gyro axis then has an unknown share of the rate.
     """
     if not axes:
         return []
@@ -122,79 +118,68 @@ def unknowns_of(axes: Sequence[Axis], arm: Arm) -> list[Key]:
 
 
 def is_polar(arm: Arm, joint: int) -> bool:
-    """Whether the place of a link's IMU is unknown together with its attitude, on a fixed axis.
-
-    `joint`: From 1.
-    """
+    """Whether position and attitude of a link's IMU are both unknown and its axis is fixed."""
     imu = arm.joints[joint - 1].imu or Imu()
     return joint == 1 and imu.xyz is None and imu.rpy is None
 
 
 def scale_is_apart(axis: Axis, axes: Sequence[Axis], arm: Arm) -> bool:
-    """Whether an axis's scale is identifiable beside its mounting.
+    """Whether the scale of an axis is identifiable in addition to its mounting.
 
-    `axes`: All of its sensor, itself among them.
+    `axes` are all axes of the sensor.
     """
     imu = arm.joints[axis.joint - 1].imu or Imu()
-    moves = axis.joint > 1 or bool(arm.gravity)
-    count = sum(one.kind == "accelerometer" for one in axes)
+    has_varying_force = axis.joint > 1 or bool(arm.gravity)
+    count = sum(other.kind == "accelerometer" for other in axes)
     if axis.kind == "gyro":
         return imu.rpy is not None or count > 1
-    return moves or count > 1 or (axis.kind == "accelerometer" and imu.xyz is not None)
+    return has_varying_force or count > 1 or (axis.kind == "accelerometer" and imu.xyz is not None)
 
 
 def is_hidden(key: Key) -> bool:
-    """Whether an unknown is a fit's own, of which place and attitude are made for the reader.
-
-    `key` (name, joint).
-    """
+    """Whether an unknown is internal to the fit; results report position and attitude instead."""
     name = key[0]
     return name in (BEARING, *TURN) or (name.startswith("imu_g") and name[-2:] == "_z")
 
 
 def is_mounting(key: Key) -> bool:
-    """Whether a parameter says where or how a sensor is mounted.
-
-    `key` (name, joint).
-    """
+    """Whether a parameter is a position or an attitude of a sensor."""
     return key[0] in (DISTANCE, TILT, FROM_AXIS, *PLACE) or is_hidden(key)
 
 
 def factors(axis: Axis, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
-    """What each of an axis's `quantities` counts in its reading.
-
-    `values`: Of the mounting's unknowns. Returns (n_quantities,).
-    """
+    """Weights (n_quantities,) of an axis's `quantities` for values of the mounting's unknowns."""
     joint = axis.joint
     imu = arm.joints[joint - 1].imu or Imu()
     if axis.kind == "tangential":
         tilt = values.get((TILT, joint), 0.0)
-        return _at(-np.sin(tilt), np.cos(tilt), values[DISTANCE, joint], 0.0)
+        return _accelerometer_factors(-np.sin(tilt), np.cos(tilt), values[DISTANCE, joint], 0.0)
     if axis.kind == "gyro":
         share = values.get((_share(axis), joint))
-        return np.array([_turned(arm, joint, values)[2, axis.number] if share is None else share])
-    turned = _turned(arm, joint, values)[:2]
-    along = turned[:, axis.number]
+        if share is None:
+            share = _attitude(arm, joint, values)[2, axis.number]
+        return np.array([share])
+    direction = _attitude(arm, joint, values)[:2, axis.number]
     if not is_polar(arm, joint):
-        place = imu.xyz[:2] if imu.xyz is not None else [values[name, joint] for name in PLACE]
-        return _at(along[0], along[1], place[0], place[1])
+        position = imu.xyz[:2] if imu.xyz is not None else [values[name, joint] for name in PLACE]
+        return _accelerometer_factors(direction[0], direction[1], position[0], position[1])
     bearing = values.get((BEARING, joint), 0.0)
-    away, across = along.tolist()
-    c = complex(away, across) * complex(np.cos(bearing), np.sin(bearing))
+    radial, tangential = direction.tolist()
+    c = complex(radial, tangential) * complex(np.cos(bearing), np.sin(bearing))
     distance = values[FROM_AXIS, joint]
-    return np.array([c.real, c.imag, distance * across, -distance * away])
+    return np.array([c.real, c.imag, distance * tangential, -distance * radial])
 
 
-def _turned(arm: Arm, joint: int, values: Mapping[Key, float]) -> FloatArray:
-    """The attitude of a link's IMU: (3, 3), its columns the sensor's axes in the link's frame."""
+def _attitude(arm: Arm, joint: int, values: Mapping[Key, float]) -> FloatArray:
+    """Attitude (3, 3) of a link's IMU; its columns are the sensor's axes in the link's frame."""
     imu = arm.joints[joint - 1].imu or Imu()
     return attitude_of(values, joint) if imu.rpy is None else attitude(imu.rpy)
 
 
 def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
-    """The attitude by a mounting's unknowns: that of the start, and a turn from there.
+    """Attitude (3, 3) from a mounting's unknowns: the start, followed by the rotation vector.
 
-    `joint`: From 1. Returns (3, 3): Its columns are the sensor's axes in the link's frame.
+    Its columns are the sensor's axes in the link's frame.
     """
     turn = np.array([values.get((name, joint), 0.0) for name in TURN])
     start = attitude([values.get((name, joint), 0.0) for name in START])
@@ -202,34 +187,28 @@ def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
 
 
 def slopes(axis: Axis, arm: Arm, values: Mapping[Key, float], keys: Sequence[Key]) -> FloatArray:
-    """How an axis's factors depend on unknowns: (n_quantities, n_keys).
-
-    Returns (n_quantities, n_keys).
-    """
-    found = np.zeros((len(axis.quantities), len(keys)))
+    """Derivatives of an axis's factors with respect to unknowns: (n_quantities, n_keys)."""
+    derivatives = np.zeros((len(axis.quantities), len(keys)))
     for k, key in enumerate(keys):
         if key[1] != axis.joint or not is_mounting(key):
             continue
-        at = values.get(key, 0.0)
-        ends = [factors(axis, arm, {**values, key: at + off}) for off in (_STEP, -_STEP)]
-        found[:, k] = (ends[0] - ends[1]) / (2.0 * _STEP)
-    return found
+        value, step = values.get(key, 0.0), _DIFFERENCE_STEP
+        high, low = (factors(axis, arm, {**values, key: value + s}) for s in (step, -step))
+        derivatives[:, k] = (high - low) / (2.0 * step)
+    return derivatives
 
 
 def with_places(arm: Arm, values: Mapping[Key, float]) -> Arm:
-    """The arm with the distances of accelerometers that are among the values.
-
-    Returns: With bandwidths that were found, too.
-    """
+    """The arm with the estimated distances and bandwidths of accelerometers."""
     joints = []
     for i, joint in enumerate(arm.joints, start=1):
         hz = values.get(("accelerometer_bandwidth", i), np.inf)
-        wide = joint.accelerometer_hz is None and np.isfinite(hz)
+        is_estimated = joint.accelerometer_hz is None and np.isfinite(hz)
         joints.append(
             replace(
                 joint,
                 accelerometer_distance=joint.accelerometer_distance or values.get((DISTANCE, i)),
-                accelerometer_hz=hz if wide else joint.accelerometer_hz,
+                accelerometer_hz=hz if is_estimated else joint.accelerometer_hz,
             )
         )
     return arm.with_joints(joints)
@@ -238,40 +217,38 @@ def with_places(arm: Arm, values: Mapping[Key, float]) -> Arm:
 def reported(
     axes: Sequence[Axis], arm: Arm, values: Mapping[Key, float]
 ) -> dict[str, tuple[float, str]]:
-    """Place and attitude of a link's IMU for the reader, as far as they are made of unknowns.
+    """Position and attitude of a link's IMU as far as they follow from unknowns: value and unit.
 
-    Roll and pitch need three accelerometers, or gyros beside two, which are alike in a mirror: of
-    those the yaw is all that is reported, if the x axis is among them. On the first link without
-    gravity it counts from the direction in which the sensor lies.
-
-    `axes`: Of one link. `values`: Those of unknowns, held ones left out. Returns: name -> value and
-    unit; what is an unknown of the fit already is not among them.
+    Roll and pitch need three accelerometers, or two and gyros. Two accelerometers without gyros do
+    not distinguish mirror images, so only the yaw is reported, and only if the x axis is one of
+    them. On link 1 without gravity the yaw counts from the direction of the sensor's position.
+    Unknowns of the fit are not in the result.
     """
     if not axes or (TURN[2], axes[0].joint) not in values:
         return {}
     joint = axes[0].joint
-    found: dict[str, tuple[float, str]] = {}
-    turned = _turned(arm, joint, values)
+    report: dict[str, tuple[float, str]] = {}
+    matrix = _attitude(arm, joint, values)
     if (BEARING, joint) in values:
         bearing, distance = values[BEARING, joint], values[FROM_AXIS, joint]
-        found["imu_x"] = distance * float(np.cos(bearing)), "m"
-        found["imu_y"] = distance * float(np.sin(bearing)), "m"
-        turned = rotation(np.array([0.0, 0.0, bearing])) @ turned
-    roll, pitch, yaw = angles(turned).tolist()
+        report["imu_x"] = distance * float(np.cos(bearing)), "m"
+        report["imu_y"] = distance * float(np.sin(bearing)), "m"
+        matrix = rotation(np.array([0.0, 0.0, bearing])) @ matrix
+    roll, pitch, yaw = angles(matrix).tolist()
     accelerometers = {axis.number for axis in axes if axis.kind == "accelerometer"}
     gyros = any(axis.kind == "gyro" for axis in axes)
     if len(accelerometers) == 2 and not gyros and 0 not in accelerometers:
-        return found
+        return report
     if len(accelerometers) == 3 or (len(accelerometers) == 2 and gyros):
-        found |= {"imu_roll": (roll, "rad"), "imu_pitch": (pitch, "rad")}
-    found["imu_yaw"] = yaw, "rad"
-    return found
+        report |= {"imu_roll": (roll, "rad"), "imu_pitch": (pitch, "rad")}
+    report["imu_yaw"] = yaw, "rad"
+    return report
 
 
 def _share(axis: Axis) -> str:
-    """The name of what a gyro's axis reads of the rate."""
+    """Name of a gyro axis's share of the rate."""
     return f"{axis.scaled}_z"
 
 
-def _at(c_x: float, c_y: float, x: float, y: float) -> FloatArray:
+def _accelerometer_factors(c_x: float, c_y: float, x: float, y: float) -> FloatArray:
     return np.array([c_x, c_y, c_y * x - c_x * y, -(c_x * x + c_y * y)])

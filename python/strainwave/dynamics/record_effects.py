@@ -1,6 +1,6 @@
-"""Effects that the core does not know: what it is given in their place, record by record.
+"""Record effects: effects that act through the inputs of the core, separately in each record.
 
-A size s of such an effect acts through parameters and initial states u of the core alone, so that
+A size s of such an effect acts only through parameters and initial states u of the core, so that
 the derivative of a channel is dy/ds = (dy/du) (du/ds).
 """
 
@@ -19,87 +19,90 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 
 _MOTOR_ANGLE, _LINK_ANGLE = "initial_motor_angle", "initial_link_angle"
-_INITIAL = (_MOTOR_ANGLE, _LINK_ANGLE)
+_INITIAL_STATES = (_MOTOR_ANGLE, _LINK_ANGLE)
 
 
 @dataclass(frozen=True, slots=True)
 class RecordInputs:
-    """What the core is given for one record, and how it follows from the parameters."""
+    """Inputs of the core for one record, and their derivatives with respect to the parameters."""
 
     values: Values  # parameters
-    offsets: Mapping[Key, float]  # initial state -> what is added to it
-    slopes: Mapping[Key, Mapping[Key, float]]  # input of the core -> parameter -> derivative
+    offsets: Mapping[Key, float]  # increments of initial states
+    slopes: Mapping[Key, Mapping[Key, float]]  # derivatives by input of the core and parameter
 
     def begun(self, drive: Drive) -> Drive:
-        """A drive with the initial states moved."""
+        """Drive with shifted initial states."""
         if not self.offsets:
             return drive
-        motor = self._moved(_MOTOR_ANGLE, drive.motor_angle)
-        link = drive.link_angle and self._moved(_LINK_ANGLE, drive.link_angle)
+        motor = self._shifted(_MOTOR_ANGLE, drive.motor_angle)
+        link = drive.link_angle and self._shifted(_LINK_ANGLE, drive.link_angle)
         return replace(drive, motor_angle=motor, link_angle=link)
 
-    def _moved(self, name: str, angles: Sequence[float]) -> tuple[float, ...]:
-        each = enumerate(angles, start=1)
-        return tuple(angle + self.offsets.get((name, joint), 0.0) for joint, angle in each)
+    def _shifted(self, name: str, angles: Sequence[float]) -> tuple[float, ...]:
+        joints = enumerate(angles, start=1)
+        return tuple(angle + self.offsets.get((name, joint), 0.0) for joint, angle in joints)
 
     def read(self, angles: FloatArray, gear_ratios: FloatArray | None = None) -> FloatArray:
-        """What encoders with these zeros say.
+        """Encoder readings of motor angles (n_samples, n_joints) [rad] with shifted zeros.
 
-        `angles` (n_samples, n_joints) [rad]: Of the motors. `gear_ratios` (n_joints,): Where the
-        angles are those of the links. Returns (n_samples, n_joints) [rad].
+        For link angles, pass the gear ratios (n_joints,).
         """
-        zeros = np.array(self._moved(_MOTOR_ANGLE, [0.0] * angles.shape[1]))
+        zeros = np.array(self._shifted(_MOTOR_ANGLE, [0.0] * angles.shape[1]))
         return angles - (zeros if gear_ratios is None else zeros * gear_ratios)
 
     def directions(self, parameters: Sequence[Key]) -> list[Key]:
-        """What the core differentiates by, so that derivatives by parameters follow."""
-        own = _sizes()
-        found = [key for key in parameters if base_name(key[0]) not in own]
-        asked = set(parameters)
-        found += [
-            key for key, row in self.slopes.items() if key not in asked and asked & row.keys()
+        """Directions in which the core must differentiate to give derivatives by the parameters."""
+        sizes, requested = _sizes(), set(parameters)
+        directions = [key for key in parameters if base_name(key[0]) not in sizes]
+        directions += [
+            key
+            for key, row in self.slopes.items()
+            if key not in requested and requested & row.keys()
         ]
-        return found
+        return directions
 
     def by_parameters(
         self, tangent: FloatArray, directions: Sequence[Key], parameters: Sequence[Key]
     ) -> FloatArray:
-        """Derivatives by parameters from those by the core's directions.
+        """Derivatives with respect to parameters from those in the directions of the core.
 
-        `tangent`: The last ones stay as they are.
+        Further entries of the last axis of `tangent` do not change.
         """
         if not self.slopes and list(directions) == list(parameters):
             return tangent
         chain = np.zeros((len(directions), len(parameters)))
-        at = {key: k for k, key in enumerate(parameters)}
+        column = {key: k for k, key in enumerate(parameters)}
         for row, key in enumerate(directions):
             for by, slope in self.slopes.get(key, {key: 1.0}).items():
-                if by in at:
-                    chain[row, at[by]] = slope
+                if by in column:
+                    chain[row, column[by]] = slope
         n = len(directions)
         return np.concatenate([tangent[..., :n] @ chain, tangent[..., n:]], axis=-1)
 
 
 def inputs_in(arm: Arm, values: Values, record: str, *, hanging: bool) -> RecordInputs:
-    """What the core is given for a record on an arm with some effects.
+    """Inputs of the core for a record of an arm with record effects.
 
-    `arm`: Those effects of its joints count that the core does not know. `values`: (name, joint) ->
-    value; an effect whose size is not among them is absent. `record`: Its name. `hanging`: Whether
-    the links hang on their gears at the start, and so follow the motors.
+    An effect whose size is missing in `values` is absent. `hanging` states that the links start in
+    static equilibrium and therefore follow the motors.
     """
     changed: dict[Key, tuple[Input, Mapping[str, str]]] = {
-        (own.name, number): (own, names)
+        (change.name, number): (change, names)
         for number, joint in enumerate(arm.joints, start=1)
         for effect in map(effect_named, joint.named_effects)
         if isinstance(effect, RecordEffect)
-        for own, names in _inputs_of(effect, number, joint.gear_ratio, values, record)
-        if not (hanging and own.name == _LINK_ANGLE)
+        for change, names in _inputs_of(effect, number, joint.gear_ratio, values, record)
+        if not (hanging and change.name == _LINK_ANGLE)
     }
-    parameters = {key: own.value for key, (own, _) in changed.items() if key[0] not in _INITIAL}
-    offsets = {key: own.value for key, (own, _) in changed.items() if key[0] in _INITIAL}
+    parameters = {
+        key: change.value for key, (change, _) in changed.items() if key[0] not in _INITIAL_STATES
+    }
+    offsets = {
+        key: change.value for key, (change, _) in changed.items() if key[0] in _INITIAL_STATES
+    }
     slopes: dict[Key, dict[Key, float]] = {
-        key: {(names.get(by, by), key[1]): slope for by, slope in own.slopes.items()}
-        for key, (own, names) in changed.items()
+        key: {(names.get(by, by), key[1]): slope for by, slope in change.slopes.items()}
+        for key, (change, names) in changed.items()
     }
     return RecordInputs({**values, **parameters}, offsets, slopes)
 
@@ -107,15 +110,15 @@ def inputs_in(arm: Arm, values: Values, record: str, *, hanging: bool) -> Record
 def _inputs_of(
     effect: RecordEffect, number: int, gear_ratio: float, values: Values, record: str
 ) -> Iterator[tuple[Input, Mapping[str, str]]]:
-    """What one effect changes, each with the names that its sizes have among the values."""
+    """Changes by one effect, each with the names of its sizes in `values`."""
     names = {name: of_record(name, record) if effect.by_record else name for name in effect.sizes}
-    own = {name: value for (name, joint), value in values.items() if joint == number}
-    own |= {name: values.get((here, number), 0.0) for name, here in names.items()}
-    for one in effect.inputs(own, gear_ratio):
-        yield one, names
+    known = {name: value for (name, joint), value in values.items() if joint == number}
+    known |= {name: values.get((record_name, number), 0.0) for name, record_name in names.items()}
+    for change in effect.inputs(known, gear_ratio):
+        yield change, names
 
 
 def _sizes() -> set[str]:
-    """Names of sizes that the core does not know."""
-    own = (effect for effect in all_effects() if isinstance(effect, RecordEffect))
-    return {name for effect in own for name in effect.sizes}
+    """Names of the sizes of all record effects."""
+    effects = (effect for effect in all_effects() if isinstance(effect, RecordEffect))
+    return {name for effect in effects for name in effect.sizes}

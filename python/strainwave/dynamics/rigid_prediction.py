@@ -1,4 +1,4 @@
-"""What the rigid model says the motor torques are, and how well that fits."""
+"""Motor torques predicted by the rigid model, and their fit."""
 
 from __future__ import annotations
 
@@ -12,25 +12,24 @@ from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 
-_PIECE = 1 << 16  # samples predicted at once
-_MOSTLY = 0.5  # share of standing from which a fit says nothing of the model
+_BLOCK_SIZE = 1 << 16  # samples per regressor, which limits its memory
+_MAX_STICTION_SHARE = 0.5  # of the samples; a fit of a motor that sticks longer is meaningless
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Measured and predicted motor torques through one filter, edges cut."""
+    """Measured and predicted motor torques after one filter, without its transients."""
 
     time: FloatArray  # (n_rows,)
     measured: FloatArray  # (n_rows, n_joints) [N m]
     predicted: FloatArray  # (n_rows, n_joints) [N m]
-    fit_percent: FloatArray  # (n_joints,) NaN for a motor that mostly stands: nothing was predicted
+    fit_percent: FloatArray  # (n_joints,); NaN for a motor that mostly sticks
 
 
 def fit_percent(measured: FloatArray, predicted: FloatArray) -> FloatArray:
-    """100 (1 - |y - yhat| / |y - mean(y)|), per column.
+    """100 (1 - |y - yhat| / |y - mean(y)|) for each channel; NaN for a constant channel.
 
-    `measured`, `predicted` (n_samples, n_channels). Returns (n_channels,): NaN for a channel that
-    does not vary.
+    `measured` and `predicted` have shape (n_samples, n_channels).
     """
     spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
     error = np.linalg.norm(measured - predicted, axis=0)
@@ -46,10 +45,9 @@ def band_fit(
     model_hz: float,
     load_friction: Sequence[Parameter] = (),
 ) -> FloatArray:
-    """How well a model predicts a record's torques within its bandwidth, joint by joint.
+    """Fit [%] of a model to a record's torques within its bandwidth: (n_joints,).
 
-    `arm`, `solution`, `signals`, `model_hz`, `load_friction`: As of `band_predictions`, whose first
-    fit it is, in less memory. Returns (n_joints,) [%].
+    Equal to the fit of the first band of `band_predictions`, with less memory.
     """
     torque = predict_torque(
         arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
@@ -57,10 +55,10 @@ def band_fit(
     T = signals.sample_time
     fits = []
     for i in range(torque.shape[1]):
-        own = slice(i, i + 1)
-        measured = low_pass(signals.motor_torque[:, own], model_hz, T)
-        predicted = low_pass(torque[:, own], model_hz, T)
-        fits.append(_fit(measured, predicted, signals.direction[:, own], model_hz, T))
+        column = slice(i, i + 1)
+        measured = low_pass(signals.motor_torque[:, column], model_hz, T)
+        predicted = low_pass(torque[:, column], model_hz, T)
+        fits.append(_fit(measured, predicted, signals.direction[:, column], model_hz, T))
     return np.concatenate(fits)
 
 
@@ -73,28 +71,30 @@ def band_predictions(
 ) -> tuple[Band, Band]:
     """Predict a record's torques from its motion, within a model's bandwidth and as logged.
 
-    `solution` (n_parameters,): As in `Arm.rigid_columns`. `model_hz` [Hz]: Bandwidth in which the
-    model was estimated. `load_friction`: Of the joints whose friction grows with the load. Returns:
-    Both torques behind that band's filter. Returns: The measured torque as logged, the predicted
-    one as wide as the signals are.
+    `solution` (n_parameters,) has the order of `Arm.rigid_columns`. `model_hz` is the bandwidth in
+    which the model was estimated. `load_friction` holds the joints whose friction grows with the
+    load. The first band compares both torques after the filter of that bandwidth, the second the
+    logged torque with the prediction in the bandwidth of the signals.
     """
     torque = predict_torque(
         arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
     )
     T = signals.sample_time
-    within = low_pass(signals.motor_torque, model_hz, T), low_pass(torque, model_hz, T)
+    filtered = low_pass(signals.motor_torque, model_hz, T), low_pass(torque, model_hz, T)
     logged = signals.unfiltered_torque, torque
-    first, second = (_compared(*pair, signals, model_hz) for pair in (within, logged))
+    first, second = (_comparison(*pair, signals, model_hz) for pair in (filtered, logged))
     return first, second
 
 
 def _bridge(model_hz: float, T: float) -> int:
-    """Samples up to which an uncertain direction is a reversal: half a period of the band."""
+    """Samples in half a period of the band: the longest uncertain direction in a reversal."""
     return int(0.5 / (model_hz * T))
 
 
-def _compared(measured: FloatArray, torque: FloatArray, signals: Signals, model_hz: float) -> Band:
-    """Measured and predicted torque without the filter's edges, and how well they agree."""
+def _comparison(
+    measured: FloatArray, torque: FloatArray, signals: Signals, model_hz: float
+) -> Band:
+    """Measured and predicted torque without the filter's transients, and their fit."""
     T = signals.sample_time
     inside = _inside(measured, model_hz, T)
     fit = _fit(measured, torque, signals.direction, model_hz, T)
@@ -104,14 +104,18 @@ def _compared(measured: FloatArray, torque: FloatArray, signals: Signals, model_
 def _fit(
     measured: FloatArray, torque: FloatArray, direction: FloatArray, model_hz: float, T: float
 ) -> FloatArray:
-    """The fit inside the filter's edges, column by column; NaN for a motor that mostly stands."""
+    """Fit inside the filter's transients for each joint; NaN for a motor that mostly sticks."""
     inside = _inside(measured, model_hz, T)
-    stands = standing(direction[inside], _bridge(model_hz, T)).mean(axis=0)
-    return np.where(stands > _MOSTLY, np.nan, fit_percent(measured[inside], torque[inside]))
+    stiction_share = standing(direction[inside], _bridge(model_hz, T)).mean(axis=0)
+    return np.where(
+        stiction_share > _MAX_STICTION_SHARE,
+        np.nan,
+        fit_percent(measured[inside], torque[inside]),
+    )
 
 
 def _inside(signal: FloatArray, model_hz: float, T: float) -> slice:
-    """Clear of the transients of the band's filter."""
+    """Samples outside the transients of the band's filter."""
     edge = int(1.0 / (model_hz * T))
     return slice(edge, len(signal) - edge)
 
@@ -123,43 +127,39 @@ def predict_torque(
     longest_bridge: int,
     load_friction: Sequence[Parameter] = (),
 ) -> FloatArray:
-    """Motor torques of the rigid model for a motion.
+    """Motor torques of the rigid model for a motion: (n_samples, n_joints) [N m].
 
-    In a brief reversal Coulomb friction runs straight from one direction to the other. A motor that
-    stands for longer takes any torque within +-f of the rest: the model then predicts that set, and
-    its member next to the measured torque is returned, so that the difference is the distance from
-    the set.
-
-    `solution` (n_parameters,). `longest_bridge`: Samples up to which a stretch of uncertain
-    direction is a reversal. `load_friction`: Of the joints whose friction grows with the load.
-    Returns (n_samples, n_joints) [N m].
+    In a brief reversal, of up to `longest_bridge` samples, Coulomb friction changes linearly from
+    one direction to the other. A motor that sticks for longer has a set of possible torques, +-f
+    around the other terms. The result is then the member of the set closest to the measured torque,
+    so that the residual is the distance from the set.
     """
     share = np.zeros(arm.n_joints)
     for parameter in load_friction:
         share[(parameter.joint or 1) - 1] = parameter.value or 0.0
-    direction = np.column_stack([_bridged(d) for d in signals.direction.T])
-    stands = standing(signals.direction, longest_bridge)
+    direction = np.column_stack([_bridge_gaps(d) for d in signals.direction.T])
+    sticks = standing(signals.direction, longest_bridge)
     torque = np.empty_like(signals.motor_torque)
-    for start in range(0, len(torque), _PIECE):  # a regressor of all samples is many times as large
-        piece = slice(start, start + _PIECE)
-        known = direction[piece], stands[piece]
-        torque[piece] = _predicted(arm, solution, share, signals, piece, *known)
+    for start in range(0, len(torque), _BLOCK_SIZE):
+        block = slice(start, start + _BLOCK_SIZE)
+        states = direction[block], sticks[block]
+        torque[block] = _predict_block(arm, solution, share, signals, block, *states)
     return torque
 
 
-def _predicted(
+def _predict_block(
     arm: Arm,
     solution: FloatArray,
     load_friction: FloatArray,
     signals: Signals,
-    piece: slice,
+    block: slice,
     direction: FloatArray,
-    stands: BoolArray,
+    sticks: BoolArray,
 ) -> FloatArray:
-    """Motor torques of some samples, with the directions and standstills there."""
+    """Motor torques of a block of samples with their directions and stiction."""
     n, first = arm.gear_ratios, arm.n_body
     angle, velocity, acceleration, measured = (
-        x[piece]
+        x[block]
         for x in (
             signals.motor_angle,
             signals.motor_velocity,
@@ -170,17 +170,14 @@ def _predicted(
     phi = arm.rigid_regressor(angle * n, velocity * n, acceleration * n)
     viscous, coulomb, offset = solution[first:].reshape(arm.n_joints, FRICTION_COLUMNS).T
     body = phi @ solution[:first]
-    rest = body + viscous * velocity + offset
+    smooth = body + viscous * velocity + offset
     dry = coulomb + load_friction * np.abs(body)
-    held = rest + np.clip(measured - rest, -np.abs(dry), np.abs(dry))
-    return np.where(stands, held, rest + dry * direction)
+    sticking = smooth + np.clip(measured - smooth, -np.abs(dry), np.abs(dry))
+    return np.where(sticks, sticking, smooth + dry * direction)
 
 
 def standing(direction: FloatArray, longest_bridge: int) -> BoolArray:
-    """Samples in stretches of uncertain direction longer than a reversal.
-
-    `direction` (n_samples, n_joints). `longest_bridge`: Samples. Returns (n_samples, n_joints).
-    """
+    """Samples at which the direction is uncertain for longer than `longest_bridge` samples."""
     result = np.zeros(direction.shape, dtype=bool)
     for i, column in enumerate(direction.T):
         edges = np.flatnonzero(np.diff(np.r_[False, column == 0.0, False].astype(np.int8)))
@@ -189,8 +186,8 @@ def standing(direction: FloatArray, longest_bridge: int) -> BoolArray:
     return result
 
 
-def _bridged(direction: FloatArray) -> FloatArray:
-    """Directions with the uncertain stretches bridged by straight lines, zero if none is known."""
+def _bridge_gaps(direction: FloatArray) -> FloatArray:
+    """Directions, linearly interpolated over uncertain sections; zero if none is known."""
     known = np.flatnonzero(direction)
     if not known.size:
         return direction

@@ -1,4 +1,4 @@
-"""Rotations in space: by a vector, and by roll, pitch and yaw as in URDF."""
+"""Rotation matrices from rotation vectors, and from roll, pitch and yaw as in URDF."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from strainwave.domain import FloatArray
 
 
 def rotation(vector: FloatArray) -> FloatArray:
-    """The rotation matrix of a rotation vector (Rodrigues).
-
-    `vector` (3,) [rad]. Returns (3, 3).
-    """
+    """Rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
     angle = float(np.linalg.norm(vector))
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -23,9 +20,9 @@ def rotation(vector: FloatArray) -> FloatArray:
 
 
 def attitude(rpy: Sequence[float]) -> FloatArray:
-    """The rotation matrix of roll, pitch and yaw, as in URDF: Rz(yaw) Ry(pitch) Rx(roll).
+    """Rotation matrix (3, 3) of roll, pitch and yaw [rad], as in URDF: Rz(yaw) Ry(pitch) Rx(roll).
 
-    `rpy` (3,) [rad]. Returns (3, 3): Its columns are the sensor's axes in the link's frame.
+    Its columns are the sensor's axes in the link's frame.
     """
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
@@ -38,10 +35,7 @@ def attitude(rpy: Sequence[float]) -> FloatArray:
 
 
 def angles(matrix: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw of a rotation matrix: (3,) [rad].
-
-    `matrix` (3, 3). Returns (3,) [rad].
-    """
+    """Roll, pitch and yaw (3,) [rad] of a rotation matrix (3, 3)."""
     roll = np.arctan2(matrix[2, 1], matrix[2, 2])
     pitch = -np.arcsin(np.clip(matrix[2, 0], -1.0, 1.0))
     return np.array([roll, pitch, np.arctan2(matrix[1, 0], matrix[0, 0])])

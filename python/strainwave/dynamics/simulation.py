@@ -1,4 +1,4 @@
-"""Forward models over the compiled core: an arm, parameter values and a drive in, motion out."""
+"""Simulation of an arm by the compiled core, from parameter values and inputs to motion."""
 
 from __future__ import annotations
 
@@ -33,31 +33,32 @@ Quantity = Literal[
     "angular_rate",
     "sliding",
 ]
-"""What a run can record."""
+"""Quantities that a simulation can record."""
 
-_SAME_CLOCK = 2e-4
-"""Two crystals of one nominal frequency differ by up to so much."""
-_FEW_PARTS = 16
+_CLOCK_TOLERANCE = 2e-4  # relative difference of two crystal oscillators of one nominal frequency
+_STRICT_CLOCK_TOLERANCE = 1e-6  # many short candidate steps would satisfy the loose tolerance
+_MAX_LOOSE_CANDIDATES = 16  # candidate steps that the loose tolerance applies to
+_MAX_CANDIDATES = 100  # candidate steps of `common_step`
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What an experiment applies, per tick of its clock."""
+    """Inputs of an experiment at the ticks of its clock, and its initial state."""
 
     tick: float  # [s]
-    voltage: FloatArray  # (n_ticks, n_joints) [V], added to the servo's
-    reference: FloatArray  # (n_ticks, n_joints) [rad/s]; unused where no servo acts
-    servo: tuple[bool, ...]  # per joint: whether its servo acts
+    voltage: FloatArray  # (n_ticks, n_joints) [V], added to the servo's output
+    reference: FloatArray  # (n_ticks, n_joints) [rad/s]; unused without a servo
+    servo: tuple[bool, ...]  # per joint: whether the servo is active
     motor_angle: tuple[float, ...]  # [rad] at the start
-    initial_voltage: tuple[float, ...]  # [V] that has been there before the start
-    motor_velocity: tuple[float, ...] | None = None  # [rad/s] at the start; None: at standstill
-    link_angle: tuple[float, ...] | None = None  # [rad]; None: the links hang on their gears
-    link_velocity: tuple[float, ...] | None = None  # [rad/s]; None: at standstill
+    initial_voltage: tuple[float, ...]  # [V] before the start
+    motor_velocity: tuple[float, ...] | None = None  # [rad/s] at the start; None: zero
+    link_angle: tuple[float, ...] | None = None  # [rad]; None: static equilibrium of the gears
+    link_velocity: tuple[float, ...] | None = None  # [rad/s]; None: zero
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """What an arm did: (n_samples, n_joints) arrays by name, noise-free."""
+    """Noise-free motion of an arm: arrays (n_samples, n_joints) by name."""
 
     time: FloatArray  # (n_samples,) [s]
     quantities: Mapping[Quantity, FloatArray]
@@ -68,7 +69,7 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """Rows in place of samples: row r is the sum of taps[t] x[r samples_per_row + t]."""
+    """Decimating FIR filter: row r is the sum over t of taps[t] x[r samples_per_row + t]."""
 
     taps: Mapping[Quantity, FloatArray]  # (n_taps,) each, a multiple of `samples_per_row`
     samples_per_row: int
@@ -76,13 +77,13 @@ class LowPass:
 
 @dataclass(frozen=True, slots=True)
 class SensorNoise:
-    """What real sensors add; theory's orders of magnitude for a decent rig."""
+    """Sensor errors, with typical values of a good rig."""
 
     accelerometer_density: float = 100e-6 * 9.81  # [m/s^2/sqrt(Hz)]
-    accelerometer_bias: float = 25e-3 * 9.81  # [m/s^2], one standard deviation
+    accelerometer_bias: float = 25e-3 * 9.81  # [m/s^2] standard deviation
     accelerometer_range: float = 5.0 * 9.81  # [m/s^2]
     accelerometer_bits: int = 16
-    gyro_deviation: float = 2e-3  # [rad/s] per sample
+    gyro_deviation: float = 2e-3  # [rad/s] standard deviation per sample
 
 
 def simulate(
@@ -95,12 +96,12 @@ def simulate(
     record: Sequence[Quantity],
     longest: float = LONGEST_STEP,
 ) -> Trajectory:
-    """Run one experiment on an arm with given parameters, in steps that its fastest resonance asks.
+    """Simulate one experiment with a time step that resolves the fastest gear resonance.
 
-    `values`: (name, joint) -> value. `sample_time` [s]: Between recorded samples. `record`:
-    Quantities to record. `longest` [s]: Of the integrator's steps, where its fastest resonance does
-    not ask for shorter ones. Raises `InvalidInput`: A parameter is missing or impossible, or the
-    clocks have no common step. Raises `NumericalFailure`: The motion left the finite numbers.
+    `sample_time` [s] is the period of the recorded samples, `record` lists the recorded quantities,
+    and `longest` [s] is an upper limit of the time step. Raises InvalidInput if a parameter is
+    missing or impossible, or if the clocks have no common step. Raises NumericalFailure if the
+    motion diverges.
     """
     recorded = simulate_arms(
         arm,
@@ -125,12 +126,10 @@ def simulate_arms(
     record: Sequence[Quantity],
     longest_step: float = LONGEST_STEP,
 ) -> dict[Quantity, FloatArray]:
-    """Run one experiment on many arms at once, side by side in vector lanes and threads.
+    """Simulate one experiment on many arms, in parallel vector lanes and threads.
 
-    `arms`: (name, joint) -> value, one per arm. `sample_time` [s]: Between recorded samples.
-    `record`: Quantities to record. `longest_step` [s]: Of the integrator. Returns: Quantity ->
-    (n_arms, n_samples, n_joints). Raises `InvalidInput`: A parameter is missing or impossible, or
-    the clocks have no common step. Raises `NumericalFailure`: A motion left the finite numbers.
+    Arguments and errors are those of `simulate`; `longest_step` [s] is the upper limit of the time
+    step. Arrays of the result have shape (n_arms, n_samples, n_joints).
     """
     vectors = np.array([arm.parameter_vector(values) for values in arms])
     experiment = _experiment(arm, drive, sample_time, samples, longest_step)
@@ -152,15 +151,13 @@ def sensitivities(
     longest_step: float = LONGEST_STEP,
     low_pass: LowPass | None = None,
 ) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
-    """Run one experiment on one arm, with exact derivatives of all that is recorded.
+    """Simulate one experiment on one arm with exact derivatives of all recorded quantities.
 
-    `values`: (name, joint) -> value. `directions`: Parameters as the core names them, or initial
-    states: `initial_motor_angle`, `initial_motor_velocity`, `initial_link_angle`,
-    `initial_link_velocity`. `sample_time` [s]: Between recorded samples. `record`: Quantities to
-    record. `longest_step` [s]: Of the integrator. `low_pass`: Gives rows in place of samples.
-    Returns: Quantity -> values (n_samples, n_joints) and derivatives (n_samples, n_joints,
-    n_directions), or as many rows. Raises `InvalidInput`: A parameter is missing or impossible, or
-    the clocks have no common step. Raises `NumericalFailure`: The motion left the finite numbers.
+    `directions` are parameters of the core or the initial states `initial_motor_angle`,
+    `initial_motor_velocity`, `initial_link_angle` and `initial_link_velocity`. Each quantity has
+    values (n_samples, n_joints) and derivatives (n_samples, n_joints, n_directions). With
+    `low_pass` its rows replace the samples. Other arguments and errors are those of
+    `simulate_arms`.
     """
     vector = arm.parameter_vector(values)
     experiment = _experiment(arm, drive, sample_time, samples, longest_step)
@@ -169,16 +166,16 @@ def sensitivities(
         experiment["samples_per_row"] = low_pass.samples_per_row
     with core_errors():
         stop_if_asked()
-        found = arm.core.sensitivities(
+        recorded = arm.core.sensitivities(
             vector, with_respect_to=list(directions), record=record, **experiment
         )
-    return {name: found[name] for name in record}
+    return {name: recorded[name] for name in record}
 
 
 def _experiment(
     arm: Arm, drive: Drive, sample_time: float, samples: int, longest_step: float
 ) -> dict[str, Any]:
-    """What the core needs to know of an experiment."""
+    """Arguments of the core for an experiment."""
     servo = arm.servo if any(drive.servo) else None
     if any(drive.servo) and servo is None:
         raise InvalidInput(
@@ -207,32 +204,31 @@ def _experiment(
 
 
 def common_step(clocks: Sequence[float], longest: float = LONGEST_STEP) -> float:
-    """The longest integrator step, up to a limit, of which every clock is a multiple.
+    """Longest time step [s], up to a limit, that divides every clock [s].
 
-    `clocks` [s]. `longest` [s]. Returns [s]. Raises `InvalidInput`: There is none down to a
-    hundredth of the shortest clock.
+    Raises InvalidInput if there is no such step down to 1/100 of the shortest clock.
     """
     shortest = min(clocks)
     fewest = max(1, int(np.ceil(shortest / longest - 1e-9)))
-    for parts in range(fewest, fewest + 100):
+    for parts in range(fewest, fewest + _MAX_CANDIDATES):
         step = shortest / parts
         ratios = np.array(clocks) / step
-        # of many fine steps some would fit anything
-        tolerance = _SAME_CLOCK if parts < fewest + _FEW_PARTS else 1e-6
+        is_loose = parts < fewest + _MAX_LOOSE_CANDIDATES
+        tolerance = _CLOCK_TOLERANCE if is_loose else _STRICT_CLOCK_TOLERANCE
         if np.all(np.abs(ratios - np.round(ratios)) < tolerance * ratios):
             return step
     raise InvalidInput(
         f"the clocks {', '.join(f'{clock:g} s' for clock in clocks)} have no common step",
-        remedy="choose servo period, PRBS clock and sampling time as multiples of one another",
+        remedy="choose servo period, PRBS clock and sampling period as multiples of each other",
     )
 
 
 def measure(
     trajectory: Trajectory, noise: SensorNoise | None, rng: np.random.Generator
 ) -> dict[Quantity, FloatArray]:
-    """What the sensors write down: bias, noise and rounding added to accelerometers and gyros.
+    """Sensor readings of a trajectory: bias, noise and quantisation of accelerometers and gyros.
 
-    `noise`: None: ideal sensors. Returns: Quantity -> (n_samples, n_joints).
+    Without `noise` the sensors are ideal.
     """
     measured = dict(trajectory.quantities)
     if noise is None:
@@ -240,10 +236,10 @@ def measure(
     rate = 1.0 / (trajectory.time[1] - trajectory.time[0])
     if "accelerometer" in measured:
         clean = measured["accelerometer"]
-        deviation = noise.accelerometer_density * np.sqrt(rate / 2.0)
+        std = noise.accelerometer_density * np.sqrt(rate / 2.0)
         bias = rng.normal(0.0, noise.accelerometer_bias, clean.shape[1])
         count = 2.0 * noise.accelerometer_range / 2**noise.accelerometer_bits
-        noisy = clean + bias + rng.normal(0.0, deviation, clean.shape)
+        noisy = clean + bias + rng.normal(0.0, std, clean.shape)
         limited = np.clip(noisy, -noise.accelerometer_range, noise.accelerometer_range)
         measured["accelerometer"] = count * np.round(limited / count)
     if "gyro" in measured:

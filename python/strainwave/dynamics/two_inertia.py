@@ -1,9 +1,9 @@
-"""One joint on its own: motor, gear and link, linear; (11), (12), (17), (18) and their inverse.
+"""Linear model of one joint: motor, gear and link; (11), (12), (17), (18) and their inverse.
 
     m_M dw_M + d_M w_M = u - n (k delta + d_G ddelta)
     m_L dw_L + d_L w_L = k delta + d_G ddelta + tau,     ddelta = n w_M - w_L
 
-u is the motor's torque, so e = 1 in the equations of the source.
+u is the motor torque, so e = 1 in the equations of the source.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Mode
 
-_RELATIVE_STEP = 1e-6  # of the central differences: rounding and curvature both near 1e-11
+_RELATIVE_STEP = 1e-6  # of central differences: rounding and truncation errors near 1e-11
 
 
 @dataclass(frozen=True, slots=True)
 class TwoInertia:
-    """The six physical parameters, and the gear ratio."""
+    """The six physical parameters and the gear ratio."""
 
     motor_inertia: float  # m_M [kg m^2]
     motor_viscous_friction: float  # d_M [N m s/rad]
@@ -36,29 +36,25 @@ class TwoInertia:
         return np.array([getattr(self, name) for name in NAMES])
 
     def with_vector(self, vector: FloatArray) -> TwoInertia:
-        """The same joint with other parameters."""
+        """The same joint with other parameters (6,)."""
         return joint_of(vector, self.gear_ratio)
 
 
 def joint_of(vector: FloatArray, gear_ratio: float) -> TwoInertia:
-    """A joint from its six parameters in order.
-
-    `vector` (6,).
-    """
+    """A joint from its six parameters in the order of the fields."""
     motor, d_motor, link, d_link, k, d = (float(value) for value in vector)
     return TwoInertia(motor, d_motor, link, d_link, k, d, gear_ratio)
 
 
 NAMES = tuple(field.name for field in fields(TwoInertia))[:6]
-"""Of the physical parameters, in order."""
+"""Names of the six physical parameters in order."""
 
 
 def state_space(p: TwoInertia) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A, B, C of the minimal model: states delta, w_M, w_L; inputs u, tau; outputs w_M, w_L.
+    """A (3, 3), B (3, 2), C (2, 3) of the minimal model.
 
-    The four-state form (11) has a state that velocities do not show, a common turn of both sides.
-
-    Returns `A` (3, 3). Returns `B` (3, 2). Returns `C` (2, 3).
+    The states are delta, w_M, w_L, the inputs u, tau, and the outputs w_M, w_L. The fourth state of
+    (11), a common rotation of both sides, is not observable from velocities.
     """
     n, k, d = p.gear_ratio, p.gear_stiffness, p.gear_damping
     motor, link = p.motor_inertia, p.link_inertia
@@ -75,11 +71,9 @@ def state_space(p: TwoInertia) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def coefficients(p: TwoInertia) -> tuple[FloatArray, FloatArray]:
-    """(b0, b1, b2) and (a0, a1, a2, a3) of (17).
+    """Coefficients (b0, b1, b2) and (a0, a1, a2, a3) of (17).
 
     G11 = (b0 + b1 s + b2 s^2) / (a0 + a1 s + a2 s^2 + a3 s^3)
-
-    Returns (3,).
     """
     n2, k, d = p.gear_ratio**2, p.gear_stiffness, p.gear_damping
     motor, d_motor = p.motor_inertia, p.motor_viscous_friction
@@ -97,14 +91,14 @@ def coefficients(p: TwoInertia) -> tuple[FloatArray, FloatArray]:
 
 
 def from_coefficients(b: FloatArray, d: FloatArray, c: FloatArray, gear_ratio: float) -> TwoInertia:
-    """The physical parameters from (18), in closed form.
+    """Physical parameters from (18) in closed form.
 
-    G11 = (1 + b1 s + b2 s^2) / ((c0 + c1 s)(1 + d1 s + d2 s^2)) against (17): m_M = c1 d2 / b2,
-    m_L = (c1 - m_M) / n^2, k = m_L / b2, and three linear equations for the dampings.
+        G11 = (1 + b1 s + b2 s^2) / ((c0 + c1 s)(1 + d1 s + d2 s^2))
 
-    `b` (2,): b1 [s], b2 [s^2], of the zeros. `d` (2,): d1 [s], d2 [s^2], of the pole pair. `c`
-    (2,): c0 = d_M + n^2 d_L, c1 = m_M + n^2 m_L, of the rigid model. Returns: As they come: a
-    negative one says that the model is not such a joint's.
+    Comparison with (17) gives m_M = c1 d2 / b2, m_L = (c1 - m_M) / n^2, k = m_L / b2, and three
+    linear equations for the dampings. `b` holds b1, b2 of the zeros, `d` holds d1, d2 of the pole
+    pair, and `c` holds c0 = d_M + n^2 d_L, c1 = m_M + n^2 m_L of the rigid model. Negative results
+    show that the coefficients do not belong to such a joint.
     """
     (b1, b2), (d1, d2), (c0, c1), n2 = b, d, c, gear_ratio**2
     motor = c1 * d2 / b2
@@ -124,17 +118,17 @@ def from_coefficients(b: FloatArray, d: FloatArray, c: FloatArray, gear_ratio: f
 
 
 def anti_resonance(p: TwoInertia, covariance: FloatArray | None = None) -> Mode:
-    """The zero pair of motor torque to motor velocity, with its deviations.
+    """Zero pair of motor torque to motor velocity.
 
-    `covariance` (6, 6): Of the parameters.
+    The covariance (6, 6) of the parameters gives its standard deviations.
     """
     return _mode(p, covariance, lambda q: coefficients(q)[0])
 
 
 def resonance(p: TwoInertia, covariance: FloatArray | None = None) -> Mode:
-    """The pole pair, with its deviations.
+    """Pole pair of motor torque to motor velocity.
 
-    `covariance` (6, 6): Of the parameters.
+    The covariance (6, 6) of the parameters gives its standard deviations.
     """
     return _mode(p, covariance, lambda q: coefficients(q)[1])
 
@@ -142,21 +136,23 @@ def resonance(p: TwoInertia, covariance: FloatArray | None = None) -> Mode:
 def _mode(
     p: TwoInertia, covariance: FloatArray | None, polynomial: Callable[[TwoInertia], FloatArray]
 ) -> Mode:
-    def of(vector: FloatArray) -> FloatArray:
+    """Mode of the least damped root of a polynomial of the parameters."""
+
+    def frequency_and_damping(vector: FloatArray) -> FloatArray:
         root = _least_damped(polynomial(p.with_vector(vector)))
         return np.array([abs(root) / (2.0 * np.pi), -root.real / abs(root)])
 
     root = _least_damped(polynomial(p))
-    frequency, damping = of(p.vector)
-    deviation: list[float | None] = [None, None]
+    frequency, damping = frequency_and_damping(p.vector)
+    std: list[float | None] = [None, None]
     if covariance is not None:
-        J = jacobian(of, p.vector)
-        deviation = np.sqrt(np.clip(np.diag(J @ covariance @ J.T), 0.0, None)).tolist()
-    return Mode(root, float(frequency), float(damping), deviation[0], deviation[1])
+        J = jacobian(frequency_and_damping, p.vector)
+        std = np.sqrt(np.clip(np.diag(J @ covariance @ J.T), 0.0, None)).tolist()
+    return Mode(root, float(frequency), float(damping), std[0], std[1])
 
 
 def _least_damped(ascending: FloatArray) -> complex:
-    """The oscillating root of a polynomial with the least damping ratio; without one, any."""
+    """Complex root of a polynomial with the smallest damping ratio, or else a real root."""
     roots = np.roots(ascending[::-1]).astype(np.complex128)
     candidates = roots[roots.imag > 0.0] if (roots.imag > 0.0).any() else roots
     moduli = np.maximum(np.abs(candidates), np.finfo(float).tiny)
@@ -164,10 +160,7 @@ def _least_damped(ascending: FloatArray) -> complex:
 
 
 def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
-    """Central differences with steps relative to each entry: (n_results, n_entries).
-
-    `function`: (n_entries,) -> (n_results,). `at` (n_entries,). Returns (n_results, n_entries).
-    """
+    """Central differences with relative steps: (n_results, n_entries)."""
     columns = []
     for k in range(len(at)):
         step = np.zeros(len(at))

@@ -1,10 +1,10 @@
-"""Study, guessed parameters, limits -> Design: which records identify the arm, and how long ones.
+"""Design experiments from a study, guessed parameters and limits.
 
-`band` says where a joint's resonances are, `voltages` plans what excites them, `rigid_motion`
-searches the motion that separates the rigid parameters and `motions` makes a record of it;
-`predicted_motion` runs every plan on the guessed arm, `precision` says which intervals the declared
-sensors would give, `written` makes files of it and `summary` the
-table for the terminal.
+`band` gives the frequencies of a joint's resonances, and `voltages` plans their excitation.
+`rigid_motion` searches the motion that best separates the rigid parameters, and `motions` makes a
+record of it. `predicted_motion` simulates every record on the guessed arm, and `precision` predicts
+the confidence intervals for the declared sensors. `written` writes the files, and `summary` prints
+the table in the terminal.
 """
 
 from __future__ import annotations
@@ -38,9 +38,10 @@ from strainwave.io.study import read_study
 
 __all__ = ["Design", "Limits", "Planned", "design", "excite_study_file"]
 
-_STARTS = 3  # of the search for the motion; the best two of them become records
-_RESTING = 0.3  # of a record; more, and Coulomb friction at standstill hides what is asked
-_POOR = 300.0  # condition number; designs that have room reach 10
+_N_STARTS = 3  # of the search for the motion; the best two results become records
+_MAX_STICTION_SHARE = 0.3  # of a record's time; a sticking motor hides the rigid parameters
+_MAX_CONDITION_NUMBER = 300.0  # designs within generous limits reach 10
+_MIN_BAND_SHARE = 0.99  # of the upper edge of the wanted band that the clock must allow
 
 
 def excite_study_file(
@@ -56,29 +57,28 @@ def excite_study_file(
     seed: int,
     progress: Callable[[str], None],
 ) -> Design:
-    """Design the experiments of a study file's arm and write them to a folder.
+    """Design the experiments for the arm of a study file and write them to a folder.
 
-    `parameters_path`: A guess of the arm, or an earlier result. `limit_angle`, `limit_velocity`,
-    `limit_voltage`, `limit_torque`: As `limits_of` reads them; the last two may be None.
-    `progress`: Called with what is being done. Raises `InvalidInput`: A file, a limit or the kind
-    is at fault, or the limits leave no experiment.
+    `parameters_path` is a parameter file or an earlier result. The limits are texts as `limits_of`
+    reads them. `progress` receives the current activity. Raises InvalidInput if a file, a limit or
+    the kind is invalid, or if no experiment satisfies the limits.
     """
     if parameters_path is None:
         raise InvalidInput(
-            "nothing can be designed for an arm of unknown size",
+            "the design needs approximate parameters of the arm",
             where="--parameters",
-            remedy="give a guess of every parameter, from a data sheet or a drawing, or an earlier "
-            "result.json; docs/parameters.md has the layout",
+            remedy="pass an earlier result.json, or a file with a guess of every parameter from "
+            "data sheets or drawings; docs/parameters.md describes the format",
         )
     if kind not in ("prbs", "multisine"):
         raise InvalidInput(
-            f"{kind!r} is no kind of excitation", where="--kind", remedy="use prbs or multisine"
+            f"{kind!r} is not a kind of excitation", where="--kind", remedy="use prbs or multisine"
         )
     if folder.resolve() == study_path.resolve().parent:
         raise InvalidInput(
-            "would write the designed study over the one it reads",
+            "the design would overwrite the study that it reads",
             where=f"--out {folder}",
-            remedy="choose another directory than the study's",
+            remedy="choose a directory other than that of the study",
         )
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
@@ -100,65 +100,66 @@ def design(
 ) -> Design:
     """Plan the records that identify an arm, and those that validate it.
 
-    A motion and one to check with; of each elastic joint a PRBS or multisine, the PRBS at smaller
-    amplitudes, steps, and other steps to check the elastic model with.
-
-    `study`: Its experiments are not looked at. `values`: (name, joint) -> value of the guessed arm.
-    `kind`: Of the voltages. `seed`: Of the search's starts and of a multisine's phases. Raises
-    `InvalidInput`: A parameter is missing, the limits leave no experiment, or the arm asks for a
-    servo that is not described. One experiment that the limits do not leave is a warning.
+    The design contains a motion and a motion for validation. For each elastic joint it contains a
+    PRBS or multisine, the PRBS at lower amplitudes, steps, and steps for validation. The
+    experiments of `study` are ignored. `kind` is that of the voltages, `seed` that of the search
+    and of a multisine's phases. Raises InvalidInput if a parameter is missing, if no experiment
+    satisfies the limits, or if the arm needs a servo that the study does not describe. A single
+    experiment that violates the limits gives a warning.
     """
     arm = Arm.of(study.arm)
-    arm.parameter_vector(values)  # refuses what is missing
+    arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
     bands = {j: band_of(arm, values, j) for j in range(1, arm.n_joints + 1)}
     warnings = _without_servo(study, bands)
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
     records: tuple[Planned, ...] = ()
-    refused: list[LimitBroken] = []
+    failures: list[LimitBroken] = []
     if arm.servo is not None:
-        progress("searching the rigid motion")
+        progress("optimising the rigid motion")
         try:
             records = motion_records(
-                arm, values, limits, anti_resonance_hz=lowest, starts=_STARTS, seed=seed
+                arm, values, limits, anti_resonance_hz=lowest, starts=_N_STARTS, seed=seed
             )
         except LimitBroken as error:
-            refused.append(error)
+            failures.append(error)
     for joint, band in bands.items():
         if band:
             progress(f"sizing the excitation of joint {joint}")
             try:
                 record = voltage_record(arm, values, limits, band, joint, kind=kind, seed=seed)
             except LimitBroken as error:
-                refused.append(error)
+                failures.append(error)
             else:
-                weaker, left_out = sweep_records(arm, values, limits, band, record, seed=seed)
-                records += (record, *weaker)
+                sweep, omissions = sweep_records(arm, values, limits, band, record, seed=seed)
+                records += (record, *sweep)
                 warnings += tuple(
-                    Diagnostic("limit-broken", f"sweep of joint {joint}", f"not planned: {why}")
-                    for why in left_out
+                    Diagnostic("limit-broken", f"sweep of joint {joint}", f"not planned: {reason}")
+                    for reason in omissions
                 )
         if band and arm.servo is not None:
             progress(f"sizing the steps of joint {joint}")
             try:
                 records += step_records(arm, values, limits, band, joint)
             except LimitBroken as error:
-                refused.append(error)
+                failures.append(error)
     if not records:
-        raise refused[0]
+        raise failures[0]
     warnings += tuple(
         Diagnostic(
             "limit-broken", error.where or "", f"not planned: {error.problem}; {error.remedy}"
         )
-        for error in refused
+        for error in failures
     )
     known = completed(values, arm)
     warnings += tuple(c for record in records for c in _warnings(arm, known, record))
     for joint, band in bands.items():
-        of_it = [record for record in records if record.experiment.joint == joint]
-        if band and of_it and of_it[0].band_hz[1] < 0.99 * band.high_hz:
-            text = f"the servo's clock lets {of_it[0].band_hz[1]:.3g} Hz through at most, and "
-            text += f"{band.high_hz:.3g} Hz are wanted; drive the voltages by a faster clock"
-            warnings += (Diagnostic("slow-clock", of_it[0].experiment.name, text),)
+        own = [record for record in records if record.experiment.joint == joint]
+        if band and own and own[0].band_hz[1] < _MIN_BAND_SHARE * band.high_hz:
+            text = (
+                f"the servo's clock limits the excitation to {own[0].band_hz[1]:.3g} Hz, but the "
+            )
+            text += f"joint needs {band.high_hz:.3g} Hz; output the voltages with a faster clock"
+            warnings += (Diagnostic("slow-clock", own[0].experiment.name, text),)
     warnings += _torques_without_limit(arm, limits, records)
     experiments = tuple(record.experiment for record in records)
     progress("predicting the intervals")
@@ -169,67 +170,72 @@ def design(
 def _torques_without_limit(
     arm: Arm, limits: Limits, records: Sequence[Planned]
 ) -> tuple[Diagnostic, ...]:
-    """What the gears bear where nobody said what they may."""
-    found = []
+    """Warnings of the largest gear torques for which no limit is given."""
+    warnings = []
     for i in range(arm.n_joints):
         if np.isfinite(limits.gear_torque[i]) or not arm.joints[i].elastic:
             continue
         worst = max(records, key=lambda record: float(record.predicted.gear_torque[i]))
         text = (
-            f"the gear of joint {i + 1} bears up to {worst.predicted.gear_torque[i]:.3g} N m in "
-            f"{worst.experiment.name}, and no limit was given: compare this with the peak torque "
-            "in its data sheet, or give --limit-torque"
+            f"the gear torque of joint {i + 1} reaches {worst.predicted.gear_torque[i]:.3g} N m in "
+            f"{worst.experiment.name}, and no limit is set: compare it with the peak torque in the "
+            "data sheet, or set --limit-torque"
         )
-        found.append(Diagnostic("no-torque-limit", f"joint {i + 1}", text))
-    return tuple(found)
+        warnings.append(Diagnostic("no-torque-limit", f"joint {i + 1}", text))
+    return tuple(warnings)
 
 
 def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diagnostic, ...]:
-    """What can be planned without a servo: voltages on elastic joints that lie in a plane."""
+    """Warning that an arm without servo gets open-loop voltages only.
+
+    Raises InvalidInput under gravity or if all gears are rigid.
+    """
     if study.arm.servo is not None:
         return ()
     elastic = any(bands.values())
     if study.arm.gravity or not elastic:
-        why = (
-            "under gravity a servo holds the arm"
+        reason = (
+            "an arm under gravity needs a servo that holds it"
             if elastic
-            else "a rigid arm is identified from motions"
+            else "a rigid arm is identified from motions under a servo"
         )
         raise InvalidInput(
-            f"{why}, and the study describes no servo", where=str(study.path), remedy=ADD_SERVO
+            f"{reason}, but the study describes no servo", where=str(study.path), remedy=ADD_SERVO
         )
     text = (
-        "the study describes no servo, so only voltages in open loop are planned, no motion, which "
-        "the rigid step needs, and no steps, which check the elastic model: "
-        f"{ADD_SERVO}; or record a slow motion of all joints as you "
-        'can and add it with use = "motion"'
+        "the study describes no servo, so the design contains only open-loop voltages; it lacks "
+        "the motion that the rigid step needs and the steps that validate the elastic model: "
+        f"{ADD_SERVO}; or record a slow motion of all joints by other means and add it with "
+        'use = "motion"'
     )
     return (Diagnostic("no-servo", study.path.name, text),)
 
 
 def _warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
-    """What to know before one record is taken."""
-    name, seen = record.experiment.name, record.predicted
-    found = []
-    if record.condition_number and record.condition_number > _POOR:
-        text = f"condition number {record.condition_number:.0f}: the motion hardly separates the "
-        text += "rigid parameters; allow more voltage, velocity or angle"
-        found.append(Diagnostic("poor-excitation", name, text))
+    """Warnings about one planned record."""
+    name, motion = record.experiment.name, record.predicted
+    warnings = []
+    if record.condition_number and record.condition_number > _MAX_CONDITION_NUMBER:
+        text = f"condition number {record.condition_number:.0f}: the motion separates the rigid "
+        text += "parameters poorly; allow more voltage, velocity or angle"
+        warnings.append(Diagnostic("poor-excitation", name, text))
     for i in range(arm.n_joints):
         joint = i + 1
-        moved = record.experiment.joint in (None, joint)
-        stepped = record.experiment.joint is not None and record.motor_angle is not None
-        if moved and not stepped and seen.rest_share[i] > _RESTING:
-            text = f"the motor of joint {joint} stands for {100.0 * seen.rest_share[i]:.0f} % of "
-            text += "the record, where friction hides the rest; allow more voltage or velocity"
-            found.append(Diagnostic("standing", name, text))
+        is_excited = record.experiment.joint in (None, joint)
+        is_step = record.experiment.joint is not None and record.motor_angle is not None
+        if is_excited and not is_step and motion.rest_share[i] > _MAX_STICTION_SHARE:
+            text = f"the motor of joint {joint} sticks for {100.0 * motion.rest_share[i]:.0f} % of "
+            text += "the record, which then gives no information; allow more voltage or velocity"
+            warnings.append(Diagnostic("standing", name, text))
         law = arm.joints[i].law
         knees = law.knees(law.of_joint(known, joint))
-        beyond = [knee for knee in knees if knee > seen.gear_torque[i]]
-        strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
-        if strongest and beyond:
-            text = f"the gear of joint {joint} sees {seen.gear_torque[i]:.3g} N m, and its knees "
-            text += f"are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: its stiffness "
-            text += "beyond will not be identifiable; allow more voltage, velocity or angle"
-            found.append(Diagnostic("knee-not-reached", name, text))
-    return tuple(found)
+        unreached = [knee for knee in knees if knee > motion.gear_torque[i]]
+        is_strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
+        if is_strongest and unreached:
+            text = f"the gear torque of joint {joint} reaches {motion.gear_torque[i]:.3g} N m, and "
+            text += (
+                f"the knees are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: the stiffness "
+            )
+            text += "above is not identifiable; allow more voltage, velocity or angle"
+            warnings.append(Diagnostic("knee-not-reached", name, text))
+    return tuple(warnings)

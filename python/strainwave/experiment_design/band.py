@@ -1,4 +1,4 @@
-"""Resonances of a guessed joint, and the frequencies that identify it."""
+"""Resonances of a guessed joint, and the band that identifies it."""
 
 from __future__ import annotations
 
@@ -11,49 +11,46 @@ from strainwave.domain.parameters import Values, completed
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 
-MARGIN = 5.0  # below the anti-resonance and above the resonance
-LINES = 5  # in the width of the anti-resonance: fewer, and its damping follows from one of them
+MARGIN = 5.0  # factor below the anti-resonance and above the resonance
+LINES = 5  # spectral lines in the half-power width of the anti-resonance, to resolve its damping
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """The frequencies in which one joint is to be excited."""
+    """Band in which one joint must be excited."""
 
-    anti_resonance_hz: float  # lowest, of the softest slope
-    resonance_hz: float  # highest, of the stiffest slope
-    width_hz: float  # of the anti-resonance at half its power
+    anti_resonance_hz: float  # of the lowest slope
+    resonance_hz: float  # of the highest slope
+    width_hz: float  # half-power width of the anti-resonance
 
     @property
     def low_hz(self) -> float:
-        """Lowest frequency wanted."""
+        """Lower edge of the band."""
         return self.anti_resonance_hz / MARGIN
 
     @property
     def high_hz(self) -> float:
-        """Highest frequency wanted."""
+        """Upper edge of the band."""
         return self.resonance_hz * MARGIN
 
     @property
     def period(self) -> float:
-        """[s] that a period needs: `LINES` in the dip's width, and the lowest frequency in it."""
+        """Period [s] with `LINES` in the anti-resonance's width and a line at the lower edge."""
         return max(LINES / self.width_hz, 1.0 / self.low_hz)
 
 
 def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
-    """The band of one joint, as if the others stood still.
+    """Band of one joint, from 1, with the others at rest; None if the gear is rigid.
 
-    omega_a^2 = k/m_L and width (d_L + d_G)/m_L, zeros of (17), with the inertia of the stretched
-    arm; omega_r from its poles. The margin covers what the other joint's freedom and the posture
-    change.
-
-    `values`: (name, joint) -> value, all that simulating the arm needs. `joint`: From 1. Returns:
-    None: the gear is rigid.
+    The zeros of (17) give omega_a^2 = k/m_L and the width (d_L + d_G)/m_L with the inertia of the
+    stretched arm; the poles give omega_r. The margin covers the motion of the other joint and the
+    posture.
     """
     known = completed(values, arm)
     drive = arm.joints[joint - 1]
     if not drive.elastic:
         return None
-    soft, stiff = (
+    softest, stiffest = (
         TwoInertia(
             motor_inertia=known["motor_inertia", joint],
             motor_viscous_friction=known["motor_viscous_friction", joint],
@@ -65,9 +62,9 @@ def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
         )
         for stiffness in drive.law.stiffness_range(drive.law.of_joint(known, joint))
     )
-    damping = soft.link_viscous_friction + soft.gear_damping
+    damping = softest.link_viscous_friction + softest.gear_damping
     return Band(
-        anti_resonance_hz=anti_resonance(soft).frequency_hz,
-        resonance_hz=resonance(stiff).frequency_hz,
-        width_hz=damping / soft.link_inertia / (2.0 * np.pi),
+        anti_resonance_hz=anti_resonance(softest).frequency_hz,
+        resonance_hz=resonance(stiffest).frequency_hz,
+        width_hz=damping / softest.link_inertia / (2.0 * np.pi),
     )

@@ -1,4 +1,4 @@
-"""What a planned experiment applies, as a table beside the study: apply-NAME.csv, and back."""
+"""Table of the inputs of a planned experiment, apply-NAME.csv, next to the study."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.tables import open_table
 
-_EVEN = 1e-3  # of a tick: how far from its place a row may lie
+_MAX_CLOCK_JITTER = 1e-3  # in ticks
 
 
 def table_name(experiment: Experiment) -> str:
-    """The file of what is to be applied; the log that is recorded has the experiment's name."""
+    """File name of the inputs of an experiment. The log has the experiment's own name."""
     return f"apply-{experiment.name}.csv"
 
 
 def applied_columns(
     arm: ArmDescription, experiment: Experiment, drive: Drive, motor_angle: FloatArray | None
 ) -> dict[str, FloatArray]:
-    """What is to be applied, a value a tick, with the unit in the name; zeros are left out.
+    """Inputs of an experiment, one value per tick, with units in the column names.
 
-    `motor_angle` (n_ticks, n_joints) [rad]: That is meant, for a drive that follows angles.
+    Inputs that are zero have no column. `motor_angle` (n_ticks, n_joints) [rad] is the intended
+    motion, for drives that follow angles.
     """
     time: FloatArray = drive.tick * np.arange(len(drive.voltage), dtype=np.float64)
     columns = {"t [s]": time}
@@ -44,33 +45,32 @@ def applied_columns(
 
 
 def read_applied(folder: Path, arm: Arm, experiment: Experiment, values: Values) -> Drive | None:
-    """The drive of a planned experiment, if its table lies in a folder.
+    """Drive of a planned experiment from its table in the study's folder; None without a table.
 
-    `folder`: The study's. `values`: (name, joint) -> value of the arm, for what holds it at the
-    start. Raises `InvalidInput`: The table is damaged, its clock is uneven, or it drives nothing of
-    this arm.
+    `values` give the voltage that holds the arm at the start. Raises InvalidInput if the table is
+    damaged, if its clock is uneven, or if it has no input of this arm.
     """
     path = folder / table_name(experiment)
     if not path.exists():
         return None
     table = open_table(path)
-    read = table.read(table.names)
-    columns = {name.partition(" ")[0]: column for name, column in read.items()}
+    data = table.read(table.names)
+    columns = {name.partition(" ")[0]: column for name, column in data.items()}
     tick = _tick(columns.pop("t", np.zeros(0)), path)
     rows = len(next(iter(columns.values()), np.zeros(0)))
     voltage = np.zeros((rows, arm.n_joints))
     reference = np.zeros_like(voltage)
     start = np.zeros(arm.n_joints)
     for i in range(arm.n_joints):
-        for name, into in ((f"u{i + 1}", voltage), (f"torque{i + 1}", voltage)):
-            into[:, i] = columns.get(name, into[:, i])
+        for name in (f"u{i + 1}", f"torque{i + 1}"):
+            voltage[:, i] = columns.get(name, voltage[:, i])
         reference[:, i] = columns.get(f"ref{i + 1}", reference[:, i])
         start[i] = columns.get(f"theta_m{i + 1}", start[i : i + 1])[0]
     if not (voltage.any() or reference.any()):
         raise InvalidInput(
-            f"applies nothing: {', '.join(read)}",
+            f"the table contains no non-zero input; its columns are {', '.join(data)}",
             where=str(path),
-            remedy="give it a column u, torque or ref of a joint, or delete it",
+            remedy="add a column u, torque or ref of a joint, or delete the table",
         )
     angle = tuple(float(a) for a in start)
     return Drive(
@@ -86,11 +86,11 @@ def read_applied(folder: Path, arm: Arm, experiment: Experiment, values: Values)
 def _tick(time: FloatArray, path: Path) -> float:
     if len(time) > 1:
         tick = float((time[-1] - time[0]) / (len(time) - 1))
-        places = time[0] + tick * np.arange(len(time))
-        if tick > 0.0 and np.abs(time - places).max() <= _EVEN * tick:
+        uniform = time[0] + tick * np.arange(len(time))
+        if tick > 0.0 and np.abs(time - uniform).max() <= _MAX_CLOCK_JITTER * tick:
             return float(f"{tick:.9g}")
     raise InvalidInput(
-        "has no even column t [s] of two rows or more",
+        "the table has no column t [s] of two or more equidistant rows",
         where=str(path),
-        remedy="design it anew with `strainwave excite`, or delete it",
+        remedy="run `strainwave excite` again, or delete the table",
     )

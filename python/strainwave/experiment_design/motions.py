@@ -1,4 +1,4 @@
-"""The rigid motion as a record: from standstill through the series and back to it."""
+"""Record of the rigid motion: lead-in from standstill, periodic motion, lead-out."""
 
 from __future__ import annotations
 
@@ -21,19 +21,17 @@ from strainwave.experiment_design.rigid_motion import (
     Search,
     condition_number,
     full_regressor,
-    optimised,
+    optimise,
 )
 
-_TOP_HZ = 1.0  # of the motion; slower where the gears ring low
-_BELOW_RINGING = 12.0  # a rigid gear's error goes with the square of this: 0.7 %
-# Rows that come again make the residuals out look like certainty: the rigid step, asked
-# with two periods, now and then took far too narrow a band.
-_MOST_PERIODS = 20
-_WANTED = 0.002  # deviation of each rigid parameter, of its size, from the encoders' noise alone
-_HEARD = 5.0  # the rigid step's low-pass over the motion's highest frequency
-_LEADS = np.arange(1.0, 10.5, 0.5)  # [s] of the way in and the way out
-_SMALLER = 0.93  # where the simulated arm breaks a limit after all
-_TRIES = 20
+_MAX_MOTION_HZ = 1.0  # highest frequency of the motion
+_MIN_RESONANCE_RATIO = 12.0  # anti-resonance over motion: the error of a rigid gear is 1/12^2
+_MAX_PERIODS = 20
+_TARGET_RELATIVE_STD = 0.002  # of each rigid parameter, due to the noise of the encoders
+_LOW_PASS_RATIO = 5.0  # bandwidth of the rigid step over the highest frequency of the motion
+_LEAD_TIMES = np.arange(1.0, 10.5, 0.5)  # [s] candidates for lead-in and lead-out
+_REDUCTION_FACTOR = 0.93  # per attempt, if the simulated arm violates a limit
+_MAX_ATTEMPTS = 20
 
 
 def motion_records(
@@ -45,46 +43,47 @@ def motion_records(
     starts: int,
     seed: int,
 ) -> tuple[Planned, ...]:
-    """The best motion, to be fitted, and the second best, to be predicted.
+    """Record of the best motion, to be fitted, and of the second best, for validation.
 
-    `values`: (name, joint) -> value of the guessed arm. `anti_resonance_hz`: Lowest of the arm;
-    None: its gears are rigid. `starts`: Of the search, two or more. Raises `InvalidInput`: The
-    drives cannot hold the arm. Raises `LimitBroken`: No motion keeps to the limits.
+    `anti_resonance_hz` is the lowest of the arm, None for rigid gears. Raises InvalidInput if the
+    drives cannot hold the arm, and LimitBroken if no motion satisfies the limits.
     """
-    top = min(_TOP_HZ, anti_resonance_hz / _BELOW_RINGING) if anti_resonance_hz else _TOP_HZ
+    top = _MAX_MOTION_HZ
+    if anti_resonance_hz:
+        top = min(top, anti_resonance_hz / _MIN_RESONANCE_RATIO)
     tick = clock_of(arm)
     period = tick * round(HARMONICS / top / tick)
     search = Search(arm, values, limits, period)
-    still = np.zeros((1, arm.n_joints))
-    if not search.within((still, still, still)):
+    rest = np.zeros((1, arm.n_joints))
+    if not search.within((rest, rest, rest)):
         raise InvalidInput(
-            "the drives can hardly hold the guessed arm at zero angles",
+            "the drives are too weak to hold the guessed arm at zero angles",
             where="--limit-voltage",
-            remedy="check torque_per_volt, the gravity torques and the limit",
+            remedy="check torque_per_volt, the gravity torques and the voltage limit",
         )
-    found = optimised(arm, values, limits, period=period, starts=starts, seed=seed)
+    motions = optimise(arm, values, limits, period=period, starts=starts, seed=seed)
     uses: tuple[tuple[str, Use], ...] = (("motion", "motion"), ("motion-check", "check"))
     return tuple(
-        _record(search, values, series, *use) for series, use in zip(found, uses, strict=False)
+        _record(search, values, series, *use) for series, use in zip(motions, uses, strict=False)
     )
 
 
 def _record(search: Search, values: Values, series: Fourier, name: str, use: Use) -> Planned:
-    """The record of one series, made smaller until the simulated arm keeps to all limits."""
+    """Record of one series, reduced until the simulated arm satisfies all limits."""
     arm, limits = search.arm, search.limits
     periods, reason = _periods(search, values, series)
-    for _ in range(_TRIES):
+    for _ in range(_MAX_ATTEMPTS):
         drive, angle, lead = _drive(search, values, series, periods)
-        seen = predicted_motion(run(arm, values, drive, drive.tick))
-        if seen.use_of(limits) <= 1.0:
+        motion = predicted_motion(run(arm, values, drive, drive.tick))
+        if motion.use_of(limits) <= 1.0:
             break
-        series = replace(series.scaled(_SMALLER), offset=_SMALLER * series.offset)
+        series = replace(series.scaled(_REDUCTION_FACTOR), offset=_REDUCTION_FACTOR * series.offset)
     else:
         raise LimitBroken(
-            f"no motion of the guessed arm keeps to the limits: even of a small one "
-            f"{seen.broken(limits)}",
+            f"no motion of the guessed arm satisfies the limits: even in a small motion "
+            f"{motion.broken(limits)}",
             where=name,
-            remedy="give a wider limit if the arm bears it, or check the servo's gains and the "
+            remedy="widen the limit if the arm allows it, or check the servo gains and the "
             "parameters",
         )
     condition = float(condition_number(arm, limits, series.at(search.time)))
@@ -93,12 +92,12 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / series.period, HARMONICS / series.period),
-        predicted=seen,
+        predicted=motion,
         reasons=(
             f"{HARMONICS} harmonics of {1.0 / series.period:.3g} Hz, condition number "
             f"{condition:.1f} after scaling of columns",
             reason,
-            f"{lead:g} s each to begin and end at standstill",
+            f"{lead:g} s of lead-in and of lead-out",
         ),
         condition_number=condition,
     )
@@ -107,21 +106,21 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
 def _drive(
     search: Search, values: Values, series: Fourier, periods: int
 ) -> tuple[Drive, FloatArray, float]:
-    """References of a whole record, the motor angles meant, and the seconds of the way in."""
+    """References of a complete record, the intended motor angles, and the lead time [s]."""
     arm = search.arm
     tick = clock_of(arm)
-    still = np.zeros(arm.n_joints)
-    rest = (still, still, still)
+    zero = np.zeros(arm.n_joints)
+    rest = (zero, zero, zero)
     joint_state = [x[0] for x in series.at(np.zeros(1))]
-    for lead in _LEADS:
+    for lead in _LEAD_TIMES:
         time = _ticks(lead, tick)
-        into, out = quintic(rest, joint_state, time), quintic(joint_state, rest, time)
-        if search.within(into) and search.within(out):
+        lead_in, lead_out = quintic(rest, joint_state, time), quintic(joint_state, rest, time)
+        if search.within(lead_in) and search.within(lead_out):
             break
     steady = series.at(_ticks(periods * series.period, tick))
     ratio = arm.gear_ratios
-    angle = np.concatenate([into[0], steady[0], out[0]]) / ratio
-    # the servo counts the encoder's steps, so what it receives is the angle's difference
+    angle = np.concatenate([lead_in[0], steady[0], lead_out[0]]) / ratio
+    # the servo differentiates the encoder reading, so its reference is the difference of the angle
     reference = np.diff(angle, axis=0, append=angle[-1:]) / tick
     start = tuple(0.0 for _ in ratio)
     drive = Drive(
@@ -141,48 +140,51 @@ def _ticks(duration: float, tick: float) -> FloatArray:
 
 
 def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]:
-    """How often to go round, and why.
+    """Number of periods, and its reason.
 
-    The encoder's rounding, q^2/12 at each tick, becomes an error of the acceleration behind the
-    rigid step's low-pass B of variance (2 pi)^4 B^5/5 S, S = 2 tick q^2/12; with the rigid
-    inertia it is an error of the torque, independent 2 B times a second.
+    The encoder's rounding has the variance q^2/12 at each tick. After the rigid step's low-pass B
+    it becomes an error of the acceleration with variance (2 pi)^4 B^5/5 S, S = 2 tick q^2/12.
+    Multiplied by the rigid inertia it is an error of the torque, independent 2 B times per second.
     """
     arm = search.arm
-    once = "1 period, as a repetition shows noise but no new motion"
+    single = "1 period, because a repetition only averages noise"
     counts = [joint.encoder_counts for joint in arm.joints]
     if not all(counts):
-        return 1, f"{once}; the encoders' noise is not known"
+        return 1, f"{single}; the encoder noise is unknown"
     motion = series.at(search.time)
     phi = full_regressor(arm, motion)
-    heard = _HEARD * HARMONICS / series.period
+    bandwidth = _LOW_PASS_RATIO * HARMONICS / series.period
     rounding = np.array([2.0 * np.pi / count for count in counts if count])
     density = 2.0 * clock_of(arm) * rounding**2 / 12.0
-    acceleration = np.sqrt((2.0 * np.pi) ** 4 * heard**5 / 5.0 * density)
+    acceleration = np.sqrt((2.0 * np.pi) ** 4 * bandwidth**5 / 5.0 * density)
     rows = phi / (_inertia_at_motor(search) * acceleration)[:, None]
-    rows = rows.reshape(-1, rows.shape[2]) * np.sqrt(2.0 * heard * series.period / len(motion[0]))
-    deviation = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+    n_independent = 2.0 * bandwidth * series.period
+    rows = rows.reshape(-1, rows.shape[2]) * np.sqrt(n_independent / len(motion[0]))
+    std = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
     sizes = _sizes(arm, values)
-    worst = max(d / sizes[k] for k, d in enumerate(deviation) if k in sizes)
-    needed = int(np.ceil((worst / _WANTED) ** 2))
+    worst = max(s / sizes[k] for k, s in enumerate(std) if k in sizes)
+    needed = int(np.ceil((worst / _TARGET_RELATIVE_STD) ** 2))
     if needed == 1:
-        return 1, f"{once}, and the encoders' leaves {100.0 * worst:.2g} % of the worst parameter"
-    periods = min(needed, _MOST_PERIODS)
-    many = f"{periods} periods" if needed == periods else f"{periods} periods at most"
-    left = 100.0 * worst / np.sqrt(periods)
-    return periods, f"{many}, as the encoders' noise leaves {left:.2g} % of the worst parameter"
+        text = f"{single}; the encoder noise causes a standard deviation of {100.0 * worst:.2g} %"
+        return 1, f"{text} of the worst parameter"
+    periods = min(needed, _MAX_PERIODS)
+    count = f"{periods} periods" if needed == periods else f"the maximum of {periods} periods"
+    remaining = 100.0 * worst / np.sqrt(periods)
+    text = f"{count}, for a standard deviation of {remaining:.2g} % of the worst parameter"
+    return periods, f"{text} due to encoder noise"
 
 
 def _inertia_at_motor(search: Search) -> FloatArray:
-    """What each motor has to turn with the arm stretched, friction left out: (n_joints,)."""
+    """Inertia of each joint, motor side, with the arm stretched: (n_joints,)."""
     n = search.arm.n_joints
-    still = np.zeros((n, n))
-    moved = search.arm.inverse_dynamics(search.vector, still, still, np.eye(n))
-    unmoved = search.arm.inverse_dynamics(search.vector, still, still, still)
-    return np.asarray(np.diag(moved - unmoved) * search.arm.gear_ratios)
+    rest = np.zeros((n, n))
+    accelerated = search.arm.inverse_dynamics(search.vector, rest, rest, np.eye(n))
+    static = search.arm.inverse_dynamics(search.vector, rest, rest, rest)
+    return np.asarray(np.diag(accelerated - static) * search.arm.gear_ratios)
 
 
 def _sizes(arm: Arm, values: Values) -> dict[int, float]:
-    """Column of the regressor -> size of its parameter, where the guess has one."""
+    """Magnitudes of the guessed rigid parameters that are not zero, by column of the regressor."""
     sizes = {}
     for k, column in enumerate(arm.rigid_columns):
         size = abs(values.get((column.name, column.joint), 0.0))
@@ -192,17 +194,17 @@ def _sizes(arm: Arm, values: Values) -> dict[int, float]:
 
 
 def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: FloatArray) -> Motion:
-    """The polynomial of fifth degree between two states of angle, velocity and acceleration.
+    """Polynomial of fifth degree between two states of angle, velocity and acceleration.
 
-    `start`, `stop`: Angle, velocity, acceleration at `time` 0 and one tick after its last entry.
-    `time` (n_samples,) [s]: Uniform from zero.
+    The states are those at `time` 0 and one tick after its last entry. `time` (n_samples,) is
+    uniform from zero.
     """
     T = float(time[-1] + time[1] - time[0])
     powers = np.arange(6.0)
     rows = []
-    for at in (0.0, T):
+    for end in (0.0, T):
         for order in range(3):
-            rows.append(_power_rows(np.array([at]), powers, order)[0])
+            rows.append(_power_rows(np.array([end]), powers, order)[0])
     coefficients = np.linalg.solve(np.array(rows), np.array([*start, *stop]))
     angle, velocity, acceleration = (
         _power_rows(time, powers, order) @ coefficients for order in range(3)

@@ -1,4 +1,4 @@
-"""What a design is made of: limits in, planned records with their predicted motion out."""
+"""Records of a design: limits, planned records and their predicted motion."""
 
 from __future__ import annotations
 
@@ -21,53 +21,52 @@ from strainwave.errors import InvalidInput
 FREE: Control = "open"
 HELD: Control = "servo"
 ADD_SERVO = (
-    'add [servo] to the study, as the drives have it: kind = "pi-velocity", period [s], '
-    "kp [V s/rad] and ki [V/rad] one per joint, limit [V]"
+    'add the [servo] of the drives to the study: kind = "pi-velocity", period [s], '
+    "kp [V s/rad] and ki [V/rad] for each joint, limit [V]"
 )
-_WHOLE_TURN = 2.0 * np.pi  # [rad] of a link: more to either side are degrees, most likely
-_FASTEST = 2000.0  # [rad/s], 19,000 rpm: beyond the servo motors of robots
-_USUAL_CLOCK = 1e-3  # [s] of a drive whose servo is not described
+_MAX_ANGLE_LIMIT = 2.0 * np.pi  # [rad] of a link; a larger limit is probably in degrees
+_MAX_VELOCITY_LIMIT = 2000.0  # [rad/s] 19,000 rpm, more than servo motors of robots reach
+_DEFAULT_CLOCK = 1e-3  # [s] of a drive whose servo is not described
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What no experiment may exceed, one number a joint."""
+    """Limits of all experiments, one number per joint."""
 
-    angle: tuple[float, ...]  # [rad] of the link, to both sides of zero
+    angle: tuple[float, ...]  # [rad] magnitude of the link angle
     velocity: tuple[float, ...]  # [rad/s] of the motor
-    voltage: tuple[float, ...]  # [V] of the drive; [N m] where torque is commanded
-    gear_torque: tuple[float, ...]  # [N m] at the link; infinite: not asked for
+    voltage: tuple[float, ...]  # [V] of the drive; [N m] if torque is commanded
+    gear_torque: tuple[float, ...]  # [N m] link side; infinite: no limit
 
 
 @dataclass(frozen=True, slots=True)
 class PredictedMotion:
-    """What the guessed arm does in a record, one number a joint."""
+    """Peak values of a simulated record of the guessed arm."""
 
-    angle: FloatArray  # (n_joints,) [rad] largest magnitude of the link's
-    velocity: FloatArray  # (n_joints,) [rad/s] of the motor's
+    angle: FloatArray  # (n_joints,) [rad] of the links
+    velocity: FloatArray  # (n_joints,) [rad/s] of the motors
     voltage: FloatArray  # (n_joints,) [V]
     gear_torque: FloatArray  # (n_joints,) [N m]
-    rest_share: FloatArray  # (n_joints,) part of the time in which the motor stands
+    rest_share: FloatArray  # (n_joints,) share of the time in which the motor sticks
 
     def use_of(self, limits: Limits) -> float:
-        """The largest share of any limit that is used; above one, a limit is broken."""
-        return max(float((used / limit).max()) for *_, used, limit in self._beside(limits))
+        """Largest value over its limit; above 1 a limit is violated."""
+        return max(float((value / limit).max()) for *_, value, limit in self._pairs(limits))
 
     def broken(self, limits: Limits) -> str:
-        """Which limits are broken, by how much, and what would do instead; empty: none."""
-        found = [
-            f"the {what} of joint {i + 1} would be {used[i]:.3g} {unit} "
-            f"of {limit[i]:.3g} ({option})"
-            for what, unit, option, used, limit in self._beside(limits)
-            for i in range(len(used))
-            if used[i] > limit[i]
-        ]
-        return ", ".join(found)
+        """Text of the violated limits with their options; empty if none is violated."""
+        return ", ".join(
+            f"the {name} of joint {i + 1} would be {value[i]:.3g} {unit}, above the limit of "
+            f"{limit[i]:.3g} ({option})"
+            for name, unit, option, value, limit in self._pairs(limits)
+            for i in range(len(value))
+            if value[i] > limit[i]
+        )
 
-    def _beside(
+    def _pairs(
         self, limits: Limits
     ) -> tuple[tuple[str, str, str, FloatArray, tuple[float, ...]], ...]:
-        """What it is called, its unit and option; what is used, and the limit."""
+        """Name, unit, option, value and limit of each limited quantity."""
         return (
             ("angle", "rad", "--limit-angle", self.angle, limits.angle),
             ("motor velocity", "rad/s", "--limit-velocity", self.velocity, limits.velocity),
@@ -77,58 +76,57 @@ class PredictedMotion:
 
 
 class LimitBroken(InvalidInput):
-    """No size of an experiment keeps the guessed arm within its limits."""
+    """No amplitude of an experiment keeps the guessed arm within its limits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """One record to be taken."""
+    """One record to be recorded."""
 
     experiment: Experiment
     drive: Drive
-    motor_angle: FloatArray | None  # (n_ticks, n_joints) [rad] that is meant; None: not prescribed
-    band_hz: tuple[float, float]  # in which the arm is excited
+    motor_angle: FloatArray | None  # (n_ticks, n_joints) [rad] intended; None: not prescribed
+    band_hz: tuple[float, float]  # of the excitation
     predicted: PredictedMotion
-    reasons: tuple[str, ...]  # how long, and why, a sentence each
+    reasons: tuple[str, ...]  # of excitation and duration, one clause each
     condition_number: float | None = None  # of the rigid regressor, columns scaled
 
     @property
     def duration(self) -> float:
-        """[s] of the whole record."""
+        """Duration [s] of the record."""
         return len(self.drive.voltage) * self.drive.tick
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """All records of an arm, and what to know before they are taken."""
+    """All planned records of an arm, with warnings."""
 
-    study: Study  # with the planned experiments, whose logs are still to be recorded
+    study: Study  # with the planned experiments, whose logs do not exist yet
     limits: Limits
     records: tuple[Planned, ...]
     warnings: tuple[Diagnostic, ...]
-    precision: tuple[Parameter, ...] = ()  # that the whole-arm fit would have, at the guess
+    precision: tuple[Parameter, ...] = ()  # predicted for the whole-arm fit
 
 
 def limits_of(
     arm: ArmDescription, angle: str, velocity: str, voltage: str | None, gear_torque: str | None
 ) -> Limits:
-    """The limits as they are written on the command line.
+    """Limits from texts of the command line: one positive number, or one per joint with commas.
 
-    `arm`: Its servo's limit holds as well. `angle`, `velocity`: One number, or one per joint with
-    commas between. `voltage`: The servo's limit without; required where there is no servo.
-    `gear_torque`: None without. Raises `InvalidInput`: One is not a positive number, or there are
-    not as many as joints.
+    The servo's limit applies to the voltage in addition; without a servo a voltage limit is
+    required. Raises InvalidInput if a number is missing, not positive or implausible.
     """
     if voltage is None and arm.servo is None:
         raise InvalidInput(
-            "the drives' limit is not known: there is no [servo] table that has it",
+            "the voltage limit of the drives is unknown because the study has no [servo] table",
             where="--limit-voltage",
-            remedy=f"give it in V, or {ADD_SERVO}",
+            remedy=f"set it in V, or {ADD_SERVO}",
         )
-    largest = arm.servo.limit if arm.servo else float("inf")
-    top = (largest,) * arm.n_joints
-    given = top if voltage is None else _numbers(voltage, arm.n_joints, "--limit-voltage")
-    any_torque = (float("inf"),) * arm.n_joints
+    servo_limit = (arm.servo.limit if arm.servo else float("inf"),) * arm.n_joints
+    voltages = (
+        servo_limit if voltage is None else _numbers(voltage, arm.n_joints, "--limit-voltage")
+    )
+    no_limit = (float("inf"),) * arm.n_joints
     angles = _numbers(angle, arm.n_joints, "--limit-angle")
     velocities = _numbers(velocity, arm.n_joints, "--limit-velocity")
     for i, joint in enumerate(arm.joints):
@@ -137,35 +135,36 @@ def limits_of(
     return Limits(
         angle=angles,
         velocity=velocities,
-        voltage=tuple(min(pair) for pair in zip(given, top, strict=True)),
-        gear_torque=any_torque
+        voltage=tuple(min(pair) for pair in zip(voltages, servo_limit, strict=True)),
+        gear_torque=no_limit
         if gear_torque is None
         else _numbers(gear_torque, arm.n_joints, "--limit-torque"),
     )
 
 
 def _check_plausible(angle: float, velocity: float, joint: int) -> None:
-    """Refuse limits that look like degrees or revolutions per minute."""
-    if angle > _WHOLE_TURN:
+    """Raise InvalidInput if a limit seems to be in degrees or revolutions per minute."""
+    if angle > _MAX_ANGLE_LIMIT:
         raise InvalidInput(
-            f"joint {joint} would be let turn {angle:g} rad, {angle / _WHOLE_TURN:.3g} whole turns "
-            "to either side",
+            f"the angle limit of joint {joint} is {angle:g} rad, more than a full turn in each "
+            "direction",
             where="--limit-angle",
-            remedy=f"give rad: {angle:g} degrees are {np.radians(angle):.4g} rad; a joint that "
-            "turns without end gets 6.28 at most",
+            remedy=f"use rad: {angle:g} degrees are {np.radians(angle):.4g} rad; the largest "
+            "limit, for a joint without stops, is 6.28",
         )
-    if velocity > _FASTEST:
+    if velocity > _MAX_VELOCITY_LIMIT:
         raise InvalidInput(
-            f"the motor of joint {joint} would be let turn at {velocity:g} rad/s, "
-            f"{60.0 * velocity / _WHOLE_TURN:.0f} revolutions a minute",
+            f"the velocity limit of joint {joint} is {velocity:g} rad/s, "
+            f"{velocity * 30.0 / np.pi:.0f} rpm at the motor",
             where="--limit-velocity",
-            remedy=f"give rad/s at the motor: {velocity:g} rpm are {velocity * np.pi / 30.0:.4g}",
+            remedy=f"use rad/s of the motor: {velocity:g} rpm are {velocity * np.pi / 30.0:.4g} "
+            "rad/s",
         )
 
 
 def clock_of(arm: ArmDescription) -> float:
-    """The clock of what is planned [s]: the servo's, or that of a usual drive."""
-    return arm.servo.period if arm.servo else _USUAL_CLOCK
+    """Clock [s] of the planned inputs: the servo's, or that of a common drive."""
+    return arm.servo.period if arm.servo else _DEFAULT_CLOCK
 
 
 def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
@@ -175,8 +174,8 @@ def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
         values = []
     if len(values) not in (1, count) or not all(0.0 < value < float("inf") for value in values):
         raise InvalidInput(
-            f"{text!r} is neither one positive number nor {count} with commas between",
+            f"{text!r} is neither one positive number nor {count} numbers with commas",
             where=option,
-            remedy="give one limit for all joints, or one per joint, such as 1.2,0.9",
+            remedy="set one limit for all joints, or one per joint, such as 1.2,0.9",
         )
     return tuple(values * count if len(values) == 1 else values)

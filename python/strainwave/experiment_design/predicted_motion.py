@@ -1,4 +1,4 @@
-"""A planned drive on the guessed arm: how far, how fast, how hard, and whether it ever rests."""
+"""Simulation of a planned drive on the guessed arm."""
 
 from __future__ import annotations
 
@@ -21,11 +21,7 @@ _QUANTITIES: tuple[Quantity, ...] = (
 
 
 def run(arm: Arm, values: Values, drive: Drive, sample_time: float) -> Trajectory:
-    """The guessed arm's answer to a drive.
-
-    `values`: (name, joint) -> value. `sample_time` [s]. Returns: With all that `predicted_motion`
-    looks at, and the accelerometers.
-    """
+    """Response of the guessed arm to a drive: limited quantities and accelerometers."""
     samples = round(len(drive.voltage) * drive.tick / sample_time)
     return simulate(
         arm, values, drive, sample_time=sample_time, samples=samples, record=_QUANTITIES
@@ -33,7 +29,7 @@ def run(arm: Arm, values: Values, drive: Drive, sample_time: float) -> Trajector
 
 
 def predicted_motion(trajectory: Trajectory) -> PredictedMotion:
-    """The largest magnitudes of a run, and the part of it in which each motor stands."""
+    """Peak values of a simulation, and the share of time in which each motor sticks."""
 
     def peak(name: Quantity) -> FloatArray:
         return np.asarray(np.abs(trajectory[name]).max(axis=0))

@@ -1,4 +1,4 @@
-"""What a person reads in the terminal after a design."""
+"""Terminal output of a design."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from strainwave.experiment_design.command_table import table_name
 from strainwave.experiment_design.plan import Design, Planned, clock_of
 from strainwave.experiment_design.written import HEADER
 
+_NORMAL_95 = 1.96  # standard deviations in the half-width of a 95 % confidence interval
 _NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 
 
 def print_design(design: Design, folder: Path, *, console: Console | None = None) -> None:
-    """Print what each record will do to the arm, how long to record and why, and the warnings.
+    """Print the predicted motion, duration and reasons of each record, and the warnings.
 
-    `folder`: Where it was written. `console`: The terminal, if not standard output.
+    `folder` is where the design was written.
     """
     console = console or Console(highlight=False)
     console.print(_table(design))
     for record in design.records:
-        why = "; ".join(record.reasons)
-        console.print(Text(f"{record.experiment.name}: {record.duration:.1f} s. {why}."))
+        reasons = "; ".join(record.reasons)
+        console.print(Text(f"{record.experiment.name}: {record.duration:.1f} s. {reasons}."))
     console.print(Text(f"log every {1e3 * clock_of(design.study.arm):g} ms or faster"))
     for line in _precision(design):
         console.print(Text(line))
@@ -37,29 +38,29 @@ def print_design(design: Design, folder: Path, *, console: Console | None = None
     for name in (*map(table_name, design.study.experiments), HEADER, "study.toml"):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     logs = ", ".join(record.experiment.file for record in design.records)
-    console.print(Text(f"still to be recorded, beside study.toml: {logs}"), soft_wrap=True)
+    console.print(Text(f"to be recorded, next to study.toml: {logs}"), soft_wrap=True)
 
 
 def _precision(design: Design) -> Iterator[str]:
-    """The sensors that are planned for, and the intervals they would give of gears and inertias."""
-    own = [p for p in design.precision if p.name.startswith(_NAMES) and p.value and p.std]
-    if not own:
+    """Planned sensors, and the predicted confidence intervals of gears and inertias."""
+    parameters = [p for p in design.precision if p.name.startswith(_NAMES) and p.value and p.std]
+    if not parameters:
         return
     yield (
-        f"planned for {', '.join(_sensors(design.study))}; on the guessed arm their noise alone"
-        " would leave these 95 % half-widths:"
+        f"sensors: {', '.join(_sensors(design.study))}; predicted half-widths of the 95 %"
+        " confidence intervals on the guessed arm:"
     )
     for number in range(1, design.study.arm.n_joints + 1):
         parts = [
-            f"{p.name} {196.0 * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
-            for p in own
+            f"{p.name} {100.0 * _NORMAL_95 * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
+            for p in parameters
             if p.joint == number
         ]
         yield f"joint {number}: {', '.join(parts)}"
 
 
 def _sensors(study: Study) -> Iterator[str]:
-    """What each joint declares."""
+    """Sensors of each joint."""
     for number, joint in enumerate(study.arm.joints, start=1):
         named = [
             f"encoder of {joint.encoder_counts:g} counts" if joint.encoder_counts else "encoder"
@@ -72,7 +73,7 @@ def _sensors(study: Study) -> Iterator[str]:
 
 
 def _table(design: Design) -> Table:
-    """A row a record and joint, with the limits at the end."""
+    """One row per record and joint, followed by the limits."""
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
     table.add_column("predicted, SI units", no_wrap=True)
     for head in ("joint", "angle", "motor speed", "voltage", "gear torque", "standstill"):
@@ -81,24 +82,24 @@ def _table(design: Design) -> Table:
     limits = design.limits
     for i in range(design.study.arm.n_joints):
         bounds = (limits.angle, limits.velocity, limits.voltage, limits.gear_torque)
-        shown = (f"{bound[i]:.3g}" if np.isfinite(bound[i]) else "" for bound in bounds)
-        rows.append(("limit", str(i + 1), *shown, ""))
+        texts = (f"{bound[i]:.3g}" if np.isfinite(bound[i]) else "" for bound in bounds)
+        rows.append(("limit", str(i + 1), *texts, ""))
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     return table
 
 
 def _rows(record: Planned) -> list[tuple[str, ...]]:
-    seen = record.predicted
+    motion = record.predicted
     return [
         (
             record.experiment.name,
             str(i + 1),
-            f"{seen.angle[i]:.3g}",
-            f"{seen.velocity[i]:.3g}",
-            f"{seen.voltage[i]:.3g}",
-            f"{seen.gear_torque[i]:.3g}",
-            f"{100.0 * seen.rest_share[i]:.0f} %",
+            f"{motion.angle[i]:.3g}",
+            f"{motion.velocity[i]:.3g}",
+            f"{motion.voltage[i]:.3g}",
+            f"{motion.gear_torque[i]:.3g}",
+            f"{100.0 * motion.rest_share[i]:.0f} %",
         )
-        for i in range(len(seen.angle))
+        for i in range(len(motion.angle))
     ]

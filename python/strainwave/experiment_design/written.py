@@ -1,4 +1,4 @@
-"""A design as files: tables, a C header with the same arrays, and the study to identify from."""
+"""Files of a design: tables, a C header with the same arrays, and the study file."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from strainwave.io.atomic_files import write_whole
 from strainwave.io.study import write_study
 
 HEADER = "excitation.h"
-_PER_LINE = 8
+_VALUES_PER_LINE = 8  # of the C header
 
 
 def write(design: Design, folder: Path) -> None:
-    """Write one table a record, the header, and then study.toml, whose logs are to be recorded.
+    """Write one table per record, the header, and study.toml, whose logs do not exist yet.
 
-    `folder`: Made where it does not exist. Raises `InvalidInput`: The folder cannot be written to.
+    Creates the folder. Raises InvalidInput if it cannot be written.
     """
     contents = {
         table_name(record.experiment): _csv(_columns(design.study, record)).encode()
@@ -42,10 +42,10 @@ def _csv(columns: dict[str, FloatArray]) -> str:
 
 
 def _c_header(design: Design) -> str:
-    """The tables' columns but time as C arrays, and each record's tick."""
+    """All columns except time as C arrays, and the tick of each record."""
     parts = [
-        "/* Experiments by strainwave, SI units, one value a tick. A joint without an array gets",
-        "   no voltage of its own; under a servo its velocity reference is zero. */",
+        "/* Experiments designed by strainwave. SI units, one value per tick. The voltage of a",
+        "   joint without an array is zero; under a servo its velocity reference is zero. */",
         "#ifndef STRAINWAVE_EXCITATION_H",
         "#define STRAINWAVE_EXCITATION_H",
     ]
@@ -63,7 +63,8 @@ def _c_header(design: Design) -> str:
             parts.append(f"static const double {name}_{channel}[{len(array)}] = {{ /* {unit} */")
             texts = [f"{value:.9g}" for value in array]
             parts += [
-                ",".join(texts[k : k + _PER_LINE]) + "," for k in range(0, len(texts), _PER_LINE)
+                ",".join(texts[k : k + _VALUES_PER_LINE]) + ","
+                for k in range(0, len(texts), _VALUES_PER_LINE)
             ]
             parts.append("};")
     return "\n".join([*parts, "", "#endif", ""])

@@ -279,7 +279,7 @@ def test_a_law_that_is_gone_is_refused(registered: GearLaw, tmp_path: Path) -> N
 
 
 def test_a_law_must_not_change_what_is_known(registered: GearLaw) -> None:
-    with pytest.raises(InvalidInput, match="already"):
+    with pytest.raises(InvalidInput, match="exists already"):
         gear_laws.register(registered)
 
     class Other(Linear):
@@ -290,7 +290,10 @@ def test_a_law_must_not_change_what_is_known(registered: GearLaw) -> None:
         name = "unknown"
         parameters = (GearParameter("gear_compliance"),)
 
-    for law, problem in ((Other(), "another in another law"), (Unknown(), "none of the core's")):
+    for law, problem in (
+        (Other(), "different meaning in another law"),
+        (Unknown(), "not a parameter of the compiled core"),
+    ):
         with pytest.raises(InvalidInput, match=problem):
             gear_laws.register(law)
         assert law.name not in gear_laws.names()

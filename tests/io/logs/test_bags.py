@@ -280,7 +280,7 @@ FAULTS = {
     "no field": ('a1 = { topic = "/imu1" }\n', "the key 'field' is missing"),
     "both": (
         'a1 = { topic = "/imu1", field = "x", column = "y" }\n',
-        "the key 'column' is not known",
+        "the key 'column' is unknown",
     ),
     "time": ('t = "/imu1.header"\n', "no field 'header'"),
     "own time": (line("t", "/imu1", "linear_acceleration.y"), "stamps of their own"),

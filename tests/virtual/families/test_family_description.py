@@ -38,7 +38,7 @@ def test_a_family_is_the_table_that_it_was_read_from() -> None:
     [
         ("", "the key 'arms' is missing"),
         ("arms = 0", "'arms' is 0"),
-        ("arms = 3\nsees = 4", "the key 'sees' is not known"),
+        ("arms = 3\nsees = 4", "the key 'sees' is unknown"),
         ("arms = 3\nsizes = [15]", "'sizes' has 15, which cannot be drawn"),
         ("arms = 3\nsizes = []", "'sizes' is []"),
         ("arms = 3\nratios = [0.01]", "'ratios' is [0.01]"),
@@ -54,7 +54,7 @@ def test_a_family_is_the_table_that_it_was_read_from() -> None:
         ("arms = 3\nfriction = { coulomb = [2.0, 1.0] }", "the range of 'friction' from 2 to 1"),
         ("arms = 3\nfriction = { viscous = [2.0, 1.0] }", "the range of 'friction' from 2 to 1"),
         ("arms = 3\nsensors = { noise = [2.0, 1.0] }", "the range of 'sensors' from 2 to 1"),
-        ("arms = 3\nfriction = { dry = 1.0 }", "the key 'dry' is not known"),
+        ("arms = 3\nfriction = { dry = 1.0 }", "the key 'dry' is unknown"),
         ('arms = 3\nsensors = { link = ["camera"] }', "'link' is ['camera']"),
         ("arms = 3\nseed = -1", "'seed' is -1"),
     ],

@@ -1,8 +1,8 @@
-"""Effects beside spring and dry friction: `effects` of a study's `[[joint]]`, one file each.
+"""Effects: optional terms of the joint model, one file for each name in `effects` of a study.
 
-A new effect is a file beside these, a line below, and its equations in `rust/core/src/joint`; or,
-as a `RecordEffect`, what it changes of the core's parameters and initial states in a record. All
-others loop over the effects and name none.
+A new effect needs a file in this package, an entry in `_EFFECTS`, and its equations in
+`rust/core/src/joint`. A `RecordEffect` needs no equations: it states how parameters and initial
+states of the core change in a record. All other code loops over the registered effects.
 """
 
 from __future__ import annotations
@@ -72,32 +72,29 @@ _EFFECTS = Registry[Effect](
 
 
 def effect_named(name: str) -> Effect:
-    """An effect by its name.
-
-    `name`: As in `effects` of a study file. Raises `InvalidInput`: There is none of that name.
-    """
+    """The effect with a name. Raises InvalidInput if there is none."""
     return _EFFECTS[name]
 
 
 def names() -> tuple[str, ...]:
-    """Of all effects, in the order in which they were registered."""
+    """Names of all effects in the order of registration."""
     return _EFFECTS.names()
 
 
 def all_effects() -> tuple[Effect, ...]:
-    """In the order in which they were registered."""
+    """All effects in the order of registration."""
     return _EFFECTS.all()
 
 
 def register(effect: Effect) -> None:
-    """Make an effect known, so that studies can name it and fits test for it.
+    """Register an effect, so that studies can name it and fits test for it.
 
-    Raises `InvalidInput`: There is one of that name, one of its parameters is none of the core's or
-    is a size here and a shape in another effect, or a size cannot be zero.
+    Raises InvalidInput if the name is taken, if the core does not know a parameter, if a parameter
+    is a size here and a shape in another effect, or if a size cannot be zero.
     """
     _EFFECTS.check_new(effect.name)
     for name in effect.names:
-        problem = _fault(effect, name)
+        problem = _parameter_fault(effect, name)
         if problem:
             raise InvalidInput(
                 f"the parameter {name!r} of the effect {effect.name!r} {problem}",
@@ -106,21 +103,18 @@ def register(effect: Effect) -> None:
     _EFFECTS.add(effect)
 
 
-def _fault(effect: Effect, name: str) -> str | None:
-    """What keeps a parameter from being one of an effect's."""
+def _parameter_fault(effect: Effect, name: str) -> str | None:
+    """Reason why a parameter cannot belong to an effect; None if it can."""
     if name not in parameter_table():
-        return "is none of the core's"
+        return "is not a parameter of the compiled core"
     if name in effect.sizes and effect.described(name).range == "positive":
-        return "is a size, but cannot be zero"
+        return "is a size but cannot be zero"
     others = [other for other in _EFFECTS.all() if name in other.names]
     if any((name in other.sizes) != (name in effect.sizes) for other in others):
-        return "is another in another effect"
+        return "has a different role in another effect"
     return None
 
 
 def unregister(name: str) -> None:
-    """Forget an effect.
-
-    Raises `InvalidInput`: There is none of that name.
-    """
+    """Remove an effect. Raises InvalidInput if there is none of that name."""
     _EFFECTS.remove(name)

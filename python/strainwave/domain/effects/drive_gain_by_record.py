@@ -1,4 +1,4 @@
-"""(1 + g_r) of the drive's torque per volt: a gain that differs from record to record, (S27)."""
+"""Drive gain by record, (S27): the torque per volt is multiplied by 1 + g_r in each record."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from strainwave.domain.effects.interface import Input, KnownJoint, RecordEffect, Values
 
 _GAIN, _CHANGE = "drive_gain", "drive_gain_change"
-_TYPICAL = 0.05  # magnets that warm up by fifty kelvins, or an amplifier that drifts
+_TYPICAL_CHANGE = 0.05  # magnets that warm up by 50 K, or amplifier drift
 
 
 class DriveGainByRecord(RecordEffect):
@@ -20,22 +20,20 @@ class DriveGainByRecord(RecordEffect):
     needs: Mapping[str, float] = {_GAIN: 0.0}
     misleads_inertias = True
     description = "a torque per volt that differs from record to record"
-    consequence = (
-        "torques are scaled by an average, and inertias and stiffness lean between records"
-    )
+    consequence = "torques are scaled by an average gain, which biases inertias and stiffness"
     experiment = "measure the motor's current at a known voltage before and after the session"
     record = "several records of this joint's motion"
 
     @property
     def core_name(self) -> str | None:
-        """That of a gain in all records."""
+        """The core's effect for a gain error that is the same in all records."""
         return "drive-gain"
 
     def typical_sizes(self, joint: KnownJoint) -> Values:
-        """Some percent, the same of every drive."""
-        return {_CHANGE: _TYPICAL}
+        """The same for every drive."""
+        return {_CHANGE: _TYPICAL_CHANGE}
 
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:
-        """One plus the gain's error times one plus its change, less one."""
+        """drive_gain = (1 + g_u) (1 + g_r) - 1."""
         gain, factor = 1.0 + values.get(_GAIN, 0.0), 1.0 + values[_CHANGE]
         return (Input(_GAIN, gain * factor - 1.0, {_GAIN: factor, _CHANGE: gain}),)

@@ -1,4 +1,4 @@
-"""u less c_u of what is beyond +-u_L: an amplifier that gives less beyond a voltage, (S29)."""
+"""Drive limit, (S29): the share c_u of the voltage beyond +-u_L is lost."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from collections.abc import Mapping
 from strainwave.domain.effects.interface import Effect, KnownJoint, Values
 
 _LIMIT = "drive_limit"
-_VOLTS = 6.0  # of a common drive of 10 V
-_SHARES = (0.9, 0.75, 0.6)  # of the largest voltage
-_TYPICAL = 0.5  # of what is beyond
+_DEFAULT_LIMIT = 6.0  # [V] for a common 10 V drive, if no voltage is recorded
+_TESTED_LIMIT_SHARES = (0.9, 0.75, 0.6)  # of the largest recorded voltage
+_TYPICAL_LOSS = 0.5  # share of the voltage beyond the limit
 
 
 class DriveLimit(Effect):
-    """The amplifier clips, or nearly so."""
+    """The amplifier clips, partly or completely."""
 
     name = "drive-limit"
     sizes = ("drive_limit_loss",)
-    shapes: Mapping[str, float] = {_LIMIT: _VOLTS}
+    shapes: Mapping[str, float] = {_LIMIT: _DEFAULT_LIMIT}
     misleads_inertias = True
-    description = "a drive that gives less beyond a voltage"
-    consequence = "inertia and friction depend on how large the voltage was"
-    experiment = "measure the motor's current as the voltage rises to its largest, rotor held"
+    description = "a drive gain that falls above a voltage"
+    consequence = "inertia and friction depend on the voltage amplitude"
+    experiment = "hold the rotor and measure the motor's current up to the largest voltage"
     record = "records at several amplitudes of the voltage, up to the largest"
 
     def typical_sizes(self, joint: KnownJoint) -> Values:
-        """Half of what is beyond, the same of every drive."""
-        return {"drive_limit_loss": _TYPICAL}
+        """The same for every drive."""
+        return {"drive_limit_loss": _TYPICAL_LOSS}
 
     def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
-        """Limits below the largest voltage."""
+        """Limits below the largest recorded voltage."""
         if not joint.largest_voltage > 0.0:
             return super().tested_shapes(joint)
-        return tuple({_LIMIT: share * joint.largest_voltage} for share in _SHARES)
+        return tuple({_LIMIT: share * joint.largest_voltage} for share in _TESTED_LIMIT_SHARES)

@@ -1,6 +1,6 @@
-"""What a further effect of a joint has to say of itself.
+"""Interface of an effect of a joint.
 
-Its simulation is the core's; or it only changes what the core is given for a record.
+The compiled core simulates effects. A `RecordEffect` changes the inputs of the core instead.
 """
 
 from __future__ import annotations
@@ -22,137 +22,121 @@ Values = dict[str, float]
 
 @dataclass(frozen=True, slots=True)
 class KnownJoint:
-    """What is known of a joint before its effects are fitted."""
+    """Properties of a joint that are known before its effects are fitted."""
 
     gear_ratio: float  # n, link turns per motor turn
-    coulomb_friction: float  # [N m] at the motor
-    stiffness: float  # [N m/rad] of the gear without torsion, at the link; infinite if rigid
-    largest_torque: float  # [N m] that the gear bears in the records, at the link
-    largest_voltage: float  # [V] that the records apply
+    coulomb_friction: float  # [N m] motor side
+    stiffness: float  # [N m/rad] at zero torsion, link side; infinite if rigid
+    largest_torque: float  # [N m] of the gear in the records, link side
+    largest_voltage: float  # [V] in the records
 
 
 class Effect(ABC):
-    """What a joint may have beside its spring and dry friction.
+    """An optional term of the joint model, in addition to spring and dry friction.
 
-    Effects hold no state. Their values come by name, without the joint's number.
+    Effects hold no state. Values are passed by name, without the joint's number.
     """
 
     name: str
-    """As in `effects` of a study."""
+    """Name in `effects` of a study."""
 
     sizes: tuple[str, ...]
-    """Parameters that are zero where the effect is absent; the first of the core's."""
+    """Parameters that are zero if the effect is absent; they come first in the core."""
 
     shapes: Mapping[str, float] = {}
-    """The core's other parameters -> usual value; see `tested_shapes`."""
+    """Other parameters of the core with their usual values; see `tested_shapes`."""
 
     defaults: Mapping[str, float] = {}
-    """Shapes that values need not have -> what they are then."""
+    """Values of the shapes that may be omitted."""
 
     needs_elastic_gear: bool = False
-    """Whether a rigid gear cannot have it."""
+    """Whether only elastic gears can have the effect."""
 
     first_joint_only: bool = False
-    """Whether only what bears the first joint can have it."""
+    """Whether only the first joint can have the effect."""
 
     moves_link_encoder: bool = False
-    """Whether the zero of an encoder on the link moves: it then reads no angle in space."""
+    """Whether the effect moves a link encoder's zero, so that it measures no absolute angle."""
 
     by_record: bool = False
-    """Whether each record has sizes of its own, named by `of_record`."""
+    """Whether each record has its own sizes, named by `of_record`."""
 
     misleads_inertias: bool = False
-    """Whether its absence misleads the rigid step on inertias and gravity, not only on friction."""
+    """Whether a rigid step without it biases inertias and gravity, not only friction."""
 
     prior_std: float | None = None
-    """Standard deviation of a size about zero, before any record; None: nothing is known."""
+    """Prior standard deviation of a size around zero; None: no prior."""
 
     description: str
-    """What it is, in one line without a full stop."""
+    """Noun phrase that says what the effect is."""
 
     consequence: str
-    """What it does to the estimates of a model without it: a clause without a full stop."""
+    """Clause that says how a model without the effect errs."""
 
     experiment: str
-    """What would confirm it: an order, without a full stop."""
+    """Imperative clause: the experiment that confirms the effect."""
 
     record: str
-    """The record that its fit needs: a noun."""
+    """Noun phrase: the record that a fit of the effect needs."""
 
     @property
     def core_name(self) -> str | None:
-        """Name of the effect in the core that simulates it; None: the core does not know it."""
+        """Name of the effect in the core that simulates it; None if the core has no such effect."""
         return self.name
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters, in the core's order, without those of records."""
+        """Names of the parameters in the order of the core; records are not part of the names."""
         return (*self.sizes, *self.shapes)
 
     @property
     def required(self) -> tuple[str, ...]:
-        """Parameters that values must have."""
+        """Parameters that values must contain."""
         return tuple(name for name in self.names if name not in self.defaults)
 
     def sizes_in(self, records: Sequence[str]) -> tuple[str, ...]:
-        """Names of its sizes where some records are fitted.
-
-        `records`: Their names.
-        """
+        """Names of the sizes in a fit of the records with these names."""
         if not self.by_record:
             return self.sizes
         return tuple(of_record(name, record) for record in records for name in self.sizes)
 
     @property
     def warning_code(self) -> str:
-        """Of the warning that the residuals speak for it."""
+        """Code of the warning that the residuals support the effect."""
         return f"{self.name}-likely"
 
     @property
     def remedy(self) -> str:
-        """What to do about that warning."""
-        return f'Give the joint effects = ["{self.name}"], and {self.record}.'
+        """Remedy of that warning."""
+        return f'Set effects = ["{self.name}"] for the joint and add {self.record}.'
 
     @property
     def absent(self) -> Values:
-        """Sizes of zero, at the usual shapes."""
+        """Sizes of zero with the usual shapes."""
         return dict.fromkeys(self.sizes, 0.0) | dict(self.shapes)
 
     def described(self, name: str) -> ParameterDescription:
-        """Symbol, units and range of a parameter.
-
-        `name`: One of the effect's.
-        """
+        """Symbol, units and range of a parameter of the effect."""
         return parameter_table()[base_name(name)]
 
     def is_signed(self, name: str) -> bool:
-        """Whether a parameter may have either sign.
-
-        `name`: One of the effect's.
-        """
+        """Whether a parameter of the effect may be negative."""
         return self.described(name).range == "any"
 
     @abstractmethod
     def typical_sizes(self, joint: KnownJoint) -> Values:
-        """Sizes that the effect has in such a joint, by order of magnitude.
+        """Typical positive sizes in such a joint, by order of magnitude.
 
-        Sizes without sign start from here, signed ones from zero in steps of this.
-
-        Returns: Size -> value above zero.
+        A fit starts unsigned sizes at this value. It starts signed sizes at zero and uses this
+        value as the scale.
         """
 
     def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
-        """Sets of shapes at which a size of zero is tested, the first one always.
-
-        Returns: At least one; each shape -> value.
-        """
+        """Shapes at which the score test evaluates a size of zero: at least one set."""
         return (dict(self.shapes),)
 
     def starts(self, joint: KnownJoint) -> Values:
-        """Where a fit starts: at the first of the shapes that are tested.
-
-        Returns: Name -> value, of every parameter.
-        """
+        """Starting value of every parameter, at the first tested shape."""
         typical = self.typical_sizes(joint)
         sizes = {name: 0.0 if self.is_signed(name) else typical[name] for name in self.sizes}
         return sizes | self.tested_shapes(joint)[0]
@@ -160,33 +144,32 @@ class Effect(ABC):
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A parameter or an initial state of a joint, as a record effect has it in one record."""
+    """A parameter or an initial state of a joint that a record effect changes in one record."""
 
-    name: str  # as the core has it
-    value: float  # of a parameter; of an initial state what is added to it
-    slopes: Mapping[str, float]  # derivatives by parameters of the joint, its own among them
+    name: str  # in the core
+    value: float  # new value of a parameter; increment of an initial state
+    slopes: Mapping[str, float]  # derivatives with respect to the joint's parameters
 
 
 class RecordEffect(Effect):
-    """An effect that the core does not have: it changes what the core is given for a record.
+    """An effect that changes parameters or initial states of the core, separately in each record.
 
-    Derivatives by its sizes are combinations of those that the core has.
+    The core's derivatives give the derivatives with respect to its sizes by the chain rule.
     """
 
     prior_std: float | None = 0.3
 
     needs: Mapping[str, float] = {}
-    """Parameters of the core's effect that it acts through -> value where that is absent."""
+    """Parameters of the core's effect that it acts through, with the values of no effect."""
 
     @property
     def core_name(self) -> str | None:
-        """Name of the effect in the core that it acts through; None: of none."""
+        """Name of the core's effect that it acts through; None if it acts through no effect."""
         return None
 
     @abstractmethod
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:
-        """What it changes in one record.
+        """Changes in one record, from the joint's parameters and the effect's sizes in this record.
 
-        `values`: Parameters of the joint without its number, the effect's sizes in this record
-        without the record's name. `gear_ratio`: n, link turns per motor turn.
+        Names carry neither joint nor record. `gear_ratio` is n, link turns per motor turn.
         """

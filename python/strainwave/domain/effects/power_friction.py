@@ -1,4 +1,4 @@
-"""f_P ((|dq_M|/w + s)^p - s^p): friction that grows with a power of the velocity, (S16)."""
+"""Power friction, (S16): f_P ((|dq_M|/w + s)^p - s^p), a power of the motor velocity."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from collections.abc import Mapping
 
 from strainwave.domain.effects.interface import Effect, KnownJoint, Values
 
-_SHARE = 0.2  # of Coulomb friction
+_TYPICAL_SHARE = 0.2  # of Coulomb friction
 
 
 class PowerFriction(Effect):
-    """Grease drags less than in proportion to the velocity."""
+    """Drag of grease that grows less than in proportion to the velocity."""
 
     name = "power-friction"
     sizes = ("power_friction",)
     shapes: Mapping[str, float] = {"power_exponent": 0.5}
     description = "friction that grows with a power of the motor's velocity"
-    consequence = "Coulomb and viscous friction each take a part of it"
-    experiment = "turn the motor at several constant speeds of either sign, up to the highest"
+    consequence = "Coulomb and viscous friction each absorb a part of it"
+    experiment = "turn the motor at several constant speeds of both signs up to the highest"
     record = "a record of motion at all speeds"
 
     def typical_sizes(self, joint: KnownJoint) -> Values:
         """A share of Coulomb friction."""
-        return {"power_friction": _SHARE * joint.coulomb_friction}
+        return {"power_friction": _TYPICAL_SHARE * joint.coulomb_friction}

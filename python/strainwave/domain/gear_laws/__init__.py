@@ -1,7 +1,7 @@
-"""Elastic laws of gears: `spring` of a study's `[[joint]]` -> what the law says, one file each.
+"""Elastic laws of gears: one file for each value of `spring` in a study's `[[joint]]` table.
 
-A new law is a file beside these, a line below, and its equations in `rust/core/src/joint`. All
-others ask the law of a joint and name none.
+A new law needs a file in this package, an entry in `_LAWS`, and its equations in
+`rust/core/src/joint`. All other code asks the law of a joint.
 """
 
 from __future__ import annotations
@@ -36,38 +36,38 @@ __all__ = [
 ]
 
 RIGID = Rigid.name
-"""The law of the rigid stage."""
+"""Name of the law without elasticity, which the rigid step uses for every joint."""
 
 _LAWS = Registry[GearLaw]("gear law", "a", "spring", (Linear(), ThreeSlope(), Cubic(), Rigid()))
 
 
 def gear_law(name: str) -> GearLaw:
-    """A law by its name.
-
-    `name`: As `spring` in a study file. Raises `InvalidInput`: There is none of that name.
-    """
+    """The law with a name. Raises InvalidInput if there is none."""
     return _LAWS[name]
 
 
 def names() -> tuple[str, ...]:
-    """Of all laws, in the order in which they were registered."""
+    """Names of all laws in the order of registration."""
     return _LAWS.names()
 
 
 def register(law: GearLaw) -> None:
-    """Make a law known, so that studies can name it.
+    """Register a law, so that studies can name it.
 
-    Raises `InvalidInput`: There is one of that name, or one of its parameters is none of the core's
-    or means something else in another law.
+    Raises InvalidInput if the name is taken, if the core does not know a parameter, or if a
+    parameter has a different meaning in another law.
     """
     _LAWS.check_new(law.name)
     known = gear_parameters()
-    for own in law.parameters:
-        other = known.get(own.name, own)
-        if own.name not in parameter_table() or own != other:
-            problem = "is none of the core's" if own == other else "is another in another law"
+    unknown = "is not a parameter of the compiled core"
+    for parameter in law.parameters:
+        same_name = known.get(parameter.name, parameter)
+        if parameter.name not in parameter_table() or parameter != same_name:
+            problem = (
+                "has a different meaning in another law" if parameter != same_name else unknown
+            )
             raise InvalidInput(
-                f"the parameter {own.name!r} of the gear law {law.name!r} {problem}",
+                f"the parameter {parameter.name!r} of the gear law {law.name!r} {problem}",
                 remedy="give it another name",
             )
     _LAWS.add(law)
@@ -75,22 +75,19 @@ def register(law: GearLaw) -> None:
 
 
 def unregister(name: str) -> None:
-    """Forget a law.
-
-    Raises `InvalidInput`: There is none of that name.
-    """
+    """Remove a law. Raises InvalidInput if there is none of that name."""
     _LAWS.remove(name)
     gear_parameters.cache_clear()
 
 
 @cache
 def gear_parameters() -> Mapping[str, GearParameter]:
-    """Every law's parameters by name; of a name that several have, the first law's."""
-    found: dict[str, GearParameter] = {}
+    """Parameters of all laws by name. Laws that share a name share the parameter."""
+    parameters: dict[str, GearParameter] = {}
     for law in _LAWS.all():
         for parameter in law.parameters:
-            found.setdefault(parameter.name, parameter)
-    return MappingProxyType(found)
+            parameters.setdefault(parameter.name, parameter)
+    return MappingProxyType(parameters)
 
 
 def is_slope(name: str) -> bool:
@@ -100,27 +97,27 @@ def is_slope(name: str) -> bool:
 
 
 def is_by_load(name: str) -> bool:
-    """Whether a parameter of some law shows only where a record loads the gear far enough."""
+    """Whether only a record that loads the gear far enough identifies a parameter of some law."""
     parameter = gear_parameters().get(name)
     return parameter is not None and parameter.by_load
 
 
 def lists() -> Mapping[str, Mapping[int, tuple[str, ...]]]:
-    """Keys of a parameter file that take lists: key -> number of values -> parameters."""
-    found: dict[str, dict[int, tuple[str, ...]]] = {}
+    """Keys of a parameter file that accept lists: parameter names by key and number of values."""
+    keys: dict[str, dict[int, tuple[str, ...]]] = {}
     for law in _LAWS.all():
         for key, listed in law.lists.items():
-            found.setdefault(key, {})[len(listed)] = listed
-    for key, of_length in found.items():
-        if key != STIFFNESS:  # of a law that has no such parameters
-            of_length.setdefault(0, ())
-    return found
+            keys.setdefault(key, {})[len(listed)] = listed
+    for key, by_length in keys.items():
+        if key != STIFFNESS:  # an empty list belongs to a law without such parameters
+            by_length.setdefault(0, ())
+    return keys
 
 
 def known_instead(law: GearLaw, known: Mapping[str, float]) -> GearLaw:
-    """The law that values suffice for: a simpler one while none of a law's own is known.
+    """The law that the known values (by name) determine.
 
-    `known`: Name -> value.
+    This is the simpler law if no parameter of the law itself is known.
     """
     if law.simpler is None:
         return law

@@ -1,7 +1,7 @@
-"""T = k_G delta + k_3 delta^3: the stiffness grows with the square of the torsion.
+"""Cubic law T = k_G delta + k_3 delta^3: the stiffness grows with the square of the torsion.
 
-The first two terms of any odd smooth law (Tuttle and Seering, IEEE Transactions on Robotics and
-Automation 12(3), 1996).
+These are the first two terms of any odd smooth law (Tuttle and Seering, IEEE Transactions on
+Robotics and Automation 12(3), 1996).
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ from strainwave.domain.gear_laws.linear import Linear
 
 CUBIC = "gear_stiffness_cubic"
 
-_SOFTER = 0.95  # of the one stiffness found, which lies above that without torsion
-_SHARE = 0.1  # of the linear torque at the largest torsion: the cubic one to start from
+# Starting values. The equivalent linear stiffness exceeds the stiffness at zero torsion.
+_STARTING_STIFFNESS_SHARE = 0.95  # of the equivalent linear stiffness
+_STARTING_CUBIC_SHARE = 0.1  # cubic torque over linear torque at the largest torsion
 
 
 class Cubic(GearLaw):
-    """A gear that stiffens without knees."""
+    """A gear that stiffens smoothly."""
 
     name = "cubic"
     parameters = (*Linear.parameters, GearParameter(CUBIC, by_load=True))
     simpler = Linear.name
-    linearised_note = "its gear stiffens; the linear model has the stiffness without torsion"
-    equivalent_note = "above the stiffness without torsion"
+    linearised_note = "the gear stiffens; the linear model has the stiffness at zero torsion"
+    equivalent_note = "above the stiffness at zero torsion"
 
     def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
         """k_G delta + k_3 delta^3."""
@@ -42,6 +43,7 @@ class Cubic(GearLaw):
         return np.column_stack([torsion, torsion**3])
 
     def starts(self, stiffness: float, largest_torque: float) -> Values:
-        """Somewhat softer without torsion, stiffer at the largest torque."""
-        own = _SOFTER * stiffness
-        return {STIFFNESS: own, CUBIC: _SHARE * own / (largest_torque / own) ** 2}
+        """Slightly lower stiffness at zero torsion, higher stiffness at the largest torque."""
+        initial = _STARTING_STIFFNESS_SHARE * stiffness
+        cubic = _STARTING_CUBIC_SHARE * initial / (largest_torque / initial) ** 2
+        return {STIFFNESS: initial, CUBIC: cubic}

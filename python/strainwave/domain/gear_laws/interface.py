@@ -1,4 +1,4 @@
-"""What an elastic law of a gear has to say of itself; its simulation is the core's."""
+"""Interface of an elastic law of a gear. The compiled core simulates the laws."""
 
 from __future__ import annotations
 
@@ -13,60 +13,61 @@ from strainwave.domain.formatting import plus_minus
 from strainwave.domain.parameter_table import ParameterDescription, parameter_table
 
 STIFFNESS = "gear_stiffness"
-"""The one stiffness [N m/rad] by which the joint models describe any elastic gear."""
+"""Equivalent linear stiffness [N m/rad] of an elastic gear in the joint models."""
 
 Values = dict[str, float]
 """A law's parameters: name -> value."""
 
-_SPREAD = 1e-6  # share of a torsion over which slopes are differentiated
-_HALVINGS = 60  # of an interval that holds a torsion: to rounding
-_DOUBLINGS = 200
+_RELATIVE_STEP = 1e-6  # of the torsion, for central differences of the jacobian
+_N_BISECTIONS = 60  # shrink a bracket to rounding error
+_MAX_DOUBLINGS = 200  # of the upper end of a bracket
 
 
 @dataclass(frozen=True, slots=True)
 class GearParameter:
-    """One parameter of a law. The same name means the same in every law."""
+    """One parameter of a law. A name has the same meaning in every law."""
 
-    name: str  # one of the core's
-    is_slope: bool = False  # a stiffness, of the size of the joint model's
-    by_load: bool = False  # shows only where a record loads the gear far enough
-    above: str | None = None  # a parameter of the same law that it exceeds
+    name: str  # in the core
+    is_slope: bool = False  # a stiffness of the order of the equivalent linear one
+    by_load: bool = False  # identifiable only if a record loads the gear far enough
+    above: str | None = None  # parameter of the same law that is a lower bound
 
     @property
     def described(self) -> ParameterDescription:
-        """Its symbol, units and range."""
+        """Symbol, units and range."""
         return parameter_table()[self.name]
 
 
 class GearLaw(ABC):
-    """An elastic law T(delta): torque over torsion at the link, odd and rising.
+    """An elastic law T(delta): gear torque over torsion, link side, odd and increasing.
 
-    Laws hold no state. Their values come by name, without the joint's number.
+    Laws hold no state. Values are passed by name, without the joint's number. Arrays of torsions
+    [rad] and torques [N m] have shape (n,).
     """
 
     name: str
-    """As `spring` in a study file."""
+    """Value of `spring` in a study file."""
 
     parameters: tuple[GearParameter, ...] = ()
-    """In the order of the core; `gear_damping` is every elastic gear's, and none of the law's."""
+    """In the order of the core. `gear_damping` belongs to every elastic gear, not to a law."""
 
     elastic: bool = True
-    """Whether the gear gives way at all."""
+    """Whether the gear has torsion."""
 
     simpler: str | None = None
-    """Name of the law that stands for this one while none of its own parameters is known."""
+    """Name of the law to use if none of this law's own parameters is known."""
 
     linearised_by: str = STIFFNESS
-    """Parameter that a linear model of the joint takes for its stiffness."""
+    """Parameter that a linear model of the joint uses as its stiffness."""
 
-    linearised_note: str = "its gear has a curve; the linear model has one stiffness"
-    """What a linear model of the joint leaves out of a curve."""
+    linearised_note: str = "the gear is nonlinear; the linear model has one stiffness"
+    """Note on a linear model of a joint with this law."""
 
-    equivalent_note: str = "between its lowest and its highest"
-    """Where the joint model's one stiffness lies, which stands for a curve."""
+    equivalent_note: str = "between the lowest and the highest stiffness"
+    """Position of the equivalent linear stiffness relative to the law's own."""
 
     lists: Mapping[str, tuple[str, ...]] = {}
-    """Keys of a parameter file that take a list of values -> the parameters listed."""
+    """Keys of a parameter file that accept a list, with the names of the listed parameters."""
 
     @property
     def core_name(self) -> str:
@@ -75,166 +76,136 @@ class GearLaw(ABC):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters, in the core's order."""
+        """Names of the parameters in the order of the core."""
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def slopes(self) -> tuple[str, ...]:
-        """Of those that are stiffnesses."""
+        """Names of the parameters that are stiffnesses."""
         return tuple(parameter.name for parameter in self.parameters if parameter.is_slope)
 
     @property
     def may_vanish(self) -> tuple[str, ...]:
-        """Of those that are zero where the gear is of the simpler law."""
+        """Names of the parameters that are zero if the gear follows the simpler law."""
         return tuple(p.name for p in self.parameters if p.described.range == "non-negative")
 
     @property
     def is_curved(self) -> bool:
-        """Whether it takes more than one stiffness to describe."""
+        """Whether the law needs more than one stiffness."""
         return self.elastic and self.names != (STIFFNESS,)
 
     def of_joint(self, values: Mapping[tuple[str, int | None], float], joint: int) -> Values:
-        """The law's values among those of an arm.
-
-        `values`: (name, joint) -> value. `joint`: From 1. Returns: Name -> value of those that are
-        there.
-        """
+        """Values of the law's parameters of a joint, from 1, among those of an arm; by name."""
         return {name: values[name, joint] for name in self.names if (name, joint) in values}
 
     @abstractmethod
     def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """T(delta).
-
-        `values`: Name -> value. `torsion` (n,) [rad]. Returns (n,) [N m].
-        """
+        """T(delta)."""
 
     @abstractmethod
     def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """dT/ddelta.
-
-        `values`: Name -> value. `torsion` (n,) [rad]. Returns (n,) [N m/rad].
-        """
+        """dT/ddelta [N m/rad]."""
 
     @abstractmethod
     def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """Derivatives of the torque at a torsion by the parameters.
-
-        `values`: Name -> value. `torsion` (n,) [rad]. Returns (n, n_values): In the order of the
-        law's parameters, those that have values.
-        """
+        """Derivatives of the torque with respect to the known parameters: (n, n_values)."""
 
     def stiffness_jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """Derivatives of the stiffness at a torsion by the parameters.
-
-        `values`: Name -> value. `torsion` (n,) [rad]. Returns (n, n_values).
-        """
-        off = np.maximum(_SPREAD * np.abs(torsion), np.finfo(float).tiny ** 0.25)
-        ends = (self.jacobian(values, torsion + side * off) for side in (1.0, -1.0))
+        """Derivatives of the stiffness with respect to the known parameters: (n, n_values)."""
+        step = np.maximum(_RELATIVE_STEP * np.abs(torsion), np.finfo(float).tiny ** 0.25)
+        ends = (self.jacobian(values, torsion + side * step) for side in (1.0, -1.0))
         high, low = ends
-        return np.asarray((high - low) / (2.0 * off[:, None]))
+        return np.asarray((high - low) / (2.0 * step[:, None]))
 
     def torsion(self, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
-        """Torsion under a torque, the inverse of T(delta).
-
-        `values`: Name -> value. `torque` (n,) [N m]. Returns (n,) [rad].
-        """
-        wanted = np.abs(torque)
-        high = wanted / self.stiffness(values, np.zeros_like(wanted))
-        for _ in range(_DOUBLINGS):
-            short = self.torque(values, high) < wanted
+        """Inverse of T(delta), by bisection."""
+        magnitude = np.abs(torque)
+        high = magnitude / self.stiffness(values, np.zeros_like(magnitude))
+        for _ in range(_MAX_DOUBLINGS):
+            short = self.torque(values, high) < magnitude
             if not short.any():
                 break
             high = np.where(short, 2.0 * high, high)
         low = np.zeros_like(high)
-        for _ in range(_HALVINGS):
+        for _ in range(_N_BISECTIONS):
             middle = 0.5 * (low + high)
-            short = self.torque(values, middle) < wanted
+            short = self.torque(values, middle) < magnitude
             low, high = np.where(short, middle, low), np.where(short, high, middle)
         return np.asarray(np.copysign(0.5 * (low + high), torque))
 
     def straight(self, stiffness: float) -> Values:
-        """Parameters by which the law is a linear one.
-
-        `stiffness` [N m/rad]. Returns: Name -> value.
-        """
+        """Parameters for which the law is linear with this stiffness [N m/rad]."""
         return {p.name: stiffness if p.is_slope else 0.0 for p in self.parameters}
 
     def starts(self, stiffness: float, largest_torque: float) -> Values:
-        """Where a fit starts that knows one stiffness.
+        """Starting values of a fit from one stiffness [N m/rad]; none of them is zero.
 
-        `stiffness` [N m/rad]: Of the joint's model. `largest_torque` [N m]: That the gear carries
-        in the records. Returns: Name -> value, none of them zero.
+        `largest_torque` [N m] is the largest gear torque of the records.
         """
         return self.straight(stiffness)
 
     def restarts(self, values: Mapping[str, float], largest_torque: float) -> Iterator[Values]:
-        """Other curves to start from, near one that no derivative would bring away.
+        """Further starting values near the result of a search that a gradient cannot leave.
 
-        `values`: Name -> value, where a search ended. `largest_torque` [N m]: That the gear carries
-        in the records. Returns: Name -> value; nothing where the curve is all that it can be.
+        `largest_torque` [N m] is the largest gear torque of the records. Yields nothing if there
+        are none.
         """
         yield from ()
 
     def identified(
         self, values: Mapping[str, float], covariance: FloatArray, largest_torque: float
     ) -> Mapping[str, str | None]:
-        """Which parameters the records show, by which estimate each is known.
+        """Estimate that represents each parameter, by name; None if no record determines it.
 
-        `values`: Name -> value of all parameters. `covariance` (n_parameters, n_parameters): In
-        their order. `largest_torque` [N m]: That the gear carries in the records. Returns: Name ->
-        name of the estimate that counts for it; None: no record reaches it. Those that are left out
-        are known by their own.
+        `covariance` (n_parameters, n_parameters) has the order of `values`, `largest_torque` [N m]
+        is the largest gear torque of the records. Parameters that are not in the result represent
+        themselves.
         """
         return {}
 
     def drawn(self, known: Collection[str]) -> tuple[str, ...]:
-        """Which of the parameters that are identified make a curve.
+        """Names of the identified parameters that make a curve, in the law's order.
 
-        `known`: Names. Returns: In the law's order; empty: there is none.
+        Empty if they make none.
         """
         return self.names if self.names and set(self.names) <= set(known) else ()
 
     def knees(self, values: Mapping[str, float]) -> tuple[float, ...]:
-        """Torques [N m] at which the stiffness changes at once, and beyond which to excite a gear.
-
-        `values`: Name -> value. Returns: Ascending.
-        """
+        """Torques [N m], ascending, at which the stiffness jumps. Excitation should exceed them."""
         return ()
 
     def stiffness_range(self, values: Mapping[str, float]) -> tuple[float, float]:
-        """The lowest and the highest stiffness [N m/rad] of the curve, as far as it has ends.
+        """Lowest and highest stiffness [N m/rad] of the curve.
 
-        `values`: Name -> value. Raises `KeyError`: A slope is not there.
+        Raises KeyError if a slope is unknown.
         """
-        found = [values[name] for name in self.slopes]
-        return min(found), max(found)
+        slopes = [values[name] for name in self.slopes]
+        return min(slopes), max(slopes)
 
     def parallel_springs(
         self, need: Callable[[str], float]
     ) -> tuple[tuple[float, float], ...] | None:
-        """The law as linear springs side by side, each of which acts beyond some torsion.
+        """Linear springs in parallel whose sum is the law; None if there is no such sum.
 
-        `need`: Gives the value of a parameter. Returns [N m/rad]: To be added up; None: the law is
-        no such sum.
+        Each is a stiffness [N m/rad] and the torsion [rad] beyond which the spring acts.
         """
         return None if self.is_curved else ((need(self.linearised_by), 0.0),)
 
     def sentence(
         self, values: Mapping[str, float], std: Sequence[float], *, is_straight: bool
     ) -> str:
-        """A curve in words: its slopes, then what else it has.
+        """Text of a curve without a full stop: its slopes, then the other parameters.
 
-        `values`: Name -> value of those that make the curve. `std` (n_values,). `is_straight`: Of a
-        prismatic joint. Returns: Without a full stop.
+        `std` (n_values,) has the order of `values`. `is_straight` is true for prismatic joints.
         """
         units = {p.name: p.described.units[is_straight] for p in self.parameters}
-        said = {
+        texts = {
             name: " ± ".join(plus_minus(value, s))
             for (name, value), s in zip(values.items(), std, strict=True)
         }
-        slopes = [said[name] for name in self.slopes if name in said]
+        slopes = [texts[name] for name in self.slopes if name in texts]
         text = f"Slope {', then '.join(slopes)} {units[self.slopes[0]]}"
-        others = [p for p in self.parameters if p.name in said and not p.is_slope]
+        others = [p for p in self.parameters if p.name in texts and not p.is_slope]
         return ", ".join(
-            [text, *(f"{p.described.symbol} {said[p.name]} {units[p.name]}" for p in others)]
+            [text, *(f"{p.described.symbol} {texts[p.name]} {units[p.name]}" for p in others)]
         )

@@ -1,4 +1,4 @@
-"""T = K delta."""
+"""Linear law T = K delta."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from strainwave.domain.gear_laws.interface import STIFFNESS, GearLaw, GearParame
 
 
 class Linear(GearLaw):
-    """One stiffness for all torsions."""
+    """One stiffness at all torsions."""
 
     name = "linear"
     parameters = (GearParameter(STIFFNESS, is_slope=True),)

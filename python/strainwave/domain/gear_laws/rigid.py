@@ -1,4 +1,4 @@
-"""No torsion under any torque."""
+"""Rigid gear: no torsion under any torque."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from strainwave.domain.gear_laws.interface import GearLaw
 
 
 class Rigid(GearLaw):
-    """Motor and link move as one; the law has no parameters."""
+    """Motor and link move as one body. The law has no parameters."""
 
     name = "rigid"
     elastic = False
 
     def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """Nothing without torsion, and infinite with any."""
+        """Zero without torsion, otherwise infinite."""
         return np.where(torsion == 0.0, 0.0, np.copysign(np.inf, torsion))
 
     def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
@@ -25,9 +25,9 @@ class Rigid(GearLaw):
         return np.full_like(torsion, np.inf)
 
     def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """Of no parameters."""
+        """No columns."""
         return np.zeros((len(torsion), 0))
 
     def torsion(self, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
-        """None."""
+        """Zero."""
         return np.zeros_like(torque)

@@ -1,12 +1,13 @@
-"""Three slopes and the torques at which they change: Fig. 2.
+"""Three-slope law, Fig. 2: slopes K1, K2, K3 that change at the torques T1 and T2.
 
-Slope K1 up to the torque T1, K2 up to T2, K3 beyond; the core rounds the knees over microradians.
-Where a curve is known in part, the slopes and knees that have values come first.
+The core rounds the knees over microradians. If only a part of the curve is known, the values
+contain its first slopes and knees.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from itertools import zip_longest
 
 import numpy as np
 
@@ -17,21 +18,30 @@ from strainwave.domain.gear_laws.interface import STIFFNESS, GearLaw, GearParame
 SLOPES = ("gear_stiffness_k1", "gear_stiffness_k2", "gear_stiffness_k3")
 KNEES = ("gear_knee_t1", "gear_knee_t2")
 
-_STRAIGHT_KNEES = (1.0, 2.0)  # [N m] of a curve that bends nowhere
-_SPREAD = (0.8, 1.0, 1.15)  # of the one stiffness found: the slopes to start from
-_REACHED = (0.2, 0.6)  # of the largest gear torque: the knees to start from
-_SAME = 0.01  # relative difference below which two slopes are one
-_ALIKE = 0.1  # relative difference within which slopes are one: those of a gear are further apart
-_NOTHING = 0.02  # share of the largest torque below which a knee is at zero
-_CLOSE = 0.3  # relative distance below which two knees are one
-_FEW = ((0.1, 0.3), (0.3, 0.7))  # of the largest torque: knees where no bend was found
-_RISE = 1.1  # of slopes to start from that are one
-_BEFORE = 0.3  # of a knee to start from: the one before it, which was lost
-_EVIDENT = 3.0  # deviations by which two slopes differ at least
+_STRAIGHT_KNEES = (1.0, 2.0)  # [N m] arbitrary knees of a straight line
+
+# Starting values of the first search.
+_STARTING_SLOPES = (0.8, 1.0, 1.15)  # over the equivalent linear stiffness
+_STARTING_KNEES = (0.2, 0.6)  # over the largest gear torque
+
+# Starting values of a restart from a curve with fewer than two knees.
+_RESTART_KNEES = ((0.1, 0.3), (0.3, 0.7))  # over the largest gear torque, from a straight line
+_RESTART_SLOPE_RATIO = 1.1  # of neighbouring slopes
+_RESTART_LOWER_KNEE = 0.3  # over the only knee
+_RESTART_KNEE_FACTORS = (0.75, 1.5)  # around the only knee
+
+# Degenerate curves.
+_MIN_SLOPE_DIFFERENCE = 0.01  # relative; a knee between closer slopes has no effect
+_MIN_KNEE_TORQUE = 0.02  # over the largest gear torque; a lower knee is at zero
+_MIN_KNEE_DISTANCE = 0.3  # relative; a search seldom separates closer knees
+
+# Distinction of slopes by their covariance.
+_MIN_DISTINCT_DIFFERENCE_STD = 3.0  # standard deviations between two distinct slopes
+_MAX_EQUAL_DIFFERENCE = 0.1  # relative; the slopes of real gears differ by more
 
 
 class ThreeSlope(GearLaw):
-    """Strain-wave gears stiffen with the torque, as their data sheets have it."""
+    """A gear that stiffens with the torque, as data sheets of strain-wave gears state."""
 
     name = "three-slope"
     parameters = (
@@ -41,123 +51,129 @@ class ThreeSlope(GearLaw):
     )
     simpler = "linear"
     linearised_by = SLOPES[1]
-    linearised_note = "its gear has three slopes; the linear model has the middle one"
-    equivalent_note = "between the softest and the stiffest of the three"
+    linearised_note = "the gear has three slopes; the linear model has the middle one"
+    equivalent_note = "between the lowest and the highest of the three slopes"
     lists: Mapping[str, tuple[str, ...]] = {STIFFNESS: SLOPES, "gear_knee_torque": KNEES}
 
     def torque(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """Sum over the slopes of K times the length of [0, |delta|] that lies on each."""
+        """Sum over the slopes of K times the part of [0, |delta|] on the slope."""
         k, t = _curve(values)
-        bends = np.concatenate([[0.0], np.cumsum(np.diff(t, prepend=0.0) / k[:-1]), [np.inf]])
-        on = np.clip(np.abs(torsion)[:, None], bends[:-1], bends[1:]) - bends[:-1]
-        return np.asarray(np.copysign(on @ k, torsion))
+        edges = np.concatenate([[0.0], np.cumsum(np.diff(t, prepend=0.0) / k[:-1]), [np.inf]])
+        parts = np.clip(np.abs(torsion)[:, None], edges[:-1], edges[1:]) - edges[:-1]
+        return np.asarray(np.copysign(parts @ k, torsion))
 
     def stiffness(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """Of the slope that the torque lies on; at a knee the one before it."""
+        """Slope at the torque; at a knee the slope below it."""
         k, t = _curve(values)
         return np.asarray(k[np.searchsorted(t, np.abs(self.torque(values, torsion)))])
 
     def jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """Minus the stiffness times the derivatives of the torsion at a torque.
+        """Minus the stiffness times the derivatives of the torsion at constant torque.
 
-        delta(T) = sum over the slopes of (length of [0, T] that lies on each) / slope.
+        delta(T) = sum over the slopes of (part of [0, T] on the slope) / slope
         """
         k, t = _curve(values)
         torque = self.torque(values, torsion)
-        on = _on_slopes(np.abs(torque), t)
-        past = (np.abs(torque)[:, None] > t).astype(float)
-        by_knee = past * (1.0 / k[:-1] - 1.0 / k[1:])
+        parts = _parts_on_slopes(np.abs(torque), t)
+        is_above = (np.abs(torque)[:, None] > t).astype(float)
+        by_knee = is_above * (1.0 / k[:-1] - 1.0 / k[1:])
         signed = np.copysign(self.stiffness(values, torsion), torque)[:, None]
-        return np.asarray(-signed * np.hstack([-on / k**2, by_knee]))
+        return np.asarray(-signed * np.hstack([-parts / k**2, by_knee]))
 
     def stiffness_jacobian(self, values: Mapping[str, float], torsion: FloatArray) -> FloatArray:
-        """One for the slope that the torque lies on, nothing for the others and the knees."""
+        """One for the slope at the torque, zero for the other slopes and the knees."""
         k, t = _curve(values)
-        at = np.searchsorted(t, np.abs(self.torque(values, torsion)))
-        return np.asarray(np.eye(len(k), len(k) + len(t))[at])
+        index = np.searchsorted(t, np.abs(self.torque(values, torsion)))
+        return np.asarray(np.eye(len(k), len(k) + len(t))[index])
 
     def torsion(self, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
-        """Sum over the slopes of (length of [0, |T|] that lies on each) / slope."""
+        """Sum over the slopes of (part of [0, |T|] on the slope) / slope."""
         k, t = _curve(values)
-        return np.asarray(np.copysign(_on_slopes(np.abs(torque), t) @ (1.0 / k), torque))
+        return np.asarray(np.copysign(_parts_on_slopes(np.abs(torque), t) @ (1.0 / k), torque))
 
     def straight(self, stiffness: float) -> Values:
-        """Slopes that are one, with knees where nothing bends."""
+        """Three equal slopes."""
         return dict.fromkeys(SLOPES, stiffness) | dict(zip(KNEES, _STRAIGHT_KNEES, strict=True))
 
     def starts(self, stiffness: float, largest_torque: float) -> Values:
-        """A curve that stiffens, its knees well within the torques reached."""
-        slopes = {name: share * stiffness for name, share in zip(SLOPES, _SPREAD, strict=True)}
-        knees = {n: share * largest_torque for n, share in zip(KNEES, _REACHED, strict=True)}
+        """A stiffening curve with its knees well within the range of torques."""
+        slopes = {
+            name: share * stiffness for name, share in zip(SLOPES, _STARTING_SLOPES, strict=True)
+        }
+        knees = {n: share * largest_torque for n, share in zip(KNEES, _STARTING_KNEES, strict=True)}
         return slopes | knees
 
     def restarts(self, values: Mapping[str, float], largest_torque: float) -> Iterator[Values]:
-        """Curves of three slopes near one that bends only once, or not at all.
+        """Curves with three slopes near a curve with one knee or none.
 
-        A knee beyond the largest torque, one near zero, and one between equal slopes bend nothing:
-        no derivative would ever bring them back. Two knees close together are as good as one: the
-        slope between them is hardly felt, and a search that came there from far seldom gets them
-        apart again.
+        The objective has no gradient that moves a knee beyond the largest torque, a knee near zero,
+        or a knee between equal slopes. Two close knees act as one: the slope between them has
+        little effect, and a search seldom separates them.
         """
-        slopes, knees = _bends(values, largest_torque)
+        slopes, knees = _distinct_slopes(values, largest_torque)
         if len(knees) == 2:
             return
-        found: list[tuple[list[float], list[float]]] = []
+        below, above = _RESTART_KNEE_FACTORS
+        starts: list[tuple[list[float], list[float]]] = []
         if knees:
             (low, high), (knee,) = slopes, knees
             between, beyond = float(np.sqrt(low * high)), 0.5 * (knee + largest_torque)
-            found.append(([low, between, high], [0.75 * knee, min(1.5 * knee, beyond)]))
-            found.append(([low, high, _RISE * high], [knee, beyond]))
-            found.append(([low / _RISE, low, high], [_BEFORE * knee, knee]))
+            starts.append(([low, between, high], [below * knee, min(above * knee, beyond)]))
+            starts.append(([low, high, _RESTART_SLOPE_RATIO * high], [knee, beyond]))
+            starts.append(
+                ([low / _RESTART_SLOPE_RATIO, low, high], [_RESTART_LOWER_KNEE * knee, knee])
+            )
         else:
-            spread = [slopes[0] / _RISE, slopes[0], slopes[0] * _RISE]
-            found += [(spread, [share * largest_torque for share in shares]) for shares in _FEW]
-        for curve, bends in found:
-            yield dict(zip(self.names, (*curve, *bends), strict=True))
+            start = [slopes[0] / _RESTART_SLOPE_RATIO, slopes[0], slopes[0] * _RESTART_SLOPE_RATIO]
+            for shares in _RESTART_KNEES:
+                starts.append((start, [share * largest_torque for share in shares]))
+        for new_slopes, new_knees in starts:
+            yield dict(zip(self.names, (*new_slopes, *new_knees), strict=True))
 
     def identified(
         self, values: Mapping[str, float], covariance: FloatArray, largest_torque: float
     ) -> Mapping[str, str | None]:
-        """For each slope and knee the one that holds it, or None where no record reaches it.
+        """Estimate that represents each slope and knee; None if no record determines it.
 
-        A knee between two slopes that are one, at zero, or beyond the largest torque, is none: what
-        lies behind it moves up, and the last of its kind is not identified. Of two slopes that are
-        one the better known stands for both. Of two of which that is not known either, the one
-        that is known less well is not identified, nor the knee between.
+        A knee at zero, beyond the largest torque, or between equal slopes is removed; the slopes
+        and knees above it move down by one, and the last of each is not identified. The more
+        precise of two equal slopes represents both. If two slopes are neither distinct nor equal,
+        the less precise of them and the knee between them are not identified.
         """
-        at = {name: k for k, name in enumerate(self.names)}
+        index = {name: k for k, name in enumerate(self.names)}
         last = SLOPES[0]
         slopes, knees = list[str | None]([last]), list[str | None]()
         for name, knee in zip(SLOPES[1:], KNEES, strict=True):
             if values[knee] >= largest_torque:
                 continue
-            at_zero = values[knee] < _NOTHING * largest_torque
-            a, b = at[last], at[name]
-            apart = abs(values[name] - values[last])
-            spread = _EVIDENT * np.sqrt(covariance[a, a] + covariance[b, b] - 2 * covariance[a, b])
-            better = bool(covariance[b, b] < covariance[a, a])
-            place = slopes.index(last)
-            one = apart + spread < _ALIKE * values[last]
-            if apart > max(_SAME * values[last], spread) and not at_zero:
+            at_zero = values[knee] < _MIN_KNEE_TORQUE * largest_torque
+            a, b = index[last], index[name]
+            difference = abs(values[name] - values[last])
+            variance = covariance[a, a] + covariance[b, b] - 2 * covariance[a, b]
+            margin = _MIN_DISTINCT_DIFFERENCE_STD * np.sqrt(variance)
+            is_more_precise = bool(covariance[b, b] < covariance[a, a])
+            position = slopes.index(last)
+            is_equal = difference + margin < _MAX_EQUAL_DIFFERENCE * values[last]
+            if difference > max(_MIN_SLOPE_DIFFERENCE * values[last], margin) and not at_zero:
                 slopes.append(name)
                 knees.append(knee)
                 last = name
-            elif at_zero or one:
-                last = name if at_zero or better else last
-                slopes[place:] = [last]
-                del knees[place:]
+            elif at_zero or is_equal:
+                last = name if at_zero or is_more_precise else last
+                slopes[position:] = [last]
+                del knees[position:]
             else:
-                slopes.append(name if better else None)
+                slopes.append(name if is_more_precise else None)
                 knees.append(None)
-                if better:
-                    slopes[place], last = None, name
-        found: dict[str, str | None] = {}
-        for names, left in ((SLOPES, slopes), (KNEES, knees)):
-            found |= {n: left[k] if k < len(left) else None for k, n in enumerate(names)}
-        return found
+                if is_more_precise:
+                    slopes[position], last = None, name
+        estimates: dict[str, str | None] = {}
+        for names, remaining in ((SLOPES, slopes), (KNEES, knees)):
+            estimates |= dict(zip_longest(names, remaining))
+        return estimates
 
     def drawn(self, known: Collection[str]) -> tuple[str, ...]:
-        """The slopes that are known and the knees between: a slope has no place beyond others."""
+        """The known slopes and the knees between them; a slope needs the knee below it."""
         slopes = [name for name in SLOPES if name in known]
         knees = [name for name in KNEES if name in known][: max(len(slopes) - 1, 0)]
         return (*slopes[: len(knees) + 1], *knees)
@@ -169,7 +185,7 @@ class ThreeSlope(GearLaw):
     def parallel_springs(
         self, need: Callable[[str], float]
     ) -> tuple[tuple[float, float], ...] | None:
-        """One a slope: the second and third have what the stiffness rises by beyond their knee."""
+        """One spring per slope: each adds the increase of the stiffness beyond its knee."""
         k1, k2, k3 = (need(name) for name in SLOPES)
         t1, t2 = (need(name) for name in KNEES)
         first = t1 / k1
@@ -180,7 +196,7 @@ class ThreeSlope(GearLaw):
     def sentence(
         self, values: Mapping[str, float], std: Sequence[float], *, is_straight: bool
     ) -> str:
-        """The slopes in turn, and the knees between."""
+        """The slopes in order, then the knees."""
         k, t = _curve(values)
         units = [p.described.units[is_straight] for p in self.parameters]
         slopes = [" ± ".join(plus_minus(*pair)) for pair in zip(k, std, strict=False)]
@@ -192,27 +208,29 @@ class ThreeSlope(GearLaw):
 
 
 def _curve(values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-    """The slopes that have values, and the knees between them."""
+    """Known slopes and the knees between them."""
     slopes = [values[name] for name in SLOPES if name in values]
     return np.array(slopes), np.array([values[name] for name in KNEES if name in values])
 
 
-def _on_slopes(torque: FloatArray, knees: FloatArray) -> FloatArray:
-    """Length of [0, T] that lies on each slope: (n, n_slopes)."""
+def _parts_on_slopes(torque: FloatArray, knees: FloatArray) -> FloatArray:
+    """Part of [0, T] on each slope: (n, n_slopes)."""
     edges = np.concatenate([[0.0], knees, [np.inf]])
     return np.asarray(np.clip(torque[:, None], edges[:-1], edges[1:]) - edges[:-1])
 
 
-def _bends(values: Mapping[str, float], largest: float) -> tuple[list[float], list[float]]:
-    """The slopes that differ and lie within reach, and the knees between them."""
+def _distinct_slopes(
+    values: Mapping[str, float], largest: float
+) -> tuple[list[float], list[float]]:
+    """Distinct slopes within range, and the knees between them."""
     slopes, knees = [values[SLOPES[0]]], list[float]()
     for name, knee in zip(SLOPES[1:], KNEES, strict=True):
         slope, torque = values[name], values[knee]
-        if torque < _NOTHING * largest:
+        if torque < _MIN_KNEE_TORQUE * largest:
             slopes[-1] = slope
-        elif torque < largest and abs(slope / slopes[-1] - 1.0) > _SAME:
+        elif torque < largest and abs(slope / slopes[-1] - 1.0) > _MIN_SLOPE_DIFFERENCE:
             slopes.append(slope)
             knees.append(torque)
-    if len(knees) == 2 and knees[1] < (1.0 + _CLOSE) * knees[0]:
+    if len(knees) == 2 and knees[1] < (1.0 + _MIN_KNEE_DISTANCE) * knees[0]:
         return [slopes[0], slopes[2]], [float(np.sqrt(knees[0] * knees[1]))]
     return slopes, knees

@@ -1,7 +1,7 @@
-"""Kinds of arms: `kind` of a study's `[arm]` -> what its links' parameters are, one file each.
+"""Arm kinds: one file for each value of `kind` in a study's `[arm]` table.
 
-A new kind is a file beside these, its name in `strainwave.domain.arm.ArmKind`, a line below, and
-its equations in `rust/core/src/arm`.
+A new kind needs a file in this package, its name in `strainwave.domain.arm.ArmKind`, an entry in
+`KINDS`, and its equations of motion in `rust/core/src/arm`.
 """
 
 from __future__ import annotations
@@ -22,5 +22,5 @@ KINDS: Mapping[ArmKind, Kind] = {
 
 
 def kind_of(arm: ArmDescription) -> Kind:
-    """What an arm's kind says of its links."""
+    """Kind of an arm."""
     return KINDS[arm.kind]

@@ -1,4 +1,4 @@
-"""What a kind of arm has to say of itself; its equations of motion are the core's."""
+"""Interface of an arm kind. The compiled core holds the equations of motion."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING
 from strainwave.domain.arm import ArmDescription
 
 if TYPE_CHECKING:
-    from strainwave.domain.kinds.bodies import Body, Needed
+    from strainwave.domain.kinds.bodies import Body, ParameterLookup
     from strainwave.domain.kinds.starts import StageInertias
 
 Key = tuple[str, int | None]
-"""A parameter: its name and its joint, from 1, or None for the arm's own."""
+"""Name of a parameter and its joint, from 1; None for parameters of the whole arm."""
 
 Values = dict[Key, float]
 """Parameter values."""
 
 Row = Mapping[Key, float]
-"""A linear combination of parameters: their weights."""
+"""Weights of a linear combination of parameters."""
 
 
 @dataclass(frozen=True, slots=True)
 class RigidColumn:
-    """One unknown of the rigid model: a combination of parameters that motor torques identify.
+    """One unknown of the rigid model: a combination of parameters that motor torque identifies.
 
-    Its regressor is that of its first part, whose weight is one. Where that combines a motor's
-    inertia with the links', rigid motion does not separate them.
+    Its regressor is that of the first part, whose weight is one. If the combination adds a motor's
+    inertia to inertias of links, rigid motion does not separate them.
     """
 
     name: str
@@ -38,12 +38,12 @@ class RigidColumn:
 
     @property
     def key(self) -> Key:
-        """What it is known by."""
+        """Name and joint of the combination."""
         return self.name, self.joint
 
     @property
     def motor(self) -> tuple[int, float] | None:
-        """The joint whose motor's inertia is part of it, from 1, and that part's weight."""
+        """Joint, from 1, whose motor inertia the combination contains, and its weight."""
         for (name, joint), weight in self.parts.items():
             if name == "motor_inertia" and joint is not None:
                 return joint, weight
@@ -55,7 +55,7 @@ class RigidColumn:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What an arm of a kind cannot be: where it says so, and what to do."""
+    """A contradiction in an arm's description: its place in the study file, and the remedy."""
 
     problem: str
     remedy: str
@@ -65,82 +65,78 @@ class Fault:
 
 
 class Kind(ABC):
-    """A kind of arm: the inertial parameters of its links, and what follows from them.
+    """An arm kind: the inertial parameters of its links and the relations between them.
 
-    Parameters of gravity, motors, friction and gears are every kind's alike; see
+    All kinds share the parameters of gravity, motors, friction and gears; see
     `strainwave.domain.combinations`.
     """
 
     n_joints: int
-    """How many joints it has."""
+    """Number of joints."""
 
     inertias: tuple[Key, ...]
     """Inertial parameters of the links."""
 
     primary: tuple[str, ...]
-    """Labels of inertias that the rigid model is expected to give, as a verdict lists them."""
+    """Labels of the inertias that the rigid step is expected to identify, as in a verdict."""
 
     primary_of_all: tuple[str, ...]
-    """And those that take the whole-arm fit."""
+    """Labels of the inertias that only the whole-arm fit identifies."""
 
     gravity_note: str = ""
-    """What the gravity of `effective_gravity` is, where it is not the study's."""
+    """Formula of `effective_gravity`, if it is not the gravity of the study."""
 
     @abstractmethod
     def faults(self, arm: ArmDescription) -> Iterator[Fault]:
-        """What a description says that an arm of this kind cannot be.
-
-        `arm`: With the right number of joints.
-        """
+        """Contradictions between a description with the right number of joints and this kind."""
 
     @abstractmethod
     def link_inertia(self, joint: int) -> Row:
-        """m_L of a joint, its link's inertia with the arm stretched: (3).
-
-        `joint`: From 1. Returns: Over `inertias`.
-        """
+        """m_L of (3) for a joint, from 1, over `inertias`: link inertia with the arm stretched."""
 
     @property
     @abstractmethod
     def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
-        """Inertias that follow from every joint's `link_inertia`: the other way round.
+        """Inertias as functions of the joints' `link_inertia`: the inverse of `link_inertia`.
 
-        Each may take those before it.
+        Each entry may use the entries before it.
         """
 
     @abstractmethod
     def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
-        """Inertias that rigid motion identifies, links' and motors': (6)."""
+        """Inertias of links and motors that rigid motion identifies, (6)."""
 
     @abstractmethod
-    def starting_inertias(self, arm: ArmDescription, found: StageInertias) -> tuple[Values, Values]:
-        """Inertias that a fit of the whole arm starts from.
+    def starting_inertias(
+        self, arm: ArmDescription, estimates: StageInertias
+    ) -> tuple[Values, Values]:
+        """Starting inertias of the whole-arm fit, and the stage estimates that it rejects.
 
-        Returns: Of links and motors, positive definite. Returns: Those of the stages before that no
-        arm can have. Raises `NotIdentifiable`: Something is missing or impossible that nothing can
-        stand for.
+        The starting inertias of links and motors are positive definite. Estimates that no arm can
+        have are replaced and returned second. Raises NotIdentifiable if an estimate that has no
+        substitute is missing or impossible.
         """
 
     @abstractmethod
     def complete(self, known: Values, arm: ArmDescription) -> None:
-        """Add the links' inertias, and motors', that follow from what is known or hardly matter.
+        """Add to `known` the inertias that follow from it or hardly matter.
 
-        `known`: (name, joint) -> value; nothing that is there is changed.
+        Existing entries do not change.
         """
 
     @abstractmethod
-    def bodies(self, arm: ArmDescription, need: Needed, gravity: float) -> tuple[Body, ...]:
-        """Rigid bodies whose base parameters are the arm's, one a link from the base.
+    def bodies(
+        self, arm: ArmDescription, need: ParameterLookup, gravity: float
+    ) -> tuple[Body, ...]:
+        """One rigid body per link, from the base, with the base parameters of the arm.
 
-        `need`: The parameters. `gravity` [m/s^2]: Under which link 1 has the measured gravity
-        torque; zero: its centre lies on the axis. Raises `InvalidInput`: No bodies have these
-        parameters.
+        `gravity` [m/s^2] relates link 1's gravity torque to its first moment; if it is zero, the
+        centre of mass lies on the axis. Raises InvalidInput if no bodies have these parameters.
         """
 
-    def effective_gravity(self, arm: ArmDescription, need: Needed) -> float:
-        """Gravity under which rigid bodies have all measured gravity torques.
+    def effective_gravity(self, arm: ArmDescription, need: ParameterLookup) -> float:
+        """Gravity [m/s^2] at which the rigid bodies have all measured gravity torques.
 
-        `need`: The parameters. Returns [m/s^2]: Zero for a horizontal arm. Raises `InvalidInput`:
-        Parameters contradict each other.
+        Zero for a horizontal arm. Raises InvalidInput if the parameters contradict each other.
         """
         return arm.gravity or 0.0

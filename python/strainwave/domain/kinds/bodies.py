@@ -1,4 +1,4 @@
-"""Rigid bodies: one of many sets of masses that share an arm's base parameters."""
+"""Rigid bodies: one choice of masses and centres of mass that has the arm's base parameters."""
 
 from __future__ import annotations
 
@@ -6,34 +6,33 @@ from dataclasses import dataclass
 from typing import Protocol
 
 ASSUMED_LENGTH = 1.0
-"""[m] Of a link whose study names no length."""
+"""Length [m] of a link if the study gives none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """One link as a rigid body; its centre of mass lies on its x axis."""
+    """One link as a rigid body with its centre of mass on its x axis."""
 
     mass: float  # [kg]
-    centre: float  # [m] from its own axis; negative beyond it
+    centre: float  # [m] from the link's own axis along x
     inertia: float  # [kg m^2] about the centre of mass
 
 
-class Needed(Protocol):
-    """Gives a parameter's value by name and joint, or refuses where there is none."""
+class ParameterLookup(Protocol):
+    """Returns a parameter's value by name and joint; raises InvalidInput if it is unknown."""
 
     def __call__(self, name: str, joint: int | None = None) -> float:
-        """The value."""
+        """Value of the parameter."""
 
 
 def about_axis(inertia: float, moment: float, length: float) -> Body:
-    """A body with given inertia and first moment about its axis.
+    """Body with inertia J > 0 [kg m^2] and first moment s [kg m] about its axis.
 
-    m = 3 J/l^2 + s^2/J: a uniform rod's mass, and what keeps the inertia about the centre of mass,
-    J - s^2/m = (3 J/l^2) J/m, positive.
+        m = 3 J/l^2 + s^2/J
 
-    `inertia` [kg m^2]: J > 0, about the axis. `moment` [kg m]: s, first moment. `length` [m]: l, of
-    the rod.
+    The first term is the mass of a uniform rod of the given length l [m]. The second keeps the
+    inertia about the centre of mass, J - s^2/m = (3 J/l^2) J/m, positive.
     """
-    rod = 3.0 * inertia / length**2
-    mass = rod + moment**2 / inertia
-    return Body(mass, moment / mass, inertia * rod / mass)
+    rod_mass = 3.0 * inertia / length**2
+    mass = rod_mass + moment**2 / inertia
+    return Body(mass, moment / mass, inertia * rod_mass / mass)

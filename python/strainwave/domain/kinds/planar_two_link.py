@@ -1,6 +1,6 @@
-"""Two links that move in one plane, the second on the first: alpha, beta and gamma of (3).
+"""Two links with parallel axes that move in one plane: alpha, beta and gamma of (3).
 
-M(q) = [alpha + beta + 2 gamma cos q2, beta + gamma cos q2; beta + gamma cos q2, beta].
+M(q) = [alpha + beta + 2 gamma cos q2, beta + gamma cos q2; beta + gamma cos q2, beta]
 """
 
 from __future__ import annotations
@@ -11,20 +11,21 @@ import numpy as np
 
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.kinds.base import Fault, Key, Kind, RigidColumn, Row, Values
-from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, Needed, about_axis
+from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, ParameterLookup, about_axis
 from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, required
 from strainwave.errors import InvalidInput
 
 _ALPHA: Key = ("alpha", None)
 _BETA: Key = ("beta", None)
 _GAMMA: Key = ("gamma", None)
-_PROPER = 1.05  # times gamma^2 / beta, which alpha must exceed for a positive definite inertia
-_CHOSEN = 1.5  # and where it is chosen
-_FASTER = "record faster motions of both joints and identify again"
+# M(q) is positive definite if alpha > gamma^2 / beta. Both factors multiply that bound.
+_MIN_ALPHA_FACTOR = 1.05  # an estimate below it leaves no margin for a search
+_STARTING_ALPHA_FACTOR = 1.5  # alpha if no estimate is usable
+_RECORD_FASTER_MOTIONS = "record faster motions of both joints and identify again"
 
 
 class PlanarTwoLink(Kind):
-    """Joint 2 on the end of link 1, their axes parallel."""
+    """Joint 2 sits at the end of link 1 with its axis parallel to that of joint 1."""
 
     n_joints = 2
     inertias = (_ALPHA, _BETA, _GAMMA)
@@ -33,14 +34,14 @@ class PlanarTwoLink(Kind):
     gravity_note = "gravity_torque_2 link_length/gamma"
 
     def link_inertia(self, joint: int) -> Row:
-        """Alpha + beta + 2 gamma of joint 1, beta of joint 2."""
+        """Joint 1: alpha + beta + 2 gamma. Joint 2: beta."""
         if joint == 1:
             return {_ALPHA: 1.0, _BETA: 1.0, _GAMMA: 2.0}
         return {_BETA: 1.0}
 
     @property
     def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
-        """Beta = m_L2, alpha = m_L1 - beta - 2 gamma."""
+        """Beta = m_L2 and alpha = m_L1 - beta - 2 gamma."""
         alpha: Row = {("link_inertia", 1): 1.0, _BETA: -1.0, _GAMMA: -2.0}
         return (_BETA, {("link_inertia", 2): 1.0}), (_ALPHA, alpha)
 
@@ -56,27 +57,29 @@ class PlanarTwoLink(Kind):
             RigidColumn("gamma", None, "kg m^2", {_GAMMA: 1.0}),
         )
 
-    def starting_inertias(self, arm: ArmDescription, found: StageInertias) -> tuple[Values, Values]:
-        """Beta and alpha by the joints' models, gamma by the rigid one."""
-        motor, link, rejected = dict(found.motor), found.link, Values()
+    def starting_inertias(
+        self, arm: ArmDescription, estimates: StageInertias
+    ) -> tuple[Values, Values]:
+        """Beta and alpha from the joint models, gamma from the rigid model."""
+        motor, link, rejected = dict(estimates.motor), estimates.link, Values()
         n2 = [joint.gear_ratio**2 for joint in arm.joints]
-        gamma, beta = found.needed("gamma"), link[2]
+        gamma, beta = estimates.needed("gamma"), link[2]
         if not is_positive(beta):
             rejected[_BETA] = beta
-            beta = required("beta", found.needed("beta"))
+            beta = required("beta", estimates.needed("beta"))
         if not is_positive(motor[2]):
             rejected["motor_inertia", 2] = motor[2]
-            known = found.rigid.get(("motor_inertia", 2))
+            known = estimates.rigid.get(("motor_inertia", 2))
             motor[2] = known if known is not None and is_positive(known) else n2[1] * beta
-        rigid = found.rigid.get(("rigid_inertia", 1))
+        rigid = estimates.rigid.get(("rigid_inertia", 1))
         if not is_positive(motor[1]):
             rejected["motor_inertia", 1] = motor[1]
-            whole = rigid if rigid is not None and is_positive(rigid) else link[1]
-            motor[1] = MOTOR_SHARE * n2[0] * required("rigid_inertia of joint 1", whole)
-        alpha, least = link[1] - beta - 2.0 * gamma, gamma**2 / beta
-        if not np.isfinite(alpha) or alpha <= max(0.0, _PROPER * least):
+            total = rigid if rigid is not None and is_positive(rigid) else link[1]
+            motor[1] = MOTOR_SHARE * n2[0] * required("rigid_inertia of joint 1", total)
+        alpha, bound = link[1] - beta - 2.0 * gamma, gamma**2 / beta
+        if not np.isfinite(alpha) or alpha <= max(0.0, _MIN_ALPHA_FACTOR * bound):
             rejected[_ALPHA] = alpha
-            alpha = max((rigid or 0.0) - motor[1] / n2[0], _CHOSEN * least)
+            alpha = max((rigid or 0.0) - motor[1] / n2[0], _STARTING_ALPHA_FACTOR * bound)
         start: Values = {_ALPHA: alpha, _BETA: beta, _GAMMA: gamma}
         return start | {("motor_inertia", i): motor[i] for i in (1, 2)}, rejected
 
@@ -92,13 +95,13 @@ class PlanarTwoLink(Kind):
         elif rigid is not None and motor is not None:
             known[_ALPHA] = rigid - motor / n2
         elif rigid is not None and not arm.joints[0].elastic:
-            # all of it counted as the motor's but what alpha needs for a proper link
-            known[_ALPHA] = min(_CHOSEN * gamma**2 / beta, rigid)
+            # the motor gets all of rigid_inertia except the share that M(q) > 0 needs
+            known[_ALPHA] = min(_STARTING_ALPHA_FACTOR * gamma**2 / beta, rigid)
         if motor is None and rigid is not None and _ALPHA in known:
             known["motor_inertia", 1] = (rigid - known[_ALPHA]) * n2
 
     def faults(self, arm: ArmDescription) -> Iterator[Fault]:
-        """No length between the axes, or a prismatic joint."""
+        """A missing link length, or a prismatic joint."""
         if arm.link_length is None:
             yield Fault(
                 "the key 'link_length' is missing",
@@ -115,15 +118,17 @@ class PlanarTwoLink(Kind):
                     "motion",
                 )
 
-    def bodies(self, arm: ArmDescription, need: Needed, gravity: float) -> tuple[Body, ...]:
-        """Two bodies that are proper for every arm whose M(q) is positive definite.
+    def bodies(
+        self, arm: ArmDescription, need: ParameterLookup, gravity: float
+    ) -> tuple[Body, ...]:
+        """Two bodies with positive masses and inertias for every positive definite M(q).
 
-        With kappa = gamma^2/(alpha beta), which is then below one,
+        With kappa = gamma^2/(alpha beta) < 1:
 
-        m2 l1^2 = alpha (1 + kappa)/2,   m2 lc2 = gamma/l1,   I2 = beta (1 - kappa)/(1 + kappa),
+            m2 l1^2 = alpha (1 + kappa)/2,   m2 lc2 = gamma/l1,   I2 = beta (1 - kappa)/(1 + kappa)
 
-        so that the rest, for link 1, alpha (1 - kappa)/2, and I2 are positive for every such arm.
-        Link 1 is `about_axis` with what gravity shows of its first moment.
+        The remaining inertia of link 1 is alpha (1 - kappa)/2. Link 1 is `about_axis` with the
+        first moment that its gravity torque implies.
         """
         length = arm.link_length or ASSUMED_LENGTH
         alpha, beta, gamma = (need(*key) for key in self.inertias)
@@ -131,7 +136,7 @@ class PlanarTwoLink(Kind):
             raise InvalidInput(
                 f"no bodies have alpha = {alpha:g}, beta = {beta:g}, gamma = {gamma:g} kg m^2: "
                 "their inertia matrix is not positive definite",
-                remedy=_FASTER,
+                remedy=_RECORD_FASTER_MOTIONS,
             )
         kappa = gamma**2 / (alpha * beta)
         mass = alpha * (1.0 + kappa) / (2.0 * length**2)
@@ -140,8 +145,8 @@ class PlanarTwoLink(Kind):
         first_moment = need("gravity_torque_1") / gravity - mass * length if gravity else 0.0
         return about_axis(alpha * (1.0 - kappa) / 2.0, first_moment, length), second
 
-    def effective_gravity(self, arm: ArmDescription, need: Needed) -> float:
-        """G2 l1/gamma: the study's but for the errors of G2 and gamma."""
+    def effective_gravity(self, arm: ArmDescription, need: ParameterLookup) -> float:
+        """G2 l1/gamma. It differs from the gravity of the study by the errors of G2 and gamma."""
         if not arm.gravity:
             return 0.0
         torque, gamma = need("gravity_torque_2"), need(*_GAMMA)
@@ -149,6 +154,6 @@ class PlanarTwoLink(Kind):
             raise InvalidInput(
                 f"gravity_torque_2 = {torque:g} N m and gamma = {gamma:g} kg m^2 put the centre of "
                 "link 2 on opposite sides of its axis",
-                remedy=_FASTER,
+                remedy=_RECORD_FASTER_MOTIONS,
             )
         return torque * (arm.link_length or ASSUMED_LENGTH) / gamma

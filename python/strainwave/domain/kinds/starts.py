@@ -1,4 +1,4 @@
-"""What a fit of the whole arm may start from: inertias that the stages before it found."""
+"""Estimates of earlier stages from which the whole-arm fit starts."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from strainwave.domain.kinds.base import Key
 from strainwave.errors import NotIdentifiable
 
 MOTOR_SHARE = 0.3
-"""Of a joint's inertia: motors are chosen to match their load, about."""
+"""Motor's share of a joint's total inertia if unknown: motors roughly match their load."""
 
 
 @dataclass(frozen=True, slots=True)
 class StageInertias:
-    """Inertias by joint, as each joint's model has them, and what the rigid model has."""
+    """Inertias of motor and link from each joint model, and the estimates of the rigid model."""
 
-    motor: Mapping[int, float]  # joint, from 1 -> [kg m^2]
-    link: Mapping[int, float]
+    motor: Mapping[int, float]  # [kg m^2] by joint, from 1
+    link: Mapping[int, float]  # [kg m^2] by joint, from 1
     rigid: Mapping[Key, float | None]  # None: not identified
 
     def needed(self, name: str) -> float:
-        """A parameter of the rigid model that nothing else can stand for.
+        """A whole-arm parameter of the rigid model that has no substitute.
 
-        `name`: Of the arm as a whole. Raises `NotIdentifiable`: The motion records do not identify
-        it.
+        Raises NotIdentifiable if the motion records do not identify it.
         """
         value = self.rigid.get((name, None))
         if value is None:
@@ -38,19 +37,16 @@ class StageInertias:
 
 
 def is_positive(value: float | None) -> bool:
-    """Whether there is a value, finite and above zero."""
+    """Whether the value is known, finite and positive."""
     return value is not None and bool(np.isfinite(value)) and value > 0.0
 
 
 def required(name: str, value: float) -> float:
-    """A value that must be positive for there to be any start at all.
-
-    Returns: The same. Raises `NotIdentifiable`: It is not.
-    """
+    """The value itself. Raises NotIdentifiable unless it is positive."""
     if not is_positive(value):
         raise NotIdentifiable(
-            f"the whole-arm fit has no start: {name} is {value:.3g} by the steps before, which is"
-            " impossible. Check the signs, units and assignment of the channels, gear_ratio and"
-            " torque_per_volt"
+            f"the whole-arm fit has no starting values: the earlier steps estimate {name} ="
+            f" {value:.3g}, which is impossible. Check the signs, units and assignment of the"
+            " channels, gear_ratio and torque_per_volt"
         )
     return value

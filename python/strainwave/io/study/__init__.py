@@ -1,6 +1,6 @@
-"""study.toml -> Study, with every fault found here and named by file, line and key.
+"""Read and write study files. Errors name file, line and key.
 
-`reader` checks each value where it stands; `checks` asks what one value cannot show.
+`reader` checks each value, `checks` checks the consistency of the tables.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 from strainwave.domain import Options, Study
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
-from strainwave.io.study.checks import check_files, check_fit, check_options, check_sizes
-from strainwave.io.study.flags import Flag, parsed
+from strainwave.io.study.checks import check_consistency, check_files, check_options, check_sizes
+from strainwave.io.study.flags import Flag, parse_flag
 from strainwave.io.study.reader import Reader
 from strainwave.io.toml_files import parsed_toml
 
@@ -31,19 +31,18 @@ def read_study(
 ) -> Study:
     """Read and check a study file.
 
-    `logs_exist`: Whether every experiment's file must be there already. `experiments_exist`:
-    Whether there must be an experiment at all. Raises `InvalidInput`: Anything in the file is at
-    fault.
+    `logs_exist` states whether the log files must exist, `experiments_exist` whether there must be
+    an experiment. Raises InvalidInput if the file has a fault.
     """
     path = Path(path)
     data = read_bytes(path, "the study file")
     text = decode(data, path)
-    _check_filled_in(text, path)
+    _check_placeholders(text, path)
     document = parsed_toml(text, path)
     reader = Reader(path, text)
     sha256 = hashlib.sha256(data).hexdigest()
     study = reader.study(document, sha256, experiments_exist=experiments_exist)
-    check_fit(study, reader)
+    check_consistency(study, reader)
     check_sizes(study, reader)
     if logs_exist:
         check_files(study, reader)
@@ -55,9 +54,9 @@ def with_options(
 ) -> Study:
     """A study with other options of the stages.
 
-    `options`: All of them anew; or those that change, stage -> key -> value; or the same as on the
-    command line, "stage.key=value" with a TOML value each. Raises `InvalidInput`: One is unknown,
-    or of another type or range than it may have.
+    `options` is a complete set of options, the changed options by stage and key, or texts
+    "stage.key=value" with TOML values as on the command line. Raises InvalidInput if an option is
+    unknown or has an invalid type or value.
     """
     if isinstance(options, Options):
         changed = dataclasses.replace(study, options=options)
@@ -67,7 +66,7 @@ def with_options(
     if isinstance(options, Mapping):
         given = {f"options.{stage}": {stage: table} for stage, table in options.items()}
     else:
-        given = {f"--set {text}": parsed(text) for text in options}
+        given = {f"--set {text}": parse_flag(text) for text in options}
     for place, table in given.items():
         reader = Flag(study.path, place)
         study = dataclasses.replace(study, options=reader.options(table, study.options))
@@ -75,29 +74,28 @@ def with_options(
     return study
 
 
-def _check_filled_in(text: str, path: Path) -> None:
-    """What `strainwave init` could not guess has to be filled in."""
-    found = [
+def _check_placeholders(text: str, path: Path) -> None:
+    """Raise InvalidInput if a TODO of `strainwave init` is left in the file."""
+    placeholders = [
         (number, match[1])
         for number, line in enumerate(text.splitlines(), start=1)
         if (match := _TODO.match(line))
     ]
-    if found:
-        listed = ", ".join(f"{key} (line {number})" for number, key in found)
+    if placeholders:
+        listed = ", ".join(f"{key} (line {number})" for number, key in placeholders)
         raise InvalidInput(
-            f"{len(found)} value(s) are still TODO: {listed}",
-            where=f"{path}, line {found[0][0]}",
-            remedy="fill them in; the comments beside them say where to look",
+            f"{len(placeholders)} value(s) are still TODO: {listed}",
+            where=f"{path}, line {placeholders[0][0]}",
+            remedy="enter the values; the comments next to them name the source",
         )
 
 
 def checked_study(study: Study, given: Collection[str] = ()) -> Study:
-    """A study that was built or changed in code, checked as a study file is.
+    """Check a study that was built or changed in memory as a study file is checked.
 
-    `given`: Experiments whose logs are given, and need no file. Returns: With the SHA-256 of what
-    `write_study` would write, where it was not read from a file. Raises `InvalidInput`: A value is
-    of another type or range than it may have, the parts do not fit each other, or a log file does
-    not exist.
+    `given` names the experiments whose data are passed in memory and need no file. A study that was
+    not read from a file gets the SHA-256 of its text. Raises InvalidInput if a value has an invalid
+    type or range, if the tables contradict each other, or if a log file does not exist.
     """
     import tomli_w
 
@@ -106,16 +104,16 @@ def checked_study(study: Study, given: Collection[str] = ()) -> Study:
     )
     text = tomli_w.dumps(document_of(dataclasses.replace(study, experiments=named)))
     reader = Reader(study.path, "")
-    again = reader.study(tomllib.loads(text), study.sha256)
-    check_fit(again, reader)
-    check_sizes(again, reader)
+    checked = reader.study(tomllib.loads(text), study.sha256)
+    check_consistency(checked, reader)
+    check_sizes(checked, reader)
     others = tuple(each for each in study.experiments if each.name not in given)
     for each in others:
         if not each.file:
             raise InvalidInput(
                 f"the experiment {each.name!r} has no log",
                 where=str(study.path),
-                remedy="give its data, or name its file",
+                remedy="pass its data, or set its file",
             )
     check_files(dataclasses.replace(study, experiments=others), reader)
     sha256 = study.sha256 or hashlib.sha256(text.encode()).hexdigest()
@@ -125,7 +123,7 @@ def checked_study(study: Study, given: Collection[str] = ()) -> Study:
 def write_study(study: Study, path: Path) -> None:
     """Write a study file that reads back equal.
 
-    Raises `InvalidInput`: The file cannot be written.
+    Raises InvalidInput if the file cannot be written.
     """
     import tomli_w
 
@@ -133,7 +131,7 @@ def write_study(study: Study, path: Path) -> None:
 
 
 def document_of(study: Study) -> dict[str, Any]:
-    """A study as the tables of a study file; what has its default is left out."""
+    """A study as tables of a study file, without values that equal their defaults."""
     document: dict[str, Any] = {
         "arm": _table(study.arm, without=("joints", "servo")),
         "joint": [_table(joint) for joint in study.arm.joints],
@@ -150,7 +148,7 @@ def document_of(study: Study) -> dict[str, Any]:
 
 
 def _table(record: Any, without: Container[str] = ()) -> dict[str, Any]:
-    """A record's values that differ from their defaults, as TOML can hold them."""
+    """Values of a record that differ from their defaults, as TOML values."""
     table: dict[str, Any] = {}
     for field in dataclasses.fields(record):
         value = getattr(record, field.name)

@@ -1,4 +1,7 @@
-"""What one value cannot show: whether the tables fit each other, and sizes that no rig has."""
+"""Checks of a study beyond single values: consistency of the tables, and implausible sizes.
+
+`Reader.place` gives the place of a fault in the file.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,8 @@ from strainwave.io.atomic_files import nearest
 from strainwave.io.study.reader import Reader
 
 
-def check_fit(study: Study, reader: Reader) -> None:
-    """Check that the tables fit each other and the kind of arm.
-
-    `reader`: Knows where in the file things stand. Raises `InvalidInput`: They do not.
-    """
+def check_consistency(study: Study, reader: Reader) -> None:
+    """Raise InvalidInput if the tables contradict each other or the kind of arm."""
     _check_kind(study.arm, reader)
     _check_joints(study.arm, reader)
     _check_channels(study, reader)
@@ -30,17 +30,17 @@ def _check_kind(arm: ArmDescription, reader: Reader) -> None:
     count = kind_of(arm).n_joints
     if arm.n_joints > max(kind.n_joints for kind in KINDS.values()):
         raise InvalidInput(
-            f"there are {arm.n_joints} [[joint]] tables; an arm of one joint, or of two links "
-            "in one plane, is what can be identified so far",
+            f"there are {arm.n_joints} [[joint]] tables, but only arms of one joint or of two "
+            "links in one plane are supported",
             where=reader.place("joint"),
-            remedy="describe one joint, or two that move in one plane, and record them while the "
-            "others stand still",
+            remedy="describe one joint, or two that move in one plane, and record them with the "
+            "other joints at rest",
         )
     if arm.n_joints != count:
         raise InvalidInput(
             f"a {arm.kind} arm has {count} joint(s), but there are {arm.n_joints} [[joint]] tables",
             where=reader.place("joint"),
-            remedy=f"write {count} [[joint]] table(s), from the base, or another kind of [arm]",
+            remedy=f"write {count} [[joint]] table(s) from the base, or change kind in [arm]",
         )
     for fault in kind_of(arm).faults(arm):
         raise InvalidInput(
@@ -56,35 +56,33 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
             raise InvalidInput(
                 "an IMU on a prismatic joint is not supported",
                 where=reader.place("joint", index, "imu"),
-                remedy="map the axis along the joint to the channel a1, and leave the others out",
+                remedy="map the axis along the joint to the channel a1 and remove the other axes",
             )
-        of_a_gear = [name for name in joint.named_effects if effect_named(name).needs_elastic_gear]
-        if of_a_gear and not joint.elastic:
+        elastic_only = [
+            name for name in joint.named_effects if effect_named(name).needs_elastic_gear
+        ]
+        if elastic_only and not joint.elastic:
             raise InvalidInput(
-                f"a rigid gear has no {of_a_gear[0].replace('-', ' ')}",
+                f"the effect '{elastic_only[0]}' needs an elastic gear",
                 where=reader.place("joint", index, "effects"),
-                remedy=f"leave '{of_a_gear[0]}' out, or give the gear a spring",
+                remedy=f"remove '{elastic_only[0]}', or set an elastic spring",
             )
-        of_first = [name for name in joint.named_effects if effect_named(name).first_joint_only]
-        if of_first and index > 0:
+        first_only = [name for name in joint.named_effects if effect_named(name).first_joint_only]
+        if first_only and index > 0:
             raise InvalidInput(
-                f"joint {index + 1} has no {of_first[0].replace('-', ' ')}: only what bears the "
-                "first joint can have it",
+                f"joint {index + 1} has the effect '{first_only[0]}', which only joint 1 can have",
                 where=reader.place("joint", index, "effects"),
-                remedy=f"give joint 1 the effect '{of_first[0]}'",
+                remedy=f"move '{first_only[0]}' to the effects of joint 1",
             )
     if arm.servo is not None:
         for key in ("kp", "ki", "position_gain"):
-            own = getattr(arm.servo, key)
-            if own is not None:
-                _check_count(own, arm.n_joints, reader.place("servo", None, key), key)
+            gains = getattr(arm.servo, key)
+            if gains is not None:
+                _check_count(gains, arm.n_joints, reader.place("servo", None, key), key)
 
 
 def check_options(study: Study, reader: Reader) -> None:
-    """Check that bands and ranges rise, and that parameters are this arm's.
-
-    Raises `InvalidInput`: They do not, or are not.
-    """
+    """Raise InvalidInput if a band or range is empty, or if the arm lacks a parameter."""
     options = study.options
     for stage, band in (
         ("statespace", options.statespace.band_hz),
@@ -94,12 +92,13 @@ def check_options(study: Study, reader: Reader) -> None:
             raise InvalidInput(
                 f"the band from {band[0]:g} to {band[1]:g} Hz is empty",
                 where=reader.place(f"options.{stage}", None, "band_hz"),
-                remedy="give the lower frequency first",
+                remedy="put the lower frequency first",
             )
     fitted = whole_arm_parameters(study.arm)
     numbers = range(1, study.arm.n_joints + 1)
     constants = [f"{name} {i}" for name in SENSOR_PARAMETERS for i in numbers]
-    held = (*fitted, *SENSOR_PARAMETERS, *constants)  # a delay may be zero: no factors bound it
+    # `ranges` are factors, which cannot bound a sensor constant whose nominal value is zero
+    held = (*fitted, *SENSOR_PARAMETERS, *constants)
     for key, names, known in (
         ("ranges", tuple(options.tuning.ranges), fitted),
         ("hold", options.tuning.hold, held),
@@ -107,22 +106,23 @@ def check_options(study: Study, reader: Reader) -> None:
         for name in names:
             if name not in known:
                 raise InvalidInput(
-                    f"'{name}' is no parameter of the whole-arm fit",
+                    f"'{name}' is not a parameter of the whole-arm fit",
                     where=reader.place("options.tuning", None, key),
                     remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
                 )
-    for name, (least, most) in options.tuning.ranges.items():
-        if not least <= 1.0 <= most or least == most:
+    for name, (low, high) in options.tuning.ranges.items():
+        if not low <= 1.0 <= high or low == high:
             raise InvalidInput(
-                f"the range of {name}, {least:g} to {most:g} times its start, leaves the start out",
+                f"the range of {name}, {low:g} to {high:g} times its starting value, does not "
+                "contain the starting value",
                 where=reader.place("options.tuning", None, "ranges"),
-                remedy="give two factors about 1, the lower one first: [0.5, 2.0]",
+                remedy="set a factor below 1 and a factor above 1, such as [0.5, 2.0]",
             )
         if name.startswith("friction_offset"):
             raise InvalidInput(
-                f"'{name}' may be zero or have either sign, so that factors bound nothing",
+                f"'{name}' can be zero or negative, so that factors do not bound it",
                 where=reader.place("options.tuning", None, "ranges"),
-                remedy="hold it, or leave it free",
+                remedy="put it into hold, or remove it from ranges",
             )
 
 
@@ -131,7 +131,7 @@ def _check_count(values: tuple[Any, ...], count: int, place: str, key: str) -> N
         raise InvalidInput(
             f"'{key}' has {len(values)} value(s), but the arm has {count} joint(s)",
             where=place,
-            remedy="give one value for each joint",
+            remedy="set one value per joint",
         )
 
 
@@ -140,46 +140,46 @@ def _check_channels(study: Study, reader: Reader) -> None:
     named: list[tuple[str, int | None, str]] = [("channels", None, name) for name in study.channels]
     for index, experiment in enumerate(study.experiments):
         named += [("experiment", index, name) for name in experiment.add]
-    for table, at, name in named:
+    for table, position, name in named:
         if name not in known:
             raise InvalidInput(
-                f"'{name}' is no channel of this arm",
-                where=reader.place(table, at, name),
+                f"'{name}' is not a channel of this arm",
+                where=reader.place(table, position, name),
                 remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
             )
-    for table, at, name in named:
+    for table, position, name in named:
         for effect in _moving_encoders(study.arm, name):
             raise InvalidInput(
-                f"'{name}' is no link angle in space where there is a {effect.replace('-', ' ')}",
-                where=reader.place(table, at, name),
-                remedy=f"leave '{name}' out and map an accelerometer, or leave '{effect}' out",
+                f"'{name}' does not measure the absolute link angle with the effect '{effect}'",
+                where=reader.place(table, position, name),
+                remedy=f"map an accelerometer instead of '{name}', or remove '{effect}'",
             )
     for name, channel in study.channels.items():
         if channel.scale == 0.0:
             raise InvalidInput(
                 f"the scale of '{name}' is zero",
                 where=reader.place("channels", None, name),
-                remedy="give the factor from the column's unit to SI",
+                remedy="set the factor from the column's unit to the SI unit",
             )
 
 
 def _moving_encoders(arm: ArmDescription, channel: str) -> Iterator[str]:
-    """The effects named that move the encoder on a link whose channel it is."""
+    """Named effects that move the link encoder of a channel."""
     for number, joint in enumerate(arm.joints, start=1):
         if channel in (f"theta_l{number}", f"deflection{number}"):
             yield from (e for e in joint.named_effects if effect_named(e).moves_link_encoder)
 
 
 def _check_experiments(study: Study, reader: Reader) -> None:
-    count, seen = study.arm.n_joints, set[str]()
+    count, names = study.arm.n_joints, set[str]()
     for index, experiment in enumerate(study.experiments):
-        if experiment.name in seen:
+        if experiment.name in names:
             raise InvalidInput(
-                f"there are two experiments named {experiment.name!r}",
+                f"two experiments have the name {experiment.name!r}",
                 where=reader.place("experiment", index, "name"),
-                remedy="give each its own name",
+                remedy="choose different names",
             )
-        seen.add(experiment.name)
+        names.add(experiment.name)
         _check_count(
             experiment.control, count, reader.place("experiment", index, "control"), "control"
         )
@@ -187,43 +187,40 @@ def _check_experiments(study: Study, reader: Reader) -> None:
             raise InvalidInput(
                 f"there is no joint {experiment.joint}: the arm has {count}",
                 where=reader.place("experiment", index, "joint"),
-                remedy="joints are numbered from 1, from the base",
+                remedy="use a joint number from 1, counted from the base",
             )
         start, stop = experiment.start, experiment.stop
         if start is not None and stop is not None and stop <= start:
             raise InvalidInput(
                 f"the window is empty: stop = {stop:g} s is not after start = {start:g} s",
                 where=reader.place("experiment", index, "stop"),
-                remedy="give a stop after the start, or leave it out",
+                remedy="set a stop after the start, or remove it",
             )
 
 
 def check_files(study: Study, reader: Reader) -> None:
-    """Check that every experiment's log is there.
-
-    `reader`: Knows where in the file things stand. Raises `InvalidInput`: One is not.
-    """
+    """Raise InvalidInput if the log of an experiment does not exist."""
     for index, experiment in enumerate(study.experiments):
         path = study.log_path(experiment)
         try:
-            there = path.exists()
+            exists = path.exists()
         except (OSError, ValueError):
-            there = False
-        if not there:
+            exists = False
+        if not exists:
             siblings = [p.name for p in study.path.parent.glob("*")]
             raise InvalidInput(
                 f"the log file {experiment.file!r} does not exist",
                 where=reader.place("experiment", index, "file"),
-                remedy="put it beside the study file, or mend the name"
+                remedy="put it next to the study file, or correct the name"
                 + nearest(experiment.file, siblings),
             )
 
 
-# Sizes that no rig has. The limits are wide: they are to catch a unit or a ratio upside down, not
-# to doubt an unusual machine. (key, smallest, largest, unit, factor of the likely slip, its name)
+# Limits beyond which a number has the wrong unit or is inverted; unusual machines lie within.
+# (key, smallest, largest, unit, factor of the likely unit error, wrong unit)
 _JOINT_SIZES = (
     ("gear_ratio", 1e-4, 1.0, "link turns per motor turn", None, ""),
-    ("torque_per_volt", 1e-6, 1e4, "N m/V at the motor", 1e-3, "mN m/V"),
+    ("torque_per_volt", 1e-6, 1e4, "N m/V, motor side", 1e-3, "mN m/V"),
     ("current_loop_hz", 5.0, 1e6, "Hz", 1e3, "kHz"),
     ("encoder_counts", 4.0, 1e9, "counts per motor turn", None, ""),
     ("accelerometer_distance", 1e-3, 10.0, "m", 1e-3, "mm"),
@@ -243,39 +240,41 @@ _PRBS_SIZES = (("clock", 1e-6, 5.0, "s", 1e-3, "ms"), ("order", 2, 24, "bits", N
 
 
 def check_sizes(study: Study, reader: Reader) -> None:
-    """Check for numbers that are a slip of unit, or upside down.
-
-    `reader`: Knows where in the file things stand. Raises `InvalidInput`: One is of a size that no
-    rig has.
-    """
-    _sizes(study.arm, _ARM_SIZES, lambda key: reader.place("arm", None, key))
+    """Raise InvalidInput if a number is so large or small that its unit must be wrong."""
+    _check_record_sizes(study.arm, _ARM_SIZES, lambda key: reader.place("arm", None, key))
     for index, joint in enumerate(study.arm.joints):
-        _sizes(joint, _JOINT_SIZES, lambda key, i=index: reader.place("joint", i, key))
+        _check_record_sizes(joint, _JOINT_SIZES, lambda key, i=index: reader.place("joint", i, key))
         if joint.imu is not None:
-            _sizes(joint.imu, _IMU_SIZES, lambda _, i=index: reader.place("joint", i, "imu"))
+            _check_record_sizes(
+                joint.imu, _IMU_SIZES, lambda _, i=index: reader.place("joint", i, "imu")
+            )
     if study.arm.servo is not None:
-        _sizes(study.arm.servo, _SERVO_SIZES, lambda key: reader.place("servo", None, key))
+        _check_record_sizes(
+            study.arm.servo, _SERVO_SIZES, lambda key: reader.place("servo", None, key)
+        )
     for index, experiment in enumerate(study.experiments):
         if experiment.prbs is not None:
             place = reader.place("experiment", index, "prbs")
-            _sizes(experiment.prbs, _PRBS_SIZES, lambda _, place=place: place)
+            _check_record_sizes(experiment.prbs, _PRBS_SIZES, lambda _, place=place: place)
 
 
-def _sizes(record: Any, sizes: Any, place: Any) -> None:
-    for key, least, most, unit, slip, slip_unit in sizes:
+def _check_record_sizes(record: Any, sizes: Any, place: Any) -> None:
+    for key, low, high, unit, factor, wrong_unit in sizes:
         value = getattr(record, key)
-        if value is None or least <= value <= most:
+        if value is None or low <= value <= high:
             continue
-        if key == "gear_ratio" and value > most:
-            meant = f"{1.0 / value:g} was probably meant: {unit}"
-        elif (slip and least <= value * slip <= most) or (
-            slip and slip_unit.startswith("k") and value * slip <= most
+        if key == "gear_ratio" and value > high:
+            remedy = f"the value is probably inverted: set {1.0 / value:g} {unit}"
+        elif (
+            factor
+            and (low <= value * factor or wrong_unit.startswith("k"))
+            and (value * factor <= high)
         ):
-            meant = f"{value * slip:g} was probably meant, if {value:g} is in {slip_unit}"
+            remedy = f"if {value:g} is in {wrong_unit}, set {value * factor:g}"
         else:
-            meant = f"expected {least:g} to {most:g}"
+            remedy = f"set a value from {low:g} to {high:g}"
         raise InvalidInput(
-            f"'{key}' is {value:g} {unit}, which no rig has",
+            f"'{key}' is {value:g} {unit}, which is outside the range of any rig",
             where=place(key),
-            remedy=meant,
+            remedy=remedy,
         )

@@ -1,4 +1,4 @@
-"""Options given elsewhere than in the file: `--set stage.key=value`, or by a caller."""
+"""Options that are not in a file: `--set stage.key=value`, or arguments of a function."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ _WORD = re.compile(r"[A-Za-z][\w-]*")
 
 @dataclass(frozen=True)
 class Flag(Reader):
-    """A reader of a table that stands in no file: every place is the flag, its text."""
+    """Reader of a table that is not in a file. Every place is the flag itself."""
 
     def place(self, name: str = "", index: int | None = None, key: str | None = None) -> str:
-        """The flag itself."""
+        """The flag."""
         return self.text
 
 
-def parsed(text: str) -> dict[str, dict[str, Any]]:
-    """A flag as a table of tables.
+def parse_flag(text: str) -> dict[str, dict[str, Any]]:
+    """Table by stage and key of a flag "stage.key=value" with a TOML value or a bare word.
 
-    `text`: "stage.key=value", the value as in TOML; a bare word is a string. Returns: stage ->
-    {key: value}. Raises `InvalidInput`: It is no such text, or the value is no TOML.
+    Raises InvalidInput if the text has another form or the value is not valid TOML.
     """
     match = _FLAG.fullmatch(text)
     if match is None:
         raise InvalidInput(
-            "is not of the form stage.key=value",
+            "the option does not have the form stage.key=value",
             where=f"--set {text}",
-            remedy="write for example --set links.time_constant=0.1",
+            remedy="write, for example, --set links.time_constant=0.1",
         )
     stage, key, value = match.groups()
     if _WORD.fullmatch(value) and value not in ("true", "false", "inf", "nan"):
@@ -45,10 +44,12 @@ def parsed(text: str) -> dict[str, dict[str, Any]]:
         raise InvalidInput(
             f"{value!r} is not a TOML value ({error})",
             where=f"--set {text}",
-            remedy="write a number, true, a word, [a, b] or { name = [a, b] }, quoted",
+            remedy="write a number, true, a word, [a, b] or { name = [a, b] }, in shell quotes",
         ) from error
     if set(document) != {"value"}:
         raise InvalidInput(
-            "holds more than one value", where=f"--set {text}", remedy="repeat --set for each"
+            "the option has more than one value",
+            where=f"--set {text}",
+            remedy="repeat --set for each value",
         )
     return {stage: {key: document["value"]}}

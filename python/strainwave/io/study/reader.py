@@ -1,7 +1,6 @@
-"""Tables of a study file -> records, each value checked where it stands.
+"""Convert tables of a study file to records and check each value.
 
-The records' own annotations are the constraints: pydantic checks each value against the type its
-field has in `strainwave.domain`.
+Pydantic checks each value against the annotation of its field in `strainwave.domain`.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ _TABLES = {
 
 @dataclasses.dataclass(frozen=True)
 class Reader:
-    """Turns tables into records, and knows where in the file things stand."""
+    """Converts tables to records and finds the place of a key in the file."""
 
     path: Path
     text: str
@@ -50,13 +49,12 @@ class Reader:
     def study(
         self, document: Mapping[str, Any], sha256: str, *, experiments_exist: bool = True
     ) -> Study:
-        """The whole file.
+        """The study of a parsed file. `sha256` is the hash of the file.
 
-        `document`: As parsed. `sha256`: Of the file, for the record. `experiments_exist`: Whether
-        there must be an experiment. Raises `InvalidInput`: A table or key is missing, unknown, or
-        of another type or range than it may have.
+        Raises InvalidInput if a table or key is missing or unknown, or if a value has an invalid
+        type or range.
         """
-        self._known_keys(document, _TABLES, "")
+        self._check_keys(document, _TABLES, "")
         arm = self._one(document, "arm")
         joints = self._list(document, "joint")
         experiments = self._list(document, "experiment")
@@ -64,7 +62,7 @@ class Reader:
             empty = "arm" if arm is None else "joint" if not joints else "experiment"
             name = "[arm]" if empty == "arm" else f"[[{empty}]]"
             raise InvalidInput(
-                f"has no {name} table",
+                f"there is no {name} table",
                 where=str(self.path),
                 remedy=f"add {name}; see docs/study.md",
             )
@@ -81,29 +79,29 @@ class Reader:
             options=self.options(self._one(document, "options") or {}, Options()),
         )
 
-    def options(self, table: Mapping[str, Any], before: Options) -> Options:
-        """Tables by stage over what was chosen before.
+    def options(self, table: Mapping[str, Any], previous: Options) -> Options:
+        """Options from tables by stage, on top of previous options.
 
-        `table`: Stage -> table of its options. Raises `InvalidInput`: A stage or an option is
-        unknown, or of another type or range than it may have.
+        Raises InvalidInput if a stage or option is unknown, or if a value has an invalid type or
+        range.
         """
-        stages = {f.name: getattr(before, f.name) for f in dataclasses.fields(before)}
-        self._known_keys(table, stages, "options")
-        for stage, own in table.items():
-            if not isinstance(own, dict):
+        stages = {f.name: getattr(previous, f.name) for f in dataclasses.fields(previous)}
+        self._check_keys(table, stages, "options")
+        for stage, changes in table.items():
+            if not isinstance(changes, dict):
                 raise InvalidInput(
-                    f"'{stage}' is {_shown(own)}",
+                    f"'{stage}' is {_abbreviated(changes)}",
                     where=self.place("options", None, stage),
-                    remedy=f"give a table of options: {stage} = {{ ... }}",
+                    remedy=f"write a table of options: {stage} = {{ ... }}",
                 )
-            earlier = {
+            unchanged = {
                 f.name: getattr(stages[stage], f.name)
                 for f in dataclasses.fields(stages[stage])
-                if f.name not in own
+                if f.name not in changes
             }
             kind = type(stages[stage])
             stages[stage] = dataclasses.replace(
-                self.record(kind, own, f"options.{stage}"), **earlier
+                self.record(kind, changes, f"options.{stage}"), **unchanged
             )
         return Options(**stages)
 
@@ -115,13 +113,13 @@ class Reader:
         index: int | None = None,
         **elsewhere: Any,
     ) -> T:
-        """One table as a record, each value checked against its field's annotation.
+        """One table as a record, each value checked against the annotation of its field.
 
-        `elsewhere` are fields that are no keys of this table, because they stand in others.
+        `elsewhere` holds fields that come from other tables.
         """
-        of_kind = dataclasses.fields(kind)  # type: ignore[arg-type]
-        fields = {f.name: f for f in of_kind if f.name not in elsewhere}
-        self._known_keys(table, fields, name, index)
+        all_fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+        fields = {f.name: f for f in all_fields if f.name not in elsewhere}
+        self._check_keys(table, fields, name, index)
         hints = get_type_hints(kind, include_extras=True)
         values = {}
         for key, field in fields.items():
@@ -144,39 +142,42 @@ class Reader:
         joints: Sequence[Mapping[str, Any]],
         servo: Mapping[str, Any] | None,
     ) -> ArmDescription:
-        """`[arm]` with its `[[joint]]` tables and `[servo]`."""
+        """The arm from `[arm]`, its `[[joint]]` tables and `[servo]`."""
         elsewhere = {
-            "joints": tuple(self._joint(own, i) for i, own in enumerate(joints)),
+            "joints": tuple(self._joint(joint, i) for i, joint in enumerate(joints)),
             "servo": None if servo is None else self.record(Servo, servo, "servo"),
         }
         return self.record(ArmDescription, arm, "arm", None, **elsewhere)
 
-    def _joint(self, own: Mapping[str, Any], index: int) -> Joint:
-        """One `[[joint]]`, its spring a gear law and its effects effects that there are."""
-        spring, further = own.get("spring"), own.get("effects")
+    def _joint(self, table: Mapping[str, Any], index: int) -> Joint:
+        """One `[[joint]]` whose spring and effects are registered."""
+        spring, named = table.get("spring"), table.get("effects")
         if spring is not None:
-            self._registered([spring], gear_laws.names(), spring, index, "spring")
-        if isinstance(further, str) and further != "auto":
+            self._check_registered([spring], gear_laws.names(), spring, index, "spring")
+        if isinstance(named, str) and named != "auto":
             raise InvalidInput(
-                f"'effects' is {_shown(further)}, but it should be a list of effects or \"auto\"",
+                f"'effects' is {_abbreviated(named)}, but it should be a list of effects or "
+                '"auto"',
                 where=self.place("joint", index, "effects"),
-                remedy='give a list such as effects = ["stribeck"], or effects = "auto"',
+                remedy='write a list such as effects = ["stribeck"], or effects = "auto"',
             )
-        if isinstance(further, list):
-            self._registered(further, effects.names(), further, index, "effects")
-        return self.record(Joint, own, "joint", index)
+        if isinstance(named, list):
+            self._check_registered(named, effects.names(), named, index, "effects")
+        return self.record(Joint, table, "joint", index)
 
-    def _registered(
+    def _check_registered(
         self, named: Sequence[Any], known: Sequence[str], value: Any, index: int, key: str
     ) -> None:
-        """Complain of a joint's value that names what there is not."""
+        """Raise InvalidInput if a joint's value contains a name that is not registered."""
         if all(name in known for name in named):
             return
+        unknown = next(name for name in named if name not in known)
+        near = nearest(unknown, known) if isinstance(unknown, str) else ""
         *others, last = [repr(name) for name in known]
         raise InvalidInput(
-            f"'{key}' is {_shown(value)}, but it should be {', '.join(others)} or {last}",
+            f"'{key}' is {_abbreviated(value)}, but it should be {', '.join(others)} or {last}",
             where=self.place("joint", index, key),
-            remedy="mend the value",
+            remedy=f"correct the value{near}",
         )
 
     def _value(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
@@ -186,26 +187,30 @@ class Reader:
         if inner and isinstance(value, dict):
             return self.record(inner[0], value, name, index)
         try:
-            checked = _adapter(hint).validate_python(_tuples(value), strict=True)
+            checked = _adapter(hint).validate_python(_lists_to_tuples(value), strict=True)
         except (ValidationError, RecursionError) as error:
-            said = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "too deep"
-            said = said.replace("Input should be ", "it should be ")
+            reason = "it is nested too deeply"
+            if isinstance(error, ValidationError):
+                reason = error.errors()[0]["msg"]
+            reason = reason.replace("Input should be ", "it should be ")
             raise InvalidInput(
-                f"'{key}' is {_shown(value)}, but {said[0].lower() + said[1:]}",
+                f"'{key}' is {_abbreviated(value)}, but {reason[0].lower() + reason[1:]}",
                 where=self.place(name, index, key),
-                remedy="mend the value",
+                remedy="correct the value",
             ) from error
-        if isinstance(value, bool) and not isinstance(checked, bool):  # true equals one
+        if isinstance(value, bool) and not isinstance(
+            checked, bool
+        ):  # Python compares True equal to 1
             raise InvalidInput(
-                f"'{key}' is {_shown(value)}, but it should be a number",
+                f"'{key}' is {_abbreviated(value)}, but it should be a number",
                 where=self.place(name, index, key),
-                remedy="mend the value",
+                remedy="correct the value",
             )
         if _not_finite(checked):
             raise InvalidInput(
-                f"'{key}' is {_shown(value)}",
+                f"'{key}' is {_abbreviated(value)}",
                 where=self.place(name, index, key),
-                remedy="give a finite number",
+                remedy="set a finite number",
             )
         return checked
 
@@ -215,9 +220,9 @@ class Reader:
             as_table = {"column": entry} if isinstance(entry, str) else entry
             if not isinstance(as_table, dict):
                 raise InvalidInput(
-                    f"'{name}' is {_shown(entry)}",
+                    f"'{name}' is {_abbreviated(entry)}",
                     where=self.place("channels", None, name),
-                    remedy='give a name, or { column = "...", scale = ..., offset = ... }',
+                    remedy='write a name, or { column = "...", scale = ..., offset = ... }',
                 )
             if "topic" in as_table:
                 channels[name] = self.record(TopicChannel, as_table, "channels").channel
@@ -229,7 +234,7 @@ class Reader:
         table = document.get(name)
         if table is not None and not isinstance(table, dict):
             raise InvalidInput(
-                f"[{name}] must stand once, as one table",
+                f"[{name}] must be one table",
                 where=self.place(name),
                 remedy=f"write [{name}]",
             )
@@ -239,13 +244,13 @@ class Reader:
         tables = document.get(name, [])
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise InvalidInput(
-                f"{name} must be a list of tables",
+                f"[[{name}]] must be a list of tables",
                 where=self.place(name),
                 remedy=f"write [[{name}]]",
             )
         return tables
 
-    def _known_keys(
+    def _check_keys(
         self,
         table: Mapping[str, Any],
         known: Mapping[str, Any],
@@ -255,35 +260,35 @@ class Reader:
         for key in table:
             if key not in known:
                 near = nearest(key, known)
-                listed = near or f"; known here: {', '.join(known)}"
+                hint = near or f"; the known keys are {', '.join(known)}"
                 raise InvalidInput(
-                    f"the key '{key}' is not known",
+                    f"the key '{key}' is unknown",
                     where=self.place(name, index, key),
-                    remedy=f"remove or rename it{listed}",
+                    remedy=f"remove or rename it{hint}",
                 )
 
     def place(self, name: str = "", index: int | None = None, key: str | None = None) -> str:
-        """File, line and table, as a person looks for it."""
+        """File, line and table of a key, as text."""
         line = self._line(name, index, key)
-        at = f", line {line}" if line else ""
+        line_text = f", line {line}" if line else ""
         table = f", [[{name}]] {index + 1}" if index is not None else f", [{name}]" if name else ""
-        return f"{self.path}{at}{table}"
+        return f"{self.path}{line_text}{table}"
 
     def _line(self, name: str, index: int | None, key: str | None) -> int | None:
-        """The line of a table's header, or of a key under it."""
+        """Line of a table's header, or of a key in the table."""
         outer, _, inner = name.rpartition(".")
-        if outer and self._header(name, index, None) is None:  # it stands inline in another one
+        if outer and self._header(name, index, None) is None:  # an inline table
             return self._line(outer, index, inner)
         return self._header(name, index, key)
 
     def _header(self, name: str, index: int | None, key: str | None) -> int | None:
-        seen, inside, header = -1, name == "", None
+        count, inside, header = -1, name == "", None
         for number, line in enumerate(self.text.splitlines(), start=1):
             stripped = line.strip()
             if stripped.startswith("["):
                 if stripped.split("#")[0].strip().strip("[] ") == name:
-                    seen += 1
-                    inside = index is None or seen == index
+                    count += 1
+                    inside = index is None or count == index
                     header = number if inside else header
                 else:
                     inside = name == ""
@@ -299,10 +304,10 @@ def _adapter(hint: Any) -> Any:
     return TypeAdapter(hint)
 
 
-def _tuples(value: Any) -> Any:
+def _lists_to_tuples(value: Any) -> Any:
     if isinstance(value, dict):
-        return {name: _tuples(entry) for name, entry in value.items()}
-    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value
+        return {name: _lists_to_tuples(entry) for name, entry in value.items()}
+    return tuple(_lists_to_tuples(v) for v in value) if isinstance(value, list) else value
 
 
 def _not_finite(value: Any) -> bool:
@@ -311,6 +316,6 @@ def _not_finite(value: Any) -> bool:
     return isinstance(value, float) and value - value != 0.0
 
 
-def _shown(value: Any) -> str:
+def _abbreviated(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
