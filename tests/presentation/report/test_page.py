@@ -211,7 +211,7 @@ def test_residual_tests_and_likely_effects_are_shown() -> None:
         "torque 2.10 ± 0.10",
         "30 %",
         "likely",
-        "lags its torsion",
+        "hysteresis of the gear torque over the torsion",
     ):
         assert text in page, text
     drawn = figures_in(page)["residuals-a1"]
