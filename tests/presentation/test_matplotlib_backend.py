@@ -1,4 +1,4 @@
-"""Figures by Matplotlib: every mark is drawn in its place."""
+"""Figures by Matplotlib: every mark is chart in its place."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def figure(*marks: Mark, x: str = "time [s]", y: str = "torque [N m]", **more: A
 
 def test_lines_points_and_gaps_are_drawn() -> None:
     x = np.array([0.0, 1.0, 2.0])
-    drawn = draw(
+    chart = draw(
         figure(
             Line(x, np.array([1.0, np.nan, 3.0]), "a", "#0072B2", (6.0, 3.0)),
             Markers(np.array([0.5]), np.array([2.0]), "b", "#D55E00"),
         )
     )
-    (axes,) = drawn.axes
+    (axes,) = chart.axes
     line, points = axes.get_lines()
     assert np.asarray(line.get_xdata()).tolist() == [0.0, 1.0, 2.0]
     assert np.isnan(np.asarray(line.get_ydata())).tolist() == [False, True, False]
@@ -40,35 +40,35 @@ def test_lines_points_and_gaps_are_drawn() -> None:
         "o",
     )
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time [s]", "torque [N m]")
-    (legend,) = drawn.legends
+    (legend,) = chart.legends
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
 
 
 def test_a_bode_plot_has_panels_bands_and_labels() -> None:
-    drawn = draw(figures_of(elastic_identification())["bode-joint-1"])
-    assert [axes.get_ylabel() for axes in drawn.axes] == [
+    chart = draw(figures_of(elastic_identification())["bode-joint-1"])
+    assert [axes.get_ylabel() for axes in chart.axes] == [
         "dB re rad/s/(N m)",
         "phase [°]",
         "coherence",
     ]
-    assert all(axes.get_xscale() == "log" for axes in drawn.axes)
-    assert drawn.axes[2].get_ylim() == (0.0, 1.05)
-    assert len(drawn.axes[0].collections) == 2  # bands of the measured points and the joint model
-    labels = [text for axes in drawn.axes for text in axes.texts]
+    assert all(axes.get_xscale() == "log" for axes in chart.axes)
+    assert chart.axes[2].get_ylim() == (0.0, 1.05)
+    assert len(chart.axes[0].collections) == 2  # bands of the measured points and the joint model
+    labels = [text for axes in chart.axes for text in axes.texts]
     assert [text.get_text().split()[0] for text in labels] == ["anti-resonance", "resonance"]
     marked: Any = labels[0]
     assert marked.xy[0] == pytest.approx(12.9, abs=0.1)  # [Hz], not its logarithm
-    assert marked.axes is drawn.axes[1]
-    tops = [axes.get_position().y0 for axes in drawn.axes]
+    assert marked.axes is chart.axes[1]
+    tops = [axes.get_position().y0 for axes in chart.axes]
     assert tops == sorted(tops, reverse=True)
 
 
 def test_bars_and_heat_maps_are_drawn() -> None:
-    found = figures_of(elastic_identification())
-    slope = draw(found["gear-joint-1-slope"]).axes
+    figures = figures_of(elastic_identification())
+    slope = draw(figures["gear-joint-1-slope"]).axes
     assert len(slope[1].patches) == 60
     assert slope[1].get_yscale() == "log"
-    correlations = draw(found["correlations"])
+    correlations = draw(figures["correlations"])
     (image,) = correlations.axes[0].images
     assert image.get_clim() == (-1.0, 1.0)
     assert correlations.axes[0].get_yticklabels()[0].get_text() == "gear stiffness k1 1"
@@ -100,10 +100,10 @@ def test_names_are_not_parsed_as_formulas() -> None:
 def test_the_caption_and_category_names_have_room() -> None:
     points = Markers(("one", "two"), np.array([1.0, 2.0]), "a", "#0072B2")
     plain = Markers(np.array([1.0, 2.0]), np.array([1.0, 2.0]), "a", "#0072B2")
-    drawn = draw(figure(points, caption="caption"))
-    assert drawn.get_suptitle() == "caption"
-    assert drawn.get_figheight() > draw(figure(plain)).get_figheight()
-    labels = drawn.axes[0].get_xticklabels()
+    chart = draw(figure(points, caption="caption"))
+    assert chart.get_suptitle() == "caption"
+    assert chart.get_figheight() > draw(figure(plain)).get_figheight()
+    labels = chart.axes[0].get_xticklabels()
     assert [(label.get_text(), label.get_rotation()) for label in labels] == [
         ("one", 90.0),
         ("two", 90.0),

@@ -32,8 +32,10 @@ from strainwave.identification import joint_model as physical
 
 @cache
 def joint_model() -> JointModel:
-    met = case(1)
-    return physical.identify_joint(met.records, met.model, Arm.of(met.study.arm))
+    record_case = case(1)
+    return physical.identify_joint(
+        record_case.records, record_case.model, Arm.of(record_case.study.arm)
+    )
 
 
 @cache
@@ -60,28 +62,37 @@ NAMES = (
 
 
 @cache
-def shown() -> dict[str, tuple[Displayed, list[str]]]:
+def examples() -> dict[str, tuple[Displayed, list[str]]]:
     """Records by name, and the texts that their tables must have."""
     rigid = identification().rigid
     assert rigid is not None
-    met = case(1)
+    record_case = case(1)
     return {
         "log": (log_of(prbs_run(rig())), ["theta_m2", "0.25 ms"]),
-        "rigid": (rigid, ["partly-determined", "0.02010", "not known", "kg m^2"]),
-        "decoupled": (met.decoupled, ["joint 1, decoupled", met.decoupled.checks[0].message[:12]]),
+        "rigid": (rigid, ["partly-determined", "0.02010", "not uncertain", "kg m^2"]),
+        "decoupled": (
+            record_case.decoupled,
+            ["joint 1, decoupled", record_case.decoupled.checks[0].message[:12]],
+        ),
         "joint": (joint_model(), ["gear_stiffness", "anti-resonance", "determined"]),
-        "record": (RecordModel(met.decoupled, joint_model(), None, None, None), ["gear_damping"]),
-        "response": (frequency.respond([met.decoupled]), ["frequency response by", "averages"]),
+        "record": (
+            RecordModel(record_case.decoupled, joint_model(), None, None, None),
+            ["gear_damping"],
+        ),
+        "response": (
+            frequency.respond([record_case.decoupled]),
+            ["frequency response by", "averages"],
+        ),
         "sweep": (sweep(), ["hardening", "24002 ± 80"]),
         "tuned": (arm_model(rigid.parameters, np.eye(2)), ["converged after 7", "0.00020"]),
-        "prediction": (prediction("check", 91.25, float("nan")), ["91.2 %", "not known"]),
+        "prediction": (prediction("check", 91.25, float("nan")), ["91.2 %", "not uncertain"]),
         "identification": (identification("<b>"), ["&lt;b&gt;", "<code>saturated</code>"]),
     }
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_table_has_the_contents_of_the_record(name: str) -> None:
-    record, texts = shown()[name]
+    record, texts = examples()[name]
     html = record._repr_html_()
     assert [text for text in texts if text not in html] == []
     assert html.count("<td>") == html.count("</td>")
@@ -89,15 +100,15 @@ def test_a_table_has_the_contents_of_the_record(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "joint"])
 def test_a_figure_has_lines_and_titled_axes(name: str) -> None:
-    axes = shown()[name][0].plot().axes
+    axes = examples()[name][0].plot().axes
     assert any(ax.lines or ax.containers for ax in axes)
     assert axes[0].get_ylabel()
 
 
 def test_a_joint_is_drawn_with_the_measured_response() -> None:
-    met = case(1)
+    record_case = case(1)
     alone = joint_model().plot(gear_ratio=0.01)
-    both = joint_model().plot(gear_ratio=0.01, measured=frequency.respond([met.decoupled]))
+    both = joint_model().plot(gear_ratio=0.01, measured=frequency.respond([record_case.decoupled]))
     assert [ax.get_ylabel() for ax in both.axes][2:] == ["coherence"]
     for one, other in zip(alone.axes, both.axes, strict=False):
         names = [set(ax.get_legend_handles_labels()[1]) for ax in (one, other)]
@@ -105,24 +116,26 @@ def test_a_joint_is_drawn_with_the_measured_response() -> None:
 
 
 def test_a_prediction_shows_the_channel_with_the_lowest_fit_by_default() -> None:
-    made = prediction("check", 91.0, 55.0)
-    assert "torque2" in title(made.plot())
-    assert "torque1" in title(made.plot(channel="torque1"))
+    check_prediction = prediction("check", 91.0, 55.0)
+    assert "torque2" in title(check_prediction.plot())
+    assert "torque1" in title(check_prediction.plot(channel="torque1"))
     with pytest.raises(InvalidInput, match="choose one of torque1, torque2"):
-        made.plot(channel="a1")
+        check_prediction.plot(channel="a1")
 
 
 def test_a_response_shows_the_reliable_points_of_the_selection() -> None:
     response = frequency.respond([case(1).decoupled])
     first, second = response.plot(band_hz=(5.0, 60.0)), response.plot(output=1)
     assert "input 0 to output 1" in title(second)
-    drawn = np.asarray(first.axes[0].lines[0].get_xdata(), dtype=float)
-    assert 5.0 <= drawn.min() < drawn.max() <= 60.0
+    figure = np.asarray(first.axes[0].lines[0].get_xdata(), dtype=float)
+    assert 5.0 <= figure.min() < figure.max() <= 60.0
     assert response.noise_variance is not None
-    known = np.sqrt(response.noise_variance / 2.0)[:, 1, 0] < 0.3 * np.abs(
+    uncertain = np.sqrt(response.noise_variance / 2.0)[:, 1, 0] < 0.3 * np.abs(
         response.response[:, 1, 0]
     )
-    assert 0 < len(np.asarray(second.axes[0].lines[0].get_xdata())) == known.sum() < known.size
+    assert (
+        0 < len(np.asarray(second.axes[0].lines[0].get_xdata())) == uncertain.sum() < uncertain.size
+    )
     with pytest.raises(InvalidInput, match="no point"):
         response.plot(band_hz=(1e6, 2e6))
 
@@ -131,11 +144,11 @@ def test_the_response_of_a_model_has_the_band_of_its_covariance() -> None:
     f = np.geomspace(1.0, 100.0, 30)
     response = np.asarray(10.0 / (1.0 + 1j * f), dtype=np.complex128)[:, None, None]
     spread = 1e-4 * np.abs(response[..., None, None]) ** 2 * np.eye(2)
-    known = FrequencyResponse(f, response, covariance=spread)
-    assert len(known.plot().axes[0].collections) == 1
-    assert len(replace(known, covariance=None).plot().axes[0].collections) == 0
+    uncertain = FrequencyResponse(f, response, covariance=spread)
+    assert len(uncertain.plot().axes[0].collections) == 1
+    assert len(replace(uncertain, covariance=None).plot().axes[0].collections) == 0
     with pytest.raises(InvalidInput, match="no point"):
-        replace(known, covariance=1e4 * spread).plot()
+        replace(uncertain, covariance=1e4 * spread).plot()
 
 
 def test_a_record_without_a_model_has_its_warnings_and_no_figure() -> None:

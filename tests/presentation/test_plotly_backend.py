@@ -59,14 +59,14 @@ def test_numbers_have_five_digits_of_the_largest_and_gaps_are_null() -> None:
 
 def test_each_name_is_one_legend_entry_together_with_its_band() -> None:
     other = Line(X, X, "b", MEASURED, legend=False)
-    drawn = Figure(
+    chart = Figure(
         Axis("x"),
         (
             Panel(Axis("y"), (Band(X, X, X, MODEL, "a"), LINE, other)),
             Panel(Axis("y"), (LINE, Markers(X, X, "c", MEASURED))),
         ),
     )
-    data = plotly(drawn)["data"]
+    data = plotly(chart)["data"]
     assert [t["name"] for t in data] == ["a", "a", "b", "a", "c"]
     assert [t["showlegend"] for t in data] == [False, True, False, False, True]
     assert [t["legendgroup"] for t in data] == ["a", "a", "b", "a", "c"]
@@ -110,23 +110,23 @@ def test_bars_error_bars_and_heat_maps() -> None:
     (joined,) = plotly(figure(Line(X, X, "a", MEASURED, size=6.0)))["data"]
     assert joined["mode"] == "lines+markers"
     heat = HeatMap(("one", "two"), np.eye(2), -1.0, 1.0, (MEASURED, "#FFFFFF", MODEL))
-    drawn = plotly(figure(heat))
-    assert drawn["data"][0]["z"] == [[1.0, 0.0], [0.0, 1.0]]
-    assert [at for at, _ in drawn["data"][0]["colorscale"]] == [0.0, 0.5, 1.0]
-    assert drawn["layout"]["yaxis"]["autorange"] == "reversed"
-    assert drawn["layout"]["margin"]["l"] > 10
+    chart = plotly(figure(heat))
+    assert chart["data"][0]["z"] == [[1.0, 0.0], [0.0, 1.0]]
+    assert [at for at, _ in chart["data"][0]["colorscale"]] == [0.0, 0.5, 1.0]
+    assert chart["layout"]["yaxis"]["autorange"] == "reversed"
+    assert chart["layout"]["margin"]["l"] > 10
 
 
 def test_category_names_are_vertical() -> None:
-    drawn = plotly(figure(Markers(("one", "two"), X[:2], "a", MEASURED)))
-    assert drawn["data"][0]["x"] == ["one", "two"]
-    assert drawn["layout"]["xaxis"]["tickangle"] == -90
+    chart = plotly(figure(Markers(("one", "two"), X[:2], "a", MEASURED)))
+    assert chart["data"][0]["x"] == ["one", "two"]
+    assert chart["layout"]["xaxis"]["tickangle"] == -90
 
 
 def test_every_figure_of_a_report_is_json() -> None:
-    for name, drawn in figures_of(elastic_identification()).items():
-        found = plotly(drawn)
-        assert json.loads(json.dumps(found, allow_nan=False)) == found, name
+    for name, chart in figures_of(elastic_identification()).items():
+        document = plotly(chart)
+        assert json.loads(json.dumps(document, allow_nan=False)) == document, name
 
 
 def test_many_panels_have_two_line_titles_and_low_ones_few_ticks() -> None:
@@ -141,8 +141,8 @@ def test_many_panels_have_two_line_titles_and_low_ones_few_ticks() -> None:
 
 def test_lines_keep_every_vertex() -> None:
     """Plotly's simplification displaces the knees of a stiffness curve by tens of pixels."""
-    for name, drawn in figures_of(elastic_identification()).items():
-        lines = [t["line"] for t in plotly(drawn)["data"] if "lines" in t.get("mode", "")]
+    for name, chart in figures_of(elastic_identification()).items():
+        lines = [t["line"] for t in plotly(chart)["data"] if "lines" in t.get("mode", "")]
         bands = [line for line in lines if line["width"] == 0]
         assert all(line["simplify"] is False for line in lines if line not in bands), name
 

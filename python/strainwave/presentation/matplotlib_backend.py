@@ -56,27 +56,27 @@ def draw(figure: Record) -> Figure:
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    drawn = Figure(figsize=(_FIGURE_WIDTH, _height(figure)), layout="constrained")
+    canvas = Figure(figsize=(_FIGURE_WIDTH, _height(figure)), layout="constrained")
     shares = [panel.height for panel in figure.panels]
-    grid = drawn.add_gridspec(len(shares), 1, height_ratios=shares)
+    grid = canvas.add_gridspec(len(shares), 1, height_ratios=shares)
     axes: list[Axes] = []
     for k, panel in enumerate(figure.panels):
-        axes.append(drawn.add_subplot(grid[k], sharex=axes[0] if axes else None))
+        axes.append(canvas.add_subplot(grid[k], sharex=axes[0] if axes else None))
         for mark in panel.marks:
-            _mark(drawn, axes[k], mark)
+            _mark(canvas, axes[k], mark)
         _vertical(axes[k], panel)
     _horizontal(axes, figure.x, categories=_has_categories(figure))
     for one in figure.uprights:
         _upright(axes, one)
-    _legend(drawn, axes, figure.legend)
+    _legend(canvas, axes, figure.legend)
     if figure.caption:
-        drawn.suptitle(figure.caption, fontsize=_FONT_SIZE + 2.0, parse_math=False)
-    return drawn
+        canvas.suptitle(figure.caption, fontsize=_FONT_SIZE + 2.0, parse_math=False)
+    return canvas
 
 
 def images(figure: Record) -> dict[str, bytes]:
     """The contents of a figure's files by ending, "svg" and "png"."""
-    drawn = draw(figure)
+    canvas = draw(figure)
     import matplotlib as mpl
 
     files = {}
@@ -84,9 +84,9 @@ def images(figure: Record) -> dict[str, bytes]:
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "strainwave"}):
         for ending, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
             file = BytesIO()
-            drawn.savefig(file, format=ending, dpi=_PNG_RESOLUTION, metadata=metadata)
+            canvas.savefig(file, format=ending, dpi=_PNG_RESOLUTION, metadata=metadata)
             files[ending] = file.getvalue()
-            drawn.set_layout_engine("none")  # the layout is final after the first file
+            canvas.set_layout_engine("none")  # the layout is final after the first file
     return files
 
 
@@ -104,7 +104,7 @@ def _has_categories(figure: Record) -> bool:
     return any(isinstance(m, Markers) and isinstance(m.x, tuple) for m in figure.marks)
 
 
-def _mark(drawn: Figure, axes: Axes, mark: Mark) -> None:
+def _mark(canvas: Figure, axes: Axes, mark: Mark) -> None:
     if isinstance(mark, Line | Markers):
         _points(axes, mark)
     elif isinstance(mark, Band):
@@ -114,7 +114,7 @@ def _mark(drawn: Figure, axes: Axes, mark: Mark) -> None:
     elif isinstance(mark, Bars):
         axes.bar(mark.x, mark.y, width=mark.width, color=mark.colour, label=mark.name)
     else:
-        _heat_map(drawn, axes, mark)
+        _heat_map(canvas, axes, mark)
 
 
 def _points(axes: Axes, mark: Line | Markers) -> None:
@@ -137,14 +137,14 @@ def _points(axes: Axes, mark: Line | Markers) -> None:
         axes.errorbar(x, mark.y, yerr=mark.error, capsize=2.0, **style)
 
 
-def _heat_map(drawn: Figure, axes: Axes, mark: HeatMap) -> None:
+def _heat_map(canvas: Figure, axes: Axes, mark: HeatMap) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
     scale = LinearSegmentedColormap.from_list("scale", mark.colours)
     image = axes.imshow(mark.values, cmap=scale, vmin=mark.low, vmax=mark.high, aspect="auto")
     axes.set_xticks(range(len(mark.names)), mark.names, rotation=90, fontsize=_FONT_SIZE)
     axes.set_yticks(range(len(mark.names)), mark.names, fontsize=_FONT_SIZE)
-    drawn.colorbar(image, ax=axes)
+    canvas.colorbar(image, ax=axes)
 
 
 def _vertical(axes: Axes, panel: Panel) -> None:
@@ -206,7 +206,7 @@ def _upright(axes: list[Axes], one: Upright) -> None:
         )
 
 
-def _legend(drawn: Figure, axes: list[Axes], names: list[str]) -> None:
+def _legend(canvas: Figure, axes: list[Axes], names: list[str]) -> None:
     """One entry per name, above the figure."""
     handles: dict[str, Any] = {}
     for each in axes:
@@ -214,7 +214,7 @@ def _legend(drawn: Figure, axes: list[Axes], names: list[str]) -> None:
             handles.setdefault(name, handle)
     if not names:
         return
-    box = drawn.legend(
+    box = canvas.legend(
         [handles[name] for name in names],
         names,
         loc="outside upper left",

@@ -100,10 +100,10 @@ def _warning_table(warnings: Sequence[Diagnostic]) -> Table:
     for warning in warnings:
         observation = re.split(r"; |\. ", warning.message, maxsplit=1)[0]
         table.add_row("  observed", Text(f"{warning.where}: {observation}"))
-    known = advice().get(warnings[0].code)
-    if known is not None:
-        table.add_row("  meaning", Text(known.meaning))
-        table.add_row("  what to do", Text(known.remedy))
+    known_advice = advice().get(warnings[0].code)
+    if known_advice is not None:
+        table.add_row("  meaning", Text(known_advice.meaning))
+        table.add_row("  what to do", Text(known_advice.remedy))
     return table
 
 

@@ -29,11 +29,11 @@ def test_decimation_keeps_every_peak_of_every_line() -> None:
     long.measured[3333, 0] = 50.0
     long.measured[4444, 0] = -50.0
     long.predicted[2222, 0] = 70.0
-    drawn = predictions.prediction_figure(long)
-    measured = line(drawn, "measured").y
+    figure = predictions.prediction_figure(long)
+    measured = line(figure, "measured").y
     assert (measured.max(), measured.min()) == (50.0, -50.0)
-    assert line(drawn, "model").y.max() == 70.0
-    assert line(drawn, "residual", 1).y.min() < -68.0
+    assert line(figure, "model").y.max() == 70.0
+    assert line(figure, "residual", 1).y.min() < -68.0
     assert len(measured) <= MAX_POINTS
 
 
@@ -50,23 +50,23 @@ def test_gaps_stay_gaps() -> None:
 
 def test_each_channel_has_its_residuals_below() -> None:
     two = prediction("motion", 90.0, 80.0)
-    drawn = predictions.prediction_figure(two)
-    titles = [panel.axis.title for panel in drawn.panels]
+    figure = predictions.prediction_figure(two)
+    titles = [panel.axis.title for panel in figure.panels]
     assert titles == ["torque1 [N m]", "residual [N m]", "torque2 [N m]", "residual [N m]"]
     for k in (0, 2):
-        measured, model = line(drawn, "measured", k), line(drawn, "model", k)
-        residual = line(drawn, "residual", k + 1)
+        measured, model = line(figure, "measured", k), line(figure, "model", k)
+        residual = line(figure, "residual", k + 1)
         assert residual.x is measured.x
         assert residual.y == pytest.approx(measured.y - model.y)
-        assert drawn.panels[k + 1].height < drawn.panels[k].height
-    assert drawn.legend == ["measured", "model", "residual"]
+        assert figure.panels[k + 1].height < figure.panels[k].height
+    assert figure.legend == ["measured", "model", "residual"]
 
 
 def test_one_channel_can_be_selected() -> None:
     two = prediction("motion", 90.0, 80.0)
-    drawn = predictions.prediction_figure(two, channels=("torque2",))
-    assert [panel.axis.title for panel in drawn.panels] == ["torque2 [N m]", "residual [N m]"]
-    assert line(drawn, "measured").y[0] == two.measured[0, 1]
+    figure = predictions.prediction_figure(two, channels=("torque2",))
+    assert [panel.axis.title for panel in figure.panels] == ["torque2 [N m]", "residual [N m]"]
+    assert line(figure, "measured").y[0] == two.measured[0, 1]
 
 
 def test_a_prismatic_joint_has_forces() -> None:
@@ -93,6 +93,6 @@ def test_the_height_follows_from_panels_or_row_names() -> None:
     assert Figure(Axis("x"), panels).height == 1.5
     names = tuple(f"{k}" for k in range(30))
     heat = HeatMap(names, np.eye(30), -1.0, 1.0, (MODEL, MODEL, MODEL))
-    drawn = Figure(Axis(""), (Panel(Axis(""), (heat,)),))
-    assert drawn.height == 6.0  # thirty names, six in a panel, and one panel for the names below
-    assert marks(drawn, HeatMap) == [heat]
+    figure = Figure(Axis(""), (Panel(Axis(""), (heat,)),))
+    assert figure.height == 6.0  # thirty names, six in a panel, and one panel for the names below
+    assert marks(figure, HeatMap) == [heat]

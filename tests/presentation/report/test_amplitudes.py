@@ -46,9 +46,9 @@ def swept() -> Identification:
 
 
 def test_joint_models_are_drawn_by_amplitude_within_their_band() -> None:
-    drawn = amplitudes.response_figure(amplitudes.swept_records(swept())[1])
-    assert names(drawn) == names(drawn, 1) == ["2 V, slow", "10 V, prbs-j1"]
-    slow = line(drawn, "2 V, slow")
+    figure = amplitudes.response_figure(amplitudes.swept_records(swept())[1])
+    assert names(figure) == names(figure, 1) == ["2 V, slow", "10 V, prbs-j1"]
+    slow = line(figure, "2 V, slow")
     f = slow.x
     assert f[0] >= 0.999 * BAND[0]
     assert f[-1] <= 1.001 * BAND[1]
@@ -76,9 +76,9 @@ def test_the_stated_trend_follows_from_the_printed_number(rise: float, trend: st
     assert title == f"{trend} ({abs(rise) / std:.1f} standard errors)"
     assert f"{abs(rise) / std:.1f} standard errors from zero" in caption
     assert "significant from 3 standard errors" in caption
-    drawn = amplitudes.stiffness_figure(sweep)
+    figure = amplitudes.stiffness_figure(sweep)
     # the line of the squared anti-resonance, scaled to the stiffness, passes through the points
-    line_ = line(drawn, "weighted line")
+    line_ = line(figure, "weighted line")
     assert line_.y == pytest.approx([4.0 * (6000.0 + rise * v) for v in (2.0, 8.0)])
 
 

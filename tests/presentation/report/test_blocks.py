@@ -32,15 +32,15 @@ EVIL = '</p><script>alert(1)</script>" onload="alert(1)'
 
 def body(*sections: Section) -> str:
     page = document("title", "subtitle", sections)
-    found = re.search(r"<main.*</main>", page, re.DOTALL)
-    assert found is not None
-    return re.sub(r"\s+", " ", found[0])
+    match = re.search(r"<main.*</main>", page, re.DOTALL)
+    assert match is not None
+    return re.sub(r"\s+", " ", match[0])
 
 
 def test_a_table_without_rows_is_left_out() -> None:
     assert list(table("label", ("a",), [])) == []
-    (found,) = table("label", ("a", number("b")), [("x", number("1"))])
-    assert [cell.kind for cell in found.heads] == ["", "number"]
+    (result,) = table("label", ("a", number("b")), [("x", number("1"))])
+    assert [cell.kind for cell in result.heads] == ["", "number"]
 
 
 def test_sections_without_blocks_are_left_out() -> None:
@@ -50,8 +50,8 @@ def test_sections_without_blocks_are_left_out() -> None:
 def test_nested_figures_have_unique_keys() -> None:
     plot = Plot("a b", "label", Figure(Axis("x"), (Panel(Axis("y"), ()),)))
     inside = Fold("more", (Callout("", (Plot("A/b", "again", plot.figure),)),))
-    found = keyed([Section("one", "One", (plot,)), Section("two", "Two", (inside,))])
-    assert {key: one.label for key, one in found.items()} == {"a-b": "label", "a-b-2": "again"}
+    result = keyed([Section("one", "One", (plot,)), Section("two", "Two", (inside,))])
+    assert {key: one.label for key, one in result.items()} == {"a-b": "label", "a-b-2": "again"}
 
 
 def test_each_kind_of_block_becomes_its_elements() -> None:

@@ -18,10 +18,10 @@ from strainwave.presentation.report import bode
 RATIO = JOINT.gear_ratio
 
 
-def line_of(drawn: Figure, name: str, panel: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    (found,) = (m for m in drawn.panels[panel].marks if _is_point(m) and m.name == name)
-    assert isinstance(found, Line | Markers)
-    return np.asarray(found.x), found.y
+def line_of(figure: Figure, name: str, panel: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    (mark,) = (m for m in figure.panels[panel].marks if _is_point(m) and m.name == name)
+    assert isinstance(mark, Line | Markers)
+    return np.asarray(mark.x), mark.y
 
 
 def _is_point(mark: Mark) -> TypeGuard[Line | Markers]:
@@ -29,7 +29,7 @@ def _is_point(mark: Mark) -> TypeGuard[Line | Markers]:
 
 
 def test_measured_response_and_models_agree() -> None:
-    drawn = bode.bode(joint_model(), RATIO, measured(), {"prbs": sampled()})
+    figure = bode.bode(joint_model(), RATIO, measured(), {"prbs": sampled()})
     # the held input of a sampled model adds a delay of half a sample: 9 degrees at the upper edge
     # of the band, and a small change of the modulus
     exact, held = (0.005, 0.1), (0.2, 10.0)
@@ -38,17 +38,17 @@ def test_measured_response_and_models_agree() -> None:
         ("joint model", exact),
         ("state space, prbs", held),
     ):
-        f, size = line_of(drawn, name)
+        f, size = line_of(figure, name)
         truth = response(f)
         assert size == pytest.approx(20.0 * np.log10(np.abs(truth)), abs=errors[0])
-        _, phase = line_of(drawn, name, 1)
+        _, phase = line_of(figure, name, 1)
         assert phase == pytest.approx(np.rad2deg(np.angle(truth)), abs=errors[1])
 
 
 def test_the_band_follows_from_the_covariance_of_the_parameters() -> None:
     """The response of random parameters scatters as the delta method predicts."""
-    drawn = bode.bode(joint_model(), RATIO, None)
-    (band,) = marks(drawn, Band)
+    figure = bode.bode(joint_model(), RATIO, None)
+    (band,) = marks(figure, Band)
     f, low, high = band.x, band.low, band.high
     rng = np.random.default_rng(3)
     A = [
@@ -72,40 +72,40 @@ def _modes() -> list:  # type: ignore[type-arg]
 
 def test_without_a_covariance_there_is_no_band() -> None:
     unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
-    drawn = bode.bode(unknown, RATIO, None)
-    assert not any(marks(drawn, Band, panel) for panel in (0, 1))
+    figure = bode.bode(unknown, RATIO, None)
+    assert not any(marks(figure, Band, panel) for panel in (0, 1))
 
 
 def test_points_of_low_coherence_are_grey() -> None:
-    drawn = bode.bode(joint_model(), RATIO, measured())
-    reliable, grey = marks(drawn, Markers)
+    figure = bode.bode(joint_model(), RATIO, measured())
+    reliable, grey = marks(figure, Markers)
     assert (reliable.name, grey.name) == ("measured", "measured, unreliable")
     assert (grey.colour, reliable.colour) == (RESIDUAL, MEASURED)
     assert np.min(np.asarray(grey.x)) > 60.0
-    f, _ = line_of(drawn, "measured")
+    f, _ = line_of(figure, "measured")
     assert max(f) <= 60.0
-    assert names(drawn, 2) == ["coherence"]
-    assert "coherence" not in drawn.legend
+    assert names(figure, 2) == ["coherence"]
+    assert "coherence" not in figure.legend
     unknown = bode.bode(joint_model(), RATIO, replace(measured(), coherence=None))
     assert len(unknown.panels) == 2
     assert max(line_of(unknown, "measured")[0]) > 100.0
 
 
 def test_modes_are_marked_at_the_dip_and_the_peak() -> None:
-    drawn = bode.bode(joint_model(), RATIO, None)
-    labels = {one.text.split(" ")[0]: one.x for one in drawn.uprights}
-    f, size = line_of(drawn, "joint model")
+    figure = bode.bode(joint_model(), RATIO, None)
+    labels = {one.text.split(" ")[0]: one.x for one in figure.uprights}
+    f, size = line_of(figure, "joint model")
     assert labels["anti-resonance"] == pytest.approx(f[np.argmin(size[f < 20])], rel=0.02)
     peak = f[f > 15.0][np.argmax(size[f > 15.0])]
     assert labels["resonance"] == pytest.approx(peak, rel=0.02)
-    assert [one.x for one in drawn.uprights[2:]] == list(BAND)
+    assert [one.x for one in figure.uprights[2:]] == list(BAND)
 
 
 def test_a_long_response_is_decimated_evenly_over_log_frequency() -> None:
     f = np.linspace(0.1, 2000.0, 100_000)
     G = response(f)[:, None, None]
-    found = replace(measured(), frequencies_hz=f, response=G, coherence=None)
-    x, _ = line_of(bode.bode(joint_model(), RATIO, found), "measured")
+    response_ = replace(measured(), frequencies_hz=f, response=G, coherence=None)
+    x, _ = line_of(bode.bode(joint_model(), RATIO, response_), "measured")
     assert 300 < len(x) <= 500
     steps = np.diff(np.log(x[x > 10.0]))
     assert steps.max() < 2.0 * steps.min()
@@ -118,27 +118,27 @@ def test_the_caption_has_the_modes_and_the_share_of_reliable_lines() -> None:
 
 
 def test_a_prismatic_joint_has_its_own_units() -> None:
-    drawn = bode.bode(joint_model(), RATIO, None, is_prismatic=True)
-    assert drawn.panels[0].axis.title == "dB re m/s/N"
+    figure = bode.bode(joint_model(), RATIO, None, is_prismatic=True)
+    assert figure.panels[0].axis.title == "dB re m/s/N"
 
 
 def test_the_whole_arm_fit_is_drawn_with_its_band_on_pale_measured_points() -> None:
     covariance = np.diag((0.01 * JOINT.vector) ** 2)
     tuned = bode.TunedJoint(1.1 * JOINT.vector, covariance)
-    drawn = bode.bode(joint_model(), RATIO, measured(), tuned=tuned)
-    f, size = line_of(drawn, "whole-arm fit")
+    figure = bode.bode(joint_model(), RATIO, measured(), tuned=tuned)
+    f, size = line_of(figure, "whole-arm fit")
     expected = motor_response(1.1 * JOINT.vector, JOINT.gear_ratio, f)
     assert size == pytest.approx(20.0 * np.log10(np.abs(expected)), abs=0.005)
-    order = names(drawn)
+    order = names(figure)
     assert order.index("measured") < order.index("joint model")  # the line is on top
-    assert marks(drawn, Markers)[0].opacity < 0.5
-    assert {band.name for band in marks(drawn, Band)} >= {"joint model", "whole-arm fit"}
+    assert marks(figure, Markers)[0].opacity < 0.5
+    assert {band.name for band in marks(figure, Band)} >= {"joint model", "whole-arm fit"}
     without = bode.bode(joint_model(), RATIO, None, tuned=replace(tuned, covariance=None))
     assert [band.name for band in marks(without, Band)] == ["joint model"]
 
 
 def test_measured_points_have_the_band_of_their_scatter_or_coherence() -> None:
-    """The relative standard deviation is that of simulated noise of known variance."""
+    """The relative standard deviation is that of simulated noise of uncertain variance."""
     noisy = replace(measured(), noise_variance=0.02**2 * np.abs(measured().response) ** 2)
     assert bode.relative_std(noisy) == pytest.approx(np.full(499, 0.02 / np.sqrt(2.0)))
     (band, _) = marks(bode.bode(joint_model(), RATIO, noisy), Band)
@@ -155,11 +155,11 @@ def test_measured_points_have_the_band_of_their_scatter_or_coherence() -> None:
 def test_a_state_space_model_has_the_band_of_its_covariance() -> None:
     model = sampled()
     entries = sum(m.size for m in (model.A, model.B, model.C, model.D, model.K))
-    known = replace(model, covariance=1e-8 * np.eye(entries))
-    drawn = bode.bode(joint_model(), RATIO, None, {"prbs": known})
-    assert "state space, prbs" in {band.name for band in marks(drawn, Band)}
-    drawn = bode.bode(joint_model(), RATIO, None, {"prbs": model})
-    assert "state space, prbs" not in {band.name for band in marks(drawn, Band)}
+    uncertain = replace(model, covariance=1e-8 * np.eye(entries))
+    figure = bode.bode(joint_model(), RATIO, None, {"prbs": uncertain})
+    assert "state space, prbs" in {band.name for band in marks(figure, Band)}
+    figure = bode.bode(joint_model(), RATIO, None, {"prbs": model})
+    assert "state space, prbs" not in {band.name for band in marks(figure, Band)}
 
 
 def test_the_caption_repeats_the_warning_that_model_and_response_differ() -> None:

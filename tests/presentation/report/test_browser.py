@@ -25,7 +25,7 @@ AFTER = (
 )
 
 
-def shown(page: str, folder: Path, *flags: str) -> tuple[dict[str, str], str]:
+def run_page(page: str, folder: Path, *flags: str) -> tuple[dict[str, str], str]:
     """The stored results, and the lines of the console."""
     file = folder / "page.html"
     file.write_text(page, encoding="utf-8")
@@ -64,7 +64,7 @@ FOLDED = ("tuning-", "fitted-", "record-", "correlation-")
 UNFOLD = "document.querySelectorAll('details').forEach((fold) => { fold.open = true; });"
 
 
-def watched(page: str, *, before: str = "", after: str = "") -> str:
+def with_scripts(page: str, *, before: str = "", after: str = "") -> str:
     page = page.replace(BEFORE[0], BEFORE[1].format(before), 1)
     at = page.rindex(AFTER[0])
     return page[:at] + AFTER[1].format(after) + page[at + len(AFTER[0]) :]
@@ -80,7 +80,7 @@ def test_every_figure_is_drawn_when_it_is_unfolded(page: str, tmp_path: Path) ->
         "const plots = () => document.querySelectorAll('.plot .main-svg .cartesianlayer').length;"
         f"data.folded = plots(); {UNFOLD} setTimeout(() => {{ data.plots = plots(); }}, 2000);"
     )
-    results, console = shown(watched(page, after=count), tmp_path)
+    results, console = run_page(with_scripts(page, after=count), tmp_path)
     assert console == ""
     expected = len(FIGURES)
     folded = [name for name in FIGURES if name.startswith(FOLDED)]
@@ -98,7 +98,7 @@ def test_the_contents_fold_unfold_and_reveal_sections(page: str, tmp_path: Path)
         " document.querySelector('#parameters > details').open; button.click(); button.click();"
         " data.all = open(); }, 500);"
     )
-    results, console = shown(watched(page, after=steps), tmp_path)
+    results, console = run_page(with_scripts(page, after=steps), tmp_path)
     assert console == ""
     count = str(page.count("<section "))
     assert (results["first"], results["none"], results["one"], results["all"]) == (
@@ -122,7 +122,7 @@ def test_the_knees_of_the_stiffness_curve_are_drawn_on_the_curve(page: str, tmp_
         " ([u, v]) => Math.hypot(u - x, v - y))));"
         "data.knees = knees.length; data.off = Math.max(...off);"
     )
-    results, console = shown(watched(page, after=look), tmp_path)
+    results, console = run_page(with_scripts(page, after=look), tmp_path)
     assert console == ""
     assert results["knees"] == "2"
     assert float(results["off"]) < 0.5  # [px]
@@ -137,13 +137,13 @@ def test_the_contents_stay_visible(page: str, width: int, tmp_path: Path) -> Non
         " data.top = Math.round(box.top); data.current ="
         " document.querySelector('nav [aria-current]').hash.slice(1); }, 500);"
     )
-    results, _ = shown(watched(page, after=after), tmp_path, f"--window-size={width},800")
+    results, _ = run_page(with_scripts(page, after=after), tmp_path, f"--window-size={width},800")
     assert (results["top"], results["current"]) == ("0", "gears")
 
 
 def test_a_request_or_an_error_would_be_reported(page: str, tmp_path: Path) -> None:
     fetch = "new Image().src = 'https://example.org/x.png'; undefined.x;"
-    _, console = shown(watched(page, after=fetch), tmp_path)
+    _, console = run_page(with_scripts(page, after=fetch), tmp_path)
     assert "Content Security Policy" in console
     assert "TypeError" in console
 
@@ -157,7 +157,7 @@ def test_the_buttons_cover_nothing_and_upload_nothing(page: str, tmp_path: Path)
         "data.buttons = [...new Set([...document.querySelectorAll('.modebar-btn')]"
         " .map((one) => one.dataset.title))].join(', ');"
     )
-    results, _ = shown(watched(page, after=look), tmp_path, "--window-size=1280,900")
+    results, _ = run_page(with_scripts(page, after=look), tmp_path, "--window-size=1280,900")
     assert int(results["bars"]) > 0
     assert results["inside"] == "0"
     assert results["buttons"] == "Download plot as a PNG, Zoom, Pan, Zoom in, Zoom out, Reset axes"
@@ -174,7 +174,7 @@ def test_colours_follow_the_system_theme(page: str, tmp_path: Path) -> None:
         "data.light = line(); system.matches = true; system.dispatchEvent(new Event('change'));"
         "data.dark = line();"
     )
-    results, console = shown(watched(page, before=system, after=look), tmp_path)
+    results, console = run_page(with_scripts(page, before=system, after=look), tmp_path)
     assert console == ""
     assert results["light"] != results["dark"]
     assert "rgb" in results["dark"]
@@ -192,7 +192,7 @@ def test_a_phone_scrolls_vertically_only(page: str, tmp_path: Path) -> None:
         " document.documentElement.dataset.wide = inner.clientWidth;"
         "}, 5000)</script></body></html>"
     )
-    results, _ = shown(outer, tmp_path, "--allow-file-access-from-files")
+    results, _ = run_page(outer, tmp_path, "--allow-file-access-from-files")
     assert int(results["wide"]) <= 390
     assert results["over"] == "0"
 
@@ -205,13 +205,13 @@ def test_a_phone_shows_the_row_names_of_a_heat_map_only(page: str, tmp_path: Pat
         "window.phone = narrow;"
     )
     look = (
-        "const own = document.querySelector('#figure-correlations');"
-        "const names = (axis) => own.querySelectorAll(`.${axis}tick text`).length;"
+        "const map_ = document.querySelector('#figure-correlations');"
+        "const names = (axis) => map_.querySelectorAll(`.${axis}tick text`).length;"
         "data.below = names('x'); data.left = names('y');"
         "phone.matches = false; phone.dispatchEvent(new Event('change'));"
         "data.wide = names('x');"
     )
-    results, console = shown(watched(page, before=narrow, after=look), tmp_path)
+    results, console = run_page(with_scripts(page, before=narrow, after=look), tmp_path)
     assert console == ""
     assert results["below"] == "0"
     assert results["left"] == results["wide"] != "0"
@@ -224,8 +224,8 @@ def test_the_printed_page_is_light_and_holds_every_figure(page: str, tmp_path: P
         "data.widest = Math.max(...svgs.map((svg) => svg.getBoundingClientRect().width));"
         "data.ink = document.querySelector('.xtick text').style.fill;"
     )
-    results, console = shown(
-        watched(page, after=look), tmp_path, "--blink-settings=preferredColorScheme=0"
+    results, console = run_page(
+        with_scripts(page, after=look), tmp_path, "--blink-settings=preferredColorScheme=0"
     )
     assert console == ""
     assert float(results["widest"]) <= 180.0 / 25.4 * 96.0  # [px] of A4 between its margins

@@ -16,9 +16,9 @@ from strainwave.presentation.report.gears import StiffnessCurve
 
 
 def curve() -> StiffnessCurve:
-    found = gears.stiffness_curves(elastic_identification())
-    assert [one.joint for one in found] == [1]  # joint 2 has no identified parameter
-    return found[0]
+    gear = gears.stiffness_curves(elastic_identification())
+    assert [one.joint for one in gear] == [1]  # joint 2 has no identified parameter
+    return gear[0]
 
 
 def test_the_torsion_integrates_the_compliance() -> None:
@@ -33,13 +33,13 @@ def test_the_torsion_integrates_the_compliance() -> None:
 def test_the_torsion_scatters_as_its_standard_deviation_states() -> None:
     rng = np.random.default_rng(5)
     torque = np.array([3.0, 15.0, 50.0])
-    drawn, found = [], curve()
+    figure, gear = [], curve()
     for _ in range(4000):
         values = [v + s * rng.standard_normal() for v, s in CURVE.values()]
-        one = replace(found, values=dict(zip(CURVE, values, strict=True)))
-        drawn.append(gears.torsion_at(one, torque)[0])
-    _, std = gears.torsion_at(found, torque)
-    assert std == pytest.approx(np.std(drawn, axis=0), rel=0.05)  # 4000 draws: 1.1 %
+        one = replace(gear, values=dict(zip(CURVE, values, strict=True)))
+        figure.append(gears.torsion_at(one, torque)[0])
+    _, std = gears.torsion_at(gear, torque)
+    assert std == pytest.approx(np.std(figure, axis=0), rel=0.05)  # 4000 draws: 1.1 %
 
 
 def test_unidentified_parameters_are_not_drawn() -> None:
@@ -47,24 +47,24 @@ def test_unidentified_parameters_are_not_drawn() -> None:
     assert one.tuned is not None
     parameters, covariance = curve_parameters(gear_stiffness_k3=None, gear_knee_t2=None)
     two = replace(one, tuned=replace(one.tuned, parameters=parameters, covariance=covariance))
-    found = gears.stiffness_curves(two)[0]
-    assert found.values == {
+    gear = gears.stiffness_curves(two)[0]
+    assert gear.values == {
         "gear_stiffness_k1": 16000.0,
         "gear_stiffness_k2": 25000.0,
         "gear_knee_t1": 7.0,
     }
-    assert found.knees.tolist() == [7.0]
-    assert found.covariance.shape == (3, 3)
+    assert gear.knees.tolist() == [7.0]
+    assert gear.covariance.shape == (3, 3)
 
 
 def test_without_a_whole_arm_fit_one_stiffness_is_drawn() -> None:
-    found = gears.stiffness_curves(replace(elastic_identification(), tuned=None))[0]
-    assert found.values == {"gear_stiffness": 25000.0}
-    assert found.is_equivalent
-    assert found.covariance[0, 0] == pytest.approx(joint_model().covariance[4, 4])
-    assert found.loads is None
-    assert "One equivalent stiffness" in gears.describe(found)
-    assert len(gears.stiffness_figure(found).panels) == 1
+    gear = gears.stiffness_curves(replace(elastic_identification(), tuned=None))[0]
+    assert gear.values == {"gear_stiffness": 25000.0}
+    assert gear.is_equivalent
+    assert gear.covariance[0, 0] == pytest.approx(joint_model().covariance[4, 4])
+    assert gear.loads is None
+    assert "One equivalent stiffness" in gears.describe(gear)
+    assert len(gears.stiffness_figure(gear).panels) == 1
 
 
 def test_knees_are_vertices_of_both_curves() -> None:
@@ -74,10 +74,10 @@ def test_knees_are_vertices_of_both_curves() -> None:
     (markers,) = marks(torsion, Markers)
     assert np.asarray(markers.x) == pytest.approx(knees)
     assert markers.y.tolist() == [7.0, 25.0]
-    drawn = line(torsion, "identified curve")
+    figure = line(torsion, "identified curve")
     for x, y in zip(knees, (7.0, 25.0), strict=True):
-        vertex = np.argmin(np.abs(drawn.y - y))
-        assert (drawn.x[vertex], drawn.y[vertex]) == (pytest.approx(x), pytest.approx(y))
+        vertex = np.argmin(np.abs(figure.y - y))
+        assert (figure.x[vertex], figure.y[vertex]) == (pytest.approx(x), pytest.approx(y))
     (bars,) = marks(slope, Bars, 1)
     assert bars.y.sum() == pytest.approx(100.0)
     assert line(slope, "stiffness").y.tolist() == [
@@ -100,6 +100,6 @@ def test_the_caption_has_slopes_knees_and_the_largest_torque() -> None:
 
 def test_a_knee_above_the_largest_torque_is_not_part_of_the_curve() -> None:
     short = replace(curve(), largest_torque=20.0)
-    drawn = line(gears.torsion_figure(short), "identified curve")
-    assert drawn.y.max() == pytest.approx(20.0)
-    assert (np.diff(drawn.x) >= 0.0).all()
+    figure = line(gears.torsion_figure(short), "identified curve")
+    assert figure.y.max() == pytest.approx(20.0)
+    assert (np.diff(figure.x) >= 0.0).all()

@@ -26,9 +26,9 @@ ROOT = Path(__file__).parents[3]
 
 
 def figures_in(page: str) -> dict[str, dict[str, Any]]:
-    found = re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    document: dict[str, dict[str, Any]] = json.loads(found[1].replace("\\u003c", "<"))
+    match = re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)
+    assert match is not None
+    document: dict[str, dict[str, Any]] = json.loads(match[1].replace("\\u003c", "<"))
     return document
 
 
@@ -51,16 +51,16 @@ class Outline(HTMLParser):
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        own = dict(attrs)
-        self.elements.append((tag, own))
+        attributes = dict(attrs)
+        self.elements.append((tag, attributes))
         for key in ("src", "href"):
-            value = own.get(key) or ""
+            value = attributes.get(key) or ""
             if value.startswith("#"):
                 self.linked.append(value[1:])
             elif value and not value.startswith("data:"):
                 self.fetched.append(value)
-        if own.get("id"):
-            self.ids.append(str(own["id"]))
+        if attributes.get("id"):
+            self.ids.append(str(attributes["id"]))
         if tag not in self.VOID:
             self.open.append(tag)
 
@@ -68,16 +68,16 @@ class Outline(HTMLParser):
         assert self.open.pop() == tag
 
     def of(self, tag: str) -> list[dict[str, str | None]]:
-        return [own for name, own in self.elements if name == tag]
+        return [attributes for name, attributes in self.elements if name == tag]
 
 
-@pytest.mark.parametrize("found", [identification(), elastic_identification()])
-def test_the_page_is_complete_and_requests_nothing(found: Identification) -> None:
-    page = render(found)
+@pytest.mark.parametrize("result", [identification(), elastic_identification()])
+def test_the_page_is_complete_and_requests_nothing(result: Identification) -> None:
+    page = render(result)
     outline = Outline(page)
     assert outline.open == []
     assert outline.fetched == []
-    policy = next(own for own in outline.of("meta") if "http-equiv" in own)
+    policy = next(attributes for attributes in outline.of("meta") if "http-equiv" in attributes)
     assert str(policy["content"]).startswith("default-src 'none'")
     assert len(page.encode()) < MOST_BYTES
 
@@ -86,20 +86,20 @@ def test_keyboard_and_screen_readers_can_navigate() -> None:
     outline = Outline(render(elastic_identification()))
     assert len(set(outline.ids)) == len(outline.ids)
     assert set(outline.linked) <= set(outline.ids)
-    first = next(own for tag, own in outline.elements if tag == "a")
+    first = next(attributes for tag, attributes in outline.elements if tag == "a")
     assert (first["class"], first["href"]) == ("skip", "#main")
     assert len(outline.of("main")) == len(outline.of("nav")) == 1
-    named = {own["aria-labelledby"] for own in outline.of("section")}
+    named = {attributes["aria-labelledby"] for attributes in outline.of("section")}
     assert named <= set(outline.ids)
-    for own in outline.of("div"):
-        if own.get("class") == "wide":
-            assert own["tabindex"] == "0"
-            assert own["aria-label"]
-        if own.get("class") == "plot":
-            assert own["role"] == "img"
-            assert own["aria-label"]
-    for own in outline.of("th"):
-        assert own["scope"] in ("col", "row", "rowgroup")
+    for attributes in outline.of("div"):
+        if attributes.get("class") == "wide":
+            assert attributes["tabindex"] == "0"
+            assert attributes["aria-label"]
+        if attributes.get("class") == "plot":
+            assert attributes["role"] == "img"
+            assert attributes["aria-label"]
+    for attributes in outline.of("th"):
+        assert attributes["scope"] in ("col", "row", "rowgroup")
 
 
 def test_the_sections_have_their_order() -> None:
@@ -133,8 +133,8 @@ def test_empty_sections_are_left_out() -> None:
 
 def test_page_and_figure_files_have_the_same_figures() -> None:
     one = elastic_identification()
-    found = figures_in(render(one))
-    assert list(found) == list(figures_of(one))
+    figures = figures_in(render(one))
+    assert list(figures) == list(figures_of(one))
     assert {
         "bode-joint-1",
         "poles-joint-1",
@@ -149,8 +149,8 @@ def test_page_and_figure_files_have_the_same_figures() -> None:
         "gear-joint-1-torsion",
         "residuals-a1",
         "correlations",
-    } == set(found)
-    assert all(re.fullmatch(r"[a-z0-9-]+", name) for name in found)
+    } == set(figures)
+    assert all(re.fullmatch(r"[a-z0-9-]+", name) for name in figures)
 
 
 def test_every_figure_has_a_unique_name() -> None:
@@ -182,7 +182,7 @@ def test_names_are_escaped() -> None:
     one = replace(identification(evil), checks=(prediction(evil, 90.0),))
     page = render(one)
     assert evil not in page
-    assert "onload" not in {name for _, own in Outline(page).elements for name in own}
+    assert "onload" not in {name for _, attributes in Outline(page).elements for name in attributes}
     figures_in(page)
 
 
@@ -234,12 +234,12 @@ def test_the_terminal_summary_has_every_part() -> None:
 
     from rich.console import Console
 
-    text = StringIO()
-    console = Console(file=text, width=80, highlight=False)
+    output = StringIO()
+    console = Console(file=output, width=80, highlight=False)
     truth: dict[tuple[str, int | None], float] = {("inertia", 1): 0.02}
     print_summary(identification(), Path("out"), truth=truth, figures=True, console=console)
-    printed = text.getvalue()
-    for said in (
+    printed = output.getvalue()
+    for text in (
         "inertia",
         "0.02010",
         "0.00020",
@@ -249,14 +249,18 @@ def test_the_terminal_summary_has_every_part() -> None:
         "out/result.json",
         "out/figures",
     ):
-        assert said in printed, said
+        assert text in printed, text
     assert max(len(line) for line in printed.splitlines()) <= 80
 
 
 def test_every_parameter_has_its_symbol_and_description() -> None:
     page = render(elastic_identification())
     outline = Outline(page)
-    tips = {own["href"]: own["title"] for own in outline.of("a") if own.get("title")}
+    tips = {
+        attributes["href"]: attributes["title"]
+        for attributes in outline.of("a")
+        if attributes.get("title")
+    }
     for name in {p.name for p in elastic_identification().parameters}:
         description = all_words()[name].description
         assert tips[f"#parameter-{name}"] == description
@@ -283,7 +287,7 @@ def test_warning_codes_name_their_section_of_the_documentation() -> None:
 def test_sections_are_open_and_fitted_records_are_folded() -> None:
     outline = Outline(render(elastic_identification()))
     folds = outline.of("details")
-    closed = [own for own in folds if "open" not in own]
+    closed = [attributes for attributes in folds if "open" not in attributes]
     assert len(folds) - len(closed) == len(outline.of("section"))
     page = render(elastic_identification())
     fitted = re.search(r"<details><summary>Fitted records.*?</details>", page, re.DOTALL)

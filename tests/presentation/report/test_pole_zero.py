@@ -17,29 +17,29 @@ from strainwave.presentation.report.pole_zero import pole_zero_map
 RATIO = JOINT.gear_ratio
 
 
-def roots(drawn: Figure, name: str) -> np.ndarray:
-    (found,) = (mark for mark in marks(drawn, Markers) if mark.name == name)
-    return np.sort_complex(np.asarray(found.x, dtype=float) + 1j * found.y)
+def roots(figure: Figure, name: str) -> np.ndarray:
+    (markers,) = (mark for mark in marks(figure, Markers) if mark.name == name)
+    return np.sort_complex(np.asarray(markers.x, dtype=float) + 1j * markers.y)
 
 
 def test_the_roots_are_those_of_the_transfer_function() -> None:
     b, a = coefficients(JOINT)
-    drawn = pole_zero_map(joint_model(), RATIO)
-    assert roots(drawn, "poles, joint model") == pytest.approx(np.sort_complex(np.roots(a[::-1])))
-    assert roots(drawn, "zeros, joint model") == pytest.approx(np.sort_complex(np.roots(b[::-1])))
-    symbols = {mark.name: mark.symbol for mark in marks(drawn, Markers)}
+    figure = pole_zero_map(joint_model(), RATIO)
+    assert roots(figure, "poles, joint model") == pytest.approx(np.sort_complex(np.roots(a[::-1])))
+    assert roots(figure, "zeros, joint model") == pytest.approx(np.sort_complex(np.roots(b[::-1])))
+    symbols = {mark.name: mark.symbol for mark in marks(figure, Markers)}
     assert symbols == {"poles, joint model": "x", "zeros, joint model": "circle-open"}
 
 
 def test_a_sampled_model_has_the_poles_of_the_joint() -> None:
-    drawn = pole_zero_map(joint_model(), RATIO, {"prbs": sampled()})
-    poles = roots(drawn, "poles, joint model")
-    assert roots(drawn, "poles, state space, prbs") == pytest.approx(poles, rel=1e-6)
+    figure = pole_zero_map(joint_model(), RATIO, {"prbs": sampled()})
+    poles = roots(figure, "poles, joint model")
+    assert roots(figure, "poles, state space, prbs") == pytest.approx(poles, rel=1e-6)
 
 
 def test_95_percent_of_random_parameters_lie_in_the_ellipse() -> None:
-    drawn = pole_zero_map(joint_model(), RATIO)
-    ellipse = max(marks(drawn, Line), key=lambda line: float(line.y.mean()))  # the upper pole
+    figure = pole_zero_map(joint_model(), RATIO)
+    ellipse = max(marks(figure, Line), key=lambda line: float(line.y.mean()))  # the upper pole
     centre = complex(ellipse.x[:-1].mean(), ellipse.y[:-1].mean())
     outline = ellipse.x + 1j * ellipse.y - centre
     shape = np.stack([outline.real, outline.imag])
@@ -58,7 +58,7 @@ def test_95_percent_of_random_parameters_lie_in_the_ellipse() -> None:
 
 def test_the_whole_arm_fit_is_drawn_without_ellipses_if_its_covariance_is_unknown() -> None:
     unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
-    drawn = pole_zero_map(unknown, RATIO, tuned=TunedJoint(JOINT.vector, None))
-    assert marks(drawn, Line) == []
-    poles = roots(drawn, "poles, whole-arm fit")
-    assert poles == pytest.approx(roots(drawn, "poles, joint model"))
+    figure = pole_zero_map(unknown, RATIO, tuned=TunedJoint(JOINT.vector, None))
+    assert marks(figure, Line) == []
+    poles = roots(figure, "poles, whole-arm fit")
+    assert poles == pytest.approx(roots(figure, "poles, joint model"))

@@ -17,10 +17,10 @@ from virtual_arms import rigid_drive
 
 
 def test_each_quantity_has_a_panel_with_its_unit() -> None:
-    drawn = recording_figure(log("prbs-j1"), study().arm.joints, 600)
-    titles = [panel.axis.title for panel in drawn.panels]
+    figure = recording_figure(log("prbs-j1"), study().arm.joints, 600)
+    titles = [panel.axis.title for panel in figure.panels]
     assert titles == ["voltage [V]", "motor velocity [rad/s]", "acceleration [m/s²]"]
-    assert names(drawn) == ["joint 1", "joint 2"]
+    assert names(figure) == ["joint 1", "joint 2"]
 
 
 def test_peaks_survive_decimation() -> None:
@@ -28,20 +28,20 @@ def test_peaks_survive_decimation() -> None:
     voltage = spiked.channels["u1"].copy()
     voltage[1234] = 99.0
     spiked = replace(spiked, channels=dict(spiked.channels) | {"u1": voltage})
-    drawn = line(recording_figure(spiked, (), 300), "joint 1")
-    assert drawn.y.max() == 99.0
-    assert len(drawn.y) <= 300
+    figure = line(recording_figure(spiked, (), 300), "joint 1")
+    assert figure.y.max() == 99.0
+    assert len(figure.y) <= 300
 
 
 def test_a_velocity_that_is_not_logged_is_the_slope_of_the_angle() -> None:
     one = log("prbs-j1")
     ramp = dict(one.channels) | {"theta_m1": 3.0 * one.time, "ref1": 0.0 * one.time}
-    drawn = recording_figure(replace(one, channels=ramp), (), 300)
-    assert line(drawn, "joint 1", 1).y == pytest.approx(3.0)
-    assert "reference 1" in names(drawn, 1)
+    figure = recording_figure(replace(one, channels=ramp), (), 300)
+    assert line(figure, "joint 1", 1).y == pytest.approx(3.0)
+    assert "reference 1" in names(figure, 1)
     logged = dict(one.channels) | {"omega_m1": 5.0 + 0.0 * one.time}
-    drawn = recording_figure(replace(one, channels=logged), (), 300)
-    assert line(drawn, "joint 1", 1).y == pytest.approx(5.0)
+    figure = recording_figure(replace(one, channels=logged), (), 300)
+    assert line(figure, "joint 1", 1).y == pytest.approx(5.0)
 
 
 def test_records_are_folded_if_there_are_results() -> None:
@@ -56,15 +56,15 @@ def test_records_are_folded_if_there_are_results() -> None:
 
 def rows(arm: ArmDescription) -> dict[str, list[str]]:
     blocks: list[Block] = list(rig_constants(arm))
-    found: dict[str, list[str]] = {}
+    cells: dict[str, list[str]] = {}
     for block in blocks:
         if isinstance(block, Table):
             for row in block.rows:
                 assert isinstance(row, tuple)
-                found[row[0].text] = [cell.text for cell in row[1:]]
+                cells[row[0].text] = [cell.text for cell in row[1:]]
         elif isinstance(block, Facts):
-            found |= {term: [fact] for term, fact in block.items}
-    return found
+            cells |= {term: [fact] for term, fact in block.items}
+    return cells
 
 
 def test_the_rig_constants_have_values_units_and_keys() -> None:

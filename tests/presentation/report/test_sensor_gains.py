@@ -30,7 +30,7 @@ def gain(parameter: Parameter, share: float, sensor: LinkSensor, link: int) -> S
     )
 
 
-def found(*gains: SensorGain) -> Identification:
+def run_with(*gains: SensorGain) -> Identification:
     parameters = (STIFFNESS, DAMPING)
     covariance = np.diag([p.std**2 for p in parameters if p.std is not None])
     tuned = replace(arm_model(parameters, covariance), sensor_gains=gains)
@@ -39,7 +39,7 @@ def found(*gains: SensorGain) -> Identification:
 
 def test_the_largest_improvement_is_first() -> None:
     gains = [gain(p, 0.22, "accelerometer", 2) for p in (STIFFNESS, DAMPING)]
-    (clause,) = gain_sentences(found(*gains))
+    (clause,) = gain_sentences(run_with(*gains))
     assert clause == (
         "an accelerometer on link 2 (some data sheet) would shrink the 95 % half-width of"
         " gear_damping 2 from 3.9 to 0.86 %, and of gear_stiffness 2 from 0.9 to 0.2 %"
@@ -52,19 +52,19 @@ def test_each_kind_of_sensor_is_named_on_its_best_link() -> None:
         gain(STIFFNESS, 0.2, "accelerometer", 2),
         gain(STIFFNESS, 0.6, "gyro", 1),
     ]
-    first, second = gain_sentences(found(*gains))
+    first, second = gain_sentences(run_with(*gains))
     assert first.startswith("an accelerometer on link 2")
     assert second.startswith("a gyro on link 1")
 
 
 def test_a_small_improvement_is_not_listed() -> None:
     narrow = replace(gain(STIFFNESS, 0.1, "accelerometer", 2), std=1.0, predicted_std=0.1)
-    assert gain_sentences(found(gain(STIFFNESS, 0.7, "gyro", 2), narrow)) == []
-    assert gain_sentences(found()) == []
+    assert gain_sentences(run_with(gain(STIFFNESS, 0.7, "gyro", 2), narrow)) == []
+    assert gain_sentences(run_with()) == []
 
 
 def test_report_and_result_have_the_improvement() -> None:
-    run = found(gain(STIFFNESS, 0.22, "accelerometer", 2))
+    run = run_with(gain(STIFFNESS, 0.22, "accelerometer", 2))
     assert "half-width of gear_stiffness 2 from 0.9 to 0.2 %" in render(run)
     (entry,) = to_document(run)["stages"]["tuned"]["sensor_gains"]
     assert entry["name"] == "gear_stiffness"

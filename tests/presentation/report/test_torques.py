@@ -14,18 +14,18 @@ from strainwave.presentation.report import torques
 
 
 def test_the_record_with_the_largest_share_is_shown() -> None:
-    (found,) = torques.interaction_records(elastic_identification())
-    assert found.experiment.name == "prbs-j1"
-    assert torques.interaction_share(found) == pytest.approx(0.5, rel=1e-6)
-    assert "50 % of the motor torque" in torques.describe(found)
+    (record,) = torques.interaction_records(elastic_identification())
+    assert record.experiment.name == "prbs-j1"
+    assert torques.interaction_share(record) == pytest.approx(0.5, rel=1e-6)
+    assert "50 % of the motor torque" in torques.describe(record)
 
 
 def test_sweeps_and_joints_without_interaction_are_left_out() -> None:
     high_variance = replace(
         record_model("sweep", 9.0), signals=decoupled("sweep", 9.0, use="sweep")
     )
-    lone = decoupled("lone", 9.0)
-    alone = replace(high_variance, signals=replace(lone, inputs=lone.inputs[:, :1]))
+    single = decoupled("single", 9.0)
+    alone = replace(high_variance, signals=replace(single, inputs=single.inputs[:, :1]))
     assert (
         torques.interaction_records(
             replace(elastic_identification(), records=(high_variance, alone))
@@ -42,8 +42,8 @@ def test_both_torques_are_drawn_at_the_motor() -> None:
 
 
 def test_the_spectra_peak_at_the_frequencies_of_the_torques() -> None:
-    drawn = marks(torques.spectrum_figure(decoupled("a", 0.5)), Line)
-    for one, line in zip(drawn, (10.0, 20.0), strict=True):
+    figure = marks(torques.spectrum_figure(decoupled("a", 0.5)), Line)
+    for one, line in zip(figure, (10.0, 20.0), strict=True):
         f, density = one.x, one.y
         assert f[np.argmax(density)] == pytest.approx(line, abs=f[1] - f[0])
         assert f.max() <= 200.0  # five times the band in which the motor moves

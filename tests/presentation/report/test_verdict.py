@@ -29,14 +29,14 @@ def of(*parameters: Parameter, **changed: object) -> str:
     one = identification()
     assert one.rigid is not None
     rigid = replace(one.rigid, parameters=parameters)
-    found: Identification = replace(one, rigid=rigid, **changed)  # type: ignore[arg-type]
-    return words_of(verdict(found))
+    result: Identification = replace(one, rigid=rigid, **changed)  # type: ignore[arg-type]
+    return words_of(verdict(result))
 
 
-def words_of(found: Callout) -> str:
+def words_of(callout: Callout) -> str:
     """Spans, terms, facts and table cells, separated by vertical bars."""
     texts: list[str] = []
-    for block in found.blocks:
+    for block in callout.blocks:
         if isinstance(block, Paragraph):
             texts += [span.text for span in block.spans]
         elif isinstance(block, Facts):
@@ -54,7 +54,7 @@ def reported(
 
 
 @pytest.mark.parametrize(
-    ("value", "half", "said"),
+    ("value", "half", "title"),
     [
         (1.0, 0.009, "95 % half-width up to 1 %"),
         (1.0, 0.011, "95 % half-width up to 10 %"),
@@ -66,10 +66,10 @@ def reported(
     ],
 )
 def test_each_parameter_is_classified_by_its_interval(
-    value: float | None, half: float | None, said: str
+    value: float | None, half: float | None, title: str
 ) -> None:
     text = of(reported("gear_damping", value, half))
-    assert f"|{said}||gear damping (1)|" in text, text
+    assert f"|{title}||gear damping (1)|" in text, text
 
 
 def test_identified_parameters_are_counted() -> None:
@@ -184,16 +184,16 @@ def test_the_most_serious_warning_is_named() -> None:
 
 
 def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
-    found, where = remedies.warnings_table(
+    warnings, where = remedies.warnings_table(
         [
             Diagnostic("resampled", "a.csv", "uneven"),
             Diagnostic("saturated", "b.csv", "at its limit"),
         ]
     )
-    assert isinstance(found, Table)
+    assert isinstance(warnings, Table)
     assert isinstance(where, Paragraph)
     assert remedies.PAGE in [span.text for span in where.spans]
-    first, second = ([cell.text for cell in row] for row in found.rows if isinstance(row, tuple))
+    first, second = ([cell.text for cell in row] for row in warnings.rows if isinstance(row, tuple))
     assert (first[0], second[0]) == ("b.csv", "a.csv")
     assert first[1] == "At its limit."
     assert "excluded" in first[2]
@@ -206,7 +206,7 @@ def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
 
 def codes() -> set[str]:
     """The code of every warning that a stage gives."""
-    found: set[str] = set()
+    names: set[str] = set()
     for path in PACKAGE.rglob("*.py"):
         if path.relative_to(PACKAGE).parts[0] in OTHER_COMMANDS:
             continue
@@ -215,8 +215,8 @@ def codes() -> set[str]:
                 continue
             first = node.args[0] if node.args else None
             if isinstance(first, ast.Constant) and node.func.id in ("Diagnostic", "Check", "tried"):
-                found.add(str(first.value))
-    return found
+                names.add(str(first.value))
+    return names
 
 
 def test_every_warning_has_a_meaning_and_a_remedy() -> None:

@@ -126,20 +126,20 @@ def spectrum(series: Sequence[Series], quantity: str, caption: str) -> Figure:
 
 def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) -> Figure:
     """Points with 95 % error bars joined by thin lines; lines alone where `std` is None."""
-    drawn = []
+    marks = []
     styles = _styles([p.true for p in points])
     for one, (colour, dash, width) in zip(points, styles, strict=True):
         error, size = (None, 0.0) if one.std is None else (NORMAL_95 * one.std, _POINT_SIZE)
-        drawn.append(Line(one.x, one.y, one.name, colour, dash, width, size=size, error=error))
-    return Figure(Axis(axis), (Panel(Axis(quantity), tuple(drawn)),), caption=caption)
+        marks.append(Line(one.x, one.y, one.name, colour, dash, width, size=size, error=error))
+    return Figure(Axis(axis), (Panel(Axis(quantity), tuple(marks)),), caption=caption)
 
 
 def _lines(series: Sequence[Series]) -> tuple[Line, ...]:
-    drawn = []
+    marks = []
     for one, (colour, dash, width) in zip(series, _styles([s.true for s in series]), strict=True):
         rows = decimate(one.y)
-        drawn.append(Line(one.x[rows], one.y[rows], one.name, colour, dash, width))
-    return tuple(drawn)
+        marks.append(Line(one.x[rows], one.y[rows], one.name, colour, dash, width))
+    return tuple(marks)
 
 
 def _styles(true: Sequence[bool]) -> list[tuple[str, Dash, float]]:

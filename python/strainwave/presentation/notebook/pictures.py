@@ -161,16 +161,16 @@ def _(prediction: Prediction, *, channel: str | None = None) -> Figure:
             where=prediction.experiment,
             remedy=f"choose one of {', '.join(prediction.channels)}",
         )
-    drawn = predictions.prediction_figure(prediction, channels=(chosen,))
+    figure = predictions.prediction_figure(prediction, channels=(chosen,))
     fit = percent(fits.get(chosen, float("nan")))
-    return replace(drawn, caption=f"{prediction.experiment}, {chosen}: fit {fit}")
+    return replace(figure, caption=f"{prediction.experiment}, {chosen}: fit {fit}")
 
 
 def certainty(parameters: Iterable[Parameter]) -> Figure:
     """Standard deviation of each parameter in percent of its value, where both are known."""
-    known = [(p, p.std / abs(p.value)) for p in parameters if p.std is not None and p.value]
-    names = [p.name + (f" {p.joint}" if p.joint else "") for p, _ in known]
-    shares = np.array([100.0 * share for _, share in known])
+    certain = [(p, p.std / abs(p.value)) for p in parameters if p.std is not None and p.value]
+    names = [p.name + (f" {p.joint}" if p.joint else "") for p, _ in certain]
+    shares = np.array([100.0 * share for _, share in certain])
     points = Markers(tuple(names), shares, "standard deviation", MEASURED, size=8.0)
     return Figure(
         Axis(""), (Panel(Axis("standard deviation [% of the value]", log=True), (points,)),)

@@ -39,9 +39,9 @@ def swept_records(identification: Identification) -> dict[int, list[RecordModel]
         if record.joint_model is not None and record.signals.experiment.prbs is not None:
             records.setdefault(record.signals.joint, []).append(record)
     return {
-        joint: sorted(own, key=_amplitude)
-        for joint, own in records.items()
-        if any(record.signals.experiment.use == "sweep" for record in own)
+        joint: sorted(in_order, key=_amplitude)
+        for joint, in_order in records.items()
+        if any(record.signals.experiment.use == "sweep" for record in in_order)
     }
 
 

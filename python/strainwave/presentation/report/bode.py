@@ -104,12 +104,12 @@ def bode(
         Axis("coherence", range=(0.0, 1.05)),
     ]
     marks = (panels.magnitude, panels.phase, panels.coherence)
-    drawn = tuple(
+    stack = tuple(
         Panel(axis, tuple(each), height)
         for axis, each, height in zip(axes, marks, _PANEL_HEIGHTS, strict=True)
         if each
     )
-    return Figure(Axis("frequency [Hz]", log=True), drawn, tuple(_uprights(joint)))
+    return Figure(Axis("frequency [Hz]", log=True), stack, tuple(_uprights(joint)))
 
 
 def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:

@@ -73,8 +73,8 @@ def _blocks(tally: Tally) -> Iterator[Block]:
         yield paragraph(reason)
     heads: Row = ("criterion", number("value"), "limit", "met")
     yield from table("Criteria", heads, map(_criterion, c.criteria))
-    for k, drawn in enumerate(c.plots):
-        yield Plot(f"plot {_key(c)} {k}", drawn.caption or c.title, drawn)
+    for k, figure in enumerate(c.plots):
+        yield Plot(f"plot {_key(c)} {k}", figure.caption or c.title, figure)
     heads = ("model", "method", number("order"), "status", "warnings")
     yield from table("Models", heads, map(_model, c.evidence))
 

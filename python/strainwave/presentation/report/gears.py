@@ -175,8 +175,8 @@ def _curve(
     largest = _RANGE_BEYOND_LAST_KNEE * max(law.knees(values), default=0.0)
     if loads is not None:
         largest = float(loads.edges[-1])
-    own = np.nan_to_num(covariance[np.ix_(order, order)])
-    return StiffnessCurve(number, law, values, own, largest or 1.0, loads)
+    covariance_of_curve = np.nan_to_num(covariance[np.ix_(order, order)])
+    return StiffnessCurve(number, law, values, covariance_of_curve, largest or 1.0, loads)
 
 
 def _segments(curve: StiffnessCurve) -> tuple[FloatArray, FloatArray]:

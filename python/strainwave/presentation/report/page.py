@@ -187,17 +187,19 @@ def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint |
     if tuned is None:
         return None
     values = dict(tuned.values)
-    own = {name: value for (name, number), value in values.items() if number == joint.joint}
-    if STIFFNESS not in own or result.study.arm.joints[joint.joint - 1].law.is_curved:
-        own[STIFFNESS] = joint.values[STIFFNESS]
+    values_of_joint = {
+        name: value for (name, number), value in values.items() if number == joint.joint
+    }
+    if STIFFNESS not in values_of_joint or result.study.arm.joints[joint.joint - 1].law.is_curved:
+        values_of_joint[STIFFNESS] = joint.values[STIFFNESS]
     kind = kind_of(result.study.arm)
     if all(key in values for key in kind.inertias):
-        own["link_inertia"] = value_of(kind.link_inertia(joint.joint), values)
+        values_of_joint["link_inertia"] = value_of(kind.link_inertia(joint.joint), values)
     names = list(joint.values)[:6]
-    if not set(names) <= set(own):
+    if not set(names) <= set(values_of_joint):
         return None
     rows = {p.name: k for k, p in enumerate(tuned.parameters) if p.joint == joint.joint}
-    vector = np.array([own[name] for name in names])
+    vector = np.array([values_of_joint[name] for name in names])
     if not set(names) <= set(rows):
         return bode.TunedJoint(vector, None)
     order = [rows[name] for name in names]

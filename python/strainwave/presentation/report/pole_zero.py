@@ -142,9 +142,9 @@ def _marks(
         return marks
     n = len(roots)
     for i, root in enumerate(roots):
-        own = covariance[np.ix_([i, n + i], [i, n + i])]
-        if np.trace(own) < (_WIDEST_ELLIPSE * abs(root)) ** 2:
-            x, y = _ellipse(root, own)
+        block = covariance[np.ix_([i, n + i], [i, n + i])]
+        if np.trace(block) < (_WIDEST_ELLIPSE * abs(root)) ** 2:
+            x, y = _ellipse(root, block)
             label = f"{'poles' if i < len(poles) else 'zeros'}, {name}"
             marks.append(Line(x, y, label, colour, DASHES[k % 3], 1.0, legend=False))
     return marks

@@ -67,8 +67,8 @@ def recording_figure(log: Log, joints: Sequence[Joint], limit: int) -> Figure:
         panels.setdefault(f"{title} [{unit}]", []).append((name, kind, time, values))
     order = list(dict.fromkeys(_TITLES.values()))
     titles = sorted(panels, key=lambda title: order.index(title.rsplit(" [", 1)[0]))
-    drawn = tuple(Panel(Axis(title), tuple(_lines(panels[title])), 0.8) for title in titles)
-    return Figure(Axis("time [s]"), drawn)
+    stack = tuple(Panel(Axis(title), tuple(_lines(panels[title])), 0.8) for title in titles)
+    return Figure(Axis("time [s]"), stack)
 
 
 def _series(log: Log, limit: int) -> Iterator[tuple[str, FloatArray, FloatArray]]:

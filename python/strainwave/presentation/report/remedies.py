@@ -303,14 +303,14 @@ def by_severity(warnings: Iterable[Diagnostic]) -> list[Diagnostic]:
 
 def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
     """Observation, meaning and remedy of every warning, the most serious first."""
-    known = advice()
+    codes = advice()
     ordered = by_severity(warnings)
     rows = [
         (
             prose(place_of(w)),
             prose(sentence(w.message)),
-            prose(known.get(w.code, _UNKNOWN).meaning),
-            prose(known.get(w.code, _UNKNOWN).remedy),
+            prose(codes.get(w.code, _UNKNOWN).meaning),
+            prose(codes.get(w.code, _UNKNOWN).remedy),
             Cell(w.code, "code"),
         )
         for w in ordered
