@@ -9,17 +9,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from results import arm_model
+from results import arm_model, criticism
 from strainwave.domain import (
     Activity,
     AgreementTest,
+    ArmModel,
+    Cause,
+    Criticism,
     Diagnostic,
+    FloatArray,
     Identification,
     JointModel,
     Parameter,
+    ParameterShift,
+    Prediction,
     RigidModel,
     Study,
     Suspicion,
+    Sweep,
     half_width,
     is_physical,
 )
@@ -100,6 +107,11 @@ def joint_of(
     )
 
 
+def clean_fit(parameters: tuple[Parameter, ...]) -> ArmModel:
+    """A fit whose residuals are noise."""
+    return replace(arm_model(parameters, np.eye(len(parameters))), criticism=None)
+
+
 ACTIVE = tuple(Activity(j, torque=0.4, velocity=30.0, acceleration=900.0) for j in (1, 2))
 
 
@@ -145,7 +157,7 @@ def run(
         warnings=(),
         timing_s={},
         joints=models if "decoupled" in stages else (),
-        tuned=arm_model(tuple(whole), np.eye(len(whole))) if "tuned" in stages else None,
+        tuned=clean_fit(tuple(whole)) if "tuned" in stages else None,
         activity=ACTIVE,
     )
 
@@ -331,8 +343,125 @@ def test_stages_that_contradict_each_other_reject_what_they_touch() -> None:
         "total_viscous_friction 2",
         "motor_coulomb_friction 2",
     }
+    # all values together disagree although no group does by itself: the group that is furthest
+    together = (AgreementTest("all", None, 60.0, 9, 6.0), replace(friction, deviations=3.5))
+    one = replace(found, tuned=replace(found.tuned, agreement=together))
+    assert one.verdict.status == "partly-determined"
+    assert one.verdict.rejected[-1] == "motor_coulomb_friction 2"
+    assert "the stages disagree by 3.5 standard deviations on joint 2's friction" in (
+        one.verdict.reasons
+    )
     near = AgreementTest("inertias", None, 15.0, 4, 2.8)
     assert replace(found, tuned=replace(found.tuned, agreement=(near,))).verdict.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("shift", "deviations", "rejected"),
+    [(0.06, 2.5, True), (0.06, 1.5, False), (0.04, 9.0, False), (-0.3, -30.0, True)],
+)
+def test_a_value_that_a_likely_effect_moves_is_rejected(
+    shift: float, deviations: float, *, rejected: bool
+) -> None:
+    """By more than 5 % and out of its interval; both are needed."""
+    found = run()
+    assert found.tuned is not None
+    value = row(found, "gear_stiffness", 2).value
+    assert value is not None
+    moved = ParameterShift("gear_stiffness", 2, value, shift * value, deviations)
+    cause = Cause(1, "hysteresis", (), 100.0, 0.3, (moved,))
+    doubted = replace(found, tuned=replace(found.tuned, criticism=Criticism((), (), (cause,))))
+    assert doubted.verdict.rejected == (("gear_stiffness 2",) if rejected else ())
+    assert (doubted.verdict.status == "determined") != rejected
+    if rejected:
+        (warning,) = [w for w in published_warnings(doubted) if w.code == "rejected"]
+        assert "hysteresis of joint 1" in warning.message
+        assert f"gear_stiffness 2 = {value:.4g}" in warning.message
+
+
+def check_of(
+    channels: tuple[str, ...],
+    *,
+    unexplained: dict[str, float] | None = None,
+    servo: bool = False,
+) -> Prediction:
+    """A check record of the elastic arm, or of the drives, that exercises both gears."""
+    time: FloatArray = 0.01 * np.arange(100, dtype=np.float64)
+    motion = np.column_stack([np.sin(time) for _ in channels])
+    return Prediction(
+        "step-check",
+        time,
+        channels,
+        motion,
+        motion,
+        dict.fromkeys(channels, 22.6),
+        stiffness_effect={1: 0.5, 2: 0.5},
+        unexplained=unexplained or {},
+        is_servo_at_fault=servo,
+    )
+
+
+@pytest.mark.parametrize("servo", [True, False])
+@pytest.mark.parametrize("channel", ["omega_m1", "u1"])
+def test_a_check_record_that_is_not_predicted_excludes_determined(
+    channel: str, *, servo: bool
+) -> None:
+    """The reason has record, channel, number and remedy; neither model of it is validated."""
+    found = replace(run(), checks=(check_of((channel,)),))
+    assert found.verdict.status == "determined"
+    wrong = check_of((channel,), unexplained={channel: 41.0}, servo=servo)
+    missed = replace(found, checks=(wrong,))
+    verdict = missed.verdict
+    assert (verdict.status, verdict.exit_code) == ("partly-determined", 3)
+    assert not verdict.validated.rigid
+    assert not verdict.validated.elastic
+    (reason,) = verdict.reasons
+    for part in ("step-check:", channel, "22.6 %", "41 times"):
+        assert part in reason
+    if channel == "omega_m1":
+        assert ("correct kp" in reason) == servo
+    (warning,) = [w for w in published_warnings(missed) if w.code == "not-predicted"]
+    assert warning.where == "step-check"
+
+
+@pytest.mark.parametrize(
+    ("fit", "noise", "excluded"), [(61.0, 0.001, True), (61.0, 0.5, False), (99.0, 0.001, False)]
+)
+def test_residuals_far_above_the_noise_exclude_determined(
+    fit: float, noise: float, *, excluded: bool
+) -> None:
+    """If they are a large share of the signal, too; a hardening sweep names the spring."""
+    found = run()
+    assert found.tuned is not None
+    residual = replace(criticism().residuals[0], deviation=1.0, noise=noise)
+    tuned = replace(
+        found.tuned,
+        fit_percent={"prbs-j1": {"a1": fit}},
+        criticism=Criticism((residual,), ()),
+    )
+    missed = replace(found, tuned=tuned)
+    assert (missed.verdict.status != "determined") == excluded
+    if excluded:
+        (reason,) = missed.verdict.reasons
+        for part in ("a1", "prbs-j1:", "1e+03 times", "39 %"):
+            assert part in reason
+        assert "three-slope" not in reason
+        bent = replace(missed, sweeps=(Sweep(2, (), 1.0, 0.1, "hardening"),))
+        assert (
+            'sweep of joint 2 shows hardening: give it spring = "three-slope"'
+            in (bent.verdict.reasons[0])
+        )
+
+
+def test_a_torque_constant_in_another_unit_excludes_determined() -> None:
+    found = run(tuned=dict.fromkeys(WHOLE, 1000.0))
+    joints = tuple(replace(j, torque_per_volt=90.0) for j in found.study.arm.joints)
+    study = replace(found.study, arm=found.study.arm.with_joints(joints))
+    wrong = replace(found, study=study)
+    assert wrong.verdict.status == "partly-determined"
+    assert "torque_per_volt 1 = 90 N m/V" in wrong.verdict.reasons[0]
+    assert "written as torque_per_volt = 0.09" in wrong.verdict.reasons[0]
+    codes = [w.where for w in published_warnings(wrong) if w.code == "implausible-size"]
+    assert codes == ["joint 1", "joint 2"]
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,13 @@ from strainwave.domain.options import (
 from strainwave.domain.parameter_table import ParameterDescription, parameter_table
 from strainwave.domain.parameter_words import ParameterWords, all_words
 from strainwave.domain.progress import Progress, ProgressEvent
-from strainwave.domain.ranges import is_physical, physical_range
+from strainwave.domain.ranges import (
+    ImplausibleJoint,
+    PlausibleRange,
+    SizedValue,
+    is_physical,
+    physical_range,
+)
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import (
     Activity,
@@ -143,6 +149,7 @@ __all__ = [
     "Hold",
     "HypothesisTest",
     "Identification",
+    "ImplausibleJoint",
     "Imu",
     "InputOutput",
     "IntArray",
@@ -170,6 +177,7 @@ __all__ = [
     "ParameterShift",
     "ParameterWords",
     "PhysicalOptions",
+    "PlausibleRange",
     "Positive",
     "Prbs",
     "Prediction",
@@ -186,6 +194,7 @@ __all__ = [
     "SensorGain",
     "Servo",
     "Signals",
+    "SizedValue",
     "Spring",
     "StageDifference",
     "StateSpace",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -121,7 +121,12 @@ class StageDifference:
         return (self.whole_arm - self.rigid) / self.std
 
 
-_NEGLIGIBLE = 0.01  # relative difference of stages that no use of a model would show
+MIN_RELATIVE_DIFFERENCE = 0.01
+"""Relative difference of two stages below which no use of a model shows it."""
+
+MAX_DISAGREEMENT = 4.0
+"""Standard deviations up to which the stages agree: noise alone exceeds it once in 4,000 runs, as
+there are four tests of two joints."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +143,27 @@ class AgreementTest:
     @property
     def matters(self) -> bool:
         """Whether a value differs by so much that somebody would mind, however sure both are."""
-        return self.largest >= _NEGLIGIBLE
+        return self.largest >= MIN_RELATIVE_DIFFERENCE
+
+    @property
+    def subject(self) -> str:
+        """The values that it compares, in words."""
+        if self.scope == "friction":
+            return f"joint {self.joint}'s friction"
+        return "inertias and gravity torques" if self.scope == "inertias" else "the values"
+
+
+def contradictions(tests: Sequence[AgreementTest]) -> tuple[AgreementTest, ...]:
+    """Tests of inertias and of each joint's friction in which the stages contradict each other.
+
+    If all values together disagree but no group does by itself, the group that disagrees most.
+    """
+    groups = [test for test in tests if test.scope != "all"]
+    far = [test for test in tests if test.deviations > MAX_DISAGREEMENT and test.matters]
+    own = [test for test in far if test.scope != "all"]
+    if far and not own:
+        own = sorted(groups, key=lambda test: test.deviations)[-1:]
+    return tuple(own)
 
 
 Condition = Literal["alone", "others-free", "others-servoed"]

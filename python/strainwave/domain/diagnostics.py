@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.final_table import Decision
-from strainwave.domain.identification import Identification
+from strainwave.domain.identification import Identification, model_defects
+from strainwave.domain.ranges import implausible_joints
 
 _NUMBER = re.compile(
     r"(?<![\w.])(?<!joint )(?<!motor )(?<!link )-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
@@ -35,7 +36,11 @@ def published_warnings(found: Identification) -> tuple[Diagnostic, ...]:
     """
     decisions = found.decisions
     kept = [*_still_true(found, decisions), *rejections(decisions)]
-    if found.tuned is not None and not found.verdict.validated.elastic:
+    kept += model_defects(found)
+    for size in implausible_joints(found.study.arm, found.parameters):
+        kept.append(Diagnostic("implausible-size", f"joint {size.joint}", size.text))
+    unpredicted = any(check.unexplained for check in found.checks)
+    if found.tuned is not None and not found.verdict.validated.elastic and not unpredicted:
         where = str(found.study.path)
         kept.append(Diagnostic("elastic-not-validated", where, not_exercised(found)))
     experiments = [e.name for e in found.study.experiments]
@@ -88,6 +93,9 @@ def not_exercised(found: Identification) -> str:
         return "there is no whole-arm fit to predict with"
     if not moving:
         return f"no check record can be simulated; {record}"
+    missed = ", ".join(check.experiment for check in moving if check.unexplained)
+    if missed:
+        return f"the whole-arm fit does not predict {missed}"
     names = ", ".join(dict.fromkeys(check.experiment for check in moving))
     return f"{names} would be predicted alike with other gear stiffness; {record}"
 

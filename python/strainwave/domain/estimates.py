@@ -79,6 +79,10 @@ class Prediction(Displayed):
     unfiltered_fit_percent: Mapping[str, float] = field(default_factory=dict)  # with y as logged
     stiffness_effect: Mapping[int, float] = field(default_factory=dict)
     """Joint -> largest change that a fifth more gear stiffness makes, in spreads of a channel."""
+    unexplained: Mapping[str, float] = field(default_factory=dict)
+    """Of each channel that is not predicted: its error, in standard deviations of what noise,
+    friction, the parameters' covariance and the fit's own residuals explain."""
+    is_servo_at_fault: bool = False  # the recorded voltages explain what the study's servo does not
     warnings: tuple[Diagnostic, ...] = ()
 
     @property

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
-from strainwave.domain.arm_model import ArmModel
+from strainwave.domain.arm_model import ArmModel, contradictions
 from strainwave.domain.combinations import lumped_inertias
 from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
@@ -24,11 +24,9 @@ from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity
 from strainwave.domain.study import Study
 
-CONTRADICTION = 4.0
-"""Standard deviations from which a disagreement of the stages rejects what it touches.
-
-Of the four groups of two joints one differs as much by noise alone in a run of four thousand.
-"""
+MAX_EFFECT_SHIFT = 0.05
+"""Share of a value by which an effect that the model lacks may move it: beyond it, and beyond the
+interval, the value is rejected."""
 
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
 _STAGE_OF_USE = {"motion": _RIGID, "frequency": _DECOUPLED, "sweep": _DECOUPLED, "tuning": _TUNED}
@@ -218,13 +216,31 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
     for p in tuned.parameters:
         at_end = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
         table[_key(p)] = _Entry(p, at_end if _key(p) in bounded else "")
-    far = [test for test in tuned.agreement if test.deviations > CONTRADICTION and test.matters]
+    for key, why in _moved_by_effects(tuned).items():
+        if key in table and not table[key].rejected:
+            table[key] = replace(table[key], rejected=why)
+    far = contradictions(tuned.agreement)
     rubbing = {test.joint for test in far if test.scope == "friction"}
     torques = any(test.scope == "inertias" for test in far)
     for key, entry in table.items():
         friction = "friction" in entry.parameter.name and entry.parameter.joint in rubbing
         if (torques or friction) and not entry.rejected:
             table[key] = replace(entry, rejected=_CONTRADICTED)
+
+
+def _moved_by_effects(tuned: ArmModel) -> dict[Key, str]:
+    """Values that an effect which the residuals show would move by more than their errors."""
+    moved: dict[Key, str] = {}
+    for cause in tuned.criticism.causes if tuned.criticism else ():
+        why = (
+            f"{cause.effect} of joint {cause.joint}, which explains part of the residuals, would"
+            f" move it out of its interval and by more than {100.0 * MAX_EFFECT_SHIFT:.0f} %"
+        )
+        for each in cause.shifts:
+            large = abs(each.shift) > MAX_EFFECT_SHIFT * abs(each.without)
+            if large and abs(each.deviations) > _REACH:
+                moved.setdefault((each.name, each.joint), why)
+    return moved
 
 
 def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[JointModel]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from strainwave.display import Displayed
-from strainwave.domain.arm_model import ArmModel, MotorResponse
+from strainwave.domain.arm_model import ArmModel, MotorResponse, ResidualTest, contradictions
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.domain.final_table import Decision, decide
@@ -15,6 +15,7 @@ from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.linear_models import FrequencyResponse
+from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity, LinkSummary, Log
 from strainwave.domain.study import Study
@@ -162,6 +163,10 @@ def _reasons(
         return
     yield from found.failures
     yield from _stages_missing(found, called)
+    yield from (f"{defect.where}: {defect.message}" for defect in model_defects(found))
+    yield from (size.text for size in implausible_joints(found.study.arm, found.parameters))
+    for test in contradictions(found.tuned.agreement) if found.tuned else ():
+        yield f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
     wrong = [label for label in called.primary if label in rejected]
     if wrong:
         yield f"rejected: {', '.join(wrong)}"
@@ -186,23 +191,98 @@ def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
         yield "the whole-arm fit did not converge"
 
 
-EXERCISED = 0.05
+MIN_STIFFNESS_EFFECT = 0.05
 """Change of a channel, in its spreads, that a fifth more stiffness must make in validation data.
 
-A prediction that passes for very good leaves as much, a fit of 95 %: with less, a stiffness far off
-would pass as well.
+A very good prediction has a fit of 95 %: where the effect is smaller, a stiffness far off would
+pass as well.
 """
+
+MAX_RESIDUAL = 0.1
+"""Share of a channel's spread from which its residuals are a defect of the model, if they are also
+far above the sensor's noise."""
+
+MAX_RESIDUAL_NOISE = 10.0
+"""Standard deviations of the sensor's noise from which residuals are far above it."""
 
 
 def _validated(found: Identification) -> Validated:
-    """Whether check records exercised each model."""
+    """Whether check records exercised each model, and it predicts them."""
     elastic = {n for n, joint in enumerate(found.study.arm.joints, start=1) if joint.elastic}
     drives = [check for check in found.checks if check.of_drive]
+    motions = [check for check in found.checks if not check.of_drive]
     shown = {
         number
-        for check in found.checks
+        for check in motions
         for number, effect in check.stiffness_effect.items()
-        if effect >= EXERCISED
+        if effect >= MIN_STIFFNESS_EFFECT
     }
     moving = any(math.isfinite(fit) for check in drives for fit in check.fit_percent.values())
-    return Validated(rigid=moving, elastic=bool(elastic) and shown >= elastic)
+    return Validated(
+        rigid=moving and not any(check.unexplained for check in drives),
+        elastic=bool(elastic)
+        and shown >= elastic
+        and not any(check.unexplained for check in motions),
+    )
+
+
+def model_defects(found: Identification) -> Iterator[Diagnostic]:
+    """Records that the models do not describe: check records first, then the worst fitted one."""
+    for check in found.checks:
+        if check.unexplained:
+            yield Diagnostic("not-predicted", check.experiment, _not_predicted(found, check))
+    worst = _worst_residual(found)
+    if worst is not None:
+        share, test = worst
+        text = (
+            f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
+            f" sensor's noise and {100.0 * share:.2g} % of the signal, so the model does not"
+            f" describe the record{_harder_spring(found) or ', check the constants in the study'}"
+        )
+        yield Diagnostic("not-described", test.experiment, text)
+
+
+def _not_predicted(found: Identification, check: Prediction) -> str:
+    """What is wrong with the worst channel of a check record, and what to do."""
+    channel = min(check.unexplained, key=lambda name: check.fit_percent[name])
+    text = (
+        f"{channel} is predicted with a fit of {check.fit_percent[channel]:.3g} %, an error of"
+        f" {check.unexplained[channel]:.2g} times what noise, friction, the intervals and the"
+        " residuals of the fit explain"
+    )
+    if check.of_drive:
+        return f"{text}, so check the payload, the voltage and the friction of that record"
+    if check.is_servo_at_fault:
+        return (
+            f"{text}, but the recorded voltages explain the motion, so correct kp, ki, period and"
+            " limit of [servo], or the references of that record"
+        )
+    spring = _harder_spring(found)
+    return f"{text}{spring or ', so check [servo], the references and the payload of that record'}"
+
+
+def _worst_residual(found: Identification) -> tuple[float, ResidualTest] | None:
+    """The largest residual that is far above the noise, as a share of the signal."""
+    if found.tuned is None or found.tuned.criticism is None:
+        return None
+    far = []
+    for test in found.tuned.criticism.residuals:
+        fit = found.tuned.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
+        share = 1.0 - 0.01 * fit
+        if share > MAX_RESIDUAL and test.deviation > MAX_RESIDUAL_NOISE * test.noise > 0.0:
+            far.append((share, test))
+    return max(far, key=lambda one: one[0], default=None)
+
+
+def _harder_spring(found: Identification) -> str:
+    """What to do if a gear hardens with the amplitude that the study has as linear; else empty."""
+    bent = [
+        sweep.joint
+        for sweep in found.sweeps
+        if sweep.verdict == "hardening"
+        and not found.study.arm.joints[sweep.joint - 1].law.is_curved
+    ]
+    if not bent:
+        return ""
+    joints = " and ".join(str(number) for number in bent)
+    return f', and the sweep of joint {joints} shows hardening: give it spring = "three-slope"'

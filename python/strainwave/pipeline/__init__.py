@@ -273,14 +273,11 @@ def _rigid(
     if model.status == "not-identifiable":
         return model, (), ()
     with run.timed("checks", "predicting the check records"):
-        predictions = {
-            use: tuple(
-                made
-                for made in side_by_side([partial(_predicted, run, model, each) for each in chosen])
-                if made is not None
-            )
-            for use, chosen in seen.items()
-        }
+        predictions: dict[str, tuple[Prediction, ...]] = {}
+        for use, chosen in seen.items():  # those of the fit first: they show what errors are usual
+            own = predictions.get("motion", ())
+            made = side_by_side([partial(_predicted, run, model, each, own) for each in chosen])
+            predictions[use] = tuple(each for each in made if each is not None)
     run.warnings.extend(c for made in predictions.values() for p in made for c in p.warnings)
     return model, predictions["motion"], predictions["check"]
 
@@ -293,10 +290,12 @@ def _signals(run: Run, all_logs: Sequence[Log], use: str) -> list[Signals]:
     return found
 
 
-def _predicted(run: Run, model: RigidModel, each: Signals) -> Prediction | None:
+def _predicted(
+    run: Run, model: RigidModel, each: Signals, fitted: Sequence[Prediction]
+) -> Prediction | None:
     """A record's torques by the rigid model; None, with a warning, of one that is too short."""
     try:
-        return validation.predict_rigid(model, each, run.arm)
+        return validation.predict_rigid(model, each, run.arm, fitted)
     except NotIdentifiable as failure:
         name = each.experiment.name
         run.warnings.append(Diagnostic("nothing-to-predict", name, f"{name} {failure}"))

@@ -20,7 +20,7 @@ Scope = Literal["all", "inertias", "friction"]
 DISAGREES = 3.0
 """Standard deviations from which a disagreement is a finding: a run in a hundred by noise alone.
 
-From `records.final_table.CONTRADICTION` on, what it touches is rejected.
+From `domain.arm_model.MAX_DISAGREEMENT` on, what it touches is rejected.
 """
 
 _NOTHING_NEW = 0.05  # of the rigid deviation: a smaller one says that the records add nothing

@@ -31,6 +31,18 @@ _RESULT = {
         "Check in this order: motor constant at high current, clock of the logger, dead zone of the"
         " drive, friction law.",
     ),
+    "implausible-size": Advice(
+        "A unit in the study is wrong; torques or angles of that joint are off by one factor.",
+        "Give torque_per_volt in N m/V, angles in rad and gear_ratio as link turns per motor turn.",
+    ),
+    "not-predicted": Advice(
+        "The model does not hold for that record and is not validated.",
+        "Check [servo], the references, the payload and the drive of that record.",
+    ),
+    "not-described": Advice(
+        "The model does not describe the records it was fitted to.",
+        'Give gears that harden spring = "three-slope"; else fit a likely effect.',
+    ),
     "torques-contradict": Advice(
         "The named effect biases the rigid model. The intervals are widened.",
         "Add the effect to the joint's effects, and check torque_per_volt of both joints.",

@@ -1,0 +1,90 @@
+"""Sizes of robot joints: every gear of the catalogue lies inside, a wrong unit is named."""
+
+from __future__ import annotations
+
+import pytest
+
+from strainwave.domain import ArmDescription, Joint, Parameter
+from strainwave.domain.ranges import implausible_joints, is_physical
+from strainwave.virtual.families.catalogue import drawn
+
+GEARS = {
+    8: (440.0, 1200.0),
+    11: (2200.0, 4400.0),
+    14: (3400.0, 7100.0),
+    17: (8100.0, 1.6e4),
+    20: (1.3e4, 2.9e4),
+    25: (2.5e4, 5.7e4),
+    32: (5.4e4, 1.2e5),
+    40: (1e5, 2.3e5),
+}
+"""Lowest and highest stiffness [N m/rad] by size, of docs/theory.md."""
+
+
+def arm(e: float | None = 0.08, ratio: float = 0.01, motion: str = "revolute") -> ArmDescription:
+    joint = Joint("linear", ratio, motion, e)  # type: ignore[arg-type]
+    return ArmDescription("single-joint", (joint,))
+
+
+def value(name: str, size: float, unit: str = "N m/rad") -> Parameter:
+    return Parameter(name, 1, size, 0.01 * size, unit, "tuned")
+
+
+@pytest.mark.parametrize("size", GEARS)
+def test_every_gear_of_the_catalogue_is_plausible(size: int) -> None:
+    for stiffness in GEARS[size]:
+        assert not list(implausible_joints(arm(), [value("gear_stiffness", stiffness)]))
+
+
+def test_drawn_arms_over_the_catalogue_are_plausible() -> None:
+    for seed in range(60):
+        rig = drawn(seed, 5)
+        known = [
+            Parameter(name, joint, size, 0.0, "1", "truth")
+            for (name, joint), size in rig.values.items()
+        ]
+        assert not list(implausible_joints(rig.study.arm, known))
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1e3, "mN m"), (1e-3, "kN m")], ids=["too large", "too small"]
+)
+def test_the_unit_of_a_torque_constant_is_named(factor: float, unit: str) -> None:
+    """As observed: 90 mN m/V given as 90 gave a stiffness of 1.6e7."""
+    right = {"gear_stiffness": 1.6e4, "motor_inertia": 1.5e-4, "link_inertia": 3.0}
+    wrong = [value(name, size * factor) for name, size in right.items()]
+    (found,) = implausible_joints(arm(0.09 * factor), wrong)
+    assert found.unit == unit
+    assert found.torque_per_volt == pytest.approx(0.09)
+    assert "torque_per_volt = 0.09" in found.text
+    (logged,) = implausible_joints(arm(None), wrong)
+    assert f"torque1 is likely in {unit}" in logged.text
+
+
+def test_an_angle_in_degrees_is_named() -> None:
+    """Inertias and stiffness are too small by 57 while the torque constant is right."""
+    wrong = [value("gear_stiffness", 440.0 / 57.3), value("motor_inertia", 1e-6 / 57.3)]
+    # a larger unit of the torque constant would bring it out of its own range
+    (found,) = implausible_joints(arm(19.0), wrong)
+    assert (found.unit, found.of_angle) == ("degrees", True)
+    assert "theta_m1 is likely in degrees" in found.text
+
+
+def test_what_no_unit_explains_asks_for_all_of_them() -> None:
+    wrong = [value("gear_stiffness", 1e30), value("motor_inertia", 1e-30)]
+    (found,) = implausible_joints(arm(), wrong)
+    assert found.unit is None
+    assert "check the units" in found.text
+
+
+def test_linear_axes_are_left_out() -> None:
+    assert not list(implausible_joints(arm(35.0, 1.0, "prismatic"), [value("inertia", 1e5, "kg")]))
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "possible"),
+    [("gear_stiffness", 0.0, False), ("gear_damping", 0.0, True), ("friction_offset", -1.0, True)],
+)
+def test_signs_that_an_arm_can_have(name: str, size: float, *, possible: bool) -> None:
+    assert is_physical(name, size) == possible
+    assert not is_physical(name, float("nan"))
