@@ -57,6 +57,27 @@ def test_the_fit_is_that_of_the_arrays_it_comes_with() -> None:
     assert prediction.fit_percent["torque1"] == pytest.approx(again[0])
 
 
+def test_a_record_of_another_load_is_not_predicted() -> None:
+    """Half the inertia more; the errors of the fitted record show what is usual."""
+    study, model, exact = fitted()
+    arm = Arm.of(study.arm)
+    own = validation.predict_rigid(model, exact, arm)
+    motion = exact_motion(1, 7)
+    usual = torque_of(motion, np.sign(motion[2]))
+    same = validation.predict_rigid(model, exact_signals(motion, usual), arm, (own,))
+    assert same.unexplained == {}
+    heavier = usual + 0.5 * INERTIA * motion[3]
+    other = validation.predict_rigid(model, exact_signals(motion, heavier), arm, (own,))
+    assert other.unexplained["torque1"] > validation.MAX_UNEXPLAINED
+    # friction that is 5 % higher is no other arm
+    warm = usual + 0.05 * COULOMB * np.sign(motion[2])
+    assert not validation.predict_rigid(model, exact_signals(motion, warm), arm, (own,)).unexplained
+    # and errors as large in the fitted record are no news
+    noisy = replace(own, predicted=0.5 * own.predicted)
+    same = validation.predict_rigid(model, exact_signals(motion, heavier), arm, (noisy,))
+    assert same.unexplained == {}
+
+
 def test_logged_voltages_are_predicted_in_volts() -> None:
     study, model, exact = fitted()
     drive = replace(

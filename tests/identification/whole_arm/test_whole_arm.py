@@ -137,6 +137,31 @@ def test_the_fit_rises_and_records_never_seen_are_predicted() -> None:
         if log.experiment.use == "check":
             prediction = validation.predict_elastic(model, log, Arm.of(study.arm))
             assert min(prediction.fit_percent.values()) > 97.0
+            assert prediction.unexplained == {}
+
+
+def test_a_wrong_servo_is_told_from_a_wrong_arm() -> None:
+    """Doubled gains: the recorded voltages explain the motion. Softer gears: nothing does."""
+    model = standard()
+    study, records = rig_logs()
+    log = next(each for each in records if each.name == "step-check-j1")
+    assert study.arm.servo is not None
+    gains = tuple(2.0 * kp for kp in study.arm.servo.kp)
+    servo = replace(study.arm.servo, kp=gains)
+    wrong = validation.predict_elastic(model, log, Arm.of(replace(study.arm, servo=servo)))
+    assert {"omega_m1", "a1"} <= set(wrong.unexplained)
+    assert min(wrong.unexplained.values()) > validation.MAX_UNEXPLAINED
+    assert wrong.is_servo_at_fault
+    soft = {
+        key: 0.6 * value if key[0] == "gear_stiffness" else value
+        for key, value in model.values.items()
+    }
+    arm = validation.predict_elastic(replace(model, values=soft), log, Arm.of(study.arm))
+    assert arm.unexplained
+    assert not arm.is_servo_at_fault
+    # as wide as these intervals are then, the same error is explained
+    vague = replace(model, values=soft, covariance=np.diag(np.diag(model.covariance)) * 1e10)
+    assert not validation.predict_elastic(vague, log, Arm.of(study.arm)).unexplained
 
 
 def test_what_is_derived_adds_up() -> None:
