@@ -1,4 +1,4 @@
-"""Results on disk for the tests of the exports: an arm with known parameters and its study."""
+"""Results on disk for the tests of exports: an arm with known parameters and its study."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from strainwave.domain import ArmDescription, Experiment, Joint, Motion, Spring, Study
 from strainwave.domain.parameters import Values, unit_of
-from strainwave.export import IdentifiedArm, read_result
+from strainwave.export import IdentifiedArm, read_arm
 from strainwave.io.study import write_study
 from strainwave.virtual import scara
 
@@ -24,7 +24,7 @@ def two_links(folder: Path, spring: Spring = "linear", gravity: float | None = N
 
 
 def values_of(study: Study) -> Values:
-    """The rig's parameters; G2 is 2 % off what one rigid body's would be."""
+    """Parameters of the rig; G2 differs by 2 % from the value of a rigid body."""
     values = scara.parameters(5, study.arm.joints[0].spring)
     if study.arm.gravity is not None:
         values["gravity_torque_1", None] = 60.0
@@ -59,7 +59,7 @@ def single(
 
 
 def document(study: Study, values: Values) -> dict[str, object]:
-    """What result.json would say of them, with deviations of one per cent."""
+    """A result of an earlier version, which names its study; standard deviations of 1 %."""
     data = study.path.read_bytes()
     parameters = [
         {
@@ -78,7 +78,7 @@ def document(study: Study, values: Values) -> dict[str, object]:
 
 
 def write(study: Study, values: Values) -> Path:
-    """Study file and result.json beside it; returns the latter."""
+    """Write the study file and a result.json beside it; return the path of the result."""
     write_study(study, study.path)
     path = study.path.parent / "result.json"
     path.write_text(json.dumps(document(study, values)))
@@ -86,4 +86,4 @@ def write(study: Study, values: Values) -> Path:
 
 
 def arm_of(study: Study, values: Values) -> IdentifiedArm:
-    return read_result(write(study, values))
+    return read_arm(write(study, values))

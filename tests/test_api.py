@@ -1,7 +1,12 @@
-"""The public API, on a small arm that another engine moves: as a notebook or a program uses it."""
+"""The public API as a notebook or a program uses it, on records of a small arm from MuJoCo."""
 
 from __future__ import annotations
 
+import copy
+import inspect
+import pickle
+import pydoc
+import sys
 import threading
 from dataclasses import replace
 from functools import cache
@@ -18,6 +23,9 @@ import pytest
 import strainwave as sw
 from strainwave.domain import Identification
 from strainwave.domain.progress import Progress, ProgressEvent
+from strainwave.export import arm_of
+from strainwave.export.state_space import joint_model, joint_model_covariance
+from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.io import results
 
 FOLDER = Path(__file__).parent / "data" / "small-arm"
@@ -27,6 +35,19 @@ STUDY = FOLDER / "study.toml"
 @cache
 def rigid() -> sw.Result:
     return sw.identify(STUDY, stages=("rigid",))
+
+
+@cache
+def whole() -> sw.Result:
+    return sw.identify(STUDY)
+
+
+@pytest.fixture(params=["fresh", "read"])
+def either(request: pytest.FixtureRequest, tmp_path: Path) -> sw.Result:
+    """A fresh result, and the same one read from its file."""
+    if request.param == "fresh":
+        return whole()
+    return sw.read_result(whole().save(tmp_path / "result.json").parent)
 
 
 def tables(form: str) -> dict[str, Any]:
@@ -48,7 +69,7 @@ def tables(form: str) -> dict[str, Any]:
     return found
 
 
-def test_a_parameter_by_name_and_joint() -> None:
+def test_a_parameter_is_found_by_name_and_joint() -> None:
     found = rigid()
     beta = found["beta"]
     assert beta.value is not None
@@ -56,11 +77,16 @@ def test_a_parameter_by_name_and_joint() -> None:
     assert beta.ci95 is not None
     assert beta.ci95[0] < beta.value < beta.ci95[1]
     assert found["motor_inertia", 2].joint == 2
-    with pytest.raises(KeyError, match="did you mean 'motor_inertia 2'"):
+    assert found["motor_inertia 2"] == found.parameters["motor_inertia", 2]
+    with pytest.raises(KeyError, match=r'did you mean .*"motor_inertia", 2'):
         found["motor_inertias", 2]
+    with pytest.raises(KeyError, match=r'did you mean "motor_inertia", 2\?'):
+        found["motor_inertia"]
+    with pytest.raises(KeyError, match='no parameter "qwerty"; "beta"'):
+        found["qwerty"]
 
 
-def test_the_table_is_a_sequence_and_a_frame() -> None:
+def test_parameters_are_a_sequence_and_a_frame() -> None:
     table = rigid().parameters
     assert [one.label for one in table][: len(table)] == [one.label for one in table[:]]
     frame = table.to_frame()
@@ -73,14 +99,14 @@ def test_the_table_is_a_sequence_and_a_frame() -> None:
 
 
 @pytest.mark.parametrize("form", ["arrow", "pandas", "polars", "arrays", "path"])
-def test_data_in_memory_give_what_files_give(form: str, tmp_path: Path) -> None:
-    """The study's own files are out of reach, so that what is read must be what is given."""
+def test_data_in_memory_give_the_same_result_as_files(form: str, tmp_path: Path) -> None:
+    """The files of the study do not exist at its path."""
     study = replace(sw.read_study(STUDY), path=tmp_path / "study.toml")
     found = sw.identify(study, data=tables(form), stages=("rigid",))
     assert found.parameters == rigid().parameters
 
 
-def test_a_table_that_is_none_is_refused() -> None:
+def test_invalid_tables_are_refused() -> None:
     data = tables("arrays")
     first = next(iter(data))
     with pytest.raises(sw.InvalidInput, match="is no table, but int"):
@@ -100,7 +126,7 @@ def test_a_table_that_is_none_is_refused() -> None:
         sw.identify(STUDY, data={first: pa.table([[1.0], [2.0]], names=["t", "t"])})
 
 
-def test_a_missing_log_is_named_by_its_line(tmp_path: Path) -> None:
+def test_a_missing_log_is_reported_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(STUDY.read_text())
     first = sw.read_study(path).experiments[0]
@@ -111,59 +137,204 @@ def test_a_missing_log_is_named_by_its_line(tmp_path: Path) -> None:
 
 
 def test_a_result_reads_back_equal(tmp_path: Path) -> None:
-    whole = sw.identify(STUDY)
-    path = whole.save(tmp_path / "result.json")
+    fresh = whole()
+    path = fresh.save(tmp_path / "result.json")
     again = sw.read_result(path)
-    assert again == whole
-    assert again.parameters == whole.parameters
-    assert again.verdict == whole.verdict
-    assert again.warnings == whole.warnings
-    assert again.status == whole.status == "determined"
+    assert again == fresh
+    assert again.parameters == fresh.parameters
+    assert again.verdict == fresh.verdict
+    assert again.warnings == fresh.warnings
+    assert again.status == fresh.status == "determined"
     assert again != rigid()
     again.save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
-    with pytest.raises(sw.InvalidInput, match="samples"):
-        again.report(tmp_path / "report.html")
-    assert whole.report(tmp_path / "report.html").read_text().startswith("<!doctype html>")
-    assert whole.plot("bode", joint=1).axes
-    with pytest.raises(sw.InvalidInput, match="there is no figure 'bode-joint-3'"):
-        whole.plot("bode", joint=3)
-    assert "gear_damping" in whole._repr_html_()
+    for ask in (
+        lambda: again.report(tmp_path / "report.html"),
+        lambda: again.residuals("motion-check"),
+        lambda: again.plot("gear", joint=1),
+    ):
+        with pytest.raises(sw.InvalidInput, match=r"has no samples.*identify the study again"):
+            ask()
+    assert fresh.report(tmp_path / "report.html").read_text().startswith("<!doctype html>")
+    with pytest.raises(sw.InvalidInput, match=r"there is no figure 'bode-joint-3'.*bode-joint-1"):
+        fresh.plot("bode", joint=3)
+    assert "gear_damping" in fresh._repr_html_()
 
 
-def test_a_figure_by_the_name_of_its_experiment() -> None:
-    """Also by one that has letters no file's name should have."""
+def test_a_result_is_a_collection_of_parameters(either: sw.Result) -> None:
+    assert len(either) == len(list(either)) == len(either.parameters) > 30
+    assert ("beta", None) in either
+    assert "beta" in either
+    assert ("gear_stiffness_k1", 1) in either
+    assert "gear_stiffness_k1" not in either
+    assert ("gear_stiffness", 3) not in either
+    assert either["beta"] in either
+    assert 3 not in either
+    keys = either.keys()
+    assert keys == either._ipython_key_completions_()
+    assert [either[key] for key in keys] == list(either)
+    assert pickle.loads(pickle.dumps(either)) == either
+    assert bool(sw.Result(either.document | {"parameters": []}))
+
+
+def test_a_result_prints_its_table(either: sw.Result) -> None:
+    text = str(either)
+    assert "\ngear_stiffness_k1       1 " in text
+    assert "fit (check) motion-check: u1 9" in text
+    assert text.endswith("verdict: determined")
+    assert repr(either) == f"<Result: determined, {len(either)} of {len(either)} parameters>"
+    names = ("checks", "compare", "covariance", "export", "frequency_response", "state_space")
+    assert set(names) <= set(dir(either))
+    assert "Identify an arm" in pydoc.render_doc(sw.identify, renderer=pydoc.plaintext)
+
+
+def test_the_covariance_has_names(either: sw.Result) -> None:
+    covariance = either.covariance
+    assert covariance is not None
+    frame = covariance.to_frame()
+    assert list(frame.index) == list(frame.columns) == list(covariance.names)
+    label = "gear_stiffness_k1 1"
+    assert frame.loc[label, label] ** 0.5 == pytest.approx(either[label].std)
+    assert np.abs(covariance.correlation).max() <= 1.0 + 1e-9
+
+
+def test_a_joint_is_a_system_of_python_control(either: sw.Result) -> None:
+    control = pytest.importorskip("control", reason="python-control is not installed")
+    system = either.state_space(1)
+    assert isinstance(system, control.StateSpace)
+    assert system.input_labels == ["motor_torque", "interaction_torque"]
+    assert system.output_labels == ["motor_velocity", "link_acceleration"]
+    response = either.frequency_response(1)
+    G = system(2j * np.pi * response.frequencies_hz)[0, 0]
+    np.testing.assert_allclose(response.response, G, rtol=1e-9)
+    with pytest.raises(sw.InvalidInput, match="there is no joint 3"):
+        either.state_space(3)
+
+
+def test_without_python_control_the_message_has_the_command(
+    either: sw.Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(sw.InvalidInput, match=r"Remedy: pip install control\."):
+        either.state_space(1)
+
+
+def test_a_frequency_response_has_bands(either: sw.Result) -> None:
+    response = either.frequency_response(2)
+    band = response.magnitude_band
+    assert band is not None
+    assert response.phase_band is not None
+    assert (band[:, 0] < np.abs(response.response)).all()
+    assert (band[:, 1] > np.abs(response.response)).all()
+    measured = response.measured
+    assert measured is not None
+    assert measured.response.shape[1:] == (2, 2)
+    near = either.frequency_response(2, measured.frequencies_hz)
+    apart = 20.0 * np.log10(np.abs(near.response / measured.response[:, 0, 0]))
+    assert abs(float(np.median(apart))) < 1.0  # [dB]
+    assert len(response.plot().axes) == 2
+    assert either.plot("bode", joint=2).axes
+    assert either.plot().axes
+
+
+def test_the_bands_of_a_response_are_those_of_drawn_parameters() -> None:
+    """Monte Carlo with the joint covariance of the result against the delta method."""
+    result = whole()
+    arm = arm_of(result.document, result.source)
+    model = joint_model(arm, 1)
+    S = joint_model_covariance(arm, 1, result.covariance)
+    assert S is not None
+    f = np.array([5.0, 20.0, 40.0, 100.0])
+    rng = np.random.default_rng(3)
+    drawn = rng.multivariate_normal(model.vector, S, size=4000)
+    G = np.array([motor_response(each, model.gear_ratio, f) for each in drawn])
+    std = result.frequency_response(1, f).magnitude_std
+    np.testing.assert_allclose(np.abs(G).std(axis=0), std, rtol=0.06)  # 5 standard errors
+
+
+def test_checks_have_a_fit_per_channel(either: sw.Result) -> None:
+    checks = either.checks
+    assert set(checks) == {"motion-check", "step-check-j1", "step-check-j2"}
+    fit = checks["motion-check"]["omega_m1"]
+    assert fit is not None
+    assert fit > 99.0
+
+
+def test_residuals_are_measured_minus_predicted() -> None:
+    result = whole()
+    residuals = result.residuals("motion-check")
+    assert residuals.channels == ("u1", "u2", "omega_m1", "omega_m2", "a1", "a2")
+    assert residuals.values.shape == (len(residuals.time), 6)
+    assert result.run is not None
+    for check in result.run.checks:
+        if check.experiment == "motion-check":
+            rows = np.isin(residuals.time, check.time)
+            columns = [residuals.channels.index(name) for name in check.channels]
+            inside = residuals.values[rows][:, columns]
+            np.testing.assert_array_equal(inside, check.measured - check.predicted)
+    assert list(residuals.to_frame().columns) == list(residuals.channels)
+    with pytest.raises(sw.InvalidInput, match=r"choose from: .*did you mean 'motion-check'"):
+        result.residuals("motion-chek")
+
+
+def test_a_result_exports_its_arm(either: sw.Result, tmp_path: Path) -> None:
+    notes = either.export(tmp_path / "arm.urdf")
+    assert any("motor_inertia" in note for note in notes)
+    assert (tmp_path / "arm.urdf").read_text().count("<inertial>") == 2
+    either.export(str(tmp_path / "arm"), format="state-space")
+    with pytest.raises(sw.InvalidInput, match="did you mean 'urdf'"):
+        either.export(tmp_path / "arm", format="urd")
+
+
+def test_results_are_compared(either: sw.Result, tmp_path: Path) -> None:
+    document = either.document
+    moved = next(p for p in document["parameters"] if p["name"] == "gear_stiffness_k1")
+    moved["value"] *= 0.98
+    worn = sw.Result(document).save(tmp_path / "worn" / "result.json")
+    found = either.compare(worn)
+    assert found.differs
+    assert "gear_stiffness_k1 1" in repr(found)
+    frame = found.to_frame()
+    changed = frame[frame["verdict"] == "differs"]
+    assert list(changed["name"]) == ["gear_stiffness_k1"]
+    assert "verdict: the results differ" in str(found)
+    assert not sw.compare([either, either]).differs
+    assert sw.compare([either, worn, worn]).homogeneity is not None
+
+
+def test_a_figure_is_found_by_the_name_of_its_experiment() -> None:
+    """Also if the name has letters that a file name should not have."""
     run = rigid().run
     assert run is not None
-    made = replace(run.fitted[0], experiment="Slow motion (1)")
-    result = sw.Result.of(replace(run, fitted=(made,)))
+    prediction = replace(run.fitted[0], experiment="Slow motion (1)")
+    result = sw.Result.of(replace(run, fitted=(prediction,)))
     assert result.plot("fitted", experiment="Slow motion (1)").axes
     with pytest.raises(sw.InvalidInput, match="there is no figure 'fitted-slow-motion-2'"):
         result.plot("fitted", experiment="Slow motion (2)")
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("{", "is not JSON"),
         ("[1]", 'has no key "schema"'),
         ('{"schema": "strainwave/result/9"}', "has the schema"),
     ],
 )
-def test_what_is_no_result_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_other_files_are_refused(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "r.json").write_text(text)
-    with pytest.raises(sw.InvalidInput, match=said):
+    with pytest.raises(sw.InvalidInput, match=message):
         sw.read_result(tmp_path / "r.json")
     with pytest.raises(sw.InvalidInput, match="does not exist"):
         sw.read_result(tmp_path / "none.json")
 
 
-def test_a_result_that_lacks_keys_is_refused() -> None:
-    with pytest.raises(sw.InvalidInput, match="parameters is incomplete"):
+def test_an_incomplete_result_is_refused() -> None:
+    with pytest.raises(sw.InvalidInput, match="parameters, entry 1: 'joint' is invalid"):
         sw.Result({"schema": results.SCHEMA, "parameters": [{"name": "beta"}]})
 
 
-def test_progress_comes_in_the_callers_thread_and_grows() -> None:
+def test_progress_is_reported_in_the_thread_of_the_caller() -> None:
     events: list[ProgressEvent] = []
     threads = set[int]()
 
@@ -178,23 +349,23 @@ def test_progress_comes_in_the_callers_thread_and_grows() -> None:
     assert threads == {threading.get_ident()}
 
 
-def test_progress_said_at_the_very_end_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After the last look at what there is, and before the work's thread ends."""
+def test_progress_at_the_very_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the last check of the queue and before the thread ends."""
     last = ProgressEvent("tuned", 1.0, "the last word", 8, 8)
     found = rigid().run
-    begun, looked = threading.Event(), threading.Event()
+    started, checked = threading.Event(), threading.Event()
     workers: list[threading.Thread] = []
 
     def work(*_: object, progress: Progress, **__: object) -> Identification | None:
         workers.append(threading.current_thread())
-        begun.set()
-        looked.wait()
+        started.set()
+        checked.wait()
         progress(last)
         return found
 
     def asked() -> bool:
-        begun.wait()
-        looked.set()
+        started.wait()
+        checked.set()
         workers[0].join()
         return False
 
@@ -215,24 +386,24 @@ def test_cancel_ends_every_stage(stage: str) -> None:
     with pytest.raises(sw.Cancelled):
         sw.identify(STUDY, progress=follow, cancel=wanted)
     for thread in threading.enumerate():
-        if thread.name == "strainwave":  # what was given up ends at its next look
+        if thread.name == "strainwave":  # abandoned work ends when it next checks
             thread.join(60.0)
             assert not thread.is_alive()
 
 
-def test_cancel_does_not_wait_for_what_cannot_be_interrupted(
+def test_cancel_does_not_wait_for_compiled_code(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As compiled code: here, work that never looks whether it is still wanted."""
-    begun, release = threading.Event(), threading.Event()
+    """Here: work that never checks whether it is cancelled."""
+    started, release = threading.Event(), threading.Event()
 
     def endless(*_: object, **__: object) -> None:
-        begun.set()
+        started.set()
         release.wait()
 
     monkeypatch.setattr("strainwave.pipeline.identify", endless)
     with pytest.raises(sw.Cancelled):
-        sw.identify(STUDY, cancel=begun)
+        sw.identify(STUDY, cancel=started)
     assert not release.is_set()
     release.set()
 
@@ -242,7 +413,7 @@ def test_cancel_may_be_a_function() -> None:
         sw.identify(STUDY, cancel=lambda: True)
 
 
-def test_what_fails_in_the_callers_progress_comes_out() -> None:
+def test_an_error_in_progress_is_raised() -> None:
     def follow(_event: ProgressEvent) -> None:
         raise RuntimeError("no")
 
@@ -250,12 +421,12 @@ def test_what_fails_in_the_callers_progress_comes_out() -> None:
         sw.identify(STUDY, progress=follow)
 
 
-def test_threads_change_nothing_but_how_many_work() -> None:
+def test_the_number_of_threads_does_not_change_the_result() -> None:
     most = [0]
-    begin = threading.active_count()
+    before = threading.active_count()
 
     def follow(_event: ProgressEvent) -> None:
-        most[0] = max(most[0], threading.active_count() - begin)
+        most[0] = max(most[0], threading.active_count() - before)
 
     one = sw.identify(STUDY, threads=1, progress=follow)
     assert most[0] <= 1  # the run's own thread
@@ -265,9 +436,38 @@ def test_threads_change_nothing_but_how_many_work() -> None:
         sw.identify(STUDY, threads=0)
 
 
-def test_every_public_name_is_there_and_listed() -> None:
+def test_every_public_name_exists_and_is_listed() -> None:
     for name in sw.__all__:
         assert getattr(sw, name) is not None
     assert set(sw.__all__) <= set(dir(sw))
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         sw.nothing  # noqa: B018
+    with pytest.raises(AttributeError, match="did you mean 'read_result'"):
+        sw.read_results  # noqa: B018
+
+
+def test_stages_may_be_one_text() -> None:
+    assert sw.identify(STUDY, stages="rigid").parameters == rigid().parameters
+    with pytest.raises(sw.InvalidInput, match=r"cannot run the stages rigit.*did you mean 'rigid'"):
+        sw.identify(STUDY, stages="rigit")
+
+
+def test_options_are_typed_and_name_the_nearest() -> None:
+    typed = sw.Options(rigid=sw.RigidOptions(bandwidth_hz=20.0))
+    assert sw.Options(rigid={"bandwidth_hz": 20.0}) == typed
+    results = [
+        sw.identify(STUDY, stages="rigid", options=options)
+        for options in (typed, {"rigid": {"bandwidth_hz": 20.0}}, ["rigid.bandwidth_hz=20.0"])
+    ]
+    assert results[0].parameters == results[1].parameters == results[2].parameters
+    assert results[0].parameters != rigid().parameters
+    with pytest.raises(sw.InvalidInput, match=r"no option 'linkz'.*did you mean 'links'"):
+        sw.Options(linkz={"order": 1})
+    with pytest.raises(sw.InvalidInput, match=r"no option 'ordr'.*did you mean 'order'"):
+        sw.Options(links={"ordr": 1})
+    with pytest.raises(sw.InvalidInput, match="did you mean 'links'"):
+        sw.identify(STUDY, stages="rigid", options={"linkz": {"order": 1}})
+    with pytest.raises(sw.InvalidInput, match="'order' is 7"):
+        sw.identify(STUDY, stages="rigid", options=sw.Options(links={"order": 7}))
+    assert list(inspect.signature(sw.Options).parameters)[:2] == ["rigid", "links"]
+    assert pickle.loads(pickle.dumps(typed)) == copy.deepcopy(typed) == typed

@@ -5,8 +5,8 @@
     result = sw.identify("study.toml")
     result["gear_stiffness", 1].value
 
-Importing this package is cheap: each name is loaded when it is first asked for. Behind these names
-the stages are modules, each with one main function from records to a record;
+Each name is imported when it is first used, so importing the package is fast. The stages behind
+these names are modules with one main function each, from records to a record;
 `strainwave.pipeline` runs them in order.
 """
 
@@ -17,60 +17,79 @@ from typing import TYPE_CHECKING, Any
 from strainwave.display import Display, register
 
 if TYPE_CHECKING:
-    from strainwave.api import Result, identify, read_result, read_study
+    from strainwave.api import Result, compare, identify, read_result, read_study
     from strainwave.campaign.store import read_parameters, read_runs
     from strainwave.domain import (
         ArmDescription,
         Channel,
         Experiment,
+        FrequencyOptions,
         Joint,
+        LinearOptions,
+        LinkOptions,
         Options,
         Parameter,
+        PhysicalOptions,
         Prbs,
+        RigidOptions,
         Servo,
         Study,
+        TuningOptions,
     )
     from strainwave.domain.progress import ProgressEvent
     from strainwave.errors import Cancelled, InvalidInput, NotIdentifiable, StrainwaveError
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "strainwave.api": ("Result", "identify", "read_result", "read_study"),
+_NAMES_OF_MODULE = {
+    "strainwave.api": ("Result", "compare", "identify", "read_result", "read_study"),
     "strainwave.campaign.store": ("read_parameters", "read_runs"),
     "strainwave.domain": (
         "ArmDescription",
         "Channel",
         "Experiment",
+        "FrequencyOptions",
         "Joint",
+        "LinearOptions",
+        "LinkOptions",
         "Options",
         "Parameter",
+        "PhysicalOptions",
         "Prbs",
+        "RigidOptions",
         "Servo",
         "Study",
+        "TuningOptions",
     ),
     "strainwave.domain.progress": ("ProgressEvent",),
     "strainwave.errors": ("Cancelled", "InvalidInput", "NotIdentifiable", "StrainwaveError"),
 }
-_HOME = {name: module for module, names in _HOMES.items() for name in names}
+_MODULE_OF = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
 
 __all__ = [
     "ArmDescription",
     "Cancelled",
     "Channel",
     "Experiment",
+    "FrequencyOptions",
     "InvalidInput",
     "Joint",
+    "LinearOptions",
+    "LinkOptions",
     "NotIdentifiable",
     "Options",
     "Parameter",
+    "PhysicalOptions",
     "Prbs",
     "ProgressEvent",
     "Result",
+    "RigidOptions",
     "Servo",
     "StrainwaveError",
     "Study",
+    "TuningOptions",
     "__version__",
+    "compare",
     "identify",
     "read_parameters",
     "read_result",
@@ -80,12 +99,15 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name; see `__all__`."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    """Import a public name; see `__all__`."""
+    if name not in _MODULE_OF:
+        from strainwave.errors import nearest
+
+        hint = nearest(name, __all__)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
     from importlib import import_module
 
-    return getattr(import_module(_HOME[name]), name)
+    return getattr(import_module(_MODULE_OF[name]), name)
 
 
 def __dir__() -> list[str]:
@@ -93,7 +115,6 @@ def __dir__() -> list[str]:
 
 
 def _notebook() -> Display:
-    """What shows a record, loaded when a person looks."""
     from strainwave.presentation import notebook
 
     return notebook

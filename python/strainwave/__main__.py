@@ -1,4 +1,4 @@
-"""The process of the command line: `strainwave`, and `python -m strainwave` off the path."""
+"""Entry point of the command line: `strainwave` and `python -m strainwave`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 
 
 def main() -> None:
-    """Listen for Ctrl-C before anything heavy is imported, then run the command line."""
+    """Handle Ctrl-C before the slow imports begin, then run the command line."""
     from strainwave.io import interrupt
 
     interrupt.listen()
@@ -15,8 +15,8 @@ def main() -> None:
 
         run()
     except interrupt.Interrupted:
-        interrupt.say()
-        sys.exit(interrupt.STOPPED)
+        interrupt.report()
+        sys.exit(interrupt.EXIT_CODE)
 
 
 if __name__ == "__main__":

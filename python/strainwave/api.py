@@ -1,8 +1,4 @@
-"""The public API: a study in, a result out that shows, plots and saves itself.
-
-The names are loaded when they are first asked for; `strainwave.pipeline` and the stages below it
-are for those who need the records themselves.
-"""
+"""The public interface: a study in, a result out that prints, plots, saves and exports itself."""
 
 from __future__ import annotations
 
@@ -11,44 +7,52 @@ import copy
 import queue
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
+import numpy as np
+
 from strainwave import pipeline
-from strainwave.domain import Diagnostic, Identification, Options, Parameter, Study, Verdict
+from strainwave.domain import (
+    ComplexArray,
+    Diagnostic,
+    FloatArray,
+    FrequencyResponse,
+    Identification,
+    Options,
+    Parameter,
+    Study,
+    Verdict,
+)
+from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.progress import Progress, ProgressEvent, ignored
-from strainwave.errors import Cancelled, InvalidInput
+from strainwave.errors import Cancelled, InvalidInput, nearest, require
 from strainwave.io import results
-from strainwave.io.atomic_files import nearest, write_whole
+from strainwave.io.atomic_files import write_whole
+from strainwave.io.joint_covariance import JointCovariance, covariance_of
 from strainwave.io.logs.in_memory import Data
 from strainwave.io.study import checked_study
 from strainwave.io.study import read_study as _read_study
+from strainwave.monitoring import comparison, estimates
 from strainwave.numerics.parallel import Stopped, limited
 
 if TYPE_CHECKING:
+    from control import StateSpace
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-_POLL = 0.05  # [s] between two looks at whether the run is still wanted
+Key = str | tuple[str, int | None]
+
+_POLL_S = 0.05  # [s] between two checks of `cancel`; a user notices delays above 0.1 s
+_N_FREQUENCIES = 400  # of a response: smooth at the width of a screen
+_DECADES_BEYOND_MODES = 1.0  # below the anti-resonance and above the resonance
+_NEAR_KEYS = 3  # suggestions for a misspelled parameter
+_INTERVAL_STDS = 1.96  # standard deviations of a 95 % interval
 
 
 def read_study(path: Path | str) -> Study:
-    """Read and check a study file; its logs are looked for when they are needed.
-
-    Parameters
-    ----------
-    path : Path or str
-
-    Returns
-    -------
-    Study
-
-    Raises
-    ------
-    InvalidInput
-        Anything in the file is at fault.
-    """
+    """Read and check a study file; its logs need not exist yet."""
     return _read_study(path, logs_exist=False)
 
 
@@ -56,92 +60,104 @@ def identify(
     study: Study | Path | str,
     *,
     data: Data | None = None,
-    stages: Sequence[str] = pipeline.STAGES,
+    stages: str | Sequence[str] = pipeline.STAGES,
     options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
     progress: Progress = ignored,
     cancel: threading.Event | Callable[[], bool] | None = None,
     threads: int | None = None,
 ) -> Result:
-    """Identify an arm: every stage on one study.
+    """Identify an arm from its logs.
 
     Parameters
     ----------
     study : Study, Path or str
-        Built in code, or the study file.
+        The study file, or a study built in code.
     data : mapping, optional
-        Experiment's name -> its log: a pandas, polars or Arrow table, a dictionary of arrays, or a
-        path. Experiments that it does not name are read from the study's files.
-    stages : sequence of str
-        The first of "rigid", "decoupled", "tuned".
+        Logs by the name of the experiment: pandas, polars or Arrow tables, dictionaries of arrays,
+        or paths. Other experiments are read from the files of the study.
+    stages : str or sequence of str
+        The first of "rigid", "decoupled", "tuned": `stages="rigid"`, `stages=("rigid",
+        "decoupled")`. All by default.
     options : Options, mapping or sequence of str, optional
-        In place of the study's [options]: all of them, those that change (stage -> key -> value),
-        or "stage.key=value" as on the command line.
+        Replaces [options] of the study: `sw.Options(links={"order": 1})`. A mapping
+        `{"links": {"order": 1}}` or texts `["links.order=1"]` change single options.
     progress : callable
-        Gets a `ProgressEvent`, in the thread of this call.
+        Receives a `ProgressEvent` in the thread of the caller.
     cancel : threading.Event or callable, optional
-        Set, or returning true, when the answer is not wanted any more.
+        The run ends when the event is set or the function returns true.
     threads : int, optional
-        That may work at a time; one per core without. Campaigns of many workers give 1.
+        Number of threads; by default one per core.
 
     Returns
     -------
     Result
-        Its `status` says what the data answered and what not.
+        `result.status` is "determined" if all primary parameters are identified.
 
     Raises
     ------
     InvalidInput
         The study, a log or an argument is at fault.
     Cancelled
-        `cancel` asked for the end; the call returns within a second, whatever was running.
+        `cancel` ended the run; the call returns within a second.
     """
     if threads is not None and threads < 1:
         raise InvalidInput(f"threads is {threads}", remedy="give at least 1, or leave it out")
     checked = _study_of(study, data or {})
     events: queue.SimpleQueue[ProgressEvent] = queue.SimpleQueue()
-    asked = cancel.is_set if isinstance(cancel, threading.Event) else cancel
+    is_cancelled = cancel.is_set if isinstance(cancel, threading.Event) else cancel
 
     def run() -> Identification:
         return pipeline.identify(
             checked,
             data=data,
-            stages=stages,
+            stages=pipeline.check_stages(stages),
             options=options,
             progress=events.put,
             threads=threads,
         )
 
-    def follow() -> None:
+    def report_progress() -> None:
         while not events.empty():
             progress(events.get())
 
-    return Result.of(_beside(run, asked or (lambda: False), follow))
+    return Result.of(_run_in_thread(run, is_cancelled or (lambda: False), report_progress))
 
 
 def read_result(path: Path | str) -> Result:
-    """What an earlier run identified.
+    """Read a result.json, or the one in a directory.
 
-    Parameters
-    ----------
-    path : Path or str
-        A result.json.
-
-    Returns
-    -------
-    Result
-        Equal to the one that was saved. Its plots and its report need the records' samples, which
-        the file does not hold: identify again for these.
-
-    Raises
-    ------
-    InvalidInput
-        The file is missing, or no result of strainwave.
+    The result equals the one that was saved. The report, residuals and most figures need the
+    samples of the records, which the file does not contain.
     """
-    return Result(results.read_document(Path(path)))
+    path = results.result_path(Path(path))
+    return Result(results.read_document(path), source=path)
+
+
+def compare(
+    results: Sequence[Result | Path | str], level: float = 0.05
+) -> comparison.ResultComparison:
+    """Test whether results of one arm differ significantly.
+
+    The first result is compared with each of the others. `level` is the probability of a
+    difference being reported where there is none. Raises `InvalidInput` for fewer than two results
+    and `NotIdentifiable` if they have no parameter in common.
+    """
+    loaded = [each if isinstance(each, Result) else read_result(each) for each in results]
+    listed = [estimates.estimates_of(each.document, each.source) for each in loaded]
+    labels = [each.label for each in listed]
+    unique = [
+        each if labels.count(each.label) == 1 else replace(each, label=f"{each.label} ({k})")
+        for k, each in enumerate(listed, start=1)
+    ]
+    return comparison.compare(unique, level)
 
 
 class Parameters(Sequence[Parameter]):
-    """The final table: each parameter once, decided by the last stage that speaks of it."""
+    """The final table: each parameter once, from the last stage that decides it.
+
+    `parameters["beta"]` is a parameter of the arm, `parameters["gear_stiffness", 1]` one of a
+    joint, `parameters[0]` the first of the table.
+    """
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
         self._parameters = tuple(parameters)
@@ -150,13 +166,24 @@ class Parameters(Sequence[Parameter]):
         return len(self._parameters)
 
     @overload
-    def __getitem__(self, index: int) -> Parameter: ...
+    def __getitem__(self, index: int | Key) -> Parameter: ...
     @overload
     def __getitem__(self, index: slice) -> Parameters: ...
-    def __getitem__(self, index: int | slice) -> Parameter | Parameters:
+    def __getitem__(self, index: int | slice | Key) -> Parameter | Parameters:
         if isinstance(index, slice):
             return Parameters(self._parameters[index])
-        return self._parameters[index]
+        if isinstance(index, int):
+            return self._parameters[index]
+        found = self._find(index)
+        if found is None:
+            raise KeyError(self._unknown(index))
+        return found
+
+    def __contains__(self, item: object) -> bool:
+        if isinstance(item, Parameter):
+            return item in self._parameters
+        is_key = isinstance(item, str) or (isinstance(item, tuple) and len(item) == 2)
+        return is_key and self._find(item) is not None  # type: ignore[arg-type]
 
     def __iter__(self) -> Iterator[Parameter]:
         return iter(self._parameters)
@@ -167,57 +194,156 @@ class Parameters(Sequence[Parameter]):
     def __hash__(self) -> int:
         return hash(self._parameters)
 
+    def __str__(self) -> str:
+        rows = [("parameter", "joint", "value", "±", "unit")]
+        for p in self._parameters:
+            value, std = plus_minus(p.value, p.std)
+            cells = ("not identified", "") if p.value is None else (value, std)
+            rows.append((p.name, "arm" if p.joint is None else str(p.joint), *cells, p.unit))
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = (
+            f"{a:<{widths[0]}}  {b:<{widths[1]}}  {c:>{widths[2]}}  {d:>{widths[3]}}  {e}".rstrip()
+            for a, b, c, d, e in rows
+        )
+        return "\n".join(lines)
+
+    def keys(self) -> list[Key]:
+        """Keys of all parameters: "beta", ("gear_stiffness", 1)."""
+        return [p.name if p.joint is None else (p.name, p.joint) for p in self._parameters]
+
     def to_frame(self) -> DataFrame:
-        """The table as a pandas frame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row per parameter: name, joint, value, std, ci95_low, ci95_high, unit, stage.
-
-        Raises
-        ------
-        InvalidInput
-            pandas is not installed.
-        """
-        try:
-            from pandas import DataFrame
-        except ImportError as error:
-            raise InvalidInput(
-                "a frame needs pandas, which is not installed",
-                remedy="pip install pandas, or iterate over the parameters",
-            ) from error
+        """The table as a pandas frame, one row per parameter."""
+        pandas = require("pandas", "a data frame", "pandas")
         rows = []
-        for one in self._parameters:
-            low, high = one.ci95 or (None, None)
-            row = asdict(one)
+        for p in self._parameters:
+            low, high = p.ci95 or (None, None)
+            row = asdict(p)
             del row["ci95"]
             rows.append(row | {"ci95_low": low, "ci95_high": high})
         columns = ["name", "joint", "value", "std", "ci95_low", "ci95_high", "unit", "stage"]
-        numbers = dict.fromkeys(columns[2:6], "float64")
-        return DataFrame(rows, columns=columns).astype(numbers | {"joint": "Int64"})
+        types = dict.fromkeys(columns[2:6], "float64") | {"joint": "Int64"}
+        frame: DataFrame = pandas.DataFrame(rows, columns=columns).astype(types)
+        return frame
 
     def _repr_html_(self) -> str:
         from strainwave.presentation.notebook.tables import table_of_parameters
 
         return table_of_parameters(self._parameters)
 
+    def _find(self, key: Key) -> Parameter | None:
+        """A parameter by key, or by its name in the verdict: "gear_stiffness 1"."""
+        label = key if isinstance(key, str) else _label(*key)
+        return next((p for p in self._parameters if p.label == label), None)
+
+    def _unknown(self, key: Key) -> str:
+        """Message that names the nearest keys."""
+        import difflib
+
+        name, joint = (key, None) if isinstance(key, str) else key
+        same = [p for p in self._parameters if p.name == name]
+        if same:
+            near = [p.label for p in same]
+        else:
+            labels = [p.label for p in self._parameters]
+            matches = difflib.get_close_matches(_label(name, joint), labels, _NEAR_KEYS)
+            near = sorted(matches, key=labels.index)
+        keys = {p.label: k for p, k in zip(self._parameters, self.keys(), strict=True)}
+        hint = " or ".join(_shown(keys[label]) for label in near)
+        listed = ", ".join(_shown(k) for k in self.keys())
+        return f"no parameter {_shown(key)}; " + (f"did you mean {hint}?" if hint else listed)
+
+
+def _label(name: str, joint: int | None) -> str:
+    return name if joint is None else f"{name} {joint}"
+
+
+def _shown(key: Key) -> str:
+    """A key as it is written between brackets."""
+    return f'"{key}"' if isinstance(key, str) else f'"{key[0]}", {key[1]}'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointResponse:
+    """Frequency response of one joint alone, motor torque to motor velocity."""
+
+    joint: int
+    frequencies_hz: FloatArray  # (n_frequencies,)
+    response: ComplexArray  # (n_frequencies,) of the identified model [rad/s/(N m)]
+    magnitude_std: FloatArray | None  # (n_frequencies,); None: a standard deviation is missing
+    phase_std: FloatArray | None  # (n_frequencies,) [rad]
+    measured: FrequencyResponse | None  # nonparametric, of the records at full amplitude
+
+    @property
+    def magnitude_band(self) -> FloatArray | None:
+        """Lower and upper limit of the magnitude with 95 % confidence, (n_frequencies, 2)."""
+        return _band(np.abs(self.response), self.magnitude_std)
+
+    @property
+    def phase_band(self) -> FloatArray | None:
+        """Lower and upper limit of the phase [rad] with 95 % confidence, (n_frequencies, 2)."""
+        return _band(np.angle(self.response), self.phase_std)
+
+    def plot(self) -> Figure:
+        """Bode plot with 95 % bands."""
+        from strainwave.presentation.figures import curves
+        from strainwave.presentation.matplotlib_backend import draw
+
+        model = curves.Curve(
+            "identified model",
+            self.frequencies_hz,
+            self.response,
+            self.magnitude_std,
+            self.phase_std,
+        )
+        drawn = [model]
+        if self.measured is not None:
+            G = self.measured.response[:, 0, 0]
+            drawn.append(curves.Curve("measured", self.measured.frequencies_hz, G))
+        caption = f"Joint {self.joint} alone: motor torque to motor velocity"
+        return draw(curves.bode(drawn, caption))
+
+
+def _band(value: FloatArray, std: FloatArray | None) -> FloatArray | None:
+    if std is None:
+        return None
+    return np.column_stack([value - _INTERVAL_STDS * std, value + _INTERVAL_STDS * std])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """Measured minus predicted channels of one record."""
+
+    experiment: str
+    time: FloatArray  # (n_samples,) [s]
+    channels: tuple[str, ...]
+    values: FloatArray  # (n_samples, n_channels) in the units of the channels; NaN: not predicted
+
+    def to_frame(self) -> DataFrame:
+        """The residuals as a pandas frame over time."""
+        pandas = require("pandas", "a data frame", "pandas")
+        index = pandas.Index(self.time, name="time")
+        frame: DataFrame = pandas.DataFrame(self.values, index=index, columns=self.channels)
+        return frame
+
 
 class Result:
-    """What a run identified: result.json as an object.
+    """Result of an identification.
 
-    Parameters
-    ----------
-    document : mapping
-        In the layout of docs/result.md.
-    run : Identification, optional
-        The records behind it, where the run was just made; plots and the report need them.
+    `result["gear_stiffness", 1]` is a parameter of a joint, `result["beta"]` one of the arm;
+    `print(result)` shows the table. `document` has the layout of docs/result.md. `run` is the
+    identification behind a fresh result; a result that was read from a file has none.
     """
 
-    def __init__(self, document: Mapping[str, Any], run: Identification | None = None) -> None:
+    def __init__(
+        self,
+        document: Mapping[str, Any],
+        run: Identification | None = None,
+        source: Path | None = None,
+    ) -> None:
         self._document = dict(document)
         self._parameters = Parameters(results.parameters_of(document))
         self.run = run
+        self.source = source or Path(str(document.get("study", {}).get("path", "")))
 
     @classmethod
     def of(cls, run: Identification) -> Result:
@@ -226,7 +352,7 @@ class Result:
 
     @property
     def status(self) -> str:
-        """What the data answered, as the exit code of the command line says it."""
+        """One of "determined", "partly-determined", "not-determined", "inconsistent-input"."""
         return str(self._document["status"])
 
     @property
@@ -237,45 +363,58 @@ class Result:
 
     @property
     def verdict(self) -> Verdict:
-        """Which parameters are identified, which are not, and what is suspected of the input."""
+        """Identified, unidentified and rejected parameters, and suspected faults of the input."""
         return results.verdict_of(self._document)
 
     @property
     def parameters(self) -> Parameters:
-        """The final table; `result["gear_stiffness", 1]` takes one of it."""
+        """The final table of parameters."""
         return self._parameters
 
     @property
+    def covariance(self) -> JointCovariance | None:
+        """Covariance of the estimates with the names of rows and columns; `.to_frame()`."""
+        return covariance_of(self._document)
+
+    @property
+    def checks(self) -> dict[str, dict[str, float | None]]:
+        """Fit [%] of each channel of each validation record; None: the channel does not vary."""
+        return {
+            check["experiment"]: dict(check["fit_percent"])
+            for check in copy.deepcopy(self._document.get("checks", []))
+        }
+
+    @property
     def warnings(self) -> tuple[Diagnostic, ...]:
-        """What the reader must know to trust, or not trust, the numbers."""
+        """Warnings on the data and the estimates."""
         return results.warnings_of(self._document)
 
     @property
     def document(self) -> dict[str, Any]:
-        """All of it as plain JSON values, in the layout of docs/result.md."""
+        """The result as plain JSON values, in the layout of docs/result.md."""
         return copy.deepcopy(self._document)
 
-    def __getitem__(self, key: str | tuple[str, int | None]) -> Parameter:
-        """One parameter of the final table.
+    def keys(self) -> list[Key]:
+        """Keys of all parameters: "beta", ("gear_stiffness", 1)."""
+        return self._parameters.keys()
 
-        Parameters
-        ----------
-        key : str or (str, int)
-            "beta" of the arm, ("gear_stiffness", 1) of a joint.
+    _ipython_key_completions_ = keys
 
-        Raises
-        ------
-        KeyError
-            The table has no such parameter; near names are listed.
-        """
-        name, joint = (key, None) if isinstance(key, str) else key
-        for one in self._parameters:
-            if (one.name, one.joint) == (name, joint):
-                return one
-        labels = [one.label for one in self._parameters]
-        wanted = name if joint is None else f"{name} {joint}"
-        hint = nearest(wanted, labels) or f"; there are {', '.join(labels)}"
-        raise KeyError(f"no parameter {wanted!r}{hint}")
+    def __len__(self) -> int:
+        return len(self._parameters)
+
+    def __bool__(self) -> bool:
+        return True  # also without parameters
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self._parameters)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._parameters
+
+    def __getitem__(self, key: Key) -> Parameter:
+        """A parameter by name, or by name and joint; KeyError names the nearest keys."""
+        return self._parameters[key]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Result) and self._document == other._document
@@ -286,64 +425,137 @@ class Result:
         known = sum(one.value is not None for one in self._parameters)
         return f"<Result: {self.status}, {known} of {len(self._parameters)} parameters>"
 
+    def __str__(self) -> str:
+        lines = [str(self._parameters)]
+        for experiment, fits in self.checks.items():
+            listed = ", ".join(
+                f"{channel} {percent(float('nan') if fit is None else fit)}"
+                for channel, fit in fits.items()
+            )
+            lines.append(f"fit (check) {experiment}: {listed}")
+        lines += [f"warning [{each.code}] {each.where}" for each in self.warnings]
+        reason = "" if self.reason is None else f": {self.reason}"
+        return "\n".join([*lines, f"verdict: {self.status}{reason}"])
+
     def _repr_html_(self) -> str:
         from html import escape
 
-        said = self.status if self.reason is None else f"{self.status}: {self.reason}"
-        return f"<p>{escape(said)}</p>{self._parameters._repr_html_()}"
+        text = self.status if self.reason is None else f"{self.status}: {self.reason}"
+        return f"<p>{escape(text)}</p>{self._parameters._repr_html_()}"
 
-    def plot(self, kind: str, *, joint: int | None = None, experiment: str | None = None) -> Figure:
-        """One of the report's figures.
+    def state_space(self, joint: int) -> StateSpace:
+        """Linear model of one joint alone as a python-control object.
 
-        Parameters
-        ----------
-        kind : str
-            The beginning of a figure's name: "bode", "gear", "check", "correlations", ...
-        joint : int, optional
-            From 1, where there is one figure per joint.
-        experiment : str, optional
-            Where there is one figure per record.
+        Inputs: motor torque minus Coulomb friction, interaction torque at the link [N m]. Outputs:
+        motor velocity [rad/s], link acceleration [rad/s^2]. States: torsion, motor velocity, link
+        velocity. A gear with several slopes has the middle one. Raises `InvalidInput` if
+        python-control is missing, the gear is rigid, or a parameter is not identified.
+        """
+        from strainwave.export.state_space import INPUTS, OUTPUTS, STATES, state_space
 
-        Returns
-        -------
-        matplotlib.figure.Figure
+        control = require("control", "a state-space object", "control")
+        system: StateSpace = control.ss(
+            *state_space(self._arm(), joint),
+            name=f"joint_{joint}",
+            states=list(STATES),
+            inputs=list(INPUTS),
+            outputs=list(OUTPUTS),
+        )
+        return system
 
-        Raises
-        ------
-        InvalidInput
-            There is no such figure, or the result was read from a file.
+    def frequency_response(
+        self, joint: int, frequencies_hz: Sequence[float] | FloatArray | None = None
+    ) -> JointResponse:
+        """Response of one joint alone, motor torque to motor velocity, with 95 % bands.
+
+        By default the frequencies range from a tenth of the anti-resonance to ten times the
+        resonance. Errors as for `state_space`, except that python-control is not needed.
+        """
+        from strainwave.export.state_space import joint_model, joint_model_covariance
+
+        arm = self._arm()
+        model = joint_model(arm, joint)
+        f = _response_frequencies(model) if frequencies_hz is None else np.array(frequencies_hz)
+        covariance = joint_model_covariance(arm, joint, self.covariance)
+        G, magnitude_std, phase_std = _model_response(model, covariance, f)
+        measured = results.response_of(self._document, joint)
+        return JointResponse(joint, f, G, magnitude_std, phase_std, measured)
+
+    def residuals(self, experiment: str) -> Residuals:
+        """Measured minus predicted channels of a record, over the samples that are predicted.
+
+        Validation records have motor signals predicted by the rigid model and motion predicted by
+        the elastic model. A result that was read from a file has no samples: `InvalidInput`.
+        """
+        run = self._needs_run("residuals")
+        tuned = () if run.tuned is None else run.tuned.simulated
+        every = (*run.checks, *tuned, *run.fitted)
+        chosen = [each for each in every if each.experiment == experiment]
+        if not chosen:
+            names = list(dict.fromkeys(each.experiment for each in every))
+            raise InvalidInput(
+                f"no prediction of the experiment {experiment!r}",
+                remedy=f"choose from: {', '.join(names)}{nearest(experiment, names)}",
+            )
+        time = np.unique(np.concatenate([each.time for each in chosen]))
+        columns: dict[str, FloatArray] = {}
+        for each in chosen:
+            rows = np.searchsorted(time, each.time)
+            for k, channel in enumerate(each.channels):
+                if channel not in columns:
+                    columns[channel] = np.full(len(time), np.nan)
+                    columns[channel][rows] = each.measured[:, k] - each.predicted[:, k]
+        return Residuals(experiment, time, tuple(columns), np.column_stack(list(columns.values())))
+
+    def compare(
+        self, other: Result | Path | str, level: float = 0.05
+    ) -> comparison.ResultComparison:
+        """Test whether another result of the same arm differs significantly; see `compare`."""
+        return compare([self, other], level)
+
+    def export(self, path: Path | str, format: str | None = None) -> tuple[str, ...]:
+        """Write the arm for another program; returns notes on what the format leaves out.
+
+        The ending of `path` determines the format: .xml (MuJoCo), .urdf, .m and .mat (MATLAB), .h
+        (C), .json; or `format` does, see docs/export.md.
+        """
+        from strainwave.export import export_arm
+
+        written = export_arm(self._arm(), Path(path), form=format)
+        return (*(each.message for each in written.warnings), *written.notes)
+
+    def plot(
+        self, kind: str | None = None, *, joint: int | None = None, experiment: str | None = None
+    ) -> Figure:
+        """One of the figures of the report.
+
+        `kind` is the beginning of its name: "bode", "gear", "check", "correlations", ...; an
+        unknown one raises `InvalidInput` with a list of all. Without `kind`, the figure shows the
+        standard deviation of each parameter relative to its value.
         """
         from strainwave.presentation.matplotlib_backend import draw
+        from strainwave.presentation.notebook import certainty
         from strainwave.presentation.report import figures_of, slug
 
-        drawn = figures_of(self._needs_run("plots"))
-        wanted = [kind]
-        wanted += [f"joint-{joint}"] if joint is not None else []
-        wanted += [experiment] if experiment is not None else []
-        prefix = slug(" ".join(wanted))
-        for name, one in drawn.items():
+        if kind is None:
+            return draw(certainty(self._parameters))
+        if kind == "bode" and joint is not None and self.run is None:
+            return self.frequency_response(joint).plot()
+        figures = figures_of(self._needs_run('figures other than plot("bode", joint=1)'))
+        parts = [kind]
+        parts += [f"joint-{joint}"] if joint is not None else []
+        parts += [experiment] if experiment is not None else []
+        prefix = slug(" ".join(parts))
+        for name, figure in figures.items():
             if name == prefix or name.startswith(f"{prefix}-"):
-                return draw(one)
+                return draw(figure)
         raise InvalidInput(
-            f"there is no figure {prefix!r}", remedy=f"choose from: {', '.join(drawn)}"
+            f"there is no figure {prefix!r}",
+            remedy=f"choose from: {', '.join(figures)}{nearest(prefix, figures)}",
         )
 
     def report(self, path: Path | str) -> Path:
-        """Write the report: one HTML file.
-
-        Parameters
-        ----------
-        path : Path or str
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        InvalidInput
-            The file cannot be written, or the result was read from a file.
-        """
+        """Write the report, one HTML file; `InvalidInput` for a result read from a file."""
         from strainwave.presentation.report import render
 
         path = Path(path)
@@ -352,76 +564,93 @@ class Result:
         return path
 
     def save(self, path: Path | str) -> Path:
-        """Write result.json, which `read_result` reads back to an equal result.
-
-        Parameters
-        ----------
-        path : Path or str
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        InvalidInput
-            The file cannot be written.
-        """
+        """Write result.json, which `read_result` reads back to an equal result."""
         path = Path(path)
         write_whole(path.parent, {path.name: results.to_json(self._document)})
         return path
 
-    def _needs_run(self, what: str) -> Identification:
+    def _arm(self) -> Any:
+        from strainwave.export import arm_of
+
+        return arm_of(self._document, self.source)
+
+    def _needs_run(self, subject: str) -> Identification:
         if self.run is None:
             raise InvalidInput(
-                f"{what} need the records' samples, which result.json does not hold",
-                remedy="identify the study again; the report was written beside the result",
+                f"{subject} cannot be made from result.json, which has no samples of the records",
+                remedy="identify the study again, or keep the fresh result by pickle.dump",
             )
         return self.run
 
 
+def _response_frequencies(model: Any) -> FloatArray:
+    from strainwave.dynamics.two_inertia import anti_resonance, resonance
+
+    factor = 10.0**_DECADES_BEYOND_MODES
+    low = anti_resonance(model).frequency_hz / factor
+    return np.geomspace(low, resonance(model).frequency_hz * factor, _N_FREQUENCIES)
+
+
+def _model_response(
+    model: Any, covariance: FloatArray | None, f: FloatArray
+) -> tuple[ComplexArray, FloatArray | None, FloatArray | None]:
+    """Response, and standard deviations of magnitude and phase by the delta method."""
+    from strainwave.identification.joint_model.agreement import motor_response, response_jacobian
+
+    G = motor_response(model.vector, model.gear_ratio, f)
+    if covariance is None:
+        return G, None, None
+    relative = response_jacobian(model.vector, model.gear_ratio, f) / G[:, None]
+    stds = [
+        np.sqrt(np.clip(np.einsum("fi,ij,fj->f", part, covariance, part), 0.0, None))
+        for part in (relative.real, relative.imag)
+    ]
+    return G, np.abs(G) * stds[0], stds[1]
+
+
 def _study_of(study: Study | Path | str, data: Data) -> Study:
-    """The study, checked; files must be there for the experiments whose data are not given."""
+    """The checked study; experiments without data need their files."""
     if isinstance(study, Study):
         return checked_study(study, list(data))
-    if not data:  # faults are named by their lines
+    if not data:  # messages name the line of the study file
         return _read_study(study)
     return checked_study(_read_study(study, logs_exist=False), list(data))
 
 
-def _beside(
-    work: Callable[[], Identification], asked: Callable[[], bool], follow: Callable[[], None]
+def _run_in_thread(
+    work: Callable[[], Identification],
+    is_cancelled: Callable[[], bool],
+    report_progress: Callable[[], None],
 ) -> Identification:
-    """Work in a thread of its own, so that this one can give it up, and follows it meanwhile.
+    """Run `work` in a thread that this thread can abandon, and report its progress here.
 
-    Compiled code and SciPy cannot be interrupted. Where the work is given up, what runs ends at
-    its next look, and nobody waits for it.
+    Compiled code and SciPy cannot be interrupted. Abandoned work ends when it next checks.
     """
-    given_up = threading.Event()
-    done: list[Identification] = []
-    failed: list[BaseException] = []
+    is_abandoned = threading.Event()
+    finished: list[Identification] = []
+    errors: list[BaseException] = []
 
     def job() -> None:
         try:
-            with limited(cancelled=given_up.is_set):
-                done.append(work())
+            with limited(cancelled=is_abandoned.is_set):
+                finished.append(work())
         except Stopped:
-            failed.append(Cancelled())
-        except BaseException as error:  # raised again where it is waited for
-            failed.append(error)
+            errors.append(Cancelled())
+        except BaseException as error:  # raised again in the thread of the caller
+            errors.append(error)
 
-    context = contextvars.copy_context()  # NumPy's error state, decimal's precision and the like
+    context = contextvars.copy_context()  # for example the error state of NumPy
     thread = threading.Thread(target=context.run, args=(job,), name="strainwave", daemon=True)
     thread.start()
     try:
         while thread.is_alive():
-            thread.join(_POLL)
-            follow()
-            if asked():
+            thread.join(_POLL_S)
+            report_progress()
+            if is_cancelled():
                 raise Cancelled
-        follow()  # what was said between the last look and the end
+        report_progress()  # events after the last check
     finally:
-        given_up.set()
-    if failed:
-        raise failed[0]
-    return done[0]
+        is_abandoned.set()
+    if errors:
+        raise errors[0]
+    return finished[0]

@@ -152,7 +152,7 @@ def simulate(
 )
 def export(
     result: Annotated[
-        Path, typer.Argument(help="A result.json of identify.", metavar="RESULT.json")
+        Path, typer.Argument(help="A result.json, or a directory with one.", metavar="RESULT")
     ],
     out: Annotated[Path, typer.Option("--out", help="The file to write.", metavar="FILE")],
     form: Annotated[
@@ -174,11 +174,13 @@ def export(
     """Write the identified arm for MuJoCo, ROS, MATLAB, C or as plain numbers."""
     from strainwave.export import export_file
 
-    warnings = export_file(result, out, form=form, study=study)
+    written = export_file(result, out, form=form, study=study)
     if not quiet:
         typer.echo(f"the arm is in {out}")
-        for warning in warnings:
+        for warning in written.warnings:
             typer.echo(f"warning: {warning.where}: {warning.message}")
+        for note in written.notes:
+            typer.echo(f"note: {note}")
 
 
 @app.command(

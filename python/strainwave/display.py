@@ -1,9 +1,8 @@
-"""What lets a record display itself: a table in a notebook, a picture on request.
+"""Tables and figures of records in notebooks.
 
-Notebooks ask the object itself, so the methods stand at the bottom, with the records. What they
-display is made at the top, which registers itself here by a function that loads it; nothing is
-loaded before a person looks. The module lies below the records, not among them: the package
-registers at import, and importing records imports NumPy.
+A notebook calls methods of the record itself, and the records are the lowest layer. The functions
+that make tables and figures belong to the highest layer, `strainwave.presentation`, which the
+package registers here as a loader. Nothing is imported until a record is displayed.
 """
 
 from __future__ import annotations
@@ -16,58 +15,40 @@ if TYPE_CHECKING:
 
 
 class Display(Protocol):
-    """What makes tables and pictures of records."""
+    """Makes tables and figures of records."""
 
     def table_of(self, record: object) -> str:
-        """A record as a small HTML table, its texts escaped."""
+        """A record as an HTML table with escaped text."""
 
     def picture_of(self, record: object, **which: Any) -> Figure:
-        """A record, or the part of it that is asked for, as a Matplotlib figure."""
+        """A record, or the selected part of it, as a Matplotlib figure."""
 
 
 _loaders: list[Callable[[], Display]] = []
 
 
 def register(load: Callable[[], Display]) -> None:
-    """Say what displays records, in place of what did before.
-
-    Parameters
-    ----------
-    load : callable
-        Returns it; called when a record is looked at, and not before.
-    """
+    """Set the function that imports the display; it is called when a record is displayed."""
     _loaders[:] = [load]
 
 
 class Displayed:
-    """Mixin of records that have a table and a picture."""
+    """Mixin for records that have a table and a figure."""
 
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        """The record as a small HTML table."""
-        return _registered().table_of(self)
+        return _display().table_of(self)
 
     def plot(self, **which: Any) -> Figure:
-        """The record as a picture.
+        """Plot the record.
 
-        Parameters
-        ----------
-        **which
-            What to draw of it, where there is a choice; see `strainwave.presentation.notebook`.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        InvalidInput
-            Matplotlib is missing, or the record has no such part.
+        `which` selects a part of the record; see `strainwave.presentation.notebook`. Raises
+        `InvalidInput` if Matplotlib is missing or the record has no such part.
         """
-        return _registered().picture_of(self, **which)
+        return _display().picture_of(self, **which)
 
 
-def _registered() -> Display:
+def _display() -> Display:
     (load,) = _loaders
     return load()

@@ -1,26 +1,22 @@
-"""The ways a run can end without an answer.
-
-Each maps to one exit code of the command line; see `strainwave.cli`.
-"""
+"""Errors that end a run, one class per exit code, and the helpers that word them."""
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+from importlib import import_module
+from typing import Any
+
 
 class StrainwaveError(Exception):
-    """Base of every error this package raises on purpose."""
+    """Base class of the errors that this package raises."""
 
 
-class InvalidInput(StrainwaveError):  # noqa: N818 - the name says what is wrong, not that something is
-    """The caller's input is at fault (exit code 2).
+class InvalidInput(StrainwaveError):  # noqa: N818 - named after the condition
+    """The input is at fault (exit code 2).
 
-    Parameters
-    ----------
-    problem : str
-        What is wrong, in one clause without a full stop.
-    where : str, optional
-        The file, and within it the row, column or key, as a person would look for it.
-    remedy : str, optional
-        What to do about it, in one clause without a full stop.
+    `problem` and `remedy` are clauses without a full stop. `where` names the file and, within it,
+    the row, column or key.
     """
 
     def __init__(
@@ -33,18 +29,17 @@ class InvalidInput(StrainwaveError):  # noqa: N818 - the name says what is wrong
 
     def __str__(self) -> str:
         place = f"{self.where}: " if self.where else ""
-        remedy = f" Remedy: {self.remedy}." if self.remedy else ""
+        stop = "" if self.remedy and self.remedy.endswith(("?", ".")) else "."
+        remedy = f" Remedy: {self.remedy}{stop}" if self.remedy else ""
         return f"{place}{self.problem}.{remedy}"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        state = {"problem": self.problem, "where": self.where, "remedy": self.remedy}
+        return type(self), (self.problem,), state
 
 
 class NotIdentifiable(StrainwaveError):  # noqa: N818
-    """The data cannot answer the question (exit code 3).
-
-    Parameters
-    ----------
-    reason : str
-        Why, in one sentence without a full stop.
-    """
+    """The data do not determine the model (exit code 3); `reason` is a clause without a stop."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -52,11 +47,28 @@ class NotIdentifiable(StrainwaveError):  # noqa: N818
 
 
 class NumericalFailure(StrainwaveError):  # noqa: N818
-    """A computation left the finite numbers or did not converge where it must (exit code 3)."""
+    """A computation gives values that are not finite, or does not converge (exit code 3)."""
 
 
 class Cancelled(StrainwaveError):  # noqa: N818
-    """A run ended without an answer because its caller asked for the end."""
+    """The caller cancelled the run."""
 
     def __init__(self) -> None:
         super().__init__("the run was cancelled; nothing was written")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Hint at the known name closest to a misspelled one: `; did you mean '...'?`, or ""."""
+    matches = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f"; did you mean '{matches[0]}'?" if matches else ""
+
+
+def require(module: str, purpose: str, requirement: str) -> Any:
+    """Import an optional package; raise `InvalidInput` with the pip command if it is missing."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise InvalidInput(
+            f"{purpose} needs {module.partition('.')[0]}, which is not installed",
+            remedy=f"pip install {requirement}",
+        ) from error

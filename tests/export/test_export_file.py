@@ -1,4 +1,4 @@
-"""The command: which format, what it writes, and what it refuses."""
+"""The export command: formats, files, notes and refusals."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("name", BEGINS)
-def test_the_ending_names_the_format(name: str, result: Path) -> None:
+def test_the_ending_determines_the_format(name: str, result: Path) -> None:
     out = result.parent / "new" / name
     export_file(result, out)
     assert out.read_bytes().startswith(BEGINS[name])
@@ -49,23 +49,23 @@ def test_the_ending_names_the_format(name: str, result: Path) -> None:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_a_format_goes_before_the_ending(form: str, result: Path) -> None:
+def test_the_format_option_overrides_the_ending(form: str, result: Path) -> None:
     out = result.parent / "arm.txt"
     export_file(result, out, form=form)
     assert out.stat().st_size > 500
 
 
-def test_what_cannot_be_written_is_refused(result: Path) -> None:
+def test_wrong_outputs_are_refused(result: Path) -> None:
     folder = result.parent
     before = sorted(folder.iterdir())
-    for out, form, said in [
-        (folder / "arm.txt", None, r"'\.txt' names no format"),
+    for out, form, message in [
+        (folder / "arm.txt", None, r"'\.txt' does not determine a format"),
         (folder / "arm.xml", "urfd", "did you mean 'urdf'"),
-        (result, "json", "write over the file it reads"),
-        (folder / "study.toml", "json", "write over the file it reads"),
+        (result, "json", "overwrite an input file"),
+        (folder / "study.toml", "json", "overwrite an input file"),
         (folder, "json", "is a directory"),
     ]:
-        with pytest.raises(InvalidInput, match=said):
+        with pytest.raises(InvalidInput, match=message):
             export_file(result, out, form=form)
     assert sorted(folder.iterdir()) == before
 
@@ -75,20 +75,24 @@ def test_a_fault_leaves_an_earlier_export_alone(result: Path) -> None:
     out.write_text("earlier")
     text = result.read_text()
     result.write_text(text.replace('"gear_damping"', '"gear_dumping"'))
-    with pytest.raises(InvalidInput, match="gear_damping of joint 1 is not there"):
+    with pytest.raises(InvalidInput, match="gear_damping of joint 1 is missing"):
         export_file(result, out)
     assert out.read_text() == "earlier"
 
 
-def test_the_command_exports(result: Path) -> None:
+def test_the_command_takes_a_result_directory(result: Path) -> None:
     out = result.parent / "arm.xml"
-    done = run(str(result), "--out", str(out))
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == f"the arm is in {out}\n"
-    assert out.read_bytes().startswith(BEGINS["arm.xml"])
+    for argument in (result, result.parent):
+        done = run(str(argument), "--out", str(out))
+        assert (done.returncode, done.stderr) == (0, "")
+        first, *notes = done.stdout.splitlines()
+        assert first == f"the arm is in {out}"
+        assert all(note.startswith("note: left out") for note in notes)
+        assert out.read_bytes().startswith(BEGINS["arm.xml"])
+        out.unlink()
 
 
-def test_the_command_says_what_to_know(tmp_path: Path) -> None:
+def test_the_command_prints_warnings_and_notes(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path, "three-slope")
     result = exports.write(study, exports.values_of(study))
     moved = study.path.rename(tmp_path / "elsewhere.toml")
@@ -100,4 +104,7 @@ def test_the_command_says_what_to_know(tmp_path: Path) -> None:
     done = run(*arguments, "--study", str(moved))
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("warning: joint") == 2
+    assert "note: left out: motor_coulomb_friction (joint 1, 2): the model is linear" in (
+        done.stdout
+    )
     assert run(*arguments, "--study", str(moved), "--quiet").stdout == ""

@@ -1,4 +1,4 @@
-"""Flat lists of numbers: JSON, and a header that a C compiler takes."""
+"""Flat lists of numbers: JSON, and a C header that compiles beside <math.h>."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import exports
+from strainwave.domain import Parameter, Prbs
+from strainwave.dynamics import excitation
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.export import IdentifiedArm
-from strainwave.export.flat import entries, to_c_header, to_json
+from strainwave.export.flat import PREFIX, entries, to_c_header, to_json
 
 
 @pytest.fixture
 def arm(tmp_path: Path) -> IdentifiedArm:
-    """The rig under gravity; one friction is null."""
+    """The rig under gravity, without friction offsets."""
     study = exports.two_links(tmp_path, gravity=9.81)
     arm = exports.arm_of(study, exports.values_of(study))
     nulled = [
@@ -27,7 +32,7 @@ def arm(tmp_path: Path) -> IdentifiedArm:
     return replace(arm, parameters=tuple(nulled))
 
 
-def test_names_are_flat_and_have_units(arm: IdentifiedArm) -> None:
+def test_names_carry_the_joint_and_a_unit(arm: IdentifiedArm) -> None:
     document = json.loads(to_json(arm).data)
     assert document["values"]["motor_inertia_2"] == 0.5e-4
     assert document["units"]["motor_inertia_2"] == "kg m^2"
@@ -39,35 +44,131 @@ def test_names_are_flat_and_have_units(arm: IdentifiedArm) -> None:
     assert document["values"].keys() == document["units"].keys()
 
 
-def test_a_single_joint_names_only_what_its_study_knows(tmp_path: Path) -> None:
+def test_a_single_joint_has_only_the_numbers_of_its_study(tmp_path: Path) -> None:
     study, values = exports.single(tmp_path)
     names = [entry.name for entry in entries(exports.arm_of(study, values)) if entry.known]
     assert names == ["gear_ratio_1"]
 
 
-def test_a_compiler_reads_the_header(arm: IdentifiedArm, tmp_path: Path) -> None:
+def compiled(header: bytes, source: str, folder: Path) -> str:
+    """Output of a C program that includes the header twice, and <math.h>."""
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler here")
-    (tmp_path / "arm.h").write_bytes(to_c_header(arm).data)
-    reported = [entry for entry in entries(arm) if entry.value is not None]
-    prints = "".join(f'printf("%.17g\\n", {entry.name});' for entry in reported)
-    twice = '#include <stdio.h>\n#include "arm.h"\n#include "arm.h"\n'
-    (tmp_path / "main.c").write_text(f"{twice}int main(void) {{ {prints} return 0; }}\n")
-    program = str(tmp_path / "program")
+    (folder / "arm.h").write_bytes(header)
+    includes = '#include <math.h>\n#include <stdio.h>\n#include "arm.h"\n#include "arm.h"\n'
+    (folder / "main.c").write_text(includes + source)
+    program = str(folder / "program")
     strict = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
-    source = str(tmp_path / "main.c")
     done = subprocess.run(
-        [compiler, *strict, "-o", program, source], capture_output=True, text=True, check=False
+        [compiler, *strict, "-O2", "-o", program, str(folder / "main.c"), "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
-    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    return subprocess.run([program], capture_output=True, text=True, check=True).stdout
+
+
+def test_a_program_with_the_header_has_the_numbers(arm: IdentifiedArm, tmp_path: Path) -> None:
+    assert "gamma" in dict(name for name, _ in arm.values.items())  # a function of <math.h>
+    reported = [entry for entry in entries(arm) if entry.value is not None]
+    prints = "".join(f'printf("%.17g\\n", {PREFIX}{entry.name});' for entry in reported)
+    source = f"int main(void) {{ {prints} return 0; }}\n"
+    printed = compiled(to_c_header(arm).data, source, tmp_path)
     assert [float(line) for line in printed.split()] == [entry.value for entry in reported]
 
 
-def test_a_header_says_what_is_missing(arm: IdentifiedArm) -> None:
+# The arm (1), (2), (3) by the classical Runge-Kutta method; voltages are held for a millisecond.
+_SIMULATION = """
+#define P(name) strainwave_##name
+static const double n[2] = {P(gear_ratio_1), P(gear_ratio_2)};
+static const double e[2] = {P(torque_per_volt_1), P(torque_per_volt_2)};
+static const double m[2] = {P(motor_inertia_1), P(motor_inertia_2)};
+static const double dm[2] = {P(motor_viscous_friction_1), P(motor_viscous_friction_2)};
+static const double dl[2] = {P(link_viscous_friction_1), P(link_viscous_friction_2)};
+static const double k[2] = {P(gear_stiffness_1), P(gear_stiffness_2)};
+static const double dg[2] = {P(gear_damping_1), P(gear_damping_2)};
+
+/* x: motor angles, link angles, motor velocities, link velocities */
+static void derivative(const double *x, const double *u, double *dx) {
+  double tau[2];
+  for (int i = 0; i < 2; i++) {
+    double gear = k[i] * (n[i] * x[i] - x[2 + i]) + dg[i] * (n[i] * x[4 + i] - x[6 + i]);
+    dx[i] = x[4 + i];
+    dx[2 + i] = x[6 + i];
+    dx[4 + i] = (e[i] * u[i] - dm[i] * x[4 + i] - n[i] * gear) / m[i];
+    tau[i] = gear - dl[i] * x[6 + i];
+  }
+  double c = P(gamma) * cos(x[3]), s = P(gamma) * sin(x[3]);
+  double M11 = P(alpha) + P(beta) + 2.0 * c, M12 = P(beta) + c, M22 = P(beta);
+  double r1 = tau[0] + s * x[7] * (2.0 * x[6] + x[7]), r2 = tau[1] - s * x[6] * x[6];
+  double determinant = M11 * M22 - M12 * M12;
+  dx[6] = (M22 * r1 - M12 * r2) / determinant;
+  dx[7] = (M11 * r2 - M12 * r1) / determinant;
+}
+
+int main(void) {
+  const double h = 1e-5;
+  double x[8] = {0.0};
+  for (int sample = 0; sample < SAMPLES; sample++) {
+    printf("%.17g %.17g\\n", x[4], x[5]);
+    for (int step = 0; step < 100; step++) {
+      double slope[4][8], at[8];
+      for (int stage = 0; stage < 4; stage++) {
+        double part = stage == 0 ? 0.0 : stage == 3 ? h : 0.5 * h;
+        for (int i = 0; i < 8; i++) at[i] = x[i] + (stage ? part * slope[stage - 1][i] : 0.0);
+        derivative(at, u[sample], slope[stage]);
+      }
+      for (int i = 0; i < 8; i++)
+        x[i] += h / 6.0 * (slope[0][i] + 2.0 * (slope[1][i] + slope[2][i]) + slope[3][i]);
+    }
+  }
+  return 0;
+}
+"""
+
+
+def test_an_arm_programmed_in_c_moves_as_the_simulation(tmp_path: Path) -> None:
+    """Without Coulomb friction; both integrators are exact to far below the tolerance."""
+    study = exports.two_links(tmp_path)
+    values = exports.values_of(study)
+    for joint in (1, 2):
+        values["motor_coulomb_friction", joint] = values["friction_offset", joint] = 0.0
+    sequence = excitation.prbs(Prbs(8, 1e-3, 1, 8.0))[:200]
+    voltage = np.column_stack([sequence, np.roll(sequence, 60)])
+    still = (0.0, 0.0)
+    drive = Drive(
+        1e-3, voltage, 0.0 * voltage, (False,) * 2, still, still, link_angle=still,
+        link_velocity=still,
+    )  # fmt: skip
+    simulated = simulate(
+        Arm.of(study.arm),
+        values,
+        drive,
+        sample_time=1e-3,
+        samples=len(voltage),
+        record=["motor_velocity"],
+    )["motor_velocity"]
+    rows = ", ".join(f"{{{row[0]!r}, {row[1]!r}}}" for row in voltage.tolist())
+    source = f"#define SAMPLES {len(voltage)}\nstatic const double u[SAMPLES][2] = {{{rows}}};\n"
+    header = to_c_header(exports.arm_of(study, values)).data
+    printed = compiled(header, source + _SIMULATION, tmp_path)
+    velocities = np.array([line.split() for line in printed.splitlines()], dtype=float)
+    assert np.ptp(velocities, axis=0).min() > 10.0
+    np.testing.assert_allclose(velocities, simulated, atol=1e-6 * np.abs(simulated).max())
+
+
+def test_a_parameter_of_one_record_has_a_plain_name(arm: IdentifiedArm) -> None:
+    one = Parameter("friction_change[prbs-j1]", 1, 0.1, 0.01, "1", "tuned")
+    listed = entries(replace(arm, parameters=(*arm.parameters, one)))
+    assert listed[-1].name == "friction_change_prbs_j1_1"
+
+
+def test_a_header_marks_missing_values(arm: IdentifiedArm) -> None:
     text = to_c_header(arm).data.decode()
-    assert "/* friction_offset_1 [* / boo] was not identified */" in text
+    assert "/* strainwave_friction_offset_1 [* / boo] is not identified */" in text
     assert "friction_offset_1 =" not in text
-    assert "motor_inertia_1 = 0.00015; /* [kg m^2], std 1.5e-06 */" in text
-    assert "gravity = 9.81; /* [m/s^2], known */" in text
+    assert "strainwave_motor_inertia_1 = 0.00015; /* [kg m^2], std 1.5e-06 */" in text
+    assert "strainwave_gravity = 9.81; /* [m/s^2], known */" in text
+    assert " * Left out: servo: the study file has its gains.\n" in text

@@ -1,4 +1,4 @@
-"""What MATLAB would read: the same numbers from the .mat file and from the script."""
+"""MATLAB reads the same numbers from the MAT-file and from the script."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from strainwave.export.state_space import INPUTS, OUTPUTS, STATES
 
 @pytest.fixture
 def arm(tmp_path: Path) -> IdentifiedArm:
-    """The rig, its friction offsets null."""
+    """The rig without friction offsets."""
     study = exports.two_links(tmp_path)
     arm = exports.arm_of(study, exports.values_of(study))
     offset = "friction_offset"
@@ -30,7 +30,7 @@ def arm(tmp_path: Path) -> IdentifiedArm:
     return replace(arm, parameters=tuple(nulled))
 
 
-def test_the_mat_file_reads_back(arm: IdentifiedArm) -> None:
+def test_the_mat_file_contains_all_numbers(arm: IdentifiedArm) -> None:
     content = loadmat(io.BytesIO(to_mat(arm).data), simplify_cells=True)
     for p in arm.parameters:
         name = p.name if p.joint is None else f"{p.name}_{p.joint}"
@@ -46,6 +46,17 @@ def test_the_mat_file_reads_back(arm: IdentifiedArm) -> None:
         assert content[key].tolist() == list(names)
 
 
+def test_both_files_note_what_they_leave_out(arm: IdentifiedArm) -> None:
+    mat, script = to_mat(arm), to_script(arm)
+    assert mat.notes == script.notes
+    content = loadmat(io.BytesIO(mat.data), simplify_cells=True)
+    assert list(content["notes"]) == list(mat.notes)
+    assert "motor_coulomb_friction" in mat.notes[0]
+    assert mat.notes[0].startswith("left out of the matrices: ")
+    for note in script.notes:
+        assert f"% L{note[1:]}." in script.data.decode().splitlines()
+
+
 def assigned(script: str, name: str, end: str = "") -> str:
     found = re.search(rf"^{re.escape(name)} = (.*?);{end}", script, re.MULTILINE | re.DOTALL)
     assert found is not None, name
@@ -56,7 +67,7 @@ def matrix_of(text: str) -> list[list[float]]:
     return [[float(x) for x in row.split(",")] for row in text.strip("[]").split(";")]
 
 
-def test_the_script_has_the_same_numbers(arm: IdentifiedArm) -> None:
+def test_the_script_contains_the_same_numbers(arm: IdentifiedArm) -> None:
     script = to_script(arm).data.decode()
     for p in arm.parameters:
         name = p.name if p.joint is None else f"{p.name}_{p.joint}"
@@ -67,8 +78,8 @@ def test_the_script_has_the_same_numbers(arm: IdentifiedArm) -> None:
             assert matrix_of(assigned(script, f"joints({joint}).{name}", "\n")) == matrix.tolist()
 
 
-def test_the_grey_model_in_the_script_is_the_joints(arm: IdentifiedArm) -> None:
-    """Its function, read as Python, gives the matrices from the parameters the script lists."""
+def test_the_grey_box_function_gives_the_matrices(arm: IdentifiedArm) -> None:
+    """Evaluated as Python with the parameters that the script lists."""
     script = to_script(arm).data.decode()
     names = re.search(r"= two_inertia\((.*)\)", script)
     assert names is not None
@@ -87,10 +98,10 @@ def test_the_grey_model_in_the_script_is_the_joints(arm: IdentifiedArm) -> None:
 def row_of(
     text: str, symbols: dict[str, float], found: dict[str, list[list[float]]]
 ) -> list[float]:
-    """A row of a matrix as MATLAB writes it: expressions, or the third row of an earlier matrix."""
-    taken = re.fullmatch(r"\s*([AB])\(3, :\)\s*", text)
-    if taken:
-        return found[taken[1]][2]
+    """A row of a MATLAB matrix: expressions, or the third row of an earlier matrix."""
+    reference = re.fullmatch(r"\s*([AB])\(3, :\)\s*", text)
+    if reference:
+        return found[reference[1]][2]
     python = text.replace("...", "").replace("^", "**")
     return [eval(cell.strip(), {}, dict(symbols)) for cell in python.split(",")]
 

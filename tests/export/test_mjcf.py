@@ -1,4 +1,4 @@
-"""The exported arm moves in MuJoCo as it does in our own simulation."""
+"""The exported arm moves in MuJoCo as in the simulation."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def drive(study: Study, amplitude: float, seconds: float = 0.4) -> Drive:
     voltage = np.column_stack(shifted)
     still = (0.0,) * study.arm.n_joints
     off = (False,) * study.arm.n_joints
-    # without joints' own link angles the core hangs the links on their gears; MuJoCo starts at zero
+    # MuJoCo starts with untwisted gears at zero link angles
     return Drive(
         TICK, voltage, 0.0 * voltage, off, still, still, link_angle=still, link_velocity=still
     )
@@ -46,7 +46,7 @@ def drive(study: Study, amplitude: float, seconds: float = 0.4) -> Drive:
 def in_mujoco(
     mujoco: ModuleType, study: Study, values: Values, applied: Drive
 ) -> dict[Quantity, FloatArray]:
-    """What MuJoCo makes of the exported file under the same voltages."""
+    """Velocities and angles of the exported arm in MuJoCo under the same voltages."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(exports.arm_of(study, values)).data.decode())
     data = mujoco.MjData(model)
     numbers = range(1, study.arm.n_joints + 1)
@@ -85,18 +85,18 @@ def largest_difference(mujoco: ModuleType, study: Study, values: Values, amplitu
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
 @pytest.mark.parametrize("spring", ["linear", "rigid"])
-def test_sensors_read_what_our_channels_are(
+def test_sensors_equal_the_channels(
     mujoco: ModuleType, spring: Spring, gravity: float | None, tmp_path: Path
 ) -> None:
     study = exports.two_links(tmp_path, spring, gravity)
-    # sensors without lag and rounding; where the motor is rigid its channels are the link's
+    # sensors without lag and rounding; motor channels of a rigid gear are those of the link
     joints = tuple(
         replace(joint, accelerometer_hz=None, gyro_hz=1e6, encoder_counts=None)
         for joint in study.arm.joints
     )
     study = replace(study, arm=replace(study.arm, joints=joints))
     values = frictionless(exports.values_of(study))
-    if gravity:  # one gravity for the torques and for the sensors
+    if gravity:  # the same gravity for torques and sensors
         values["gravity_torque_2", None] /= 1.02
     applied = drive(study, 10.0)
     channels: dict[str, tuple[Quantity, int]] = {
@@ -129,7 +129,7 @@ def test_sensors_read_what_our_channels_are(
         for i in (1, 2):
             wanted = ours[quantity][:, i - 1]
             off = np.linalg.norm(np.array(theirs[f"{name}{i}"]) - wanted)
-            # ours has a low-pass of 1 MHz in the gyro: a lag of 0.2 us
+            # the simulated gyro has a low-pass of 1 MHz: a lag of 0.2 us
             assert off < (1e-4 if name == "gyro" else 2e-7) * np.linalg.norm(wanted), f"{name}{i}"
 
 
@@ -155,7 +155,7 @@ def test_without_dry_friction_the_motion_is_ours(
 
 @pytest.mark.parametrize("motion", ["revolute", "prismatic"])
 @pytest.mark.parametrize("spring", ["linear", "rigid"])
-def test_so_is_that_of_one_joint(
+def test_a_single_joint_moves_as_in_the_simulation(
     mujoco: ModuleType, spring: Spring, motion: Motion, tmp_path: Path
 ) -> None:
     gravity = 9.81 if motion == "revolute" else None
@@ -163,8 +163,8 @@ def test_so_is_that_of_one_joint(
     assert largest_difference(mujoco, study, values, 3.0) < 1e-9
 
 
-def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> None:
-    """At amplitudes that go through both knees; ours are rounded over 5e-6 rad, MuJoCo's sharp."""
+def test_three_slopes_are_three_parallel_tendons(mujoco: ModuleType, tmp_path: Path) -> None:
+    """The amplitude passes both knees, which the simulation rounds over 5e-6 rad."""
     study = exports.two_links(tmp_path, "three-slope")
     values = frictionless(exports.values_of(study))
     applied = drive(study, 10.0)
@@ -190,16 +190,18 @@ def test_three_slopes_are_three_tendons(mujoco: ModuleType, tmp_path: Path) -> N
 
 @pytest.mark.parametrize(("amplitude", "tolerance"), [(10.0, 0.005), (2.0, 0.05)])
 @pytest.mark.parametrize("spring", ["linear", "rigid"])
-def test_dry_friction_is_nearly_ours(
+def test_coulomb_friction_approximates_the_simulation(
     mujoco: ModuleType, spring: Spring, amplitude: float, tolerance: float, tmp_path: Path
 ) -> None:
-    """MuJoCo's friction settles within two steps at best; ours stops a motor at once."""
+    """MuJoCo needs two steps to stop a motor, the simulation none."""
     study = exports.two_links(tmp_path, spring)
     assert largest_difference(mujoco, study, exports.values_of(study), amplitude) < tolerance
 
 
-def test_friction_that_settles_in_a_known_time_is_ours(mujoco: ModuleType, tmp_path: Path) -> None:
-    """The laws are the same one; its corners are resolved to MuJoCo's step, a tenth of the time."""
+def test_friction_with_a_settling_time_equals_the_simulation(
+    mujoco: ModuleType, tmp_path: Path
+) -> None:
+    """Same law; MuJoCo resolves its corners to a time step, a tenth of the settling time."""
     study = exports.two_links(tmp_path)
     values = exports.values_of(study)
     for joint in (1, 2):
@@ -208,10 +210,10 @@ def test_friction_that_settles_in_a_known_time_is_ours(mujoco: ModuleType, tmp_p
 
 
 @pytest.mark.parametrize(("bandwidth", "tolerance"), [(50.0, 1e-4), (1000.0, 1e-3), (5000.0, 4e-3)])
-def test_the_current_loop_lags(
+def test_the_current_loop_delays_the_torque(
     mujoco: ModuleType, bandwidth: float, tolerance: float, tmp_path: Path
 ) -> None:
-    """MuJoCo holds the torque over its step of 0.1 ms; a loop faster than that has no lag there."""
+    """MuJoCo holds the torque over its step of 0.1 ms; faster loops have no lag there."""
     study = exports.two_links(tmp_path)
     lagging = tuple(replace(joint, current_loop_hz=bandwidth) for joint in study.arm.joints)
     values = frictionless(exports.values_of(study))
@@ -223,7 +225,7 @@ def test_the_current_loop_lags(
     )
 
 
-def test_a_current_loop_too_fast_for_the_step_is_reported(tmp_path: Path) -> None:
+def test_a_current_loop_faster_than_the_step_is_reported(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     fast = replace(study.arm.joints[0], current_loop_hz=5000.0)
     study = replace(study, arm=replace(study.arm, joints=(fast, study.arm.joints[1])))
@@ -232,16 +234,21 @@ def test_a_current_loop_too_fast_for_the_step_is_reported(tmp_path: Path) -> Non
     assert "5000 Hz" in warnings[0].message
 
 
-def test_what_mujoco_lacks_is_reported_once_a_joint(tmp_path: Path) -> None:
+def test_effects_and_sensor_errors_are_noted(tmp_path: Path) -> None:
+    """On the terminal, and in comments of the file."""
     study = exports.two_links(tmp_path)
     first = replace(study.arm.joints[0], effects=("hysteresis", "kinematic-error"))
     study = replace(study, arm=replace(study.arm, joints=(first, study.arm.joints[1])))
-    warnings = to_mjcf(exports.arm_of(study, exports.values_of(study))).warnings
-    assert [(c.code, c.where) for c in warnings] == [("left-out", "joint 1")]
-    assert "hysteresis, kinematic-error" in warnings[0].message
+    export = to_mjcf(exports.arm_of(study, exports.values_of(study)))
+    effects, sensors = export.notes[:2]
+    assert effects.startswith("left out: hysteresis, kinematic-error (joint 1): ")
+    assert "accelerometer_hz" in sensors
+    for note in export.notes:
+        assert f"<!-- L{note[1:]}. -->" in export.data.decode()
+    assert not any("motor_inertia" in note or "gear" in note for note in export.notes)
 
 
-def test_a_gravity_torque_that_no_body_has_is_reported(tmp_path: Path) -> None:
+def test_an_inconsistent_gravity_torque_is_reported(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path, gravity=9.81)
     warnings = to_mjcf(exports.arm_of(study, exports.values_of(study))).warnings
     assert [c.code for c in warnings] == ["gravity-torque"]

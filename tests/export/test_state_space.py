@@ -1,4 +1,4 @@
-"""Exported joint models have the frequency response of (17), for those who read them elsewhere."""
+"""Exported joint models have the frequency response of (17) in other programs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OMEGA: FloatArray = np.geomspace(1.0, 1e3, 40)
 
 
 def truth(values: Values, joint: int) -> TwoInertia:
-    """The rig's joint, its link's inertia by (3)."""
+    """A joint of the rig; the inertia of its link by (3)."""
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
     known = values | {
         ("link_inertia", 1): alpha + beta + 2.0 * gamma,
@@ -37,7 +37,7 @@ def truth(values: Values, joint: int) -> TwoInertia:
 
 
 def expected(p: TwoInertia) -> tuple[ComplexArray, ComplexArray]:
-    """Motor velocity by motor torque, (17); link acceleration by it, s n (k + d_G s)/k / a(s)."""
+    """Responses to motor torque: velocity (17), link acceleration s n (k + d_G s)/k / a(s)."""
     s: ComplexArray = np.asarray(1j * OMEGA)
     b, a = coefficients(p)
     lag = np.polyval(a[::-1], s)
@@ -45,10 +45,10 @@ def expected(p: TwoInertia) -> tuple[ComplexArray, ComplexArray]:
     return np.polyval(b[::-1], s) / lag, s * torsion / lag
 
 
-# SciPy goes through numerators, whose vanishing leading coefficients it warns of
+# SciPy warns of numerators with vanishing leading coefficients
 @pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 @pytest.mark.parametrize("joint", [1, 2])
-def test_scipy_sees_the_transfer_functions(joint: int, tmp_path: Path) -> None:
+def test_scipy_gives_the_transfer_functions(joint: int, tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     values = exports.values_of(study)
     A, B, C, D = state_space(exports.arm_of(study, values), joint)
@@ -59,7 +59,7 @@ def test_scipy_sees_the_transfer_functions(joint: int, tmp_path: Path) -> None:
         assert response == pytest.approx(wanted, rel=1e-8)
 
 
-def test_python_control_sees_them(tmp_path: Path) -> None:
+def test_python_control_gives_the_transfer_functions(tmp_path: Path) -> None:
     control = pytest.importorskip("control", reason="python-control is not installed")
     study = exports.two_links(tmp_path)
     values = exports.values_of(study)
@@ -68,8 +68,8 @@ def test_python_control_sees_them(tmp_path: Path) -> None:
         assert response[output, 0] == pytest.approx(wanted, rel=1e-8)
 
 
-def test_python_control_moves_the_joint_as_our_simulator_does(tmp_path: Path) -> None:
-    """In steps of the voltage's clock both are exact but for our integrator's 1e-9."""
+def test_python_control_simulates_the_joint_as_the_core(tmp_path: Path) -> None:
+    """Both are exact for held voltages, up to the integration error of 1e-9."""
     control = pytest.importorskip("control", reason="python-control is not installed")
     study, values = exports.single(tmp_path, spring="linear")
     offset = values["friction_offset", 1]
@@ -91,31 +91,33 @@ def test_python_control_moves_the_joint_as_our_simulator_does(tmp_path: Path) ->
     np.testing.assert_allclose(np.squeeze(moved), wanted, atol=1e-7 * np.abs(wanted).max())
 
 
-def test_the_interaction_torque_moves_the_link_at_once(tmp_path: Path) -> None:
+def test_the_interaction_torque_accelerates_the_link_directly(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     values = exports.values_of(study)
     A, B, C, D = state_space(exports.arm_of(study, values), 2)
     assert D.tolist() == [[0.0, 0.0], [0.0, 1.0 / values["beta", None]]]
-    # beyond all resonances the link is free, at standstill the velocity does not change
+    # above all resonances the link is free; in steady state the velocity does not change
     s = 1e9
     G = C @ np.linalg.solve(s * np.eye(3) - A, B) + D
     assert G[1, 1] == pytest.approx(1.0 / values["beta", None], rel=1e-6)
     assert (C @ np.linalg.solve(-A, B) + D)[1] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_file_holds_the_matrices(tmp_path: Path) -> None:
+def test_the_file_contains_the_matrices(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     arm = exports.arm_of(study, exports.values_of(study))
     export = to_state_space(arm)
     document = json.loads(export.data)
     assert export.warnings == ()
+    assert document["notes"] == list(export.notes)
+    assert export.notes[0].startswith("left out: beta, gamma: each joint is modelled alone")
     assert document["states"] == ["torsion", "motor_velocity", "link_velocity"]
     for joint in (1, 2):
         found = [document["joints"][joint - 1][name] for name in "ABCD"]
         assert found == [matrix.tolist() for matrix in state_space(arm, joint)]
 
 
-def test_three_slopes_become_the_middle_one(tmp_path: Path) -> None:
+def test_three_slopes_are_linearised_by_the_middle_one(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path, "three-slope")
     values = exports.values_of(study)
     arm = exports.arm_of(study, values)
@@ -144,13 +146,13 @@ def test_a_cubic_gear_is_linearised_without_torsion(
     assert A[1, 0] == -0.01 * values["gear_stiffness", 1] / values["motor_inertia", 1]
 
 
-def test_a_link_inertia_that_was_reported_is_taken(tmp_path: Path) -> None:
+def test_a_reported_link_inertia_is_used(tmp_path: Path) -> None:
     study, values = exports.single(tmp_path, spring="linear")
     B = state_space(exports.arm_of(study, values), 1)[1]
     assert B[2, 1] == 1.0 / values["link_inertia", 1]
 
 
-def test_what_has_no_such_model_is_refused(tmp_path: Path) -> None:
+def test_rigid_gears_and_unknown_joints_are_refused(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path, "rigid")
     arm = exports.arm_of(study, exports.values_of(study))
     with pytest.raises(InvalidInput, match="joint 1 has a rigid gear"):

@@ -1,4 +1,4 @@
-"""The exported bodies have the base parameters they were made of."""
+"""The exported bodies have the base parameters of the arm."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def base_parameters(first: Body, second: Body) -> Values:
     }
 
 
-def test_base_parameters_come_back_from_the_file(tmp_path: Path) -> None:
+def test_the_file_has_the_base_parameters(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path, gravity=GRAVITY)
     values = exports.values_of(study)
     values["gravity_torque_2", None] = GRAVITY * values["gamma", None] / LENGTH
@@ -87,7 +87,7 @@ def test_every_arm_with_a_definite_inertia_matrix_has_bodies(
     bodies = link_bodies(IdentifiedArm(study, parameters, "nowhere"), GRAVITY)
     assert all(body.mass > 0.0 and body.inertia > 0.0 for body in bodies)
     first, second = bodies
-    # a heavy counterweight's moment is the difference of large ones
+    # the first moment of a heavy counterweight is a small difference of large numbers
     scale = {"gravity_torque_1": abs(torque) + GRAVITY * second.mass * LENGTH}
     for (name, _), found in base_parameters(first, second).items():
         size = scale.get(name, alpha + beta)
@@ -95,7 +95,7 @@ def test_every_arm_with_a_definite_inertia_matrix_has_bodies(
 
 
 @given(size(1e-3, 1e2), st.floats(-50.0, 50.0), size(0.05, 3.0))
-def test_a_body_has_the_moments_asked_for(inertia: float, moment: float, length: float) -> None:
+def test_a_body_has_the_requested_moments(inertia: float, moment: float, length: float) -> None:
     body = about_axis(inertia, moment, length)
     assert body.mass > 0.0
     assert body.inertia > 0.0
@@ -111,7 +111,7 @@ def test_an_indefinite_inertia_matrix_is_refused(tmp_path: Path) -> None:
         to_urdf(exports.arm_of(study, values))
 
 
-def test_friction_and_gear_are_seen_from_the_link(tmp_path: Path) -> None:
+def test_friction_and_gear_ratio_refer_to_the_link(tmp_path: Path) -> None:
     study = exports.two_links(tmp_path)
     values = exports.values_of(study)
     robot = parsed(exports.arm_of(study, values))
@@ -125,15 +125,15 @@ def test_friction_and_gear_are_seen_from_the_link(tmp_path: Path) -> None:
     assert reductions == ["100.0", "100.0"]
 
 
-def test_a_single_link_behind_a_rigid_gear_carries_its_motor(tmp_path: Path) -> None:
+def test_a_single_link_behind_a_rigid_gear_includes_its_motor(tmp_path: Path) -> None:
     study, values = exports.single(tmp_path, gravity=GRAVITY)
     body = body_of(parsed(exports.arm_of(study, values)), 1)
-    carried = values["link_inertia", 1] + values["motor_inertia", 1] / 0.1**2
-    assert body.inertia + body.mass * body.centre**2 == pytest.approx(carried)
+    total = values["link_inertia", 1] + values["motor_inertia", 1] / 0.1**2
+    assert body.inertia + body.mass * body.centre**2 == pytest.approx(total)
     assert GRAVITY * body.mass * body.centre == pytest.approx(11.0)
 
 
-def test_a_slide_has_the_limits_that_urdf_asks_for(tmp_path: Path) -> None:
+def test_a_prismatic_joint_has_limits(tmp_path: Path) -> None:
     study, values = exports.single(tmp_path, "prismatic", "linear")
     robot = parsed(exports.arm_of(study, values))
     assert body_of(robot, 1).mass == values["link_inertia", 1]
@@ -141,6 +141,31 @@ def test_a_slide_has_the_limits_that_urdf_asks_for(tmp_path: Path) -> None:
     assert joint is not None
     assert joint.find("limit") is not None
     arm = exports.arm_of(study, values)
-    nothing = replace(arm, parameters=tuple(replace(p, value=None) for p in arm.parameters))
+    empty = replace(arm, parameters=tuple(replace(p, value=None) for p in arm.parameters))
     with pytest.raises(InvalidInput, match="link_inertia of joint 1 is null"):
-        to_urdf(nothing)
+        to_urdf(empty)
+
+
+def test_all_parts_that_urdf_cannot_hold_are_noted(tmp_path: Path) -> None:
+    """On the terminal, and in comments of the file; every parameter is held or noted."""
+    study = exports.two_links(tmp_path, "three-slope", gravity=GRAVITY)
+    values = exports.values_of(study) | {
+        ("friction_settling_time", 1): 5e-5,
+        ("hysteresis_torque", 2): 1.0,
+    }
+    export = to_urdf(exports.arm_of(study, values))
+    for note in export.notes:
+        assert f"<!-- L{note[1:]}. -->" in export.data.decode()
+    text = " ".join(export.notes)
+    for name, joint in values:
+        assert name in text or name == "motor_coulomb_friction" or joint is None, name
+    assert export.notes[0].startswith(
+        "left out: motor_inertia (joint 1, 2): URDF has no motor inertia"
+    )
+    for name in ("torque_per_volt", "accelerometer_hz", "servo", "standard deviations"):
+        assert name in text
+
+
+def test_a_motor_that_the_link_includes_is_not_noted(tmp_path: Path) -> None:
+    study, values = exports.single(tmp_path, gravity=GRAVITY)
+    assert not any("motor_inertia" in note for note in to_urdf(exports.arm_of(study, values)).notes)

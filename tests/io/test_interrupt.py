@@ -1,4 +1,4 @@
-"""Ctrl-C: one line, exit code 130, soon, whatever runs; and nothing half-written."""
+"""Ctrl-C prints one line and exits with 130 within a second; files are complete or absent."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ def ready():
 """
 EPILOGUE = """
 except interrupt.Interrupted:
-    interrupt.say()
-    sys.exit(interrupt.STOPPED)
+    interrupt.report()
+    sys.exit(interrupt.EXIT_CODE)
 """
-GRACE = 5.0  # s; the promise is one, on a machine that has nothing else to do
+MAX_STOP_S = 5.0  # [s] on a busy machine; 1 s is documented for an idle one
 
 
 @pytest.fixture(autouse=True)
-def heard() -> Iterator[None]:
-    """Ctrl-C counts in every child, even where the tests themselves run in the background."""
+def interrupts_reach_children() -> Iterator[None]:
+    """A child of a process in the background would ignore the signal."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
 def communicate(process: subprocess.Popen[str]) -> tuple[str, str]:
-    """What a process still says; one that does not end is ended."""
+    """Remaining output of a process, which is killed after a minute."""
     try:
         return process.communicate(timeout=60.0)
     except subprocess.TimeoutExpired:
@@ -49,7 +49,7 @@ def communicate(process: subprocess.Popen[str]) -> tuple[str, str]:
 
 
 def stopped(code: str, *, times: int = 1) -> tuple[int, str, float]:
-    """Exit code, standard error and seconds of a program to which Ctrl-C is sent once it is ready."""
+    """Exit code, standard error and duration of a program that receives Ctrl-C when it is ready."""
     body = "try:\n" + "".join(f"    {line}\n" for line in code.strip().splitlines())
     with subprocess.Popen(
         [sys.executable, "-c", PROLOGUE + body + EPILOGUE],
@@ -59,18 +59,18 @@ def stopped(code: str, *, times: int = 1) -> tuple[int, str, float]:
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
-        begin = time.monotonic()
+        start = time.monotonic()
         for _ in range(times):
             process.send_signal(signal.SIGINT)
             time.sleep(0.05)
-        _, said = communicate(process)
-        return process.returncode, said, time.monotonic() - begin
+        _, stderr = communicate(process)
+        return process.returncode, stderr, time.monotonic() - start
 
 
 NOTHING = "strainwave: stopped; nothing was written\n"
 
 
-def test_jobs_side_by_side_are_stopped() -> None:
+def test_parallel_jobs_stop() -> None:
     code = """
 def endless():
     while True:
@@ -80,21 +80,21 @@ def first():
     endless()
 side_by_side([first, endless, endless])
 """
-    code_, said, seconds = stopped(code)
-    assert (code_, said) == (130, NOTHING)
-    assert seconds < GRACE
+    exit_code, stderr, seconds = stopped(code)
+    assert (exit_code, stderr) == (130, NOTHING)
+    assert seconds < MAX_STOP_S
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_what_does_not_listen_is_cut_off(times: int) -> None:
-    """Jobs that never look, as in a long call of compiled code; at once by a second Ctrl-C."""
+def test_compiled_code_is_ended(times: int) -> None:
+    """Jobs that never check for the signal end after the grace period, or at a second Ctrl-C."""
     code = "side_by_side([lambda: ready() or time.sleep(100), lambda: time.sleep(100)])"
-    code_, said, seconds = stopped(code, times=times)
-    assert (code_, said) == (130, NOTHING)
-    assert seconds < GRACE
+    exit_code, stderr, seconds = stopped(code, times=times)
+    assert (exit_code, stderr) == (130, NOTHING)
+    assert seconds < MAX_STOP_S
 
 
-def test_what_is_being_written_appears_whole_and_is_named(tmp_path: Path) -> None:
+def test_files_being_written_are_completed_and_named(tmp_path: Path) -> None:
     code = f"""
 real = Path.replace
 def slow(*each):
@@ -105,35 +105,35 @@ Path.replace = slow
 atomic_files.write_whole(Path({str(tmp_path)!r}), dict(one=b"1", two=b"2"))
 time.sleep(100)
 """
-    code_, said, _ = stopped(code)
-    assert (code_, said) == (
+    exit_code, stderr, _ = stopped(code)
+    assert (exit_code, stderr) == (
         130,
-        f"strainwave: stopped; 2 file(s) had been written before, to {tmp_path}\n",
+        f"strainwave: stopped; 2 file(s) had been written to {tmp_path}\n",
     )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["one", "two"]
 
 
-def test_a_command_is_stopped_while_it_starts(tmp_path: Path) -> None:
+def test_a_command_stops_during_start_up(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "strainwave", "demo", "--out", str(tmp_path / "demo")],
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
         threads = Path(f"/proc/{process.pid}/task")
-        if threads.exists():  # the thread that watches for the signal is the first to be started
+        if threads.exists():  # the watching thread is the first thread to start
             while process.poll() is None and len(list(threads.iterdir())) < 2:
                 time.sleep(0.001)
             time.sleep(0.05)
         else:
             time.sleep(1.0)
         process.send_signal(signal.SIGINT)
-        _, said = communicate(process)
-    assert (process.returncode, said) == (130, NOTHING)
+        _, stderr = communicate(process)
+    assert (process.returncode, stderr) == (130, NOTHING)
     assert not os.path.exists(tmp_path / "demo")
 
 
-def test_a_process_in_the_background_ignores_it() -> None:
-    """A shell starts those with the signal ignored, and it stays so."""
+def test_a_background_process_ignores_ctrl_c() -> None:
+    """A shell starts background processes with SIGINT ignored."""
     code = """
 import signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""The joint covariance in result.json: whose it is, and that it comes back."""
+"""The joint covariance in result.json: which stage, which parameters, and reading it back."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from strainwave.io import results
 from strainwave.io.joint_covariance import covariance_of, joint_covariance
 
 
-def test_the_rigid_step_s_own_without_what_it_did_not_identify() -> None:
+def test_rigid_stage_without_unidentified_parameters() -> None:
     known = joint_covariance(identification())
     assert known is not None
     assert (known.stage, known.names) == ("rigid", ("inertia 1",))
     np.testing.assert_array_equal(known.matrix, [[4e-8]])
 
 
-def test_the_whole_arm_fit_s_comes_back_from_the_file() -> None:
+def test_whole_arm_fit_is_read_back() -> None:
     S = np.array([[4e-8, 1e-8, 0.0], [1e-8, 1e-4, 0.0], [0.0, 0.0, 9.0]])
     parameters = (
         Parameter("beta", None, 0.02, 2e-4, "kg m^2", "tuned", (0.0196, 0.0204)),
@@ -32,11 +32,15 @@ def test_the_whole_arm_fit_s_comes_back_from_the_file() -> None:
     found = replace(identification(), tuned=arm_model(parameters, S))
     back = covariance_of(results.to_document(found))
     assert back is not None
+    frame = back.to_frame()
+    assert list(frame.columns) == list(frame.index) == list(back.names)
+    assert frame.loc["beta", "motor_coulomb_friction 1"] == 1e-8
+    np.testing.assert_allclose(back.correlation, [[1.0, 5e-3], [5e-3, 1.0]])
     assert (back.stage, back.names) == ("tuned", ("beta", "motor_coulomb_friction 1"))
     np.testing.assert_array_equal(back.matrix, S[:2, :2])
 
 
-def test_joints_models_make_blocks() -> None:
+def test_joint_models_give_diagonal_blocks() -> None:
     found = elastic_identification()
     known = joint_covariance(replace(found, tuned=None))
     assert known is not None
@@ -46,7 +50,7 @@ def test_joints_models_make_blocks() -> None:
     np.testing.assert_allclose(std, [published[name] for name in known.names], rtol=1e-8)
 
 
-def test_a_value_that_was_clipped_has_no_covariance() -> None:
+def test_a_clipped_value_has_no_covariance() -> None:
     S = np.diag([4e-8, 1e-4])
     parameters = (
         Parameter("beta", None, 0.02, 2e-4, "kg m^2", "tuned", (0.0196, 0.0204)),
@@ -58,7 +62,7 @@ def test_a_value_that_was_clipped_has_no_covariance() -> None:
     assert known.names == ("beta",)
 
 
-def test_a_result_of_an_earlier_version_has_none() -> None:
+def test_results_of_earlier_versions_have_no_covariance() -> None:
     assert covariance_of({"parameters": []}) is None
     assert covariance_of({"covariance": None}) is None
 
@@ -72,6 +76,6 @@ def test_a_result_of_an_earlier_version_has_none() -> None:
         {"stage": "tuned", "names": ["beta"], "matrix": "one"},
     ],
 )
-def test_one_that_is_broken_is_refused(table: dict[str, object]) -> None:
+def test_an_invalid_covariance_is_refused(table: dict[str, object]) -> None:
     with pytest.raises(InvalidInput, match="covariance"):
         covariance_of({"covariance": table})

@@ -1,7 +1,4 @@
-"""Result files of earlier versions are read, drawn and exported as those of today are.
-
-One file of each schema that was written stays in tests/data/results; none is written again.
-"""
+"""Result files of earlier versions are read; tests/data/results keeps one of each schema."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ def old(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return path
 
 
-def test_there_are_old_results() -> None:
+def test_old_results_exist() -> None:
     assert OLD
 
 
@@ -40,13 +37,13 @@ def test_an_old_result_is_read(old: Path) -> None:
         assert (parameter.ci95 is None) == (one["ci95"] is None)
 
 
-def test_an_old_result_gives_the_values_of_an_arm(old: Path) -> None:
+def test_an_old_result_gives_parameter_values(old: Path) -> None:
     values = read_parameters(old)
     assert len(values) > 10
     assert all(math.isfinite(value) for value in values.values())
 
 
-def test_an_old_result_is_saved_as_it_was(old: Path, tmp_path: Path) -> None:
+def test_an_old_result_is_saved_unchanged(old: Path, tmp_path: Path) -> None:
     sw.read_result(old).save(tmp_path / "again.json")
     again, before = (json.loads(path.read_text()) for path in (tmp_path / "again.json", old))
     assert again["parameters"] == before["parameters"]

@@ -1,3 +1,5 @@
+"""Parameter files: both layouts, and what is refused."""
+
 from __future__ import annotations
 
 import json
@@ -22,7 +24,7 @@ def _write(tmp_path: Path, document: Any) -> Path:
     return path
 
 
-def test_reads_the_list_of_a_result_and_leaves_out_what_is_not_known(tmp_path: Path) -> None:
+def test_reads_the_list_of_a_result_without_nulls(tmp_path: Path) -> None:
     path = _write(
         tmp_path,
         {
@@ -59,24 +61,24 @@ def test_reads_a_table_of_known_values(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("document", "said"),
+    ("document", "message"),
     [
-        ([], "holds neither"),
-        ({"joints": 3}, "holds neither"),
-        ({"joints": [3]}, "entry 1: is no table"),
+        ([], "contains neither"),
+        ({"joints": 3}, "contains neither"),
+        ({"joints": [3]}, "entry 1: is not a table"),
         ({"joints": [{"gear_stiffness": [1, 2]}]}, "gear_stiffness has 2 values"),
-        ({"joints": [{"motor_inertia": "1e-4"}]}, "motor_inertia: '1e-4' is no finite number"),
-        ({"joints": [], "alpha": True}, "True is no finite number"),
+        ({"joints": [{"motor_inertia": "1e-4"}]}, "motor_inertia: '1e-4' is not a finite number"),
+        ({"joints": [], "alpha": True}, "True is not a finite number"),
         ({"parameters": [{"value": 1}]}, "entry 1: has no name"),
-        ({"parameters": [{"name": "a", "joint": "one", "value": 1}]}, "'one' is no number"),
+        ({"parameters": [{"name": "a", "joint": "one", "value": 1}]}, "is 'one', not a number"),
     ],
 )
-def test_refuses_what_is_no_parameter_file(tmp_path: Path, document: Any, said: str) -> None:
-    with pytest.raises(InvalidInput, match=said):
+def test_refuses_other_documents(tmp_path: Path, document: Any, message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
         read_parameters(_write(tmp_path, document))
 
 
-def test_refuses_a_missing_file_and_text_that_is_no_json(tmp_path: Path) -> None:
+def test_refuses_a_missing_file_and_invalid_json(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="does not exist"):
         read_parameters(tmp_path / "none.json")
     (tmp_path / "p.json").write_bytes(b"{")
@@ -99,7 +101,7 @@ _json = st.recursive(
 
 
 @given(document=_json)
-def test_no_document_causes_anything_but_a_refusal(
+def test_any_json_document_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, document: Any
 ) -> None:
     path = _write(tmp_path_factory.mktemp("p"), document)

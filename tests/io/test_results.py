@@ -1,4 +1,4 @@
-"""result.json: the contract's keys, only JSON numbers, nothing invented."""
+"""result.json: keys of the contract, finite numbers, and records read back."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def rigid(model: RigidModel | None) -> RigidModel:
     return model
 
 
-def test_the_contract_s_keys() -> None:
+def test_keys_of_the_contract() -> None:
     document = json.loads(result.to_json(result.to_document(identification())))
     assert document["schema"] == "strainwave/result/1"
     assert {"version", "study", "created", "parameters", "stages", "checks", "warnings"} <= set(
         document
     )
-    assert set(document["study"]) == {"path", "sha256"}
+    assert {"path", "sha256", "arm", "joint"} <= set(document["study"])
     assert set(document["parameters"][0]) == {
         "name",
         "joint",
@@ -55,7 +55,16 @@ def test_the_contract_s_keys() -> None:
     assert document["verdict"]["rejected"] == document["verdict"]["suspected"] == []
 
 
-def test_joints_modelled_by_their_motors_have_an_entry_a_record() -> None:
+def test_the_rig_is_read_back() -> None:
+    one = identification()
+    study = result.study_of(json.loads(result.to_json(result.to_document(one))), Path("r.json"))
+    assert study is not None
+    assert study.arm == one.study.arm
+    assert study.sha256 == one.study.sha256
+    assert result.study_of({"study": {"path": "study.toml", "sha256": ""}}, Path("r.json")) is None
+
+
+def test_motor_response_models_have_one_entry_per_record() -> None:
     joint = replace(joint_model(), method="motor-response", experiments=("a", "b"))
     found = replace(elastic_identification(), records=(), sweeps=(), joints=(joint,))
     document = result.to_document(found)
@@ -67,7 +76,7 @@ def test_joints_modelled_by_their_motors_have_an_entry_a_record() -> None:
     assert entries[0]["fit_percent"] == list(joint.fit_percent.values())
 
 
-def test_what_is_not_finite_is_null() -> None:
+def test_numbers_that_are_not_finite_are_null() -> None:
     one = identification()
     model = replace(rigid(one.rigid), condition_number=np.inf)
     unknown = Parameter("gamma", None, None, None, "kg m^2", "rigid")
@@ -82,7 +91,7 @@ def test_what_is_not_finite_is_null() -> None:
     assert document["parameters"][0]["ci95"] is None
 
 
-def test_the_ratio_of_torques_is_published() -> None:
+def test_the_torque_ratio_is_published() -> None:
     one = identification()
     ratio = replace(one, rigid=replace(rigid(one.rigid), torque_ratio=(0.98, 0.004)))
     stage = json.loads(result.to_json(result.to_document(ratio)))["stages"]["rigid"]
@@ -92,14 +101,14 @@ def test_the_ratio_of_torques_is_published() -> None:
     assert text not in report.render(one)
 
 
-def test_numpy_numbers_become_numbers() -> None:
+def test_numpy_numbers_become_json_numbers() -> None:
     one = identification()
     model = replace(rigid(one.rigid), condition_number=float(np.float64(3.5)))
     document = json.loads(result.to_json(result.to_document(replace(one, rigid=model))))
     assert document["stages"]["rigid"]["condition_number"] == 3.5
 
 
-def test_both_files_or_none(tmp_path: Path) -> None:
+def test_both_files_are_written_or_none(tmp_path: Path) -> None:
     pipeline.write(identification(), tmp_path / "out")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "result.json"]
     document = json.loads((tmp_path / "out" / "result.json").read_text())
@@ -110,7 +119,7 @@ def test_both_files_or_none(tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == ""
 
 
-def test_stages_are_a_beginning_of_all() -> None:
+def test_stages_are_a_prefix_of_all_stages() -> None:
     assert pipeline.check_stages(["rigid"]) == ("rigid",)
     for wrong in ([], ["tuned"], ["rigid", "rigid"]):
         with pytest.raises(InvalidInput, match="--stages"):
@@ -121,8 +130,8 @@ def reported(name: str, value: float | None, std: float | None, joint: int = 1) 
     return Parameter(name, joint, value, std, "-", "tuned")
 
 
-def test_the_whole_arm_fit_comes_first() -> None:
-    """Its value even where another stage claims to be surer, and its refusal too."""
+def test_the_whole_arm_fit_takes_precedence() -> None:
+    """Its value replaces one with a smaller standard deviation; so does its null."""
     one = identification()
     tuned = arm_model(
         (reported("inertia", 0.03, 0.01), reported("gear_damping", None, None)),
@@ -136,7 +145,7 @@ def test_the_whole_arm_fit_comes_first() -> None:
     assert (found["inertia"].value, found["inertia"].stage) == (None, "tuned")
 
 
-def test_one_stiffness_does_not_stand_beside_three() -> None:
+def test_one_stiffness_is_not_listed_with_three_slopes() -> None:
     one = identification(name="gear_stiffness")
     arm = one.study.arm
     bent = arm.with_joints(replace(joint, spring="three-slope") for joint in arm.joints)
@@ -145,7 +154,7 @@ def test_one_stiffness_does_not_stand_beside_three() -> None:
     names = [p.name for p in replace(one, tuned=arm_model(slopes, np.eye(3))).parameters]
     assert "gear_stiffness" not in names
     assert [name for name in names if "stiffness" in name] == [p.name for p in slopes]
-    # another joint's curve says nothing of this one
+    # the curve of joint 2 leaves the stiffness of joint 1
     other = tuple(replace(p, joint=2) for p in slopes)
     names = [p.name for p in replace(one, tuned=arm_model(other, np.eye(3))).parameters]
     assert "gear_stiffness" in names
@@ -162,7 +171,7 @@ def test_correlations_of_the_whole_arm_fit() -> None:
     assert tuned["fit_percent"]["prbs-j1"]["omega_m1"] == 99.0
 
 
-def test_what_nothing_shows_of_has_no_correlation() -> None:
+def test_a_parameter_without_variance_has_no_correlation() -> None:
     parameters = (reported("a", 1.0, 2.0), reported("b", None, None))
     vague = arm_model(parameters, np.array([[4.0, 0.0], [0.0, np.inf]]))
     document = json.loads(
@@ -171,15 +180,15 @@ def test_what_nothing_shows_of_has_no_correlation() -> None:
     assert document["stages"]["tuned"]["correlations"][0][0] == 1.0
 
 
-def test_a_criticism_is_reported_without_its_spectra() -> None:
+def test_residual_analysis_is_reported_without_spectra() -> None:
     tuned = arm_model((reported("a", 1.0, 2.0),), np.array([[4.0]]))
     document = json.loads(
         result.to_json(result.to_document(replace(identification(), tuned=tuned)))
     )
     criticism = document["stages"]["tuned"]["criticism"]
-    (left,), (likely,) = criticism["residuals"], criticism["score_tests"]
-    assert (left["channel"], left["noise"], left["input_delay"]) == ("a1", 0.1, 0.006)
-    assert "density" not in left
+    (residual,), (likely,) = criticism["residuals"], criticism["score_tests"]
+    assert (residual["channel"], residual["noise"], residual["input_delay"]) == ("a1", 0.1, 0.006)
+    assert "density" not in residual
     assert likely["effect"] == "hysteresis"
     assert likely["sizes"] == {"hysteresis_torque": 2.1}
     assert likely["evident"] is True

@@ -177,9 +177,7 @@ def test_six_joints_are_reported_what_can_be_identified(tmp_path: Path) -> None:
     experiment = f'name = "m"\nfile = "m.csv"\nuse = "motion"\ncontrol = [{control}]\n'
     arm = '[arm]\nkind = "planar-two-link"\nlink_length = 0.3\n'
     path = studies.write(tmp_path, f"{arm}{joints}[[experiment]]\n{experiment}")
-    with pytest.raises(
-        InvalidInput, match=r"6 .*one joint or of two links in one plane"
-    ) as caught:
+    with pytest.raises(InvalidInput, match=r"6 .*one joint or of two links in one plane") as caught:
         read_study(path)
     assert "record them with the other joints at rest" in str(caught.value)
 

@@ -1,4 +1,4 @@
-"""TOML of users: read, or refused with file and remedy."""
+"""TOML files of users."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from strainwave.io.toml_files import check_keys, parsed_toml
 PATH = Path("some.toml")
 
 
-def test_a_document_is_read() -> None:
+def test_valid_toml_is_parsed() -> None:
     assert parsed_toml("a = [1, 2]", PATH) == {"a": [1, 2]}
 
 
 @pytest.mark.parametrize("text", ["a = ", "[a", "a = 1\na = 2", "a = " + "[" * 5000])
-def test_what_is_no_toml_is_refused(text: str) -> None:
-    with pytest.raises(InvalidInput, match=r"some\.toml: is not valid TOML .*mend that line"):
+def test_invalid_toml_is_refused(text: str) -> None:
+    with pytest.raises(InvalidInput, match=r"some\.toml: is not valid TOML .*correct that line"):
         parsed_toml(text, PATH)
 
 
-def test_a_key_that_nothing_reads_is_refused_with_the_nearest() -> None:
+def test_an_unknown_key_is_refused_with_the_nearest() -> None:
     check_keys({"class": 1}, ("class", "workers"), PATH)
     with pytest.raises(InvalidInput, match=r"unknown key 'worker'.*did you mean 'workers'"):
         check_keys({"worker": 1}, ("class", "workers"), PATH)

@@ -14,8 +14,8 @@ from strainwave.campaign.cases import Case
 from strainwave.campaign.drawn_arms import arms_of
 from strainwave.campaign.places import file_system, is_url
 from strainwave.campaign.study_files import StudyFile
-from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import decode, nearest, read_bytes
+from strainwave.errors import InvalidInput, nearest
+from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.toml_files import check_keys, parsed_toml
 from strainwave.virtual.families import family_of
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Annotated, Literal
+from dataclasses import asdict, dataclass, field, fields
+from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Ge, Gt, Le
+
+from strainwave.errors import InvalidInput, nearest
 
 Positive = Annotated[float, Gt(0.0)]
 Band = tuple[Positive, Positive]  # lowest and highest frequency [Hz]
@@ -19,8 +21,26 @@ PUBLISHED_RANGE = (0.5, 2.0)
 """Default range of a parameter over its starting value for a fit with `as_published`."""
 
 
+class _Checked:
+    """Mixin that refuses unknown fields by a message that names the nearest one."""
+
+    __slots__ = ()
+
+    def __new__(cls, *_: object, **given: object) -> Self:
+        """An instance, whose fields the dataclass sets."""
+        known = list(getattr(cls, "__dataclass_fields__", given))
+        for name in given:
+            if name not in known:
+                raise InvalidInput(
+                    f"there is no option {name!r}",
+                    where=cls.__name__,
+                    remedy=f"use {', '.join(known)}{nearest(name, known)}",
+                )
+        return super().__new__(cls)
+
+
 @dataclass(frozen=True, slots=True)
-class RigidOptions:
+class RigidOptions(_Checked):
     """Options of the rigid-joint model, (5) to (7): `rigid`."""
 
     bandwidth_hz: Positive | None = None  # of the equations' filter; None: from the data
@@ -28,7 +48,7 @@ class RigidOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class LinkOptions:
+class LinkOptions(_Checked):
     """Options of the links' motion, (8) to (10): `links`."""
 
     time_constant: Positive = 0.2  # T_V [s] of the fusion (10)
@@ -39,7 +59,7 @@ class LinkOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class FrequencyOptions:
+class FrequencyOptions(_Checked):
     """Options of the nonparametric frequency responses: `responses`."""
 
     inputs: Annotated[int, Ge(1)] | None = None  # number of inputs to use; None: all
@@ -48,7 +68,7 @@ class FrequencyOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class LinearOptions:
+class LinearOptions(_Checked):
     """Options of the state-space models, (11), (12): `statespace`."""
 
     # None: 2 to 6, selected by held-out data and Schwarz's criterion
@@ -67,7 +87,7 @@ class LinearOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class PhysicalOptions:
+class PhysicalOptions(_Checked):
     """Options of a joint's physical parameters: `physical`."""
 
     route: Route = "equations"  # equations of motion, or (15) to (18) from the state-space models
@@ -76,7 +96,7 @@ class PhysicalOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class TuningOptions:
+class TuningOptions(_Checked):
     """Options of the whole-arm fit: `tuning`."""
 
     # `tuning` records in closed loop, motor velocities only, no information of other stages
@@ -95,7 +115,7 @@ class TuningOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class Options(_Checked):
     """Options of all stages: `[options]`."""
 
     rigid: RigidOptions = RigidOptions()
@@ -104,6 +124,14 @@ class Options:
     statespace: LinearOptions = LinearOptions()
     physical: PhysicalOptions = PhysicalOptions()
     tuning: TuningOptions = TuningOptions()
+
+    def __post_init__(self) -> None:
+        """Make records of plain mappings: `Options(links={"order": 1})`."""
+        for stage in fields(self):
+            value: Any = getattr(self, stage.name)
+            if isinstance(value, Mapping):
+                record: Any = type(stage.default)
+                object.__setattr__(self, stage.name, record(**value))
 
 
 def chosen_options(options: Options) -> list[str]:

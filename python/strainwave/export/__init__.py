@@ -1,25 +1,34 @@
-"""An identified arm for other programs: MuJoCo, URDF, state space, MATLAB, C, JSON."""
+"""Export of an identified arm: MuJoCo, URDF, state space, MATLAB, C, JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
-from strainwave.domain import Diagnostic
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, nearest
 from strainwave.export.flat import to_c_header, to_json
 from strainwave.export.matlab import to_mat, to_script
 from strainwave.export.mjcf import to_mjcf
-from strainwave.export.source import Export, IdentifiedArm, read_result
+from strainwave.export.source import Export, IdentifiedArm, arm_of, read_arm
 from strainwave.export.state_space import state_space, to_state_space
 from strainwave.export.urdf import to_urdf
-from strainwave.io.atomic_files import nearest, write_whole
+from strainwave.io.atomic_files import write_whole
+from strainwave.io.results import result_path
 
-__all__ = ["FORMATS", "Export", "IdentifiedArm", "export_file", "read_result", "state_space"]
+__all__ = [
+    "FORMATS",
+    "Export",
+    "IdentifiedArm",
+    "arm_of",
+    "export_arm",
+    "export_file",
+    "read_arm",
+    "state_space",
+]
 
 FORMATS = ("mjcf", "urdf", "state-space", "matlab", "c", "json")
 
-_ENDINGS = {
+_FORMAT_BY_ENDING = {
     ".xml": "mjcf",
     ".mjcf": "mjcf",
     ".urdf": "urdf",
@@ -28,7 +37,7 @@ _ENDINGS = {
     ".h": "c",
     ".json": "json",
 }
-_RENDER: dict[str, Callable[[IdentifiedArm], Export]] = {
+_RENDERERS: dict[str, Callable[[IdentifiedArm], Export]] = {
     "mjcf": to_mjcf,
     "urdf": to_urdf,
     "state-space": to_state_space,
@@ -39,56 +48,46 @@ _RENDER: dict[str, Callable[[IdentifiedArm], Export]] = {
 
 def export_file(
     result: Path, out: Path, *, form: str | None = None, study: Path | None = None
-) -> tuple[Diagnostic, ...]:
-    """Write an identified arm in another program's format.
+) -> Export:
+    """Write the arm of a result.json, or of a directory with one; see `export_arm`."""
+    arm = read_arm(result, study)
+    return export_arm(arm, out, form=form, inputs=(result_path(result), arm.study.path))
 
-    Parameters
-    ----------
-    result : Path
-        A result.json.
-    out : Path
-        The file to write; its folder is made where it does not exist.
-    form : str, optional
-        One of `FORMATS`; None: by the ending of `out`. MATLAB's is a script where `out` ends in
-        .m, else a .mat file.
-    study : Path, optional
-        Where the study file is, if not where the result says.
 
-    Returns
-    -------
-    tuple of Diagnostic
-        What the file's reader must know.
+def export_arm(
+    arm: IdentifiedArm, out: Path, *, form: str | None = None, inputs: tuple[Path, ...] = ()
+) -> Export:
+    """Write an identified arm in the format of another program.
 
-    Raises
-    ------
-    InvalidInput
-        A file or the format is at fault, or a parameter the format needs is null.
+    `form` is one of `FORMATS`; by default the ending of `out` decides. MATLAB gets a script if
+    `out` ends in .m, else a MAT-file. `out` may not be one of `inputs`. Returns what was written
+    with its warnings and notes. Raises `InvalidInput` if a file or the format is at fault, or a
+    parameter that the format needs is missing.
     """
-    form = _chosen(form, out)
-    arm = read_result(result, study)
-    if out.resolve() in (result.resolve(), arm.study.path.resolve()):
+    form = _checked_format(form, out)
+    if out.resolve() in [path.resolve() for path in inputs]:
         raise InvalidInput(
-            "would write over the file it reads", where=f"--out {out}", remedy="choose another name"
+            "would overwrite an input file", where=f"--out {out}", remedy="choose another name"
         )
     if out.is_dir() or not out.name:
         raise InvalidInput("is a directory", where=f"--out {out}", remedy="name a file in it")
     if form == "matlab":
         export = to_script(arm) if out.suffix == ".m" else to_mat(arm)
     else:
-        export = _RENDER[form](arm)
+        export = _RENDERERS[form](arm)
     write_whole(out.parent, {out.name: export.data})
-    return export.warnings
+    return export
 
 
-def _chosen(form: str | None, out: Path) -> str:
+def _checked_format(form: str | None, out: Path) -> str:
     listed = ", ".join(FORMATS)
-    if form is None and out.suffix not in _ENDINGS:
+    if form is None and out.suffix not in _FORMAT_BY_ENDING:
         raise InvalidInput(
-            f"the ending {out.suffix!r} names no format",
+            f"the ending {out.suffix!r} does not determine a format",
             where=f"--out {out}",
             remedy=f"give --format: {listed}",
         )
-    chosen = form or _ENDINGS[out.suffix]
+    chosen = form or _FORMAT_BY_ENDING[out.suffix]
     if chosen not in FORMATS:
         raise InvalidInput(
             f"there is no format {chosen!r}",

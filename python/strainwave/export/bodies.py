@@ -1,4 +1,4 @@
-"""Base parameters -> rigid bodies that have them, as the arm's kind chooses among many."""
+"""Rigid bodies that have the base parameters of an arm."""
 
 from __future__ import annotations
 
@@ -12,60 +12,33 @@ from strainwave.domain.kinds.bodies import Body
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 
-_WORTH_TELLING = 0.01  # of a gravity torque
+_MAX_GRAVITY_ERROR = 0.01  # relative; a larger one exceeds what a good torque constant explains
 
 
 def link_bodies(arm: IdentifiedArm, gravity: float) -> tuple[Body, ...]:
-    """Bodies whose base parameters are the arm's.
+    """One body per link, from the base, with the base parameters of the arm.
 
-    The motion of an arm identifies only its base parameters; many sets of masses share them.
-
-    Parameters
-    ----------
-    arm : IdentifiedArm
-    gravity : float [m/s^2]
-        Under which link 1 has the measured gravity torque; zero: its centre lies on the axis.
-
-    Returns
-    -------
-    tuple of Body
-        One a link, from the base.
-
-    Raises
-    ------
-    InvalidInput
-        A base parameter is null or not there, or no bodies have these.
+    Motion identifies only base parameters; the kind of arm chooses one of the sets of masses that
+    have them. Under `gravity` [m/s^2] link 1 has the measured gravity torque; without, its centre
+    of mass lies on the axis. Raises `InvalidInput` if a base parameter is missing or no bodies
+    have these parameters.
     """
-    with _refusing(arm):
+    with _source_in_message(arm):
         return kind_of(arm.study.arm).bodies(arm.study.arm, arm.need, gravity)
 
 
 def effective_gravity(arm: IdentifiedArm) -> float:
-    """Gravity under which rigid bodies have all measured gravity torques.
+    """Gravity [m/s^2] under which rigid bodies have all measured gravity torques.
 
-    It is the study's but for the errors of what is identified.
-
-    Parameters
-    ----------
-    arm : IdentifiedArm
-
-    Returns
-    -------
-    float [m/s^2]
-        Zero for a horizontal arm.
-
-    Raises
-    ------
-    InvalidInput
-        A parameter is null or not there, or the two contradict each other.
+    It differs from that of the study by the errors of the estimates, and is zero for a horizontal
+    arm. Raises `InvalidInput` if a parameter is missing or the gravity torques contradict.
     """
-    with _refusing(arm):
+    with _source_in_message(arm):
         return kind_of(arm.study.arm).effective_gravity(arm.study.arm, arm.need)
 
 
 @contextmanager
-def _refusing(arm: IdentifiedArm) -> Iterator[None]:
-    """Refusals that say where the parameters come from."""
+def _source_in_message(arm: IdentifiedArm) -> Iterator[None]:
     try:
         yield
     except InvalidInput as error:
@@ -73,18 +46,21 @@ def _refusing(arm: IdentifiedArm) -> Iterator[None]:
         raise InvalidInput(error.problem, where=where, remedy=error.remedy) from error
 
 
-def known_of_gravity(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
-    """Where bodies under the study's gravity miss the torque of link 2 by more than a little."""
+def gravity_warnings(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
+    """A warning if bodies under the gravity of the study miss the gravity torque of link 2."""
     gravity = arm.study.arm.gravity or 0.0
-    if not gravity or abs(off := effective_gravity(arm) / gravity - 1.0) < _WORTH_TELLING:
+    if not gravity:
+        return ()
+    error = effective_gravity(arm) / gravity - 1.0
+    if abs(error) < _MAX_GRAVITY_ERROR:
         return ()
     message = (
-        f"gravity_torque_2 is {100.0 * off:+.1f} % off g gamma/link_length, which it is for "
-        "rigid bodies; check gravity, link_length and torque_per_volt"
+        f"gravity_torque_2 differs by {100.0 * error:+.1f} % from g gamma/link_length, the value "
+        "of rigid bodies; check gravity, link_length and torque_per_volt"
     )
     return (Diagnostic("gravity-torque", arm.source, message),)
 
 
 def holds_motor(arm: IdentifiedArm) -> bool:
-    """Whether the link's inertia has the motor's in it: a single link behind a rigid gear."""
+    """Whether the inertia of the link includes the motor: a single link behind a rigid gear."""
     return is_rigid_drive(arm.study.arm)

@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 
+from strainwave.export.omissions import CORRELATIONS, Part, notes_of
 from strainwave.export.source import Export, IdentifiedArm
+
+PREFIX = "strainwave_"
+"""Of every name in the C header; without it `gamma` collides with <math.h>."""
+_JOINT_UNITS = {
+    "gear_ratio": "1",
+    "torque_per_volt": "N m/V",
+    "current_loop_hz": "Hz",
+    "encoder_counts": "1",
+    "accelerometer_distance": "m",
+    "accelerometer_hz": "Hz",
+    "gyro_hz": "Hz",
+}
+_OMISSIONS = {Part.SERVO: "the study file has its gains"}
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One number under a name that any language takes."""
+    """One number under a name that is an identifier in any language."""
 
-    name: str  # as in docs/notation.md, the joint's number behind it
+    name: str  # as in docs/notation.md, followed by the number of the joint
     value: float | None
     std: float | None  # None: known, or not identified
     unit: str
@@ -20,69 +35,48 @@ class Entry:
 
 
 def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
-    """What the study knows and the identification found, in that order.
-
-    Parameters
-    ----------
-    arm : IdentifiedArm
-
-    Returns
-    -------
-    tuple of Entry
-    """
-    found = [
+    """Numbers of the study, then the identified parameters."""
+    known = [
         Entry("link_length", arm.study.arm.link_length, None, "m", known=True),
         Entry("gravity", arm.study.arm.gravity, None, "m/s^2", known=True),
     ]
     for number, joint in enumerate(arm.study.arm.joints, start=1):
-        torque = "N/V" if joint.motion == "prismatic" else "N m/V"
-        found += [
-            Entry(f"gear_ratio_{number}", joint.gear_ratio, None, "1", known=True),
-            Entry(f"torque_per_volt_{number}", joint.torque_per_volt, None, torque, known=True),
+        units = _JOINT_UNITS | ({"torque_per_volt": "N/V"} if joint.motion == "prismatic" else {})
+        known += [
+            Entry(f"{key}_{number}", getattr(joint, key), None, unit, known=True)
+            for key, unit in units.items()
         ]
-    found = [entry for entry in found if entry.value is not None]
+    entries = {entry.name: entry for entry in known if entry.value is not None}
     for p in arm.parameters:
         name = p.name if p.joint is None else f"{p.name}_{p.joint}"
-        found.append(Entry(name, p.value, p.std, p.unit))
-    return tuple(found)
+        name = re.sub(r"[\W_]+", "_", name)  # a parameter of one record has the record in brackets
+        entries[name] = Entry(name, p.value, p.std, p.unit)
+    return tuple(entries.values())
 
 
 def to_json(arm: IdentifiedArm) -> Export:
-    """Three flat tables by name: `values`, `stds` and `units`; null is what was not identified.
-
-    Parameters
-    ----------
-    arm : IdentifiedArm
-
-    Returns
-    -------
-    Export
-    """
+    """JSON tables `values`, `stds` and `units` by name; a parameter without value is null."""
     listed = entries(arm)
+    notes = (*notes_of(arm, _OMISSIONS), CORRELATIONS)
     document = {
         "schema": "strainwave/parameters/1",
         "values": {entry.name: entry.value for entry in listed},
         "stds": {entry.name: entry.std for entry in listed if not entry.known},
         "units": {entry.name: entry.unit for entry in listed},
+        "notes": notes,
     }
     text = json.dumps(document, indent=2, allow_nan=False)
-    return Export((text + "\n").encode(), arm.warnings)
+    return Export((text + "\n").encode(), arm.warnings, notes)
 
 
 def to_c_header(arm: IdentifiedArm) -> Export:
-    """A header of `static const double`, units in comments; a null leaves a comment only.
-
-    Parameters
-    ----------
-    arm : IdentifiedArm
-
-    Returns
-    -------
-    Export
-    """
+    """C header of `static const double`; a comment replaces a parameter without value."""
+    notes = (*notes_of(arm, _OMISSIONS), CORRELATIONS)
     lines = [
         "/* Parameters of an arm, identified by strainwave. SI units, angles in rad.",
-        " * A number at the end of a name is the joint's, from the base. */",
+        " * A number at the end of a name is the number of the joint, from the base.",
+        *(f" * {_comment(f'L{note[1:]}')}." for note in notes),
+        " */",
         "#ifndef STRAINWAVE_ARM_H",
         "#define STRAINWAVE_ARM_H",
         "",
@@ -90,13 +84,18 @@ def to_c_header(arm: IdentifiedArm) -> Export:
         "",
         "#endif",
     ]
-    return Export(("\n".join(lines) + "\n").encode(), arm.warnings)
+    return Export(("\n".join(lines) + "\n").encode(), arm.warnings, notes)
 
 
 def _line(entry: Entry) -> str:
-    # a unit from a file must not end the comment
-    unit = entry.unit.replace("*/", "* /")
+    name, unit = PREFIX + entry.name, _comment(entry.unit)
     if entry.value is None:
-        return f"/* {entry.name} [{unit}] was not identified */"
-    sure = "known" if entry.known else "std " + (f"{entry.std:.2g}" if entry.std else "not known")
-    return f"static const double {entry.name} = {entry.value!r}; /* [{unit}], {sure} */"
+        return f"/* {name} [{unit}] is not identified */"
+    std = f"{entry.std:.2g}" if entry.std else "unknown"
+    origin = "known" if entry.known else f"std {std}"
+    return f"static const double {name} = {entry.value!r}; /* [{unit}], {origin} */"
+
+
+def _comment(text: str) -> str:
+    """Text that does not end a C comment."""
+    return text.replace("*/", "* /")

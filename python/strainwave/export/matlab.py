@@ -1,4 +1,4 @@
-"""For MATLAB: a .mat file of numbers, and a script that makes `ss` and `idgrey` models of them."""
+"""MATLAB: a .mat file of numbers, and a script that makes `ss` and `idgrey` models."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.dynamics.two_inertia import NAMES
 from strainwave.export.flat import entries
+from strainwave.export.omissions import CORRELATIONS, Part, names_of, notes_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.state_space import (
     INPUTS,
+    OMISSIONS,
     OUTPUTS,
     STATES,
     joint_model,
@@ -20,11 +22,12 @@ from strainwave.export.state_space import (
     state_space,
 )
 
-_UNKNOWN = float("nan")  # MATLAB's missing number
+_UNKNOWN = float("nan")
+_ELSEWHERE = (Part.SERVO, Part.UNCERTAINTY)  # not among the numbers of the file either
 
 _GREY_MODEL = """\
 function [A, B, C, D] = two_inertia(m_M, d_M, m_L, d_L, k, d_G, Ts, n)
-% One joint: motor, gear and link. Ts is 0, the model is one of continuous time.
+% One joint: motor, gear and link. Ts is 0: the model is in continuous time.
 A = [0, n, -1; ...
      -n*k/m_M, -(d_M + n^2*d_G)/m_M, n*d_G/m_M; ...
      k/m_L, n*d_G/m_L, -(d_L + d_G)/m_L];
@@ -36,20 +39,9 @@ end
 
 
 def to_mat(arm: IdentifiedArm) -> Export:
-    """Structs `parameters`, `parameters_std`, `units` by name; `joints` with A, B, C, D; names.
+    """MAT-file with structs `parameters`, `parameters_std`, `units`, and `joints` with A, B, C, D.
 
-    Parameters
-    ----------
-    arm : IdentifiedArm
-
-    Returns
-    -------
-    Export
-
-    Raises
-    ------
-    InvalidInput
-        A gear is rigid, or a parameter of the joints' models is null or impossible.
+    Raises `InvalidInput` if a gear is rigid or a parameter of the models is missing.
     """
     from scipy.io import savemat
 
@@ -64,72 +56,71 @@ def to_mat(arm: IdentifiedArm) -> Export:
         "states": np.array(STATES, dtype=object),
         "inputs": np.array(INPUTS, dtype=object),
         "outputs": np.array(OUTPUTS, dtype=object),
+        "notes": np.array(_notes(arm), dtype=object),
     }
     file = io.BytesIO()
     savemat(file, content, long_field_names=True, oned_as="column")
-    return Export(file.getvalue(), linearised(arm))
+    return Export(file.getvalue(), linearised(arm), _notes(arm))
 
 
 def _joints(arm: IdentifiedArm) -> FloatArray:
-    """A struct array, one element a joint."""
+    """A struct array, one element per joint."""
     fields = [(name, object) for name in "ABCD"]
     array = np.zeros(arm.study.arm.n_joints, dtype=fields)
     for i in range(arm.study.arm.n_joints):
-        for name, matrix in zip("ABCD", state_space(arm, i + 1), strict=True):
+        for name, matrix in state_space(arm, i + 1)._asdict().items():
             array[name][i] = matrix
     return array
 
 
+def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
+    """What the matrices neglect, and what the file does not contain at all."""
+    neglected = names_of(arm, [part for part in OMISSIONS if part not in _ELSEWHERE])
+    matrices = f"left out of the matrices: {neglected}: the struct parameters has the values"
+    servo = notes_of(arm, {Part.SERVO: "the study file has its gains"})
+    return (matrices, *servo, CORRELATIONS)
+
+
 def to_script(arm: IdentifiedArm) -> Export:
-    """A script that stands alone: `parameters`, `parameters_std`; per joint `sys{i}`, `grey(i)`.
+    """Script with structs `parameters`, `parameters_std`, and per joint `sys{i}` and `grey(i)`.
 
-    Parameters
-    ----------
-    arm : IdentifiedArm
-
-    Returns
-    -------
-    Export
-
-    Raises
-    ------
-    InvalidInput
-        A gear is rigid, or a parameter of the joints' models is null or impossible.
+    Raises `InvalidInput` if a gear is rigid or a parameter of the models is missing.
     """
     lines = [
         "% An arm with elastic joints, identified by strainwave. SI units, angles in rad.",
-        "% sys{i} is joint i on its own; refine it on your own data with",
+        *(f"% L{note[1:]}." for note in _notes(arm)),
+        "% sys{i} is the model of joint i alone; refine it on your own data with",
         "%   greyest(data, idgrey(grey(i).function, grey(i).parameters, 'c', grey(i).args))",
-        "if exist('OCTAVE_VERSION', 'builtin'), pkg load control, end % Octave's ss",
+        "if exist('OCTAVE_VERSION', 'builtin'), pkg load control, end % ss in GNU Octave",
         "",
     ]
     for entry in entries(arm):
-        unit = " ".join(entry.unit.split())  # one line, or it would end the comment
+        unit = " ".join(entry.unit.split())  # a line end would end the comment
         lines.append(f"parameters.{entry.name} = {_number(entry.value)}; % [{unit}]")
         if not entry.known:
             lines.append(f"parameters_std.{entry.name} = {_number(entry.std)};")
     for number in range(1, arm.study.arm.n_joints + 1):
         lines += ["", *_joint_lines(arm, number)]
     text = "\n".join(lines) + "\n\n" + _GREY_MODEL
-    return Export(text.encode(), linearised(arm))
+    return Export(text.encode(), linearised(arm), _notes(arm))
 
 
 def _joint_lines(arm: IdentifiedArm, number: int) -> list[str]:
-    """`ss` of one joint, and what `idgrey` takes for it."""
+    """`ss` model of one joint, and the arguments of `idgrey`."""
     model = joint_model(arm, number)
-    at = f"({number})"
+    index = f"({number})"
     listed = "; ".join(f"'{name}', {getattr(model, name)!r}" for name in NAMES)
-    matrices = zip("ABCD", state_space(arm, number), strict=True)
+    matrices = state_space(arm, number)._asdict().items()
     return [
         f"% joint {number}",
-        *(f"joints{at}.{name} = {_matrix(matrix)};" for name, matrix in matrices),
-        f"sys{{{number}}} = ss(joints{at}.A, joints{at}.B, joints{at}.C, joints{at}.D, ...",
+        *(f"joints{index}.{name} = {_matrix(matrix)};" for name, matrix in matrices),
+        f"sys{{{number}}} = ss({', '.join(f'joints{index}.{name}' for name in 'ABCD')}, ...",
         f"    'StateName', {_names(STATES)}, ...",
         f"    'InputName', {_names(INPUTS)}, ...",
         f"    'OutputName', {_names(OUTPUTS)});",
-        f"grey{at}.function = @two_inertia;",
-        f"grey{at}.parameters = {{{listed}}};",
-        f"grey{at}.args = {{{model.gear_ratio!r}}};",
+        f"grey{index}.function = @two_inertia;",
+        f"grey{index}.parameters = {{{listed}}};",
+        f"grey{index}.args = {{{model.gear_ratio!r}}};",
     ]
 
 

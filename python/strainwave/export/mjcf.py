@@ -1,10 +1,9 @@
 """An arm for MuJoCo: motors and links as bodies of their own, gears as tendons between them.
 
 A fixed tendon over motor and link joint with coefficients n and -1 has the length
-delta = n theta_M - theta_L; its stiffness and damping pull at both sides as in (1) and (2). A
-tendon with a slack range pulls beyond it only: several side by side are a law whose slope changes
-at knees. Motors turn against the world, since (1) leaves out what their links' turning does to
-them.
+delta = n theta_M - theta_L; its stiffness and damping act on both sides as in (1) and (2). A tendon
+with a slack range acts beyond the range only, so parallel tendons give a law whose slope changes at
+knees. Motors rotate relative to the world: (1) neglects the motion of the link that carries them.
 """
 
 from __future__ import annotations
@@ -18,44 +17,43 @@ from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.bodies import Body
 from strainwave.export.bodies import (
     effective_gravity,
+    gravity_warnings,
     holds_motor,
-    known_of_gravity,
     link_bodies,
 )
-from strainwave.export.markup import numbers, remark, root, to_bytes
+from strainwave.export.markup import comment, numbers, root, to_bytes
+from strainwave.export.omissions import Part, notes_of
 from strainwave.export.source import Export, IdentifiedArm
 
-_STEP = 1e-4  # [s] the motors' friction, a constraint, takes two steps to bring them to rest
-_THIN = 0.02  # [m] radius of the drawn links
+_STEP_S = 1e-4  # [s] time step; Coulomb friction, a constraint, takes two steps to stop a motor
+_LINK_RADIUS = 0.02  # [m] of the drawn links
+_OMISSIONS = {
+    Part.EFFECTS: "MuJoCo has no element for them",
+    Part.SENSORS: "sensors in the file have no lag, noise, rounding, scale error or delay, and an "
+    "IMU is left out",
+    Part.SERVO: "MuJoCo controls are the voltages",
+    Part.UNCERTAINTY: "see result.json",
+}
 
 
 def to_mjcf(arm: IdentifiedArm) -> Export:
-    """MuJoCo's XML of the arm (1), (2): voltages in, or torques where no voltage was logged.
+    """MuJoCo model of the arm (1), (2).
 
-    Parameters
-    ----------
-    arm : IdentifiedArm
-
-    Returns
-    -------
-    Export
-
-    Raises
-    ------
-    InvalidInput
-        A parameter the model needs is null or impossible.
+    Controls are voltages, or motor torques if the study has no `torque_per_volt`. Raises
+    `InvalidInput` if a parameter that the model needs is missing or not physical.
     """
+    notes = notes_of(arm, _OMISSIONS)
     gravity = effective_gravity(arm)
     bodies = link_bodies(arm, gravity)
-    mujoco = root("mujoco", "model")
+    mujoco = root("mujoco", "model", notes)
     ET.SubElement(mujoco, "compiler", angle="radian")
     note = kind_of(arm.study.arm).gravity_note
     if gravity and note:
-        remark(mujoco, f"Gravity is {note}, so that all torques are right")
-    option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP), integrator="RK4")
+        comment(mujoco, f"Gravity is {note}, which gives the measured gravity torques.")
+    option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP_S), integrator="RK4")
     option.set("gravity", numbers(0, -gravity, 0))
     world = ET.SubElement(mujoco, "worldbody")
-    remark(world, "Of many masses with the same motion one set; see docs/export.md.")
+    comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
     parent = world
     for number, body in enumerate(bodies, start=1):
         parent = _link(parent, arm, number, body)
@@ -70,21 +68,18 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     for number in range(1, arm.study.arm.n_joints + 1):
         _actuator(actuators, arm, number)
     sensors = ET.SubElement(mujoco, "sensor")
-    remark(
-        sensors,
-        "Named as the channels; of a and gyro the second and third component. No lag or noise.",
-    )
+    comment(sensors, "Named as channels: a is the second component, gyro the third.")
     for number in range(1, arm.study.arm.n_joints + 1):
         _sensors(sensors, arm, number)
-    warnings = arm.warnings + arm.assumed() + _left_out(arm) + known_of_gravity(arm)
-    return Export(to_bytes(mujoco), warnings)
+    warnings = arm.warnings + arm.assumed() + _approximations(arm) + gravity_warnings(arm)
+    return Export(to_bytes(mujoco), warnings, notes)
 
 
 def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET.Element:
-    """One link, its joint and what the joint carries of the motor behind a rigid gear."""
+    """One link and its joint, which includes the motor if the gear is rigid."""
     length = arm.study.arm.link_length or 0.0
-    at = numbers(length if number == 2 else 0.0, 0.0, 0.0)
-    element = ET.SubElement(parent, "body", name=f"link{number}", pos=at)
+    position = numbers(length if number == 2 else 0.0, 0.0, 0.0)
+    element = ET.SubElement(parent, "body", name=f"link{number}", pos=position)
     _inertial(element, body.mass, body.centre, body.inertia)
     attributes = {"name": f"joint{number}", **_kind(arm, number)}
     viscous = arm.need("link_viscous_friction", number)
@@ -98,17 +93,17 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
             attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
     ET.SubElement(element, "joint", attributes, damping=numbers(viscous))
     if _has_accelerometer(arm, number):
-        away = numbers(joint.accelerometer_distance or 0.0, 0.0, 0.0)
-        ET.SubElement(element, "site", name=f"accelerometer{number}", pos=away)
+        distance = numbers(joint.accelerometer_distance or 0.0, 0.0, 0.0)
+        ET.SubElement(element, "site", name=f"accelerometer{number}", pos=distance)
     if joint.gyro_hz:
         ET.SubElement(element, "site", name=f"gyroscope{number}")
-    drawn = length if number == 1 and length else 2.0 * body.centre or 10.0 * _THIN
+    drawn = length if number == 1 and length else 2.0 * body.centre or 10.0 * _LINK_RADIUS
     ET.SubElement(
         element,
         "geom",
         type="capsule",
         fromto=numbers(0, 0, 0, drawn, 0, 0),
-        size=numbers(_THIN),
+        size=numbers(_LINK_RADIUS),
         contype="0",
         conaffinity="0",
     )
@@ -116,10 +111,10 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
 
 
 def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
-    """A motor and its friction; its axis goes through its centre of mass."""
+    """A motor with its friction; its axis passes through its centre of mass."""
     inertia = arm.need("motor_inertia", number)
     element = ET.SubElement(world, "body", name=f"motor{number}")
-    _inertial(element, inertia, 0.0, inertia)  # a slide moves the mass, a hinge turns the inertia
+    _inertial(element, inertia, 0.0, inertia)  # a slide uses the mass, a hinge the inertia
     ET.SubElement(
         element,
         "joint",
@@ -130,7 +125,7 @@ def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
 
 
 def _inertial(element: ET.Element, mass: float, centre: float, inertia: float) -> None:
-    """Mass and inertia; a planar arm shows only the inertia about z."""
+    """Mass and inertia; the motion of a planar arm depends on the inertia about z only."""
     ET.SubElement(
         element,
         "inertial",
@@ -147,14 +142,14 @@ def _kind(arm: IdentifiedArm, number: int) -> dict[str, str]:
 
 
 def _settling(arm: IdentifiedArm, number: int) -> dict[str, str]:
-    """Friction stiff enough to stand: MuJoCo's time constant is twice our settling time (S9)."""
+    """Friction constraint; its time constant is twice the settling time (S9)."""
     settling = arm.values.get(("friction_settling_time", number), 0.0)
-    constant = max(2.0 * settling, 2.0 * _STEP)
+    constant = max(2.0 * settling, 2.0 * _STEP_S)
     return {"solreffriction": numbers(constant, 1.0), "solimpfriction": "0.9999 0.9999 0.001"}
 
 
 def _gear(tendons: ET.Element, arm: IdentifiedArm, number: int) -> None:
-    """The spring as tendons side by side, (1): one a slope; the first has the damping."""
+    """The spring as parallel tendons, one per slope (1); the first has the damping."""
     for part, (stiffness, slack) in enumerate(_springs(arm, number), start=1):
         name = f"gear{number}" if part == 1 else f"gear{number}_beyond_t{part - 1}"
         fixed = ET.SubElement(tendons, "fixed", name=name, stiffness=numbers(stiffness))
@@ -167,14 +162,14 @@ def _gear(tendons: ET.Element, arm: IdentifiedArm, number: int) -> None:
 
 
 def _springs(arm: IdentifiedArm, number: int) -> tuple[tuple[float, float], ...]:
-    """(stiffness [N m/rad], torsion [rad] from which it acts), to be added up."""
+    """Parallel springs: stiffness [N m/rad] and torsion [rad] beyond which it acts."""
     law = arm.joint(number).law
     exact = law.parallel_springs(partial(arm.need, joint=number))
     return ((arm.need(law.linearised_by, number), 0.0),) if exact is None else exact
 
 
 def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int) -> None:
-    """Voltage to torque, (1): e u less the friction's constant part, through the current loop."""
+    """Voltage to torque (1): e u minus the friction offset, behind the current loop."""
     joint = arm.joint(number)
     rigid = not joint.elastic
     element = ET.SubElement(
@@ -194,22 +189,22 @@ def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int) -> None:
 
 
 def _lag(joint: Joint) -> float | None:
-    """Time constant [s] of a drive; None: it has none, or one too short for MuJoCo's step.
+    """Time constant [s] of a drive; None: it has none, or one too short for the time step.
 
-    MuJoCo holds the lagging torque over its step, half a step's lag of its own; and with a time
-    constant below 0.36 steps its Runge-Kutta diverges.
+    MuJoCo holds the filtered torque over a step, which adds a lag of half a step. Its Runge-Kutta
+    integrator diverges for time constants below 0.36 steps.
     """
     if not joint.current_loop_hz:
         return None
-    lag = 1.0 / (2.0 * math.pi * joint.current_loop_hz) - 0.5 * _STEP
-    return lag if lag > 0.5 * _STEP else None
+    lag = 1.0 / (2.0 * math.pi * joint.current_loop_hz) - 0.5 * _STEP_S
+    return lag if lag > 0.5 * _STEP_S else None
 
 
 def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int) -> None:
-    """A joint's channels: what its drive shows, and what is mounted on its link.
+    """Channels of a joint: drive and link sensors.
 
-    An accelerometer reads what ours does, (8), (9): under gravity specific force. The drive's
-    torque is the actuator's, less the friction's constant part.
+    The accelerometer measures specific force (8), (9). The torque is that of the actuator, which
+    includes the friction offset.
     """
     link = f"joint{number}"
     if arm.joint(number).elastic:
@@ -230,19 +225,16 @@ def _has_accelerometer(arm: IdentifiedArm, number: int) -> bool:
     return joint.accelerometer_distance is not None and joint.motion == "revolute"
 
 
-def _left_out(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
-    """What MuJoCo has no element for."""
-    found = []
+def _approximations(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
+    """Warnings on gears and drives that the file approximates."""
+    warnings = []
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.elastic and joint.law.parallel_springs(partial(arm.need, joint=number)) is None:
-            found.append(Diagnostic("linearised", f"joint {number}", joint.law.linearised_note))
-        if joint.named_effects:
-            message = f"MuJoCo has no {', '.join(joint.named_effects)}; the model goes without"
-            found.append(Diagnostic("left-out", f"joint {number}", message))
+            warnings.append(Diagnostic("linearised", f"joint {number}", joint.law.linearised_note))
         if joint.current_loop_hz and _lag(joint) is None:
             message = (
-                f"the current loop's {joint.current_loop_hz:g} Hz are too fast for a time step of "
-                f"{_STEP:g} s; the model's torques follow at once"
+                f"the lag of the current loop ({joint.current_loop_hz:g} Hz) is shorter than the "
+                f"time step of {_STEP_S:g} s; the model has none"
             )
-            found.append(Diagnostic("left-out", f"joint {number}", message))
-    return tuple(found)
+            warnings.append(Diagnostic("left-out", f"joint {number}", message))
+    return tuple(warnings)

@@ -1,12 +1,10 @@
-"""result.json and its study -> the arm to export, every fault named by file, place and remedy."""
+"""A result and its study as the arm to export."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,81 +13,64 @@ from strainwave.domain import Diagnostic, Joint, Parameter, Study, is_physical, 
 from strainwave.domain.parameters import Values, completed
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_bytes
-from strainwave.io.results import NOT_A_RESULT, read_document
+from strainwave.io.results import (
+    NOT_A_RESULT,
+    parameters_of,
+    read_document,
+    result_path,
+    study_of,
+)
 from strainwave.io.study import read_study
 
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """A file's contents, and what its reader must know."""
+    """Contents of a file, and messages for its reader."""
 
     data: bytes
-    warnings: tuple[Diagnostic, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()  # assumptions behind the numbers
+    notes: tuple[str, ...] = ()  # what the format cannot hold
 
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedArm:
-    """What is exported: a study and the parameters found for it."""
+    """A study and the parameters identified for it."""
 
     study: Study
-    parameters: tuple[Parameter, ...]  # the best of each; None is what was not identified
-    source: str  # where they come from, for messages
-    warnings: tuple[Diagnostic, ...] = ()  # what the reader of any export must know
-    rejected: tuple[str, ...] = ()  # "gear_damping 2": values that the verdict rejects, here null
+    parameters: tuple[Parameter, ...]  # of the final table; value None: not identified
+    source: str  # file of the parameters, for messages
+    warnings: tuple[Diagnostic, ...] = ()  # of every export
+    rejected: tuple[str, ...] = ()  # "gear_damping 2": rejected by the verdict, here without value
 
     @property
     def values(self) -> Values:
-        """(name, joint) -> value, with what follows from what was identified.
+        """(name, joint) -> value, including values that follow from the identified ones.
 
-        Of viscous friction, whose sum is known better than its parts, the motor has all where the
-        link's is not known.
+        If the viscous friction of the link is not identified, the motor has the total.
         """
         identified = self._identified()
-        for number in self._lumped():
+        for number in self._joints_with_total_friction():
             identified.pop(("motor_viscous_friction", number), None)
         return completed(identified, self.study.arm)
 
     def need(self, name: str, joint: int | None = None) -> float:
-        """The value of a parameter that cannot be done without.
-
-        Parameters
-        ----------
-        name : str
-            As in docs/notation.md.
-        joint : int, optional
-            From 1; None for the arm's own.
-
-        Returns
-        -------
-        float [SI]
-
-        Raises
-        ------
-        InvalidInput
-            It is null or not there, or has a sign that no arm has.
-        """
+        """The value of a parameter [SI]; `InvalidInput` if it is missing, null or not physical."""
         value = self.values.get((name, joint))
         if value is None:
-            own = [p for p in self.parameters if (p.name, p.joint) == (name, joint)]
-            if own and own[0].label in self.rejected:
-                raise self._refuse(name, joint, "rejected by the result's verdict")
-            raise self._refuse(name, joint, "null" if own else "not there")
-        merged = joint is not None and not self.joint(joint).elastic
-        if value == 0.0 and merged and name in ("motor_inertia", "link_inertia"):
-            return value  # it may be counted with the other side's
+            listed = [p for p in self.parameters if (p.name, p.joint) == (name, joint)]
+            if listed and listed[0].label in self.rejected:
+                raise self._refuse(name, joint, "rejected by the verdict of the result")
+            raise self._refuse(name, joint, "null" if listed else "missing")
+        is_rigid = joint is not None and not self.joint(joint).elastic
+        if value == 0.0 and is_rigid and name in ("motor_inertia", "link_inertia"):
+            return value  # the other side of a rigid gear may have all inertia
         if not is_physical(name, value):
-            least = physical_range(name).replace("non-negative", "zero or positive")
-            raise self._refuse(name, joint, f"{value:g} and not {least}")
+            limit = physical_range(name).replace("non-negative", "zero or positive")
+            raise self._refuse(name, joint, f"{value:g} and not {limit}")
         return value
 
     def joint(self, number: int) -> Joint:
-        """A joint's configuration, by its number from 1.
-
-        Raises
-        ------
-        InvalidInput
-            There is no such joint.
-        """
+        """The configuration of a joint, numbered from 1; `InvalidInput` if there is none."""
         if not 1 <= number <= self.study.arm.n_joints:
             raise InvalidInput(
                 f"there is no joint {number}: the arm has {self.study.arm.n_joints}",
@@ -99,30 +80,31 @@ class IdentifiedArm:
         return self.study.arm.joints[number - 1]
 
     def assumed(self) -> tuple[Diagnostic, ...]:
-        """Where a known sum stands for its parts, which models with forces of both need."""
+        """Assumptions where only the sum of two parameters is identified."""
         message = (
-            "link_viscous_friction is not known: the model has all viscous friction, "
-            "total_viscous_friction, at the motor"
+            "link_viscous_friction is not identified; the model has total_viscous_friction at the "
+            "motor"
         )
-        found = [
+        assumptions = [
             Diagnostic("assumed", f"joint {number}", message)
-            for number in self._lumped()
-            if self.joint(number).elastic  # motor and link of which are one
+            for number in self._joints_with_total_friction()
+            if self.joint(number).elastic
         ]
-        leads = {("alpha", None), ("link_inertia", 1), ("motor_inertia", 1)}
+        parts = {("alpha", None), ("link_inertia", 1), ("motor_inertia", 1)}
         identified = self._identified()
-        if ("rigid_inertia", 1) in identified and not identified.keys() & leads:
+        if ("rigid_inertia", 1) in identified and not identified.keys() & parts:
             message = (
-                "of alpha and motor_inertia only rigid_inertia is known; their split is made up"
+                "only the sum of alpha and motor_inertia, rigid_inertia, is identified; the split "
+                "is arbitrary"
             )
-            found.append(Diagnostic("assumed", "joint 1", message))
-        return tuple(found)
+            assumptions.append(Diagnostic("assumed", "joint 1", message))
+        return tuple(assumptions)
 
     def _identified(self) -> Values:
         return {(p.name, p.joint): p.value for p in self.parameters if p.value is not None}
 
-    def _lumped(self) -> list[int]:
-        """Joints of whose viscous friction only the sum is known, or the sum and the motor's."""
+    def _joints_with_total_friction(self) -> list[int]:
+        """Joints whose total viscous friction is identified without the part of the link."""
         identified = self._identified()
         return [
             number
@@ -132,63 +114,75 @@ class IdentifiedArm:
         ]
 
     def _refuse(self, name: str, joint: int | None, problem: str) -> InvalidInput:
-        of = f" of joint {joint}" if joint else ""
+        of_joint = f" of joint {joint}" if joint else ""
         return InvalidInput(
-            f"{name}{of} is {problem}, and this format needs it",
+            f"{name}{of_joint} is {problem}, and this format needs it",
             where=f"{self.source}: parameters",
-            remedy="see the result's warnings for what to record, or export to json or c",
+            remedy="see the warnings of the result for what to record, or export to json or c",
         )
 
 
-def read_result(path: Path | str, study_path: Path | str | None = None) -> IdentifiedArm:
-    """Read a result.json and the study it belongs to.
+def read_arm(path: Path | str, study_path: Path | str | None = None) -> IdentifiedArm:
+    """Read the arm of a result.json or of a directory that contains one.
 
-    Parameters
-    ----------
-    path : Path
-    study_path : Path, optional
-        Where the study file is now; None: beside the result or where the result says, relative to
-        its folder or one above. Logs need not be there.
-
-    Returns
-    -------
-    IdentifiedArm
-
-    Raises
-    ------
-    InvalidInput
-        A file is missing, is not what it should be, or the two do not belong together.
+    Gear ratios, lengths and torques per volt come from the result. Results of earlier versions do
+    not contain them: then, and where `study_path` is given, they come from the study file. It is
+    looked for beside the result and at the path in the result, relative to the folder of the
+    result or one above. Logs need not exist.
     """
-    path = Path(path)
-    document = _document(path)
-    parameters = _parameters(document["parameters"], path)
-    named, sha256 = _named_study(document, path)
-    study_file = _find_study(path, named, sha256, study_path)
-    study = read_study(study_file, logs_exist=False)
-    _check_joints(parameters, study, path)
-    warnings: tuple[Diagnostic, ...] = ()
-    if study.sha256 != sha256:
-        message = (
-            f"{study_file} is not the study file as it was identified; "
-            "its ratios, lengths and torques per volt are taken as they are now"
+    path = result_path(Path(path))
+    return arm_of(read_document(path), path, study_path)
+
+
+def arm_of(
+    document: Mapping[str, Any], path: Path, study_path: Path | str | None = None
+) -> IdentifiedArm:
+    """The arm of a result document; `path` names it in messages. See `read_arm`."""
+    if not isinstance(document.get("parameters"), list) or not document["parameters"]:
+        raise InvalidInput(
+            "holds no parameters",
+            where=f"{path}: parameters",
+            remedy="identify again; the reason in the result says what is missing",
         )
-        warnings = (Diagnostic("study-changed", str(study_file), message),)
+    parameters = parameters_of(document, str(path))
+    _check_names(parameters, path)
+    study = None if study_path else study_of(document, path)
+    warnings: tuple[Diagnostic, ...] = ()
+    if study is None:
+        study, warnings = _study_from_file(document, path, study_path)
+    _check_joints(parameters, study, path)
     kept, rejected = _without_rejected(parameters, document, path)
     return IdentifiedArm(study, kept, str(path), warnings, rejected)
 
 
+def _study_from_file(
+    document: Mapping[str, Any], path: Path, study_path: Path | str | None
+) -> tuple[Study, tuple[Diagnostic, ...]]:
+    """The study file of a result, and a warning if the file has changed since."""
+    named, sha256 = _named_study(document, path)
+    study_file = _find_study(path, named, sha256, study_path)
+    study = read_study(study_file, logs_exist=False)
+    if study.sha256 == sha256:
+        return study, ()
+    message = (
+        f"{study_file} has changed since it was identified; gear ratios, lengths and torques per "
+        "volt are the present ones"
+    )
+    return study, (Diagnostic("study-changed", str(study_file), message),)
+
+
 def _without_rejected(
-    parameters: Sequence[Parameter], document: dict[str, Any], path: Path
+    parameters: Sequence[Parameter], document: Mapping[str, Any], path: Path
 ) -> tuple[tuple[Parameter, ...], tuple[str, ...]]:
-    """Null in place of what the verdict rejects, and of what no arm can have."""
+    """Parameters with rejected and impossible values set to None, and the labels of these."""
     verdict = document.get("verdict", {})
-    listed = verdict.get("rejected", []) if isinstance(verdict, dict) else None
-    if not isinstance(listed, list) or not all(isinstance(label, str) for label in listed):
+    labels = verdict.get("rejected", []) if isinstance(verdict, dict) else None
+    if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
         raise InvalidInput(
-            "is no list of names", where=f"{path}: verdict.rejected", remedy=NOT_A_RESULT
+            "is not a list of names", where=f"{path}: verdict.rejected", remedy=NOT_A_RESULT
         )
     impossible = [p.label for p in parameters if p.value and not is_physical(p.name, p.value)]
-    rejected = tuple(dict.fromkeys([*listed, *impossible]))
+    rejected = tuple(dict.fromkeys([*labels, *impossible]))
     kept = tuple(
         replace(p, value=None, std=None, ci95=None) if p.label in rejected else p
         for p in parameters
@@ -196,56 +190,23 @@ def _without_rejected(
     return kept, rejected
 
 
-def _document(path: Path) -> dict[str, Any]:
-    document = read_document(path)
-    if not isinstance(document.get("parameters"), list) or not document["parameters"]:
-        raise InvalidInput(
-            "holds no parameters",
-            where=f"{path}: parameters",
-            remedy="identify again; the result's reason says what was missing",
-        )
-    return document
-
-
-def _parameters(entries: list[Any], path: Path) -> tuple[Parameter, ...]:
-    from pydantic import TypeAdapter, ValidationError
-
-    adapter = TypeAdapter(Parameter)
-    found: dict[tuple[str, int | None], Parameter] = {}
-    for number, entry in enumerate(entries, start=1):
+def _check_names(parameters: Sequence[Parameter], path: Path) -> None:
+    """Names are unique, and identifiers in other languages; a record may follow in brackets."""
+    labels: set[str] = set()
+    for number, parameter in enumerate(parameters, start=1):
         place = f"{path}: parameters, entry {number}"
-        try:
-            parameter = adapter.validate_json(json.dumps(entry), strict=True)
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(str(part) for part in first["loc"]) or "the entry"
-            said = first["msg"].replace("Input should be ", "it should be ")
+        if not re.fullmatch(r"[a-z][a-z0-9_]*(\[.*\])?", parameter.name):
             raise InvalidInput(
-                f"'{key}' is at fault: {said[0].lower() + said[1:]}",
-                where=place,
-                remedy=NOT_A_RESULT,
-            ) from error
-        _check_entry(parameter, place)
-        if (parameter.name, parameter.joint) in found:
-            raise InvalidInput(f"{parameter.name} is there twice", where=place, remedy=NOT_A_RESULT)
-        found[parameter.name, parameter.joint] = parameter
-    return tuple(found.values())
-
-
-def _check_entry(parameter: Parameter, place: str) -> None:
-    """Numbers are finite, and a name can be one in other languages."""
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", parameter.name):
-        raise InvalidInput(
-            f"{parameter.name!r} is no parameter's name", where=place, remedy=NOT_A_RESULT
-        )
-    for number in (parameter.value, parameter.std):
-        if number is not None and not math.isfinite(number):
-            raise InvalidInput(
-                f"{number!r} is no finite number", where=place, remedy="write a number or null"
+                f"{parameter.name!r} is not a parameter name", where=place, remedy=NOT_A_RESULT
             )
+        if parameter.label in labels:
+            raise InvalidInput(
+                f"{parameter.label} is listed twice", where=place, remedy=NOT_A_RESULT
+            )
+        labels.add(parameter.label)
 
 
-def _named_study(document: dict[str, Any], path: Path) -> tuple[str, str]:
+def _named_study(document: Mapping[str, Any], path: Path) -> tuple[str, str]:
     entry = document.get("study")
     texts = [entry.get(key) for key in ("path", "sha256")] if isinstance(entry, dict) else []
     if not texts or not all(isinstance(text, str) for text in texts):
@@ -257,11 +218,7 @@ def _named_study(document: dict[str, Any], path: Path) -> tuple[str, str]:
 
 
 def _find_study(path: Path, named: str, sha256: str, given: Path | str | None) -> Path:
-    """The study file as it was identified, from the result's folder upwards.
-
-    The path in a result is as it was given to `identify`, relative to the folder in which that ran:
-    one above the result, as a rule, whatever the folder in which this runs.
-    """
+    """The study file, preferably the one with the hash in the result."""
     if given is not None:
         return Path(given)
     folders = [path.resolve().parent, *path.resolve().parent.parents]
@@ -270,12 +227,12 @@ def _find_study(path: Path, named: str, sha256: str, given: Path | str | None) -
         *(folder / named for folder in folders),
         Path(named),
     ]
-    there = [candidate for candidate in candidates if _is_file(candidate)]
-    same = [c for c in there if hashlib.sha256(read_bytes(c, "the study")).hexdigest() == sha256]
-    if there:
-        return (same or there)[0]
+    existing = [candidate for candidate in candidates if _is_file(candidate)]
+    same = [c for c in existing if hashlib.sha256(read_bytes(c, "study")).hexdigest() == sha256]
+    if existing:
+        return (same or existing)[0]
     raise InvalidInput(
-        f"the study file {named!r} is not there any more",
+        f"the study file {named!r} does not exist any more",
         where=f"{path}: study",
         remedy="name it with --study STUDY.toml",
     )
@@ -284,7 +241,7 @@ def _find_study(path: Path, named: str, sha256: str, given: Path | str | None) -
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # a name no file can have
+    except (OSError, ValueError):  # not a valid file name
         return False
 
 

@@ -1,9 +1,9 @@
-"""Each joint on its own as a linear state-space model: two inertias and a spring between them."""
+"""Each joint alone as a linear state-space model of two inertias and a spring."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,69 +12,58 @@ from strainwave.domain.kinds import kind_of
 from strainwave.dynamics import two_inertia
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import InvalidInput
+from strainwave.export.omissions import Part, notes_of
 from strainwave.export.source import Export, IdentifiedArm
+from strainwave.io.joint_covariance import JointCovariance
 
 STATES = ("torsion", "motor_velocity", "link_velocity")
 INPUTS = ("motor_torque", "interaction_torque")
 OUTPUTS = ("motor_velocity", "link_acceleration")
 _SCHEMA = "strainwave/state-space/1"
+OMISSIONS = {
+    Part.COUPLING: "each joint is modelled alone, with its inertia at q2 = 0; the torque of the "
+    "other link is the input interaction_torque",
+    Part.GRAVITY: "the model is linear",
+    Part.COULOMB: "the model is linear; subtract Coulomb friction from the input motor_torque",
+    Part.OFFSET: "subtract it from the input motor_torque",
+    Part.SETTLING: "the model is linear",
+    Part.EFFECTS: "the model has none",
+    Part.DRIVE: "the input is the motor torque [N m]",
+    Part.SENSORS: "the outputs are motor velocity and link acceleration without sensors",
+    Part.SERVO: "the model is in open loop",
+    Part.UNCERTAINTY: "see result.json",
+}
 
 
-def state_space(
-    arm: IdentifiedArm, joint: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """dx/dt = A x + B u, y = C x + D u of one decoupled joint, (11), (12) in minimal form.
+class Matrices(NamedTuple):
+    """dx/dt = A x + B u, y = C x + D u with `STATES`, `INPUTS` and `OUTPUTS`."""
 
-    States: torsion delta = n theta_M - theta_L [rad], motor velocity, link velocity [rad/s].
-    Inputs: motor torque less Coulomb friction, interaction torque at the link (13) [N m]. Outputs:
-    motor velocity [rad/s], link acceleration [rad/s^2]. The link has the inertia it has at q2 = 0;
-    a gear has the stiffness of `GearLaw.linearised_by`; gravity is left out.
+    A: FloatArray  # (3, 3)
+    B: FloatArray  # (3, 2)
+    C: FloatArray  # (2, 3)
+    D: FloatArray  # (2, 2)
 
-    Parameters
-    ----------
-    arm : IdentifiedArm
-    joint : int
-        From 1.
 
-    Returns
-    -------
-    A : (3, 3)
-    B : (3, 2)
-    C : (2, 3)
-    D : (2, 2)
+def state_space(arm: IdentifiedArm, joint: int) -> Matrices:
+    """Minimal form of (11), (12) for one decoupled joint, numbered from 1.
 
-    Raises
-    ------
-    InvalidInput
-        There is no such joint, its gear is rigid, or a parameter is null or impossible.
+    States: torsion delta = n theta_M - theta_L [rad], motor and link velocity [rad/s]. Inputs:
+    motor torque minus Coulomb friction, interaction torque at the link (13) [N m]. Outputs: motor
+    velocity [rad/s], link acceleration [rad/s^2]. The link has its inertia at q2 = 0, the gear the
+    stiffness of `GearLaw.linearised_by`; gravity is neglected. Raises `InvalidInput` if there is no
+    such joint, its gear is rigid, or a parameter is missing or not physical.
     """
     A, B, C = two_inertia.state_space(joint_model(arm, joint))
-    # the link's acceleration is the third state's derivative
-    return A, B, np.vstack([C[0], A[2]]), np.vstack([np.zeros(2), B[2]])
+    # the link acceleration is the derivative of the third state
+    return Matrices(A, B, np.vstack([C[0], A[2]]), np.vstack([np.zeros(2), B[2]]))
 
 
 def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
-    """The six parameters of one joint, and its gear ratio.
-
-    Parameters
-    ----------
-    arm : IdentifiedArm
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    TwoInertia
-
-    Raises
-    ------
-    InvalidInput
-        There is no such joint, its gear is rigid, or a parameter is null or impossible.
-    """
+    """The six parameters and the gear ratio of one joint; errors as for `state_space`."""
     drive = arm.joint(joint)
     if not drive.elastic:
         raise InvalidInput(
-            f"joint {joint} has a rigid gear, and no two inertias with a spring between them",
+            f"joint {joint} has a rigid gear, so it is not a model of two inertias and a spring",
             where=str(arm.study.path),
             remedy="export to mjcf, urdf, json or c",
         )
@@ -89,48 +78,76 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
     )
 
 
+def link_inertia_row(arm: IdentifiedArm, joint: int) -> dict[tuple[str, int | None], float]:
+    """m_L as a linear combination of parameters (3): (name, joint) -> weight."""
+    key = ("link_inertia", joint)
+    return {key: 1.0} if key in arm.values else dict(kind_of(arm.study.arm).link_inertia(joint))
+
+
 def _link_inertia(arm: IdentifiedArm, joint: int) -> float:
-    """m_L, or the sum of base parameters that it is, (3)."""
-    own = ("link_inertia", joint)
-    row = {own: 1.0} if own in arm.values else kind_of(arm.study.arm).link_inertia(joint)
+    row = link_inertia_row(arm, joint)
     return sum(weight * arm.need(*key) for key, weight in row.items())
 
 
+def joint_model_covariance(
+    arm: IdentifiedArm, joint: int, covariance: JointCovariance | None
+) -> FloatArray | None:
+    """Covariance of the six parameters of `joint_model`, (6, 6).
+
+    Parameters outside the joint covariance enter with their standard deviations, uncorrelated. None
+    if a parameter has neither.
+    """
+    law = arm.joint(joint).law
+    keys: list[dict[tuple[str, int | None], float]] = [
+        {("motor_inertia", joint): 1.0},
+        {("motor_viscous_friction", joint): 1.0},
+        link_inertia_row(arm, joint),
+        {("link_viscous_friction", joint): 1.0},
+        {(law.linearised_by, joint): 1.0},
+        {("gear_damping", joint): 1.0},
+    ]
+    std = {p.label: p.std for p in arm.parameters}
+    known = () if covariance is None else covariance.names
+    rows: dict[str, FloatArray] = {}
+    for k, row in enumerate(keys):
+        for (name, number), weight in row.items():
+            label = name if number is None else f"{name} {number}"
+            if label not in known and std.get(label) is None:
+                return None
+            rows.setdefault(label, np.zeros(len(keys)))[k] += weight
+    labels = list(rows)
+    matrix = np.diag([(std.get(label) or 0.0) ** 2 for label in labels])
+    if covariance is not None:
+        at = [k for k, label in enumerate(labels) if label in known]
+        of = [known.index(labels[k]) for k in at]
+        matrix[np.ix_(at, at)] = covariance.matrix[np.ix_(of, of)]
+    J = np.column_stack([rows[label] for label in labels])
+    return np.asarray(J @ matrix @ J.T)
+
+
 def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
-    """What a linear model of a joint leaves out, and whoever uses it must know."""
-    found = arm.warnings + arm.assumed()
+    """Warnings of every linear model of a joint: assumptions, and the stiffness of curved gears."""
+    warnings = arm.warnings + arm.assumed()
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.law.is_curved:
             note = joint.law.linearised_note
-            found += (Diagnostic("linearised", f"joint {number}", note),)
-    return found
+            warnings += (Diagnostic("linearised", f"joint {number}", note),)
+    return warnings
 
 
 def to_state_space(arm: IdentifiedArm) -> Export:
-    """All joints' matrices as JSON.
-
-    Parameters
-    ----------
-    arm : IdentifiedArm
-
-    Returns
-    -------
-    Export
-
-    Raises
-    ------
-    InvalidInput
-        A gear is rigid, or a parameter is null or impossible.
-    """
+    """The matrices of all joints as JSON; errors as for `state_space`."""
     joints: list[dict[str, Any]] = []
     for number in range(1, arm.study.arm.n_joints + 1):
-        matrices = zip("ABCD", state_space(arm, number), strict=True)
-        joints.append({"joint": number} | {name: matrix.tolist() for name, matrix in matrices})
+        matrices = state_space(arm, number)._asdict()
+        joints.append({"joint": number} | {name: M.tolist() for name, M in matrices.items()})
+    notes = notes_of(arm, OMISSIONS)
     document = {
         "schema": _SCHEMA,
         "states": STATES,
         "inputs": INPUTS,
         "outputs": OUTPUTS,
         "joints": joints,
+        "notes": notes,
     }
-    return Export((json.dumps(document, indent=2) + "\n").encode(), linearised(arm))
+    return Export((json.dumps(document, indent=2) + "\n").encode(), linearised(arm), notes)

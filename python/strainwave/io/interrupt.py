@@ -1,4 +1,4 @@
-"""Ctrl-C ends the process within a second, whatever runs, with a line on what was written."""
+"""Ctrl-C ends the process within a second and reports the files that were written."""
 
 from __future__ import annotations
 
@@ -12,69 +12,67 @@ from types import FrameType
 
 from strainwave.io import atomic_files
 
-STOPPED = 130
-"""The exit code, as shells give it to what Ctrl-C ended."""
-_GRACE = 0.7  # s, in which threads may come to their end by themselves
-_SHOW_CURSOR = "\r\x1b[2K\x1b[?25h"  # what a progress line had hidden, and the line itself
+EXIT_CODE = 130
+"""Exit code after Ctrl-C: 128 + SIGINT, as shells report it."""
+_GRACE_S = 0.7  # [s] for threads to end by themselves; the whole stop takes less than a second
+_RESTORE_CURSOR = "\r\x1b[2K\x1b[?25h"  # clears the progress line and shows the cursor again
 
-_said = threading.Lock()
+_reported = threading.Lock()
 
 
 class Interrupted(BaseException):
-    """Ctrl-C was pressed. Not a KeyboardInterrupt, which the command line's library swallows."""
+    """Ctrl-C was pressed; not a KeyboardInterrupt, which Typer catches."""
 
 
 def listen() -> None:
-    """From now on, Ctrl-C ends this process; called once, in the main thread.
+    """Let Ctrl-C end this process; call once, in the main thread.
 
-    The main thread gets `Interrupted` as soon as it runs Python again, and threads beside it end
-    at their next `stop_if_asked`. Who does not, in compiled code for instance, is cut off after
-    the grace, by a thread that the signal itself wakes; or at once by a second Ctrl-C. Files that
-    are just being written are finished first.
+    The main thread raises `Interrupted` when it next runs Python code. A watching thread, which
+    the signal wakes through a socket, ends the process after `_GRACE_S` if compiled code still
+    runs, and at once after a second Ctrl-C. Files that are being written are finished first.
     """
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as begun in the background
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background
         return
-    ears, mouth = socket.socketpair()
-    mouth.setblocking(False)
-    signal.set_wakeup_fd(mouth.fileno(), warn_on_full_buffer=False)
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
+    signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
     signal.signal(signal.SIGINT, _interrupt)
-    threading.Thread(target=_watch, args=(ears, mouth), daemon=True).start()
+    threading.Thread(target=_watch, args=(receiver, sender), daemon=True).start()
 
 
-def say() -> None:
-    """Print what Ctrl-C leaves, once however many threads come to say it."""
-    if not _said.acquire(blocking=False):
+def report() -> None:
+    """Print which files remain; only the first call of any thread prints."""
+    if not _reported.acquire(blocking=False):
         return
-    cursor = _SHOW_CURSOR if sys.stderr.isatty() else ""
-    print(f"{cursor}strainwave: stopped; {_left()}", file=sys.stderr, flush=True)
+    cursor = _RESTORE_CURSOR if sys.stderr.isatty() else ""
+    print(f"{cursor}strainwave: stopped; {_files_written()}", file=sys.stderr, flush=True)
 
 
-def _left() -> str:
-    """Which files the run had written."""
+def _files_written() -> str:
     if not atomic_files.written:
         return "nothing was written"
     folders = sorted({str(path.parent) for path in atomic_files.written})
-    return f"{len(atomic_files.written)} file(s) had been written before, to {', '.join(folders)}"
+    return f"{len(atomic_files.written)} file(s) had been written to {', '.join(folders)}"
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    signal.signal(signal.SIGINT, _again)
-    # what is being written appears whole; the watch ends the rest
+    signal.signal(signal.SIGINT, _ignore)
+    # the watching thread ends the process when the files are complete
     if not atomic_files.writing.locked():
         raise Interrupted
 
 
-def _again(_number: int, _frame: FrameType | None) -> None:
-    """The watch hears it as well, and ends the process; here it would only spoil the ending."""
+def _ignore(_number: int, _frame: FrameType | None) -> None:
+    """Second Ctrl-C: the watching thread receives it too and ends the process."""
 
 
-def _watch(ears: socket.socket, _mouth: socket.socket) -> None:
-    """Wait for the signal, and then for the end. The other socket lives as long as this thread."""
-    while signal.SIGINT not in ears.recv(64):
+def _watch(receiver: socket.socket, _sender: socket.socket) -> None:
+    """Wait for SIGINT, then for the grace period; `_sender` stays open as long as this thread."""
+    while signal.SIGINT not in receiver.recv(64):
         pass
-    ears.settimeout(_GRACE)
+    receiver.settimeout(_GRACE_S)
     with suppress(TimeoutError):
-        ears.recv(64)
+        receiver.recv(64)
     with atomic_files.writing:
-        say()
-        os._exit(STOPPED)
+        report()
+        os._exit(EXIT_CODE)

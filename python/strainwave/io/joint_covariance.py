@@ -1,98 +1,81 @@
-"""The joint covariance of the final table's parameters: into result.json, and back."""
+"""Joint covariance of the parameters in the final table: into result.json, and back."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, require
 
-_ALIKE = 1e-9  # relative difference of a value or deviation that is the stage's own
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_EQUALITY_TOLERANCE = 1e-9  # relative difference of numbers that are equal but for rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointCovariance:
-    """Of the errors of those parameters of the final table that the last stage decided."""
+    """Covariance of the estimates that the last stage decides."""
 
     stage: str
-    names: tuple[str, ...]  # with joint, as in the verdict
-    matrix: FloatArray  # (n_names, n_names), in the parameters' units
+    names: tuple[str, ...]  # parameter and joint as in the verdict: "gear_stiffness 1", "beta"
+    matrix: FloatArray  # (n_names, n_names), in the units of the parameters
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlation matrix of the estimates, (n_names, n_names)."""
+        std = np.sqrt(np.diag(self.matrix))
+        return np.asarray(self.matrix / np.outer(std, std))
+
+    def to_frame(self) -> DataFrame:
+        """The matrix as a pandas frame with the names as index and columns."""
+        pandas = require("pandas", "a data frame", "pandas")
+        frame: DataFrame = pandas.DataFrame(self.matrix, index=self.names, columns=self.names)
+        return frame
 
 
 def joint_covariance(identification: Identification) -> JointCovariance | None:
-    """The covariance that the last stage gives.
+    """The covariance of the last stage; None if that stage has no standard deviations.
 
-    Values of the final table that are the stage's own count; those that were clipped at zero, made
-    of several stages or rejected have no covariance with others.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    JointCovariance or None
-        None where the last stage knows no parameter's error.
+    It contains the parameters whose value and standard deviation in the final table are those of
+    the stage. Values that are clipped at zero, combined from several stages or rejected have none.
     """
     published = {p.label: p for p in identification.parameters}
     stage, blocks = _blocks(identification)
-    kept = [
-        (names, matrix)
+    selected = [
+        block
         for parameters, covariance in blocks
-        if (found := _own(parameters, covariance, published)) is not None
-        for names, matrix in [found]
+        if (block := _published_block(parameters, covariance, published)) is not None
     ]
-    if not kept:
+    if not selected:
         return None
-    names = tuple(name for own, _ in kept for name in own)
+    names = tuple(name for labels, _ in selected for name in labels)
     matrix = np.zeros((len(names), len(names)))
-    at = 0
-    for own, block in kept:
-        to = at + len(own)
-        matrix[at:to, at:to] = block
-        at = to
+    start = 0
+    for labels, submatrix in selected:
+        stop = start + len(labels)
+        matrix[start:stop, start:stop] = submatrix
+        start = stop
     return JointCovariance(stage, names, matrix)
 
 
-def covariance_document(known: JointCovariance | None) -> dict[str, Any] | None:
-    """As result.json has it.
-
-    Parameters
-    ----------
-    known : JointCovariance or None
-
-    Returns
-    -------
-    dict or None
-        `stage`, `names`, `matrix`.
-    """
-    if known is None:
+def covariance_document(covariance: JointCovariance | None) -> dict[str, Any] | None:
+    """The entry `covariance` of result.json."""
+    if covariance is None:
         return None
-    return {"stage": known.stage, "names": list(known.names), "matrix": known.matrix.tolist()}
+    return {
+        "stage": covariance.stage,
+        "names": list(covariance.names),
+        "matrix": covariance.matrix.tolist(),
+    }
 
 
 def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
-    """The joint covariance that a result holds.
-
-    Parameters
-    ----------
-    document : mapping
-        A result, in the layout of docs/result.md.
-
-    Returns
-    -------
-    JointCovariance or None
-        None of a result that has none, as those of earlier versions.
-
-    Raises
-    ------
-    InvalidInput
-        Names and matrix do not belong together, or an entry is no finite number.
-    """
+    """The joint covariance of a result document; None if it has none, as in earlier versions."""
     table = document.get("covariance")
     if table is None:
         return None
@@ -105,7 +88,7 @@ def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
     if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all():
         raise InvalidInput(
             f"covariance has {len(names)} names and a matrix of shape {matrix.shape}, "
-            "or an entry that is no finite number",
+            "or an entry that is not a finite number",
             where="the result",
         )
     return JointCovariance(stage, names, matrix)
@@ -114,38 +97,38 @@ def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
 def _blocks(
     identification: Identification,
 ) -> tuple[str, Iterator[tuple[Sequence[Parameter], FloatArray]]]:
-    """Parameters whose errors are correlated, group by group, of the last stage reached."""
+    """The last stage and its groups of correlated parameters with their covariances."""
     if identification.tuned is not None:
         tuned = identification.tuned
         return "tuned", iter([(tuned.parameters, tuned.covariance)])
     if identification.joints:
         return "decoupled", (
-            (one.parameters, one.covariance[: len(one.parameters), : len(one.parameters)])
-            for one in identification.joints
+            (joint.parameters, joint.covariance[: len(joint.parameters), : len(joint.parameters)])
+            for joint in identification.joints
         )
     rigid = identification.rigid
     return "rigid", iter([(rigid.parameters, rigid.covariance)] if rigid is not None else [])
 
 
-def _own(
+def _published_block(
     parameters: Sequence[Parameter], covariance: FloatArray, published: Mapping[str, Parameter]
 ) -> tuple[list[str], FloatArray] | None:
-    """Names and covariance of those whose value and deviation are as published."""
-    known = [
+    """Names and covariance of the parameters whose value and standard deviation are published."""
+    selected = [
         k
         for k, p in enumerate(parameters)
         if k < len(covariance)
-        and (other := published.get(p.label)) is not None
-        and _same(p.value, other.value)
-        and other.std is not None
-        and _same(float(np.sqrt(max(covariance[k, k], 0.0))), other.std)
+        and (final := published.get(p.label)) is not None
+        and _is_equal(p.value, final.value)
+        and final.std is not None
+        and _is_equal(float(np.sqrt(max(covariance[k, k], 0.0))), final.std)
     ]
-    if not known:
+    if not selected:
         return None
-    return [parameters[k].label for k in known], covariance[np.ix_(known, known)]
+    return [parameters[k].label for k in selected], covariance[np.ix_(selected, selected)]
 
 
-def _same(one: float | None, other: float | None) -> bool:
-    if one is None or other is None:
+def _is_equal(first: float | None, second: float | None) -> bool:
+    if first is None or second is None or not np.isfinite(second):
         return False
-    return bool(np.isfinite(other)) and abs(one - other) <= _ALIKE * max(abs(one), abs(other))
+    return abs(first - second) <= _EQUALITY_TOLERANCE * max(abs(first), abs(second))

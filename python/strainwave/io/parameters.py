@@ -1,4 +1,4 @@
-"""Parameter files: values by name and joint, from a result.json or a table of JSON."""
+"""Parameter files: values by name and joint, from a result.json or a JSON table."""
 
 from __future__ import annotations
 
@@ -15,32 +15,18 @@ from strainwave.io.atomic_files import decode, read_bytes
 
 
 def read_parameters(path: Path) -> Values:
-    """Read parameter values.
+    """Read parameter values: (name, joint) -> value in SI units.
 
-    Two layouts are understood. The list of a result.json,
+    The file has one of two layouts. The list of a result.json,
 
         {"parameters": [{"name": "beta", "joint": null, "value": 0.64}, ...]}
 
-    whose null values are left out, and the table
+    without its null values; or the table
 
         {"alpha": 1.6, "joints": [{"motor_inertia": 1.5e-4, "gear_stiffness": [25000.0]}, ...]}
 
-    in which `gear_stiffness` is a number, [K] or [K1, K2, K3] with `gear_knee_torque` [T1, T2]; a
-    gear law says which lists it takes.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    dict
-        (name, joint) -> value [SI].
-
-    Raises
-    ------
-    InvalidInput
-        The file is missing, is not such a file, or a value is no finite number.
+    in which `gear_stiffness` is a number, [K] or [K1, K2, K3] with `gear_knee_torque` [T1, T2]; the
+    gear law defines its lists.
     """
     text = decode(read_bytes(path, "the file of parameters"), path)
     try:
@@ -50,17 +36,17 @@ def read_parameters(path: Path) -> Values:
             f"is not JSON ({error})", where=str(path), remedy="give a result.json or a file like it"
         ) from error
     if not isinstance(document, dict):
-        raise _unlike_any(path)
+        raise _unknown_layout(path)
     if isinstance(document.get("parameters"), list):
         return _from_list(document["parameters"], path)
     if isinstance(document.get("joints"), list):
         return _from_table(document, path)
-    raise _unlike_any(path)
+    raise _unknown_layout(path)
 
 
-def _unlike_any(path: Path) -> InvalidInput:
+def _unknown_layout(path: Path) -> InvalidInput:
     return InvalidInput(
-        'holds neither a list "parameters" nor a list "joints"',
+        'contains neither a list "parameters" nor a list "joints"',
         where=str(path),
         remedy="give a result.json, or see docs/parameters.md for the layout",
     )
@@ -77,7 +63,7 @@ def _from_list(entries: list[Any], path: Path) -> Values:
         joint = entry.get("joint")
         if joint is not None and (not isinstance(joint, int) or isinstance(joint, bool)):
             raise InvalidInput(
-                f"the joint {joint!r} is no number", where=place, remedy="use 1, 2 or null"
+                f"the joint is {joint!r}, not a number", where=place, remedy="use 1, 2 or null"
             )
         if entry.get("value") is not None:
             values[entry["name"], joint] = _number(entry["value"], place)
@@ -93,7 +79,7 @@ def _from_table(document: Mapping[str, Any], path: Path) -> Values:
         place = f"{path}: joints, entry {joint}"
         if not isinstance(table, dict):
             raise InvalidInput(
-                "is no table", where=place, remedy="write {...} with this joint's values"
+                "is not a table", where=place, remedy="write {...} with the values of this joint"
             )
         for key, value in table.items():
             names = _names(key, value, place)
@@ -103,7 +89,7 @@ def _from_table(document: Mapping[str, Any], path: Path) -> Values:
 
 
 def _names(key: str, value: Any, place: str) -> dict[str, Any]:
-    """The parameters one key of the table stands for."""
+    """The parameters that one key of the table gives."""
     if not isinstance(value, list):
         return {key: value}
     known = gear_laws.lists()
@@ -111,16 +97,18 @@ def _names(key: str, value: Any, place: str) -> dict[str, Any]:
     if names is not None:
         return dict(zip(names, value, strict=True))
     counts = [" or ".join(map(str, sorted(of_length))) for of_length in known.values()]
-    taken = [f"{name} takes {count}" for name, count in zip(known, counts, strict=True)]
-    taken[0] += " values"
+    lengths = [f"{name} takes {count}" for name, count in zip(known, counts, strict=True)]
+    lengths[0] += " values"
     raise InvalidInput(
         f"{key} has {len(value)} values",
         where=place,
-        remedy=f"{', '.join(taken)}, all others one number",
+        remedy=f"{', '.join(lengths)}, all others one number",
     )
 
 
 def _number(value: Any, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InvalidInput(f"{value!r} is no finite number", where=place, remedy="write a number")
+        raise InvalidInput(
+            f"{value!r} is not a finite number", where=place, remedy="write a number"
+        )
     return float(value)

@@ -1,4 +1,4 @@
-"""Identification -> result.json, and back to what that holds."""
+"""result.json: an identification as plain JSON values, and records read back from it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -28,46 +29,37 @@ from strainwave.domain import (
     RecordModel,
     RigidModel,
     StateSpace,
-    Suspicion,
-    Validated,
+    Study,
     Verdict,
 )
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.joint_covariance import covariance_document, joint_covariance
-
-Record = TypeVar("Record")
+from strainwave.io.study import document_of
+from strainwave.io.study.reader import Reader
 
 SCHEMA = "strainwave/result/1"
 NOT_A_RESULT = "give a result.json that strainwave identify has written"
-"""What to do about a file that is none."""
+"""Remedy for a file that is not a result."""
+FILE_NAME = "result.json"
 
-_NUMBERS = re.compile(r'\[\n\s*([^][{}"]+?)\n\s*\]')  # strings hold no line ends in JSON
-_OUTSIDE = 3.0  # how far beyond the band of a joint's fit its responses are given
-_MOST_LINES = 500  # of one response
-_DIGITS = 6  # of their numbers
+_NUMBERS = re.compile(r'\[\n\s*([^][{}"]+?)\n\s*\]')  # JSON strings contain no line ends
+_BAND_FACTOR = 3.0  # responses are published this far beyond the band of a joint's fit
+_MAX_RESPONSE_LINES = 500  # frequencies of one published response
+_RESPONSE_DIGITS = 6  # significant digits of a published response; its noise exceeds 1e-6
 _INPUTS = ("motor_torque", "interaction_torque")
 _OUTPUTS = ("motor_velocity", "link_velocity")
+_RIG_TABLES = ("arm", "joint", "servo")  # tables of the study file that result.json repeats
 
 
 def to_document(identification: Identification) -> dict[str, Any]:
-    """The result as plain JSON values, in the layout of docs/result.md.
-
-    Parameters
-    ----------
-    identification : Identification
-
-    Returns
-    -------
-    dict
-        Only dict, list, str, bool, int, finite float and None.
-    """
+    """The result as plain JSON values in the layout of docs/result.md; numbers are finite."""
     stages: dict[str, Any] = {}
     if identification.rigid is not None:
         stages["rigid"] = _rigid(identification.rigid)
     if "decoupled" in identification.stages:
         stages["decoupled"] = [_record(record) for record in identification.records]
-        stages["decoupled"] += _of_motors(identification.joints)
+        stages["decoupled"] += _motor_response_entries(identification.joints)
         stages["joints"] = [_joint(joint) for joint in identification.joints]
         stages["sweeps"] = [asdict(sweep) for sweep in identification.sweeps]
         stages["links"] = [asdict(link) for link in identification.links]
@@ -81,7 +73,7 @@ def to_document(identification: Identification) -> dict[str, Any]:
     document = {
         "schema": SCHEMA,
         "version": identification.version,
-        "study": {"path": str(identification.study.path), "sha256": identification.study.sha256},
+        "study": _study(identification.study),
         "created": identification.created,
         "options": asdict(identification.study.options),
         "status": verdict.status,
@@ -102,38 +94,14 @@ def to_document(identification: Identification) -> dict[str, Any]:
 
 
 def to_json(document: Mapping[str, Any]) -> bytes:
-    """A result's document as UTF-8 text that ends with a newline.
-
-    Parameters
-    ----------
-    document : mapping
-        As `to_document` gives it.
-
-    Returns
-    -------
-    bytes
-    """
+    """A result document as UTF-8 text; lists of numbers take one line each."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     return (_NUMBERS.sub(_on_one_line, text) + "\n").encode()
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """A result.json as plain JSON values.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    dict
-        In the layout of docs/result.md.
-
-    Raises
-    ------
-    InvalidInput
-        The file is missing, or no result of `strainwave identify`.
-    """
+    """Read a result.json, or the one in a directory; `InvalidInput` if it is not a result."""
+    path = result_path(path)
     text = decode(read_bytes(path, "the result"), path)
     try:
         document = json.loads(text)
@@ -143,94 +111,123 @@ def read_document(path: Path) -> dict[str, Any]:
         ) from error
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema != SCHEMA:
-        said = 'has no key "schema"' if schema is None else f"has the schema {schema!r}"
+        problem = 'has no key "schema"' if schema is None else f"has the schema {schema!r}"
         raise InvalidInput(
-            f"{said}; this version reads {SCHEMA!r}", where=str(path), remedy=NOT_A_RESULT
+            f"{problem}; this version reads {SCHEMA!r}", where=str(path), remedy=NOT_A_RESULT
         )
     return dict(document)
 
 
-def parameters_of(document: Mapping[str, Any]) -> tuple[Parameter, ...]:
-    """The final table of a result.
+def result_path(path: Path) -> Path:
+    """The result.json that a path names: the file itself, or the one in a directory."""
+    return path / FILE_NAME if path.is_dir() else path
 
-    Parameters
-    ----------
-    document : mapping
-        As `to_document` gives it.
 
-    Returns
-    -------
-    tuple of Parameter
+def study_of(document: Mapping[str, Any], path: Path) -> Study | None:
+    """The rig as identified, without experiments; None in results of earlier versions."""
+    tables = document.get("study")
+    if not isinstance(tables, dict) or "arm" not in tables:
+        return None
+    rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
+    sha256 = str(tables.get("sha256", ""))
+    study = Reader(path, "").study(rig, sha256, experiments_exist=False)
+    return replace(study, path=Path(str(tables.get("path", path))))
 
-    Raises
-    ------
-    InvalidInput
-        An entry lacks a key.
-    """
-    return tuple(_read(Parameter, each, "parameters") for each in document.get("parameters", ()))
+
+def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tuple[Parameter, ...]:
+    """The final table of a result; `source` names it in messages."""
+    found: tuple[Parameter, ...] = _validated(
+        tuple[Parameter, ...], document.get("parameters", []), f"{source}: parameters"
+    )
+    for number, parameter in enumerate(found, start=1):
+        for value in (parameter.value, parameter.std):
+            if value is not None and not math.isfinite(value):
+                raise InvalidInput(
+                    f"{value!r} is not a finite number",
+                    where=f"{source}: parameters, entry {number}",
+                    remedy="write a number or null",
+                )
+    return found
 
 
 def warnings_of(document: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
-    """The warnings of a result.
-
-    Parameters
-    ----------
-    document : mapping
-        As `to_document` gives it.
-
-    Returns
-    -------
-    tuple of Diagnostic
-
-    Raises
-    ------
-    InvalidInput
-        An entry lacks a key.
-    """
-    return tuple(_read(Diagnostic, each, "warnings") for each in document.get("warnings", ()))
+    """The warnings of a result."""
+    found: tuple[Diagnostic, ...] = _validated(
+        tuple[Diagnostic, ...], document.get("warnings", []), "the result: warnings"
+    )
+    return found
 
 
 def verdict_of(document: Mapping[str, Any]) -> Verdict:
-    """The verdict of a result.
-
-    Parameters
-    ----------
-    document : mapping
-        As `to_document` gives it.
-
-    Returns
-    -------
-    Verdict
-
-    Raises
-    ------
-    InvalidInput
-        The result has none, or one that lacks a key.
-    """
-    own = dict(document.get("verdict", {}))
-    own["validated"] = _read(Validated, own.get("validated", {}), "verdict.validated")
-    own["suspected"] = tuple(
-        _read(Suspicion, each, "verdict.suspected") for each in own.get("suspected", ())
-    )
+    """The verdict of a result."""
     reason = document.get("reason")
-    own["status"] = document.get("status")
-    own["reasons"] = tuple(reason.split("; ")) if reason else ()
-    return _read(Verdict, own, "verdict")
+    table = dict(document.get("verdict", {}))
+    table |= {"status": document.get("status"), "reasons": reason.split("; ") if reason else []}
+    verdict: Verdict = _validated(Verdict, table, "the result: verdict")
+    return verdict
 
 
-def _read(kind: type[Record], table: Mapping[str, Any], place: str) -> Record:
-    """A record from a JSON table, whose lists become tuples; keys of later versions are passed."""
-    known = {
-        field.name: tuple(value) if isinstance(value, list) else value
-        for field in fields(kind)  # type: ignore[arg-type]
-        if (value := table.get(field.name)) is not None or field.name in table
-    }
+def response_of(document: Mapping[str, Any], joint: int) -> FrequencyResponse | None:
+    """The nonparametric response of a joint at full amplitude; None if the result has none."""
+    responses = document.get("stages", {}).get("responses", [])
+    entry = next((each for each in responses if each["joint"] == joint), None)
+    if entry is None:
+        return None
+    n_out, n_in = (len({c[end] for c in entry["channels"]}) for end in ("output", "input"))
+
+    def grid(part: str) -> FloatArray | None:
+        columns = [channel[part] for channel in entry["channels"]]
+        if any(column is None for column in columns):
+            return None
+        return np.array(columns, dtype=np.float64).T.reshape(-1, n_out, n_in)
+
+    real, imaginary = grid("re"), grid("im")
+    if real is None or imaginary is None:
+        return None
+    coherence = list(entry["coherence"].values())
+    return FrequencyResponse(
+        np.array(entry["frequency_hz"], dtype=np.float64),
+        real + 1j * imaginary,
+        coherence=np.array(coherence, dtype=np.float64).T if coherence else None,
+        noise_variance=grid("noise_variance"),
+        distortion_variance=grid("distortion_variance"),
+        method=entry["method"],
+        n_averages=entry["n_averages"],
+    )
+
+
+def _validated(kind: Any, value: Any, place: str) -> Any:
+    """A JSON value as a record; keys that this version does not know are ignored."""
+    from pydantic import ValidationError
+
     try:
-        return kind(**known)
-    except TypeError as error:
+        return _adapter(kind).validate_json(json.dumps(value), strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        keys: list[Any] = list(first["loc"])
+        if keys and isinstance(keys[0], int):
+            place += f", entry {keys.pop(0) + 1}"
+        key = ".".join(str(part) for part in keys) or "the entry"
+        problem = first["msg"].replace("Input should be ", "it should be ")
         raise InvalidInput(
-            f"{place} is incomplete ({error})", where="the result", remedy=NOT_A_RESULT
+            f"'{key}' is invalid: {problem[0].lower() + problem[1:]}",
+            where=place,
+            remedy=NOT_A_RESULT,
         ) from error
+
+
+@cache
+def _adapter(kind: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
+
+
+def _study(study: Study) -> dict[str, Any]:
+    """Path and hash of the study file, and the rig as the file describes it."""
+    tables = document_of(study)
+    rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
+    return {"path": str(study.path), "sha256": study.sha256, **rig}
 
 
 def _on_one_line(numbers: re.Match[str]) -> str:
@@ -238,8 +235,8 @@ def _on_one_line(numbers: re.Match[str]) -> str:
 
 
 def _responses(identification: Identification) -> list[dict[str, Any]]:
-    """Nonparametric responses: of all records of a joint at full amplitude, then of each record."""
-    found = [
+    """Nonparametric responses of each joint at full amplitude, then of each record."""
+    responses = [
         _response(identification.responses[joint.joint], joint.joint, joint.experiments, joint)
         for joint in identification.joints
         if joint.joint in identification.responses
@@ -247,63 +244,63 @@ def _responses(identification: Identification) -> list[dict[str, Any]]:
     for record in identification.records:
         if record.response is not None:
             names = (record.signals.experiment.name,)
-            found.append(
+            responses.append(
                 _response(record.response, record.signals.joint, names, record.joint_model)
             )
-    return found
+    return responses
 
 
 def _response(
     response: FrequencyResponse, number: int, names: tuple[str, ...], joint: JointModel | None
 ) -> dict[str, Any]:
     low, high = joint.band_hz if joint else (0.0, math.inf)
-    seen = response.between(low / _OUTSIDE, high * _OUTSIDE, _MOST_LINES)
-    _, n_out, n_in = seen.response.shape
+    lines = response.between(low / _BAND_FACTOR, high * _BAND_FACTOR, _MAX_RESPONSE_LINES)
+    _, n_out, n_in = lines.response.shape
     channels = []
     for o, output in enumerate(_OUTPUTS[:n_out]):
         for i, name in enumerate(_INPUTS[:n_in]):
-            G = seen.response[:, o, i]
+            G = lines.response[:, o, i]
             channel: dict[str, Any] = {"output": output, "input": name}
             channel |= {"re": _short(G.real), "im": _short(G.imag)}
             for part in ("noise_variance", "distortion_variance"):
-                variance = getattr(seen, part)
+                variance = getattr(lines, part)
                 channel[part] = None if variance is None else _short(variance[:, o, i])
             channels.append(channel)
     coherence = {
-        output: _short(seen.coherence[:, o])
+        output: _short(lines.coherence[:, o])
         for o, output in enumerate(_OUTPUTS[:n_out])
-        if seen.coherence is not None
+        if lines.coherence is not None
     }
     return {
         "joint": number,
         "experiments": names,
-        "method": seen.method,
-        "n_averages": seen.n_averages,
-        "frequency_hz": _short(seen.frequencies_hz),
+        "method": lines.method,
+        "n_averages": lines.n_averages,
+        "frequency_hz": _short(lines.frequencies_hz),
         "channels": channels,
         "coherence": coherence,
     }
 
 
-def _motor_response(seen: MotorResponse) -> dict[str, Any]:
+def _motor_response(response: MotorResponse) -> dict[str, Any]:
     return {
-        "experiment": seen.experiment,
-        "joint": seen.joint,
-        "condition": seen.condition,
-        "frequency_hz": _short(seen.frequencies_hz),
-        "measured_re": _short(seen.measured.real),
-        "measured_im": _short(seen.measured.imag),
-        "fitted_re": _short(seen.fitted.real),
-        "fitted_im": _short(seen.fitted.imag),
-        "coherence": _short(seen.coherence),
-        "anti_resonance_hz": list(seen.anti_resonances_hz),
-        "resonance_hz": list(seen.resonances_hz),
+        "experiment": response.experiment,
+        "joint": response.joint,
+        "condition": response.condition,
+        "frequency_hz": _short(response.frequencies_hz),
+        "measured_re": _short(response.measured.real),
+        "measured_im": _short(response.measured.imag),
+        "fitted_re": _short(response.fitted.real),
+        "fitted_im": _short(response.fitted.imag),
+        "coherence": _short(response.coherence),
+        "anti_resonance_hz": list(response.anti_resonances_hz),
+        "resonance_hz": list(response.resonances_hz),
     }
 
 
 def _short(values: FloatArray) -> list[float]:
-    """Enough digits for what noise leaves of a response."""
-    return [float(f"{value:.{_DIGITS}g}") for value in values.tolist()]
+    """Numbers rounded to `_RESPONSE_DIGITS` significant digits."""
+    return [float(f"{value:.{_RESPONSE_DIGITS}g}") for value in values.tolist()]
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
@@ -336,32 +333,32 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
 
 
 def _check_fits(identification: Identification) -> dict[str, dict[str, float]]:
-    """Fits by record: torques by the rigid model, motion by the tuned arm."""
-    found: dict[str, dict[str, float]] = {}
+    """Fits per record: drive signals by the rigid model, motion by the elastic model."""
+    fits: dict[str, dict[str, float]] = {}
     for check in identification.checks:
-        found.setdefault(check.experiment, {}).update(check.fit_percent)
-    return found
+        fits.setdefault(check.experiment, {}).update(check.fit_percent)
+    return fits
 
 
 def _record(record: RecordModel) -> dict[str, Any]:
-    """One excited record: the physical model, and the state-space model beside it."""
+    """The physical model and the state-space model of one excited record."""
     chosen = record.joint_model
-    own = _nothing(record) if chosen is None else _joint(chosen)
-    own["experiment"] = record.signals.experiment.name
-    own["equation_fit_percent"] = own.pop("fit_percent")
-    own["fit_percent"] = record.state_space and _simulated_fit(record.state_space)
-    own["state_space"] = None
+    entry = _without_joint_model(record) if chosen is None else _joint(chosen)
+    entry["experiment"] = record.signals.experiment.name
+    entry["equation_fit_percent"] = entry.pop("fit_percent")
+    entry["fit_percent"] = record.state_space and _simulated_fit(record.state_space)
+    entry["state_space"] = None
     if record.state_space is not None:
-        own["state_space"] = _state_space(record.state_space, record.modes)
-        own["state_space"]["held_out"] = None if record.check is None else _check(record.check)
-    own["transfer_function"] = None if record.transfer is None else _joint(record.transfer)
-    own["checks"] = [asdict(check) for check in record.signals.checks]
-    own["warnings"] += [_warning(w) for w in record.warnings]
-    return own
+        entry["state_space"] = _state_space(record.state_space, record.modes)
+        entry["state_space"]["held_out"] = None if record.check is None else _check(record.check)
+    entry["transfer_function"] = None if record.transfer is None else _joint(record.transfer)
+    entry["checks"] = [asdict(check) for check in record.signals.checks]
+    entry["warnings"] += [_warning(w) for w in record.warnings]
+    return entry
 
 
 def _check(check: ModelCheck) -> dict[str, Any]:
-    """Fits and tests of residuals on data that were not fitted."""
+    """Fits and residual tests on validation data."""
     return {
         "fit_percent": check.fit_percent,
         "prediction_fit_percent": check.prediction_fit_percent,
@@ -369,21 +366,21 @@ def _check(check: ModelCheck) -> dict[str, Any]:
     }
 
 
-def _of_motors(joints: Sequence[JointModel]) -> list[dict[str, Any]]:
-    """One entry a record of joints modelled by their motors, all by the model of all records."""
-    found = []
+def _motor_response_entries(joints: Sequence[JointModel]) -> list[dict[str, Any]]:
+    """One entry per record for joints that are modelled from motor signals alone."""
+    entries = []
     for joint in joints:
         for name in joint.experiments if joint.method == "motor-response" else ():
-            own = _joint(joint)
-            own["experiment"] = name
-            own["fit_percent"] = list(joint.fit_percent.values())
-            own["state_space"] = own["transfer_function"] = None
-            found.append(own)
-    return found
+            entry = _joint(joint)
+            entry["experiment"] = name
+            entry["fit_percent"] = list(joint.fit_percent.values())
+            entry["state_space"] = entry["transfer_function"] = None
+            entries.append(entry)
+    return entries
 
 
-def _nothing(record: RecordModel) -> dict[str, Any]:
-    """A record without physical parameters: its state-space model's resonances, if any."""
+def _without_joint_model(record: RecordModel) -> dict[str, Any]:
+    """A record without physical parameters; its state-space model gives the resonances."""
     modes = record.modes
     return {
         "joint": record.signals.joint,
@@ -416,12 +413,12 @@ def _joint(joint: JointModel) -> dict[str, Any]:
 
 
 def _frequencies(anti_resonance: Mode | None, resonance: Mode | None) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    entry: dict[str, Any] = {}
     for name, mode in (("anti_resonance", anti_resonance), ("resonance", resonance)):
-        found[f"{name}_hz"] = mode and mode.frequency_hz
-        found[f"{name}_std_hz"] = mode and mode.frequency_std_hz
-        found[f"{name}_damping"] = mode and mode.damping
-    return found
+        entry[f"{name}_hz"] = mode and mode.frequency_hz
+        entry[f"{name}_std_hz"] = mode and mode.frequency_std_hz
+        entry[f"{name}_damping"] = mode and mode.damping
+    return entry
 
 
 def _state_space(model: StateSpace, modes: Modes | None) -> dict[str, Any]:
@@ -446,7 +443,7 @@ def _state_space(model: StateSpace, modes: Modes | None) -> dict[str, Any]:
 
 
 def _simulated_fit(model: StateSpace) -> tuple[float, ...] | None:
-    """A simulation that grows without end fits nothing."""
+    """Fits of the simulated model; None if the model is unstable."""
     unstable = any(warning.code == "unstable-model" for warning in model.warnings)
     return None if unstable else model.fit_percent
 
@@ -503,10 +500,10 @@ def _criticism(criticism: Criticism) -> dict[str, Any]:
 
 
 def _correlations(model: ArmModel) -> list[list[float]]:
-    """Between the parameters, in their order; nothing varies with what no record shows."""
-    deviation = np.sqrt(np.diag(model.covariance))
-    identified = np.isfinite(deviation)
-    scale = np.where((deviation > 0.0) & identified, deviation, 1.0)
+    """Correlations of the parameters in their order; zero for those that are not identified."""
+    std = np.sqrt(np.diag(model.covariance))
+    identified = np.isfinite(std)
+    scale = np.where((std > 0.0) & identified, std, 1.0)
     covariance = np.where(np.outer(identified, identified), model.covariance, 0.0)
     correlations: list[list[float]] = (covariance / np.outer(scale, scale)).round(4).tolist()
     return correlations
@@ -525,12 +522,12 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
 
 
 def _warning(warning: Diagnostic) -> dict[str, Any]:
-    shown = {"code": warning.code, "where": warning.where, "message": warning.message}
-    return shown | ({"experiments": warning.experiments} if warning.experiments else {})
+    entry = {"code": warning.code, "where": warning.where, "message": warning.message}
+    return entry | ({"experiments": warning.experiments} if warning.experiments else {})
 
 
 def _finite(value: Any) -> Any:
-    """Numbers that JSON can hold; what is not finite is not known, and null."""
+    """A value that JSON can hold; numbers that are not finite become null."""
     if isinstance(value, dict):
         return {key: _finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

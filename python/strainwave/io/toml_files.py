@@ -1,4 +1,4 @@
-"""TOML documents that a user writes: read, or refused in one sentence."""
+"""TOML documents that a user writes."""
 
 from __future__ import annotations
 
@@ -7,51 +7,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import nearest
+from strainwave.errors import InvalidInput, nearest
 
 
 def parsed_toml(text: str, path: Path) -> dict[str, Any]:
-    """The document that a file holds.
-
-    Parameters
-    ----------
-    text : str
-    path : Path
-        For the message.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    InvalidInput
-        It is no TOML.
-    """
+    """The parsed text; `InvalidInput` naming `path` if it is not valid TOML."""
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InvalidInput(
-            f"is not valid TOML ({error})", where=str(path), remedy="mend that line"
+            f"is not valid TOML ({error})", where=str(path), remedy="correct that line"
         ) from error
 
 
 def check_keys(document: dict[str, Any], known: Sequence[str], path: Path) -> None:
-    """Refuse a document with keys that nothing reads.
-
-    Parameters
-    ----------
-    document : dict
-    known : sequence of str
-    path : Path
-        For the message.
-
-    Raises
-    ------
-    InvalidInput
-        There is one.
-    """
+    """Raise `InvalidInput` if the document has an unknown key."""
     for key in document:
         if key not in known:
             raise InvalidInput(

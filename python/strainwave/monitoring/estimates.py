@@ -14,6 +14,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io import results
 from strainwave.io.joint_covariance import JointCovariance, covariance_of
 
+_USUAL_NAMES = ("result.json", "study.toml")  # the folder says more
 _OF_ONE_RECORD = re.compile(r".*_drift|.*\[.*\]")
 _NORMAL = 1.96  # deviations of 95 %, as the intervals of the whole-arm fit have it
 
@@ -84,7 +85,7 @@ def estimates_of(document: Mapping[str, Any], path: Path) -> Estimates:
     """
     study = document.get("study") or {}
     return Estimates(
-        label=path.parent.name if path.name == "result.json" and path.parent.name else path.name,
+        label=path.parent.name if path.name in _USUAL_NAMES and path.parent.name else path.name,
         path=str(path),
         created=str(document.get("created", "")),
         status=str(document.get("status", "")),

@@ -15,8 +15,8 @@ import numpy as np
 
 from strainwave.campaign.store import read_parameters, read_runs
 from strainwave.domain import FloatArray
-from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import decode, nearest, read_bytes
+from strainwave.errors import InvalidInput, nearest
+from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.monitoring.estimates import of_one_record
 from strainwave.monitoring.shapes import Series
 

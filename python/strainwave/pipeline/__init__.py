@@ -38,7 +38,7 @@ from strainwave.domain.diagnostics import published_warnings
 from strainwave.domain.progress import Progress, ProgressEvent, ignored
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import with_places
-from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.errors import InvalidInput, NotIdentifiable, nearest
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import rigid, validation
 from strainwave.identification import whole_arm as tuning
@@ -65,7 +65,7 @@ STAGES = ("rigid", "decoupled", "tuned")
 """All stages, in order; a run takes a prefix of them."""
 
 
-def check_stages(names: Sequence[str]) -> tuple[str, ...]:
+def check_stages(names: str | Sequence[str]) -> tuple[str, ...]:
     """The stages to run, checked to be a prefix of all.
 
     Parameters
@@ -81,12 +81,15 @@ def check_stages(names: Sequence[str]) -> tuple[str, ...]:
     InvalidInput
         A stage that does not exist, or one whose predecessors are missing.
     """
-    stages = tuple(names)
+    listed = names.split(",") if isinstance(names, str) else names
+    stages = tuple(name.strip() for name in listed)
     if not stages or stages != STAGES[: len(stages)]:
+        unknown = [name for name in stages if name not in STAGES]
+        hint = nearest(unknown[0], STAGES) if unknown else ""
         raise InvalidInput(
             f"cannot run the stages {', '.join(stages) or '(none)'}",
             where="--stages",
-            remedy=f"name a beginning of this list, in its order: {', '.join(STAGES)}",
+            remedy=f"give the first of {', '.join(STAGES)}, in this order{hint}",
         )
     return stages
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from strainwave.domain import Diagnostic, IntArray
-from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import nearest
+from strainwave.errors import InvalidInput, nearest
 from strainwave.io.logs.clocks import Track
 from strainwave.io.logs.messages import number, numbers, parse, stamp
 

@@ -58,9 +58,11 @@ def with_options(
     "stage.key=value" with TOML values as on the command line. Raises InvalidInput if an option is
     unknown or has an invalid type or value.
     """
-    if isinstance(options, Options):
-        changed = dataclasses.replace(study, options=options)
-        check_options(changed, Flag(study.path, "options"))
+    if isinstance(options, Options):  # checked as those of a file are
+        reader = Flag(study.path, "options")
+        checked = reader.options(_table(options), Options())
+        changed = dataclasses.replace(study, options=checked)
+        check_options(changed, reader)
         return changed
     given: dict[str, Mapping[str, Any]]
     if isinstance(options, Mapping):

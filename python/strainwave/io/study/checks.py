@@ -12,8 +12,7 @@ from strainwave.domain import ArmDescription, Study, channel_names
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import KINDS, kind_of
 from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameters
-from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import nearest
+from strainwave.errors import InvalidInput, nearest
 from strainwave.io.study.reader import Reader
 
 

@@ -24,8 +24,7 @@ from strainwave.domain import (
     effects,
     gear_laws,
 )
-from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import nearest
+from strainwave.errors import InvalidInput, nearest
 
 T = TypeVar("T")
 

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le, MinLen
 
 from strainwave.domain.arm import NonNegative, Positive
-from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import nearest
+from strainwave.errors import InvalidInput, nearest
 from strainwave.io.study.reader import Reader
 from strainwave.virtual.families.catalogue import GEARS, RATIOS, SPRINGS
 from strainwave.virtual.families.causes import causes_of_the_plant

@@ -1,0 +1,120 @@
+"""Notes on the parts of an identified arm that an export format cannot hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import Enum
+
+from strainwave.domain import Joint
+from strainwave.domain.effects import effect_named
+from strainwave.domain.parameter_table import base_name
+from strainwave.domain.parameters import SENSOR_PARAMETERS
+from strainwave.export.source import IdentifiedArm
+
+
+class Part(Enum):
+    """A part of the model; a format states for each part that it cannot hold the reason."""
+
+    MOTOR_INERTIA = "motor inertia"
+    COUPLING = "inertial coupling"
+    GRAVITY = "gravity"
+    GEAR = "gear spring and damping"
+    VISCOUS = "viscous friction of motor and link"
+    COULOMB = "Coulomb friction"
+    OFFSET = "constant friction"
+    SETTLING = "settling of Coulomb friction"
+    EFFECTS = "further effects"
+    DRIVE = "voltage to torque"
+    SENSORS = "sensors"
+    SERVO = "servo"
+    UNCERTAINTY = "uncertainty"
+
+
+_PART_OF = {
+    "motor_inertia": Part.MOTOR_INERTIA,
+    "beta": Part.COUPLING,
+    "gamma": Part.COUPLING,
+    "gravity_torque_1": Part.GRAVITY,
+    "gravity_torque_2": Part.GRAVITY,
+    "motor_viscous_friction": Part.VISCOUS,
+    "link_viscous_friction": Part.VISCOUS,
+    "motor_coulomb_friction": Part.COULOMB,
+    "friction_offset": Part.OFFSET,
+    "friction_settling_time": Part.SETTLING,
+}
+_REDUNDANT = ("alpha", "link_inertia", "rigid_inertia", "inertia", "total_viscous_friction")
+"""Held by every format: bodies or matrices have them, or they follow from other parameters."""
+_DRIVE_KEYS = ("torque_per_volt", "current_loop_hz")
+_SENSOR_KEYS = (
+    "encoder_counts",
+    "accelerometer_distance",
+    "accelerometer_hz",
+    "gyro_hz",
+    "imu",
+)
+
+
+def notes_of(arm: IdentifiedArm, reasons: Mapping[Part, str]) -> tuple[str, ...]:
+    """One note per part that the arm has and the format cannot hold: names, joints, reason."""
+    parts = _parts_of(arm)
+    return tuple(
+        f"left out: {parts[part]}: {reason}" for part, reason in reasons.items() if part in parts
+    )
+
+
+CORRELATIONS = "left out: correlations between parameters: see covariance in result.json"
+"""Note of formats that hold standard deviations."""
+
+
+def names_of(arm: IdentifiedArm, parts: Iterable[Part]) -> str:
+    """Names of what the arm has of some parts, in one list."""
+    present = _parts_of(arm)
+    return ", ".join(present[part] for part in parts if part in present)
+
+
+def _parts_of(arm: IdentifiedArm) -> dict[Part, str]:
+    """Each part that the arm has, with the names and joints of its values."""
+    names: dict[Part, list[str]] = {}
+    joints: dict[Part, list[int]] = {}
+
+    def add(part: Part, name: str, joint: int | None) -> None:
+        names.setdefault(part, []).append(name)
+        joints.setdefault(part, []).extend([] if joint is None else [joint])
+
+    for p in arm.parameters:
+        joint = None if p.joint is None else arm.joint(p.joint)
+        part = _part_of(base_name(p.name), joint)
+        effects = joint.named_effects if joint is not None else ()
+        is_named = any(base_name(p.name) in effect_named(each).names for each in effects)
+        if p.value is not None and part is not None and not is_named:
+            add(part, base_name(p.name), p.joint)
+    for number, joint in enumerate(arm.study.arm.joints, start=1):
+        for effect in joint.named_effects:
+            add(Part.EFFECTS, effect, number)
+        for part, keys in ((Part.DRIVE, _DRIVE_KEYS), (Part.SENSORS, _SENSOR_KEYS)):
+            for key in keys:
+                if getattr(joint, key) is not None:
+                    add(part, key, number)
+    if arm.study.arm.gravity:
+        add(Part.GRAVITY, "gravity", None)
+    if arm.study.arm.servo is not None:
+        add(Part.SERVO, "servo", None)
+    add(Part.UNCERTAINTY, "standard deviations and correlations", None)
+    return {part: _listed(names[part], joints[part]) for part in names}
+
+
+def _part_of(name: str, joint: Joint | None) -> Part | None:
+    if name in _REDUNDANT:
+        return None
+    if name in _PART_OF:
+        return _PART_OF[name]
+    if joint is not None and name in (*joint.law.names, "gear_stiffness", "gear_damping"):
+        return Part.GEAR
+    is_sensor = name in SENSOR_PARAMETERS or name.startswith("imu_")
+    return Part.SENSORS if is_sensor or name.startswith("accelerometer") else Part.EFFECTS
+
+
+def _listed(names: Iterable[str], joints: Iterable[int]) -> str:
+    numbers = sorted(set(joints))
+    of = f" (joint {', '.join(map(str, numbers))})" if numbers else ""
+    return ", ".join(dict.fromkeys(names)) + of
