@@ -131,6 +131,7 @@ def tuned(
     most: int = 60,
     shapes: Shapes = (),
     cutoff_hz: float | None = None,
+    effort: float = 1.0,
 ) -> ArmModel:
     """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
     study, known, logs = records(has, shapes)
@@ -141,7 +142,7 @@ def tuned(
         rigid_model(asks, known, 0.01, 1.0),
         joints,
         Arm.of(asks.arm),
-        TuningOptions(max_iterations=most, cutoff_hz=cutoff_hz),
+        TuningOptions(max_iterations=most, cutoff_hz=cutoff_hz, rival_effort=effort),
     )
 
 

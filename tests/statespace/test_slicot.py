@@ -8,7 +8,7 @@ import pytest
 from strainwave.domain import FloatArray
 from strainwave.statespace._evaluate import Evaluator
 from strainwave.statespace._stack import stack
-from strainwave.statespace.subspace import realise
+from strainwave.statespace.subspace import Factors, realise
 from two_inertia import TwoInertia, excitation, simulate
 
 HORIZON = 25
@@ -22,7 +22,7 @@ def test_inputs_and_feedthrough_agree_with_slicot(samples: int) -> None:
     noise = np.array([0.3, 0.005]) * rng.standard_normal((samples, 2))
     start = np.array([1e-3, 5.0, 0.05])
     data = stack(simulate(TwoInertia().sampled(), excitation(rng, samples), noise, start))
-    found = realise(data, 3, "moesp", HORIZON, (True, True)).matrices
+    found = realise(Factors(data), 3, "moesp", HORIZON, (True, True)).matrices
     ours = Evaluator(data, 3).linear(found, (True, True), gain=False, solutions=1)
     u, y = np.asfortranarray(data.inputs), np.asfortranarray(data.outputs)
     _, R, *_ = slicot.ib01ad("M", "C", "N", "O", "N", "N", HORIZON, 2, 2, u, y, 0.0, -1.0)
@@ -52,7 +52,7 @@ def test_moesp_agrees_with_slicot(samples: int) -> None:
     noise = np.array([0.3, 0.005]) * rng.standard_normal((samples, 2))
     # Scaled channels for both, as output scales weigh the singular value decomposition.
     data = stack(simulate(TwoInertia().sampled(gain), excitation(rng, samples), noise))
-    ours = realise(data, 3, "moesp", HORIZON, (True, True))
+    ours = realise(Factors(data), 3, "moesp", HORIZON, (True, True))
     u, y = np.asfortranarray(data.inputs), np.asfortranarray(data.outputs)
     _, R, values, _, info = slicot.ib01ad(
         "M", "C", "N", "O", "N", "N", HORIZON, 2, 2, u, y, 0.0, -1.0

@@ -112,6 +112,8 @@ class TuningOptions(_Checked):
     closed_loop: bool = False  # simulate the servo from references instead of recorded voltages
     least_deviation: Positive = 0.002  # relative standard deviation added to rigid estimates
     max_iterations: Annotated[int, Ge(1)] = 100
+    rival_effort: Annotated[float, Ge(0.0)] = 1.0  # work on fits with one more effect each, which
+    # tell the causes of unexplained residuals apart, in units of the usual budget; 0: none is done
 
 
 @dataclass(frozen=True, slots=True)

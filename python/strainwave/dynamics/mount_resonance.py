@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray
+from strainwave.numerics.filters import fast_length
 
 _DECAY_TIME_CONSTANTS = 7.0  # the response has then decayed to 1/1000
 _MAX_PADDING = 10.0  # [s] after a record
@@ -62,8 +63,6 @@ class MountResonance:
         A discrete spectrum implies a periodic signal. The motion is therefore extended by a return
         to its start and a pause in which the response decays.
         """
-        from scipy.fft import next_fast_len
-
         decay = min(
             _DECAY_TIME_CONSTANTS / (math.tau * self.frequency * self.damping), _MAX_PADDING
         )
@@ -71,7 +70,7 @@ class MountResonance:
         shape = (-1, *(1 for _ in motion.shape[1:]))
         change = motion - motion[:1]
         back = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, padding + 1) / padding).reshape(shape)
-        size = next_fast_len(n + 2 * padding, real=True)
+        size = fast_length(n + 2 * padding)
         spectrum = np.fft.rfft(np.concatenate([change, change[-1:] * back]), size, axis=0)
         factors = responses(np.asarray(np.fft.rfftfreq(size, sample_time)))
         return [np.fft.irfft(spectrum * H.reshape(shape), size, axis=0)[:n] for H in factors]

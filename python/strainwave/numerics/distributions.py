@@ -6,6 +6,7 @@ SciPy has them too, but to import it takes longer than most stages.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 
 def chi_square_tail(value: float, degrees: int) -> float:
@@ -33,6 +34,7 @@ def chi_square_tail(value: float, degrees: int) -> float:
     return min(1.0, whole + math.fsum(terms))
 
 
+@lru_cache(maxsize=256)
 def chi_square_limit(probability: float, degrees: int) -> float:
     """The value that a chi-square variable exceeds with a probability, by bisection.
 

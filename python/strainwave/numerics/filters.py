@@ -81,7 +81,7 @@ def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
     whole = len(longer)
     slope = (longer[-1] - longer[0]) / (whole - 1)
     line = longer[0] + np.multiply.outer(np.arange(whole), slope)
-    size = _fast_length(whole)
+    size = fast_length(whole)
     turns = np.tan(np.pi / decimated * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
     gain = np.zeros(size // 2 + 1)  # none at Nyquist
     gain[:-1] = 1.0 / (1.0 + _eighth_power(turns))
@@ -101,7 +101,7 @@ def _continued(signal: FloatArray, pad: int) -> FloatArray:
 
 
 @lru_cache(maxsize=256)
-def _fast_length(least: int) -> int:
+def fast_length(least: int) -> int:
     """The next even length of small factors only, which the Fourier transform is quick at."""
     odd: list[int] = [3**i * 5**j for i in range(8) for j in range(4)]
     return min(each << max(1, (-(-least // each) - 1).bit_length()) for each in odd)
@@ -235,7 +235,7 @@ def _lag_response(
     numerator, denominator = _discrete(lags, sample_time, held)
     slowest = float(np.abs(np.roots(denominator)).max())
     settled = int(np.ceil(np.log(np.finfo(float).eps) / np.log(max(slowest, 1e-3))))
-    size = _fast_length(n + settled)
+    size = fast_length(n + settled)
     z = np.exp(-2j * np.pi * np.fft.rfftfreq(size))
     response = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
     return np.asarray(response, dtype=np.complex128), size
@@ -278,7 +278,7 @@ def unaliased(
     whole = len(longer)
     slope = (longer[-1] - longer[0]) / (whole - 1)
     line = longer[0] + np.multiply.outer(np.arange(whole), slope)
-    size = _fast_length(whole)
+    size = fast_length(whole)
     response, late = _analog(tuple(lags), sample_time, between, size)
     longer = longer - line
     spectrum = np.fft.rfft(longer, size, axis=0)
@@ -445,7 +445,7 @@ def _spectrum_of(
     n = len(signal)
     pad = min(n - 1, int(reach / sample_time))
     longer = _continued(signal, pad)
-    size = _fast_length(len(longer) + pad)
+    size = fast_length(len(longer) + pad)
     f: FloatArray = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
     return f, np.asarray(np.fft.rfft(longer, size, axis=0)[1:]), (pad, size)
 

@@ -10,9 +10,11 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from typing import TypeVar
+from typing import TypeVar, cast
 
 Result = TypeVar("Result")
+First = TypeVar("First")
+Second = TypeVar("Second")
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 _KEPT = 2**28  # bytes
@@ -171,6 +173,13 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     finally:
         group.stopped = True
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
+    """Two jobs by `side_by_side`, and their results."""
+    jobs: list[Callable[[], First | Second]] = [first, second]
+    one, other = side_by_side(jobs)
+    return cast("First", one), cast("Second", other)
 
 
 def _one_after_another(job: Callable[[], Result]) -> Result:

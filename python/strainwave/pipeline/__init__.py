@@ -48,7 +48,7 @@ from strainwave.io.atomic_files import write_whole
 from strainwave.io.logs.in_memory import Data
 from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
-from strainwave.numerics.parallel import limited, one_blas_thread, side_by_side
+from strainwave.numerics.parallel import both, limited, one_blas_thread, side_by_side
 from strainwave.pipeline.elastic_joints import decoupled, from_catalogue
 from strainwave.pipeline.run import Run, planned_parts
 from strainwave.presentation.matplotlib_backend import images
@@ -228,14 +228,24 @@ def _elastic(
     if "tuned" in run.stages:  # which ends with simulations of these
         for log in (*_used_for(all_logs, "tuning"), *_used_for(all_logs, "check")):
             check_servo_clock(run.arm, log)
-    records, joints, responses = decoupled(run, the_study, all_logs, model)
-    starts, tuned = joints, None
-    if "tuned" in run.stages:
-        if not any(log.experiment.use in ("frequency", "sweep") for log in all_logs):
-            starts = from_catalogue(run, the_study, all_logs, model)
-        if len(starts) == run.arm.n_joints:
-            tuned = _tuned(run, the_study, all_logs, model, starts)
-    return _Elastic(records, joints, responses, starts, tuned)
+    stage = decoupled(run, the_study, all_logs, model)
+    starts = stage.joints
+    if "tuned" in run.stages and not any(
+        log.experiment.use in ("frequency", "sweep") for log in all_logs
+    ):
+        starts = from_catalogue(run, the_study, all_logs, model)
+
+    def whole_arm() -> ArmModel | None:
+        if "tuned" not in run.stages or len(starts) != run.arm.n_joints:
+            return None
+        return _tuned(run, the_study, all_logs, model, starts)
+
+    def record_models() -> tuple[RecordModel, ...]:
+        with run.clocked("decoupled"):
+            return stage.record_models()
+
+    tuned, records = both(whole_arm, record_models)
+    return _Elastic(records, stage.joints, stage.responses, starts, tuned)
 
 
 def _usable(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -23,6 +23,7 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.combinations import is_uncoupled
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, frequency
 from strainwave.identification import joint_model as physical
@@ -35,36 +36,34 @@ _Seen = tuple[Log, LinkSignals, tuple[Decoupled, ...]]
 """A record, both sides of its gears, and each joint on its own."""
 
 
+@dataclass(frozen=True, slots=True)
+class JointStage:
+    """The joints by themselves; each member is empty where the records cannot answer."""
+
+    joints: tuple[JointModel, ...] = ()  # one per joint, of all its records
+    responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint, from 1
+    # models of each excited record and joint: nothing rests on them, so they are made when asked
+    record_models: Callable[[], tuple[RecordModel, ...]] = tuple
+
+
 def decoupled(
     run: Run,
     the_study: Study,
     all_logs: Sequence[Log],
     model: RigidModel | None,
-) -> tuple[tuple[RecordModel, ...], tuple[JointModel, ...], dict[int, FrequencyResponse]]:
-    """Each excited record on its own, then all full-amplitude records of a joint at once.
+) -> JointStage:
+    """Decouple the joints in each excited record and fit each joint to its full-amplitude records.
 
-    Parameters
-    ----------
-    run : Run
-        Warnings, failures, delays of sensors and further starts are added to it.
-    the_study : Study
-    all_logs : sequence of Log
-    model : RigidModel, optional
-
-    Returns
-    -------
-    tuple
-        A model per excited record and joint; a model per joint, of all its records; and by joint,
-        from 1, its nonparametric response. Each is empty where the records cannot answer.
+    Warnings, failures, delays of sensors and further starts are added to the run.
     """
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     if not excited:
         text = 'no record excites the gears on purpose (use = "frequency"): where there are steps,'
         text += " the whole-arm fit starts from gears that such arms have"
         run.warnings.append(Diagnostic("no-frequency-record", str(the_study.path), text))
-        return (), (), {}
+        return JointStage()
     if model is None and not is_uncoupled(run.arm):
-        return (), (), {}  # why there is none has been said
+        return JointStage()  # why there is none has been said
 
     with run.timed("decoupled", "decoupling the joints"):
         # where it is not known how a sensor sits, something like it stands in until the whole fit
@@ -73,23 +72,23 @@ def decoupled(
         run.warnings.extend(links.corrected(delays))
         run.sensors = links.constants_of(sides, delays)
         if any("motor" in side.sources for side in sides):
-            return (), _from_motors(run, the_study, model, sides), {}
+            return JointStage(_from_motors(run, the_study, model, sides))
         try:
             alone = side_by_side(
                 [partial(decoupling.decouple, side, model, placed) for side in sides]
             )
         except NotIdentifiable as failure:
             run.failures.append(str(failure))
-            return (), (), {}
+            return JointStage()
         seen = list(zip(excited, sides, alone, strict=True))
         for log, both_sides, parts in seen:
             run.warnings.extend(both_sides.warnings)
             run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
             run.links += both_sides.summaries
-        records, joints, responses = _physical(run, the_study, model, seen)
-    for found in joints:
+        stage = _physical(run, the_study, model, seen)
+    for found in stage.joints:
         run.warnings.extend(found.warnings)
-    return tuple(records), tuple(joints), responses
+    return stage
 
 
 def from_catalogue(
@@ -142,10 +141,10 @@ def _physical(
     the_study: Study,
     model: RigidModel | None,
     seen: Sequence[_Seen],
-) -> tuple[list[RecordModel], list[JointModel], dict[int, FrequencyResponse]]:
-    """Models of each record and, for each joint excited at full amplitude, of all at once.
+) -> JointStage:
+    """Fit each joint excited at full amplitude to all its records at once.
 
-    Beside these the joint's nonparametric response, where its inputs can be separated.
+    Its nonparametric response is estimated too, where its inputs can be separated.
     """
     options = the_study.options
     how = physical.RecordOptions(options.physical, options.statespace)
@@ -182,38 +181,42 @@ def _physical(
         responses |= {} if response is None else {joint.joint: response}
     ratios = [each.gear_ratio for each in run.arm.joints]
     joints = [physical.compared(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints]
-    records = _record_models(run, the_study.options, model, seen, fits)
-    return records, joints, responses
+    record_models = partial(_record_models, run.arm, the_study.options, model, seen, fits)
+    return JointStage(tuple(joints), responses, record_models)
 
 
 def _record_models(
-    run: Run,
+    arm: Arm,
     options: Options,
     model: RigidModel | None,
     seen: Sequence[_Seen],
     fits: Mapping[int, physical.JointFit],
-) -> list[RecordModel]:
-    """What each record says of the joints excited in it, and their responses in it.
+) -> tuple[RecordModel, ...]:
+    """Models of each record alone, of the joints excited in it, with their responses in it.
 
-    The state-space models of a sweep start from those at full amplitude.
+    The state-space model of a sweep starts from that of a record at full amplitude.
     """
     how = physical.RecordOptions(options.physical, options.statespace)
-    models: dict[int, StateSpace] = {}  # of a joint at full amplitude
+    starts: dict[int, StateSpace] = {}  # by joint
 
-    def one_by_one(log: Log, both_sides: LinkSignals, part: Decoupled) -> RecordModel:
+    def fit_of(log: Log, both_sides: LinkSignals, part: Decoupled) -> physical.RecordFit:
         own = replace(how, judged=log.experiment.use == "frequency")
-        fit, near = fits.get(part.joint), models.get(part.joint)
-        found = physical.identify_record(both_sides, part, model, run.arm, own, fit, near)
-        return replace(found, response=_response([part], options.responses))
+        together, near = fits.get(part.joint), starts.get(part.joint)
+        fit = physical.fit_record(both_sides, part, model, arm, own, together, near)
+        record = replace(fit.record, response=_response([part], options.responses))
+        return replace(fit, record=record)
 
     every = [(log, both, part) for log, both, ps in seen for part in _excited_joints(ps, log)]
     by_use: dict[str, Iterator[RecordModel]] = {}
     for use in ("frequency", "sweep"):
-        jobs = [partial(one_by_one, *each) for each in every if each[0].experiment.use == use]
+        jobs = [partial(fit_of, *each) for each in every if each[0].experiment.use == use]
         made = side_by_side(jobs)
-        models |= {r.signals.joint: r.state_space for r in reversed(made) if r.state_space}
-        by_use[use] = iter(made)
-    return [next(by_use[log.experiment.use]) for log, _, _ in every]
+        for fit in made if use == "frequency" else ():
+            if fit.linear is not None:
+                joint = fit.record.signals.joint
+                starts.setdefault(joint, fit.linear.of_physical_order())
+        by_use[use] = iter([fit.record for fit in made])
+    return tuple(next(by_use[log.experiment.use]) for log, _, _ in every)
 
 
 def _response(records: Sequence[Decoupled], options: FrequencyOptions) -> FrequencyResponse | None:

@@ -61,6 +61,12 @@ class Run:
             What is done in it.
         """
         self.report(part, said)
+        with self.clocked(part):
+            yield
+
+    @contextmanager
+    def clocked(self, part: str) -> Iterator[None]:
+        """Add the time of work for a part that is done beside another part."""
         begin = time.perf_counter()
         yield
         self.timing_s[part] = self.timing_s.get(part, 0.0) + time.perf_counter() - begin

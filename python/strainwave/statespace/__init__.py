@@ -13,7 +13,7 @@ from strainwave.statespace.pem import PemOptions, pem
 from strainwave.statespace.propagation import propagate
 from strainwave.statespace.residuals import check_model
 from strainwave.statespace.response import frequency_response
-from strainwave.statespace.subspace import subspace
+from strainwave.statespace.subspace import subspace, subspace_orders
 
 __all__ = [
     "PemOptions",
@@ -26,6 +26,7 @@ __all__ = [
     "propagate",
     "select_order",
     "subspace",
+    "subspace_orders",
     "to_continuous",
     "without_means",
 ]

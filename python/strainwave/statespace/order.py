@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import InputOutput, OrderSelection, StateSpace
+from strainwave.domain import BoolArray, InputOutput, OrderSelection, StateSpace
 from strainwave.errors import InvalidInput
 from strainwave.statespace._evaluate import fit_percent
 from strainwave.statespace._stack import Data, records_of, stack
@@ -30,54 +30,60 @@ ORDERS = (2, 3, 4, 5, 6)
 """Those tried unless others are asked for: a joint has three states, and filters add a few."""
 
 
+FitOrders = Callable[[Sequence[InputOutput]], Callable[[int], StateSpace]]
+"""Records to a function from an order to the model of that order: work on the data is shared."""
+
+
 def select_order(
     data: Data,
     orders: Sequence[int] = ORDERS,
     options: PemOptions | None = None,
-    fit: Callable[[Sequence[InputOutput], int], StateSpace] | None = None,
+    fit: FitOrders | None = None,
 ) -> OrderSelection:
-    """Fit several orders and take one.
+    """Compare models of several orders and choose one.
 
-    Each order is fitted to the first three quarters of every record and predicts the last (or
-    simulates it, if K is not estimated); then it is fitted to all of the data. Orders count that
-    leave at most a twentieth more of the held-out outputs unexplained than the best does. The one
-    of least BIC is taken if its residuals are white, which BIC presumes; otherwise the lowest.
+    Each order is fitted to the first three quarters of every record and predicts the last quarter,
+    or simulates it if K is not estimated. The orders that leave at most a twentieth more of the
+    held-out outputs unexplained than the best order are candidates, and are fitted to all of the
+    data. The candidate of least BIC is chosen if its residuals are white, which BIC presumes;
+    otherwise the lowest candidate.
 
-    Parameters
-    ----------
-    data : InputOutput or sequence of InputOutput
-    orders : sequence of int
-    options : PemOptions, optional
-    fit : callable, optional
-        Records and order to a model. None: `pem` with the options.
-
-    Returns
-    -------
-    OrderSelection
-        Its models are those of all of the data; `rule` says why one was chosen. Held-out fits are
-        NaN where the records are too short to hold anything out.
-
-    Raises
-    ------
-    InvalidInput
-        As `pem`; no order, or one below one.
+    `fit` replaces `pem` with the given options. The result has one model per candidate, held-out
+    fits of every order (NaN if the records are too short to hold anything out), and in `rule` the
+    reason for the choice. Raises `InvalidInput` like `pem`, and for no order or one below 1.
     """
     wanted = tuple(sorted(set(orders)))
     if not wanted or wanted[0] < 1:
         raise InvalidInput(f"expected orders of at least 1, got {tuple(orders)}")
     stack(data)
-    fit = fit or partial(pem, options=options)
+    fit = fit or (lambda records: partial(pem, records, options=options))
     kept, held_out = _parts(data, wanted[-1])
-    models, fits = [], []
-    for order in wanted:
-        if held_out:
-            first = fit(kept, order)
-            fits.append(_held_out_fit(first, held_out))
-        else:
-            fits.append((float("nan"),) * records_of(data)[0].outputs.shape[1])
-        models.append(fit(records_of(data), order))
-    chosen, rule = _choose(tuple(models), tuple(fits), data)
+    fits: list[tuple[float, ...]] = [(float("nan"),) * records_of(data)[0].outputs.shape[1]]
+    fits *= len(wanted)
+    is_sound = np.ones(len(wanted), dtype=bool)
+    of_all = fit(records_of(data))
+    if held_out:
+        of_first = fit(kept)
+        first = [of_first(order) for order in wanted]
+        fits = [_held_out_fit(model, held_out) for model in first]
+        is_sound = _sound(first)
+    left = np.array([100.0 - np.mean(each) for each in fits])
+    if np.isfinite(left[is_sound]).any():
+        close = is_sound & (left <= (1.0 + SHARE) * np.min(left[is_sound]) + POINTS)
+        among, rest = "as good as any on held-out data", "all others are worse on held-out data"
+    else:
+        close, among, rest = is_sound, "no data long enough to hold out", "no other converged"
+    models = [of_all(order) for order, is_close in zip(wanted, close, strict=True) if is_close]
+    is_usable = _sound(models)
+    candidates = [model for model, usable in zip(models, is_usable, strict=True) if usable]
+    chosen, rule = _choose(candidates, data, among, rest)
     return OrderSelection(tuple(models), tuple(fits), chosen, rule)
+
+
+def _sound(models: Sequence[StateSpace]) -> BoolArray:
+    """(n_models,) whether each fit converged; all of them where none did."""
+    sound = np.array([model.status in ("converged", "estimated") for model in models])
+    return sound if sound.any() else np.ones(len(models), dtype=bool)
 
 
 def _parts(data: Data, highest: int) -> tuple[list[InputOutput], list[InputOutput]]:
@@ -102,20 +108,8 @@ def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float
     return fit_percent(stacked.outputs, stacked.outputs - evaluator.residuals(matrices))
 
 
-def _choose(
-    models: tuple[StateSpace, ...], fits: tuple[tuple[float, ...], ...], data: Data
-) -> tuple[int, str]:
+def _choose(candidates: Sequence[StateSpace], data: Data, among: str, rest: str) -> tuple[int, str]:
     """The order and the reason."""
-    left = np.array([100.0 - np.mean(fit) for fit in fits])
-    sound = np.array([model.status in ("converged", "estimated") for model in models])
-    if not sound.any():
-        sound[:] = True
-    if np.isfinite(left[sound]).any():
-        close = sound & (left <= (1.0 + SHARE) * np.min(left[sound]) + POINTS)
-        among, rest = "as good as any on held-out data", "all others are worse on held-out data"
-    else:
-        close, among, rest = sound, "no data long enough to hold out", "no other converged"
-    candidates = [model for model, is_close in zip(models, close, strict=True) if is_close]
     names = ", ".join(str(model.order) for model in candidates)
     if len(candidates) == 1:
         return candidates[0].order, f"order {names}: {rest}"

@@ -22,7 +22,13 @@ from strainwave.statespace._restricted import restricted
 from strainwave.statespace._riccati import is_stable, reflected, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
-from strainwave.statespace.subspace import HIGHEST_ORDER, check_feedthrough, choose_horizon, realise
+from strainwave.statespace.subspace import (
+    HIGHEST_ORDER,
+    Factors,
+    check_feedthrough,
+    choose_horizon,
+    realise,
+)
 
 # times what Schwarz's criterion allows: with that more cost at the plant's poles K is not zero
 _SURELY = 3.0
@@ -155,8 +161,8 @@ def _starts(
     """Starts whose predictors are stable."""
     if start is None:
         ways: tuple[Literal["predictor", "moesp"], ...] = ("predictor", "moesp")
-        horizon = choose_horizon(data, order or HIGHEST_ORDER)
-        found = [realise(data, order, way, horizon, feedthrough).matrices for way in ways]
+        horizon, factors = choose_horizon(data, order or HIGHEST_ORDER), Factors(data)
+        found = [realise(factors, order, way, horizon, feedthrough).matrices for way in ways]
     else:
         found = [_from_model(start, data)]
     evaluator = Evaluator(data, found[0].order)

@@ -13,8 +13,9 @@ as the least-squares solution of the whole predictor.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -93,37 +94,101 @@ def subspace(
     """
     _check(order, horizon, method)
     stacked = stack(data)
-    through = check_feedthrough(feedthrough, stacked)
-    found = realise(stacked, order, method, horizon, through)
-    evaluator = Evaluator(stacked, found.matrices.order)
-    values = evaluator.linear(found.matrices, through, gain=True)
-    if np.isfinite(evaluator.cost(values.pack())):
-        model = assemble(stacked, values, "subspace", "estimated", through)
+    return _estimate(Factors(stacked), order, method, horizon, feedthrough)
+
+
+def subspace_orders(data: Data) -> Callable[[int], StateSpace]:
+    """A function from an order to `subspace(data, order)` that factorises the data only once."""
+    factors = Factors(stack(data))
+    return lambda order: _estimate(factors, order, "auto", None, None)
+
+
+def _estimate(
+    factors: Factors,
+    order: int | None,
+    method: Method,
+    horizon: int | None,
+    feedthrough: tuple[bool, ...] | None,
+) -> StateSpace:
+    data = factors.data
+    through = check_feedthrough(feedthrough, data)
+    realisation = realise(factors, order, method, horizon, through)
+    evaluator = Evaluator(data, realisation.matrices.order)
+    matrices = evaluator.linear(realisation.matrices, through, gain=True)
+    if np.isfinite(evaluator.cost(matrices.pack())):
+        model = assemble(data, matrices, "subspace", "estimated", through)
     else:
-        model = assemble(stacked, values, "subspace", "not-determined", through, (_DIVERGES,))
-    return replace(model, singular_values=found.singular_values, horizon=found.horizon)
+        model = assemble(data, matrices, "subspace", "not-determined", through, (_DIVERGES,))
+    return replace(model, singular_values=realisation.singular_values, horizon=realisation.horizon)
+
+
+class Factors:
+    """The triangular factors of one stack of data, and their singular vectors, by horizon."""
+
+    def __init__(self, data: Stack) -> None:
+        self.data = data
+        self._known: dict[tuple[str, int], Any] = {}
+
+    def regression(self, past: int) -> FloatArray:
+        """R of [u[k], z[k-1], ..., z[k-past], y[k]]."""
+
+        def factor() -> FloatArray:
+            return triangular_factor(self.data, past + 1, _regression_order(self.data, past))[0]
+
+        return cast("FloatArray", self._once("regression", past, factor))
+
+    def predictor(self, past: int) -> Directions:
+        """Of the predictor's products of C (A - K C)^j with the states."""
+        return cast("Directions", self._once("predictor", past, lambda: _predictor(self, past)))
+
+    def oblique(self, past: int) -> Directions:
+        """Of future outputs on the past, future inputs projected out."""
+        return cast("Directions", self._once("oblique", past, lambda: _oblique(self, past)))
+
+    def past_and_future(self, past: int) -> FloatArray:
+        """R of [future inputs, past w, future outputs]."""
+        return cast(
+            "FloatArray",
+            self._once("past-and-future", past, lambda: _past_and_future(self.data, past)),
+        )
+
+    def _once(self, name: str, past: int, work: Callable[[], Any]) -> Any:
+        if (name, past) not in self._known:
+            self._known[name, past] = work()
+        return self._known[name, past]
+
+
+@dataclass(frozen=True, slots=True)
+class Directions:
+    """A matrix of which the states are the leading singular directions."""
+
+    matrix: FloatArray
+    singular_values: FloatArray
+    vectors: FloatArray  # one column a direction
 
 
 def realise(
-    data: Stack,
+    factors: Factors,
     order: int | None,
     method: Method,
     horizon: int | None,
     feedthrough: tuple[bool, ...],
 ) -> Realisation:
     """The better realisation, by the determinant of its innovations, in balanced coordinates."""
+    data = factors.data
     ways = ("moesp", "predictor") if method == "auto" else (method,)
     length = horizon or choose_horizon(data, order or HIGHEST_ORDER)
     _check_length(data, order or 1, length)
     best: tuple[float, Realisation] | None = None
     for way in ways:
-        found = _WAYS[way](data, order, length, feedthrough)
+        realisation = _WAYS[way](factors, order, length, feedthrough)
         if len(ways) == 1:
-            return found
-        evaluator = Evaluator(data, found.matrices.order)
-        cost = evaluator.cost(evaluator.linear(found.matrices, feedthrough, gain=True).pack())
+            return realisation
+        evaluator = Evaluator(data, realisation.matrices.order)
+        matrices = evaluator.linear(realisation.matrices, feedthrough, gain=True)
+        cost = evaluator.cost(matrices.pack())
         if best is None or cost < best[0]:
-            best = cost, found
+            best = cost, realisation
     assert best is not None
     return best[1]
 
@@ -170,71 +235,89 @@ def _regression_order(data: Stack, past: int) -> FloatArray:
     return np.concatenate([now + np.arange(m), lags, now + np.arange(m, width)])
 
 
-def _predictor(
-    data: Stack, order: int | None, past: int, feedthrough: tuple[bool, ...]
-) -> Realisation:
-    """States from the autoregression y[k] = D u[k] + sum M_i z[k-i] + e[k].
+def _predictor(factors: Factors, past: int) -> Directions:
+    """Autoregression y[k] = D u[k] + sum M_i z[k-i] + e[k], whose M_i give the states' rows.
 
     M_i = C (A - K C)^(i-1) [B - K D, K]. The products of C (A - K C)^j with the states are sums of
     M_(i+j) z[k-i]; terms beyond the past are negligible once M_past is.
     """
-    m, p = data.n_inputs, data.n_outputs
+    m, p = factors.data.n_inputs, factors.data.n_outputs
     width = m + p
-    # One sample more than the past, so that the state one sample on has its whole past as well.
-    R, _ = triangular_factor(data, past + 1, _regression_order(data, past))
+    R = factors.regression(past)
     lead = m + past * width
     coefficients = solve_upper(R[:lead, :lead], R[:lead, lead:])[m:].T
     padded = np.hstack([coefficients, np.zeros((p, past * width))])
-    sight = np.vstack([padded[:, j * width : (j + past) * width] for j in range(past)])
-    Z = R[:, m:lead]
-    U, s, _ = np.linalg.svd(sight @ Z.T, full_matrices=False)
+    rows = np.vstack([padded[:, j * width : (j + past) * width] for j in range(past)])
+    U, s, _ = np.linalg.svd(rows @ R[:, m:lead].T, full_matrices=False)
+    return Directions(rows, s, U)
+
+
+def _by_predictor(
+    factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
+) -> Realisation:
+    found = factors.predictor(past)
+    s = found.singular_values
     n = order or _largest_gap(s)
-    to_state = (U[:, :n].T @ sight) / np.sqrt(s[:n])[:, None]
-    return _from_states(R, to_state, data, past, s, feedthrough, given=None)
+    to_state = (found.vectors[:, :n].T @ found.matrix) / np.sqrt(s[:n])[:, None]
+    return _from_states(factors, to_state, past, s, feedthrough, given=None)
 
 
-def _moesp(data: Stack, order: int | None, past: int, feedthrough: tuple[bool, ...]) -> Realisation:
-    """A and C from the extended observability matrix, states from the oblique projection."""
-    p = data.n_outputs
-    R, known, lead = _past_and_future(data, past)
+def _oblique(factors: Factors, past: int) -> Directions:
+    R, known, lead = factors.past_and_future(past), *_places(factors.data, past)
     L_wy = R[known:lead, lead:]  # future outputs on the past, future inputs projected out
-    reduced = np.linalg.qr(L_wy, mode="r")
-    _, s, Vt = np.linalg.svd(reduced)
+    _, s, Vt = np.linalg.svd(np.linalg.qr(L_wy, mode="r"))
+    return Directions(L_wy, s, Vt.T)
+
+
+def _moesp(
+    factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
+) -> Realisation:
+    """A and C from the extended observability matrix, states from the oblique projection."""
+    p, (known, lead) = factors.data.n_outputs, _places(factors.data, past)
+    R, found = factors.past_and_future(past), factors.oblique(past)
+    s = found.singular_values
     n = order or _largest_gap(s)
-    sight = Vt[:n].T * np.sqrt(s[:n])
-    C = sight[:p]
-    A = np.asarray(np.linalg.lstsq(sight[:-p], sight[p:], rcond=None)[0])
-    # x = sight^+ (oblique projection) = sight^+ L_wy' L_ww'^-1 w
-    oblique = solve_upper(R[known:lead, known:lead], L_wy @ np.linalg.pinv(sight).T)
-    return _from_oblique(oblique, data, past, s, feedthrough, given=(A, C))
+    observability = found.vectors[:, :n] * np.sqrt(s[:n])
+    C = observability[:p]
+    A = np.asarray(np.linalg.lstsq(observability[:-p], observability[p:], rcond=None)[0])
+    # x = O^+ (oblique projection) = O^+ L_wy' L_ww'^-1 w
+    right = found.matrix @ np.linalg.pinv(observability).T
+    oblique = solve_upper(R[known:lead, known:lead], right)
+    return _from_oblique(factors, oblique, past, s, feedthrough, given=(A, C))
 
 
-def _n4sid(data: Stack, order: int | None, past: int, feedthrough: tuple[bool, ...]) -> Realisation:
+def _n4sid(
+    factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
+) -> Realisation:
     """States from the oblique projection itself, unweighted; A, B, C, D by regression on them."""
-    R, known, lead = _past_and_future(data, past)
+    R, (known, lead) = factors.past_and_future(past), _places(factors.data, past)
     onto_past = solve_upper(R[known:lead, known:lead], R[known:lead, lead:])
     # the projection's rows are w' onto_past; all of w counts, not only what future inputs leave
     _, s, Vt = np.linalg.svd(np.linalg.qr(R[:lead, known:lead] @ onto_past, mode="r"))
     n = order or _largest_gap(s)
-    sight = Vt[:n].T * np.sqrt(s[:n])
-    return _from_oblique(
-        onto_past @ np.linalg.pinv(sight).T, data, past, s, feedthrough, given=None
-    )
+    observability = Vt[:n].T * np.sqrt(s[:n])
+    oblique = onto_past @ np.linalg.pinv(observability).T
+    return _from_oblique(factors, oblique, past, s, feedthrough, given=None)
 
 
-def _past_and_future(data: Stack, past: int) -> tuple[FloatArray, int, int]:
-    """R of [future inputs, past w, future outputs], where the past begins and where it ends."""
+def _past_and_future(data: Stack, past: int) -> FloatArray:
+    """R of [future inputs, past w, future outputs]."""
     m, width = data.n_inputs, data.n_inputs + data.n_outputs
     window = np.arange(2 * past * width).reshape(2 * past, width)
     history, future = window[:past], window[past:]
     columns = [future[:, :m], history, future[:, m:]]
-    R, _ = triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))
-    return R, past * m, past * m + past * width
+    return triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))[0]
+
+
+def _places(data: Stack, past: int) -> tuple[int, int]:
+    """Where the past begins and where it ends among the columns of `_past_and_future`."""
+    m, width = data.n_inputs, data.n_inputs + data.n_outputs
+    return past * m, past * m + past * width
 
 
 def _from_oblique(
+    factors: Factors,
     oblique: FloatArray,
-    data: Stack,
     past: int,
     singular_values: FloatArray,
     feedthrough: tuple[bool, ...],
@@ -243,14 +326,12 @@ def _from_oblique(
     """From the states as combinations of the past, (past * width, n), oldest sample first."""
     n = oblique.shape[1]
     to_state = oblique.T.reshape(n, past, -1)[:, ::-1].reshape(n, -1)
-    R, _ = triangular_factor(data, past + 1, _regression_order(data, past))
-    return _from_states(R, to_state, data, past, singular_values, feedthrough, given)
+    return _from_states(factors, to_state, past, singular_values, feedthrough, given)
 
 
 def _from_states(
-    R: FloatArray,
+    factors: Factors,
     to_state: FloatArray,
-    data: Stack,
     past: int,
     singular_values: FloatArray,
     feedthrough: tuple[bool, ...],
@@ -258,8 +339,10 @@ def _from_states(
 ) -> Realisation:
     """Regress outputs and next states on states and inputs; the residuals give K.
 
-    `R` stands for the data: its columns are [u[k], z[k-1], ..., z[k-past], y[k]].
+    The factor R of [u[k], z[k-1], ..., z[k-past], y[k]] stands for the data: it has one sample
+    more than the past, so that the state one sample on has its whole past as well.
     """
+    data, R = factors.data, factors.regression(past)
     m, p = data.n_inputs, data.n_outputs
     width = m + p
     lead = m + past * width
@@ -328,4 +411,4 @@ def _check(order: int | None, horizon: int | None, method: str) -> None:
         )
 
 
-_WAYS = {"moesp": _moesp, "n4sid": _n4sid, "predictor": _predictor}
+_WAYS = {"moesp": _moesp, "n4sid": _n4sid, "predictor": _by_predictor}

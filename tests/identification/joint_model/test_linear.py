@@ -16,6 +16,7 @@ from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification.joint_model import linear
 from strainwave.identification.joint_model.linear import (
     band_of,
+    fit_linear,
     judge,
     modes_of,
     other_bands,
@@ -85,7 +86,7 @@ def test_options_change_the_model() -> None:
 
 def test_too_many_states_give_way_to_the_physical_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(linear, "_best_order", lambda *_: 6)
-    monkeypatch.setattr(linear, "_will_do", lambda model: model.order == 3)
+    monkeypatch.setattr(linear, "_is_usable", lambda model: model.order == 3)
     model = state_space_of(case(1, 1).decoupled)
     assert model.order == 3
     assert [warning.code for warning in model.warnings] == ["order-reduced"]
@@ -217,14 +218,15 @@ def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
 @pytest.mark.parametrize("which", CASES[:2])
 def test_held_out_data_are_predicted_and_feedback_is_seen(which: tuple[int, int]) -> None:
     """One step ahead on the last quarter; the interaction torque is feedback, and shows as such."""
-    check = judge(case(*which).decoupled, model_of(*which))
+    check = judge(fit_linear(case(*which).decoupled))
     assert min(check.prediction_fit_percent) > 90.0
     verdicts = {test.name: test.passed for test in check.tests}
     assert set(verdicts) == {"white", "independent-of-past-inputs", "no-feedback"}
 
 
 def test_a_model_that_does_not_ring_is_not_judged() -> None:
-    model = model_of(1, 1)
+    fit = fit_linear(case(1, 1).decoupled)
+    model = fit.model
     dull = replace(model, A=np.diag(np.linspace(0.5, 0.7, model.order)))
     with pytest.raises(NotIdentifiable, match="does not ring"):
-        judge(case(1, 1).decoupled, dull)
+        judge(replace(fit, model=dull))

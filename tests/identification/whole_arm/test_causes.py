@@ -151,6 +151,21 @@ def test_what_a_cause_would_move_is_in_order() -> None:
         assert np.all(np.isfinite(deviations))
 
 
+def test_rivals_are_fitted_within_their_budget() -> None:
+    """Without effort no effect is fitted, and a warning lists those that might explain much."""
+    named = tuned(("hysteresis",), ())
+    assert named.criticism is not None
+    assert named.criticism.causes
+    assert not [w for w in named.warnings if w.code == "causes-not-fitted"]
+    none = tuned(("hysteresis",), (), effort=0.0)
+    assert none.criticism is not None
+    assert none.criticism.causes == ()
+    (warning,) = [w for w in none.warnings if w.code == "causes-not-fitted"]
+    assert "hysteresis of joint 1" in warning.message
+    assert "rival_effort" in warning.message
+    assert none.values == named.values
+
+
 @pytest.mark.parametrize(
     ("many", "one", "more_likely"),
     [(0.052, 0.044, "one"), (0.30, 0.10, "many"), (0.10, 0.10, "one")],

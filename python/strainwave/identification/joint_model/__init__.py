@@ -40,8 +40,9 @@ from strainwave.identification.joint_model.grey_box import (
     solve,
 )
 from strainwave.identification.joint_model.linear import (
-    PHYSICAL_ORDER,
+    LinearFit,
     band_for,
+    fit_linear,
     judge,
     modes_of,
     other_bands,
@@ -58,11 +59,15 @@ from strainwave.numerics.parallel import one_blas_thread
 
 __all__ = [
     "JointFit",
+    "LinearFit",
     "LinearOptions",
     "PhysicalOptions",
+    "RecordFit",
     "RecordOptions",
     "compared",
     "fit_joint",
+    "fit_linear",
+    "fit_record",
     "from_state_space",
     "identify_joint",
     "identify_record",
@@ -85,8 +90,9 @@ class RecordOptions:
     physical: PhysicalOptions = field(default_factory=PhysicalOptions)
     linear: LinearOptions = field(default_factory=LinearOptions)
     state_space: bool = True  # whether a state-space model is estimated beside
-    # whether that model is put to its tests, and gives physical parameters; else it is estimated
-    # in the band that the equations of motion found, which takes an eighth of the time
+    # whether the data choose the model's order, and the model is judged on held-out samples and
+    # gives physical parameters; else it has three states in the band of the equations of motion,
+    # which takes a twentieth of the time
     judged: bool = True
 
 
@@ -191,7 +197,29 @@ def _joint_model(solved: Solved) -> JointModel:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class RecordFit:
+    """The models of one record, and the state-space fit from which those of others can start."""
+
+    record: RecordModel
+    linear: LinearFit | None  # None: not wanted, or it failed
+
+
 def identify_record(
+    signals: LinkSignals,
+    decoupled: Decoupled,
+    model: RigidModel | None,
+    arm: Arm,
+    options: RecordOptions | None = None,
+) -> RecordModel:
+    """Identify the joint that one record excites, by every route that the options ask for.
+
+    What fails is None in the result, and a warning of the result gives the reason.
+    """
+    return fit_record(signals, decoupled, model, arm, options).record
+
+
+def fit_record(
     signals: LinkSignals,
     decoupled: Decoupled,
     model: RigidModel | None,
@@ -199,27 +227,12 @@ def identify_record(
     options: RecordOptions | None = None,
     together: JointFit | None = None,
     near: StateSpace | None = None,
-) -> RecordModel:
-    """Everything one record shows of the joint that was excited in it.
+) -> RecordFit:
+    """Identify one record as `identify_record` does, from the results of other records.
 
-    Parameters
-    ----------
-    signals : LinkSignals
-    decoupled : Decoupled
-        Of that joint.
-    model : RigidModel or None
-    arm : Arm
-    options : RecordOptions, optional
-    together : JointFit, optional
-        From `fit_joint` of several records, from which this one can start; at once, if it is one
-        of them.
-    near : StateSpace, optional
-        Of another record of the joint, from which one that is not judged can start.
-
-    Returns
-    -------
-    RecordModel
-        What could not be had is None, and a warning says why.
+    `together` is the fit of several records of the joint, from which this record starts, or whose
+    solution for this record it uses. `near` is a state-space model of another record, from which
+    a model that is not judged starts.
     """
     chosen = options or RecordOptions()
     where = decoupled.experiment.name
@@ -246,27 +259,29 @@ def identify_record(
     judged = chosen.judged or not by_equations
     if chosen.state_space or not by_equations:
         how = chosen.linear if judged else _in_known_band(decoupled, physical, chosen.linear)
-        begin = None if judged else near
-        linear = tried("state-space-failed", lambda: state_space_of(decoupled, how, begin))
+        start = None if judged else near
+        linear = tried("state-space-failed", lambda: fit_linear(decoupled, how, start))
     if linear is not None:
-        found = linear
-        warnings += [replace(each, where=where) for each in found.warnings]
-        modes = tried("modes-failed", lambda: modes_of(found))
+        fit = linear
+        warnings += [replace(each, where=where) for each in fit.model.warnings]
+        modes = tried("modes-failed", lambda: modes_of(fit.model))
     if linear is not None and judged:
-        check = tried("not-judged", lambda: judge(decoupled, found, chosen.linear))
+        check = tried("not-judged", lambda: judge(fit))
         transfer = tried(
-            "transfer-function-failed",
-            lambda: _by_transfer([decoupled], found, model, arm, chosen),
+            "transfer-function-failed", lambda: _by_transfer(fit, model, arm, chosen.physical)
         )
-    return RecordModel(
-        decoupled, physical, linear, modes, transfer, check, warnings=tuple(warnings)
+    state_space = None if linear is None else linear.model
+    record = RecordModel(
+        decoupled, physical, state_space, modes, transfer, check, warnings=tuple(warnings)
     )
+    return RecordFit(record, linear)
 
 
 def _in_known_band(
     record: Decoupled, physical: JointModel | None, options: LinearOptions
 ) -> LinearOptions:
-    """With the band around the resonances that are known already, where they are."""
+    """Three states, in the band around the resonances where these are known already."""
+    options = physical_order(options)
     if physical is None or physical.anti_resonance is None or physical.resonance is None:
         return options
     rings = physical.anti_resonance.frequency_hz, physical.resonance.frequency_hz
@@ -302,43 +317,22 @@ def joint_by_transfer(
     """
     chosen = options or RecordOptions()
     with one_blas_thread():
-        found = state_space_of(records, physical_order(chosen.linear))
-        return _by_transfer(records, found, model, arm, chosen)
+        fit = fit_linear(records, physical_order(chosen.linear))
+        return _by_transfer(fit, model, arm, chosen.physical)
 
 
 def _by_transfer(
-    records: Sequence[Decoupled],
-    found: StateSpace,
-    model: RigidModel | None,
-    arm: Arm,
-    options: RecordOptions,
+    fit: LinearFit, model: RigidModel | None, arm: Arm, options: PhysicalOptions
 ) -> JointModel:
-    """What a state-space model says of the joint, with what the rigid model knows if wanted.
+    """Physical parameters from a state-space model of three states, the order of (17).
 
-    (17) is of order three. Where the data asked for another, a model of three states takes its
-    place; where that does not converge or does not ring, the least damped pairs of the other do.
+    If that model does not converge or has no resonance, the least damped pairs of the model of
+    the chosen order are used.
     """
-    found = _of_physical_order(records, found, options.linear)
-    modes = modes_of(found)
-    known = rigid_knowledge(model if options.physical.use_rigid else None, arm, records[0].joint)
-    others = _in_other_bands(records, found, modes, options.linear)
-    return from_state_space(found, records, arm, known, others)
-
-
-def _of_physical_order(
-    records: Sequence[Decoupled], found: StateSpace, options: LinearOptions
-) -> StateSpace:
-    if options.order or found.order == PHYSICAL_ORDER:
-        return found
-    try:
-        reduced = state_space_of(records, physical_order(options))
-    except (StrainwaveError, np.linalg.LinAlgError):
-        return found
-    modes = modes_of(replace(reduced, covariance=None))
-    sound = (
-        reduced.status in ("converged", "estimated") and modes.resonance and modes.anti_resonance
-    )
-    return reduced if sound else found
+    reduced, records = fit.of_physical_order(), fit.records
+    known = rigid_knowledge(model if options.use_rigid else None, arm, records[0].joint)
+    others = _in_other_bands(records, reduced, modes_of(reduced), fit.options)
+    return from_state_space(reduced, records, arm, known, others)
 
 
 def _in_other_bands(

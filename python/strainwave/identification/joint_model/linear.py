@@ -15,7 +15,8 @@ link velocity, as in (11), (12). What prediction-error estimation asks of the da
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -33,10 +34,18 @@ from strainwave.domain import (
     Modes,
     StateSpace,
 )
-from strainwave.errors import NotIdentifiable
+from strainwave.errors import NotIdentifiable, StrainwaveError
 from strainwave.numerics.filters import by_spectrum, low_pass
 from strainwave.signals.channels import check_alike
-from strainwave.statespace import check_model, modes, pem, propagate, select_order, subspace
+from strainwave.statespace import (
+    check_model,
+    modes,
+    pem,
+    propagate,
+    select_order,
+    subspace,
+    subspace_orders,
+)
 
 BELOW = 3.0  # anti-resonance over the band's lower edge
 ABOVE = 3.0  # the band's upper edge over the resonance: with less, d_G hardly shows
@@ -53,8 +62,35 @@ _RAISED = 0.75  # of the new rate, up to which inputs are raised: sinc^2 is then
 _BELOW_NYQUIST = 0.8  # of the new Nyquist frequency, as in MATLAB's `decimate`
 _SHORTEST = 10.0  # periods of that low-pass in one of the slowest motion, at least
 PHYSICAL_ORDER = 3  # torsion and two velocities: a common turn of both sides is not seen in them
+_ORDERS = (3, 4, 5, 6)  # a joint has three states, and filters add a few
 _INFORMATIVE = 2000  # samples that choose an order: a hundred for each parameter of three states
 _OTHER_BAND = 1.2  # factor by which band edges are moved to see the residuals out
+
+
+@dataclass(frozen=True, slots=True)
+class LinearFit:
+    """A joint's state-space model with the band and the samples that it is fitted to."""
+
+    records: tuple[Decoupled, ...]
+    options: LinearOptions
+    band_hz: tuple[float, float]  # of the filter
+    data: tuple[InputOutput, ...]  # filtered, decimated stretches
+    model: StateSpace
+    physical: StateSpace | None = None  # of three states in the same band; None: not fitted yet
+
+    def of_physical_order(self) -> StateSpace:
+        """The model of three states, which (17) presumes, in the same band.
+
+        The model itself if its order is set by hand, if it has three states, or if the model of
+        three states does not converge or has no resonance.
+        """
+        if self.options.order or self.model.order == PHYSICAL_ORDER:
+            return self.model
+        try:
+            reduced = self.physical or _model(self.records, self.data, physical_order(self.options))
+        except (StrainwaveError, np.linalg.LinAlgError):
+            return self.model
+        return reduced if _is_usable(reduced) else self.model
 
 
 def state_space_of(
@@ -62,48 +98,55 @@ def state_space_of(
     options: LinearOptions | None = None,
     near: StateSpace | None = None,
 ) -> StateSpace:
-    """State-space model of one joint, from one or several records.
+    """Estimate the state-space model of one joint from one or several of its records.
 
-    The noise model is estimated along with the plant, so that feedback through a servo or through
-    the other joint does no harm.
+    The model is one of the filtered signals, so it says nothing below the band. The noise model is
+    estimated along with the plant, so feedback through a servo or the other joint does not bias it.
+    `near` is a model of the same records in another band, from which the search starts.
 
-    Parameters
-    ----------
-    records : Decoupled or sequence of Decoupled
-        Of one joint.
-    options : LinearOptions, optional
-    near : StateSpace, optional
-        Of the same records in another band, from which to start.
-
-    Returns
-    -------
-    StateSpace
-        Of the filtered signals: what they have below the band is not in it.
-
-    Raises
-    ------
-    InvalidInput
-        Records of different joints or rates.
-    NotIdentifiable
-        No stretch without saturation is long enough, or no model fits.
+    Raises `InvalidInput` for records of different joints or rates, `NotIdentifiable` if no stretch
+    without saturation is long enough or no model fits.
     """
+    return fit_linear(records, options, near).model
+
+
+def fit_linear(
+    records: Decoupled | Sequence[Decoupled],
+    options: LinearOptions | None = None,
+    near: StateSpace | None = None,
+) -> LinearFit:
+    """Estimate a state-space model like `state_space_of`, and return its band and samples too."""
     chosen = options or LinearOptions()
     joint = (records,) if isinstance(records, Decoupled) else tuple(records)
     check_alike(joint)
     if chosen.filter == "decimation":
-        return _model(joint, (0.0, _decimated_hz(joint[0], chosen)), chosen, near)
+        return _fit_in((0.0, _decimated_hz(joint[0], chosen)), joint, chosen, near)
     if chosen.band_hz is not None:
-        return _model(joint, chosen.band_hz, chosen, near)
+        return _fit_in(chosen.band_hz, joint, chosen, near)
     band = _at_rate(_search(joint), joint, chosen)
-    # the band around what the physical order shows; how many states the data ask for comes after
-    found = modes_of(replace(_model(joint, band, physical_order(chosen)), covariance=None))
-    # a part of the signals may show other modes than the joint's, and the band would run off
-    whole = chosen.inputs == chosen.outputs == "both"
-    if whole and found.anti_resonance and found.resonance:
-        rings = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
+    data = _data(joint, band, chosen)
+    # the model of physical order sets the band, then the data choose the order in that band
+    physical = _model(joint, data, physical_order(chosen))
+    modes = modes_of(replace(physical, covariance=None))
+    # with some inputs or outputs left out the modes may be others than the joint's
+    is_whole = chosen.inputs == chosen.outputs == "both"
+    if is_whole and modes.anti_resonance and modes.resonance:
+        rings = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
         better = band_for(rings, joint, chosen)
-        band = band if same_band(band, better, _FAR_OFF) else better
-    return _model(joint, band, chosen)
+        if not same_band(band, better, _FAR_OFF):
+            return _fit_in(better, joint, chosen)
+    model = _model(joint, data, chosen, physical=physical)
+    return LinearFit(joint, chosen, band, data, model, physical)
+
+
+def _fit_in(
+    band_hz: tuple[float, float],
+    records: tuple[Decoupled, ...],
+    options: LinearOptions,
+    near: StateSpace | None = None,
+) -> LinearFit:
+    data = _data(records, band_hz, options)
+    return LinearFit(records, options, band_hz, data, _model(records, data, options, near))
 
 
 def physical_order(options: LinearOptions) -> LinearOptions:
@@ -142,43 +185,19 @@ def other_bands(
     )
 
 
-def judge(
-    records: Decoupled | Sequence[Decoupled],
-    model: StateSpace,
-    options: LinearOptions | None = None,
-) -> ModelCheck:
-    """The same model fitted to the first three quarters of each stretch, on the last one.
+def judge(fit: LinearFit) -> ModelCheck:
+    """Refit the model to the first three quarters of each stretch and check it on the last quarter.
 
-    Parameters
-    ----------
-    records : Decoupled or sequence of Decoupled
-        Those of the model.
-    model : StateSpace
-        From `state_space_of`; its order and its resonances' band are taken.
-    options : LinearOptions, optional
-
-    Returns
-    -------
-    ModelCheck
-        Fits, and tests of whiteness and independence, on data that the fit has not seen.
-
-    Raises
-    ------
-    NotIdentifiable
-        The model does not ring, so that there is no band.
+    The result has fits, and tests of whiteness and independence, on samples that the fit does not
+    use. Raises `NotIdentifiable` if the model has no resonance, because its band is then arbitrary.
     """
-    chosen = options or LinearOptions()
-    joint = (records,) if isinstance(records, Decoupled) else tuple(records)
-    found = modes_of(replace(model, covariance=None))
-    if not (found.anti_resonance and found.resonance):
+    if not _has_resonances(fit.model):
         raise NotIdentifiable("the model does not ring: there is no band to judge it in")
-    rings = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
-    data = _data(joint, band_for((min(rings), max(rings)), joint, chosen), chosen)
-    cuts = [round(_FITTED * len(piece.inputs)) for piece in data]
-    first = [piece.window(0, cut) for piece, cut in zip(data, cuts, strict=True)]
-    last = [piece.window(cut, len(piece.inputs)) for piece, cut in zip(data, cuts, strict=True)]
-    fitted = _near(first, model, chosen) or _fit(first, model.order, chosen)
-    return check_model(fitted, last)
+    cuts = [round(_FITTED * len(piece.inputs)) for piece in fit.data]
+    first = [piece.window(0, cut) for piece, cut in zip(fit.data, cuts, strict=True)]
+    last = [piece.window(cut, len(piece.inputs)) for piece, cut in zip(fit.data, cuts, strict=True)]
+    refitted = _fit_near(first, fit.model, fit.options)
+    return check_model(refitted or _fit(first, fit.model.order, fit.options), last)
 
 
 def modes_of(model: StateSpace) -> Modes:
@@ -461,19 +480,25 @@ def _search(records: Sequence[Decoupled]) -> tuple[float, float]:
 
 def _model(
     records: Sequence[Decoupled],
-    band_hz: tuple[float, float],
+    data: Sequence[InputOutput],
     options: LinearOptions,
     near: StateSpace | None = None,
+    physical: StateSpace | None = None,
 ) -> StateSpace:
-    """The model in one band, of the order given, of that of `near`, or of the best of several."""
-    data = _data(records, band_hz, options)
+    """Fit the order that the options give, that of `near`, or the best of several.
+
+    `physical` is the model of three states of the same data, where it is known already.
+    """
     order = options.order or (near.order if near else None) or _best_order(data, options)
-    model = _near(data, near, options) or _fit(data, order, options)
+    if physical is not None and physical.order == order:
+        return physical
+    start = near if near is not None and near.order == order else None
+    model = _fit_from(data, start, options) or _fit(data, order, options)
     notes: tuple[Diagnostic, ...] = ()
-    if not options.order and order != PHYSICAL_ORDER and not _will_do(model):
-        physical = _fit(data, PHYSICAL_ORDER, options)
-        if _will_do(physical):
-            model, notes = physical, (_reduced(records, order),)
+    if not options.order and order != PHYSICAL_ORDER and not _is_usable(model):
+        reduced = physical or _fit(data, PHYSICAL_ORDER, options)
+        if _is_usable(reduced):
+            model, notes = reduced, (_reduced(records, order),)
     return replace(model, warnings=(*model.warnings, *notes, *_warnings(model, records)))
 
 
@@ -492,9 +517,12 @@ def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
         if left > 0:
             taken.append(piece.window(0, min(left, len(piece.inputs))))
             left -= len(piece.inputs)
-    # by subspace estimates: prediction-error fits of too many states take a hundred times as long
-    quick = replace(options, method="subspace") if options.method == "pem" else options
-    return select_order(taken, fit=lambda some, order: _fit(some, order, quick)).chosen
+    if options.method == "pem":  # prediction-error fits take a hundred times as long
+        options = replace(options, method="subspace")
+    if options.horizon is None and options.method == "subspace":
+        return select_order(taken, _ORDERS, fit=subspace_orders).chosen
+    fit = partial(_fit, options=options)
+    return select_order(taken, _ORDERS, fit=lambda some: partial(fit, some)).chosen
 
 
 def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> StateSpace:
@@ -506,26 +534,35 @@ def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> Sta
     return subspace(data, order, method=way, horizon=options.horizon)
 
 
-def _near(
+def _fit_from(
     data: Sequence[InputOutput], near: StateSpace | None, options: LinearOptions
 ) -> StateSpace | None:
-    """The fit that starts from another one, of other samples of the same; None if it will not do.
+    """The fit that starts from a model in another band; None if it is not usable.
 
-    An alternating pole belongs to the other band's edge, so there is nothing to start from then.
+    An alternating pole belongs to the edge of the other band, so that model is no start.
     """
-    if near is None or options.method != "pem" or without_alternating(near) is not near:
+    if near is None or without_alternating(near) is not near:
+        return None
+    return _fit_near(data, near, options)
+
+
+def _fit_near(
+    data: Sequence[InputOutput], near: StateSpace, options: LinearOptions
+) -> StateSpace | None:
+    """The fit that starts from another model of the same rate; None if it is not usable."""
+    if options.method != "pem":
         return None
     model = pem(data, start=near)
-    return model if _will_do(model) else None
+    return model if _is_usable(model) else None
 
 
-def _will_do(model: StateSpace) -> bool:
-    return model.status in ("converged", "estimated") and _rings(model)
+def _is_usable(model: StateSpace) -> bool:
+    return model.status in ("converged", "estimated") and _has_resonances(model)
 
 
-def _rings(model: StateSpace) -> bool:
-    found = modes_of(replace(model, covariance=None))
-    return bool(found.resonance and found.anti_resonance)
+def _has_resonances(model: StateSpace) -> bool:
+    modes = modes_of(replace(model, covariance=None))
+    return bool(modes.resonance and modes.anti_resonance)
 
 
 def _warnings(model: StateSpace, records: Sequence[Decoupled]) -> Iterator[Diagnostic]:

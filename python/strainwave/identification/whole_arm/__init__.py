@@ -24,6 +24,7 @@ from strainwave.identification.whole_arm.solver import (
     Progress,
     coarse_search,
     fine_search,
+    polished,
     reported,
 )
 from strainwave.identification.whole_arm.start import Start, start_of
@@ -123,4 +124,4 @@ def _fit(start: Start, selection: Selection) -> Fit:
     fine = fine_search(objective, coarse.z, coarse.iterations, selection.options)
     if fine.converged:  # what comes beside has evaluations of its own
         selection.renew(fine)
-    return selected(fine, FINE, selection)
+    return polished(selected(fine, FINE, selection), selection.options)

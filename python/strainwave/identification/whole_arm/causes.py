@@ -10,12 +10,12 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from strainwave.domain import Cause, Diagnostic, ParameterShift, TuningOptions
+from strainwave.domain import Cause, Diagnostic, FloatArray, ParameterShift, TuningOptions
 from strainwave.domain.effects import effect_named
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import NotIdentifiable
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
     effects_in,
@@ -26,9 +26,11 @@ from strainwave.identification.whole_arm.effects import (
 from strainwave.identification.whole_arm.estimates import Fit, parameters_of
 from strainwave.identification.whole_arm.gear_load import gear_torques
 from strainwave.identification.whole_arm.loads import Loads, loads_of
+from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.score_tests import (
     Tested,
+    in_long_steps,
     matters,
     score_tests_of,
     shifts,
@@ -42,6 +44,9 @@ _OTHERS = 4  # of the same joint, where those explain less than
 _HARDLY = 0.25  # of the cost
 _AS_GOOD = 0.4  # share of the best one's gain that makes a rival
 _TRIAL = 12  # evaluations of each
+RIVAL_ROWS = 600_000
+"""Compared rows for which fits with one more effect may be evaluated: 62 evaluations of the records
+of a usual study, or half a minute of one core."""
 _GAIN = 0.1  # predicted, at which they end
 _KEPT = 0.5  # share of what a linear step promised that a fit from there must gain
 _MOST = 4  # effects that a fit takes up by itself
@@ -86,41 +91,56 @@ def evidence_of(share: float, parameters: int, cost: float) -> float:
     return -n * math.log(max(1.0 - share, _ALL)) - parameters * math.log(n)
 
 
-def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptions) -> list[Refit]:
-    """Fits with each of the effects that explain most, if any is promising.
+@dataclass(frozen=True, slots=True)
+class Refits:
+    """Fits with one more effect each, and the effects for which the budget did not suffice."""
 
-    Parameters
-    ----------
-    fit : Fit
-        At its minimum.
-    tested : sequence of Tested
-        The most significant first.
-    arm : Arm
-    options : TuningOptions
+    fits: tuple[Refit, ...]  # the likeliest first; without those that explain no more than chance
+    not_fitted: tuple[NamedEffect, ...]
+    evaluations: int  # budget that was given, in evaluations of the fit's objective
 
-    Returns
-    -------
-    list of Refit
-        The most likely first; those that explain nothing beyond chance are left out.
+
+class _Budget:
+    """Evaluations that fits with one more effect may spend."""
+
+    def __init__(self, fit: Fit, options: TuningOptions) -> None:
+        n_rows = sum(len(record.time) for record in fit.objective.records)
+        self.evaluations = int(options.rival_effort * RIVAL_ROWS / n_rows)
+        self.left = self.evaluations
+        self.refused: list[NamedEffect] = []
+
+    @property
+    def of_next(self) -> int:
+        """Evaluations of the next search."""
+        return min(_TRIAL, self.left)
+
+
+def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptions) -> Refits:
+    """Fit each of the effects that explain most, if any is promising, within a budget.
+
+    `fit` is at its minimum, and `tested` is in the order of significance.
     """
     named = named_effects(arm)
     promising = [one for one in tested if one.promising and one.one not in named]
     if not promising:
-        return []
+        return Refits((), (), 0)
     least = _AS_GOOD * max(map(_promise, promising))
     rivals = sorted(
         (one for one in tested if _promise(one) >= least and one.one not in named),
         key=lambda one: -_promise(one),
     )
-    found = _likely(fit, rivals[:_RIVALS], arm, options)
+    long = in_long_steps(fit)
+    fit = replace(long, objective=long.objective.with_step_errors(fit.z))
+    budget = _Budget(fit, options)
+    found = _likely(fit, rivals[:_RIVALS], arm, options, budget)
     if not found or found[0].share < _HARDLY or effect_named(found[0].one[1]).by_record:
         # a linear step may not see them, and what changes by record stands for much else
         joint = found[0].one[0] if found else promising[0].test.joint
         others = [one for one in tested if one.test.joint == joint and one.one not in named]
         others = [one for one in others if one not in rivals[:_RIVALS]]
         others.sort(key=_promise, reverse=True)
-        found += _likely(fit, others[:_OTHERS], arm, options)
-    return _by_evidence(found)
+        found += _likely(fit, others[:_OTHERS], arm, options, budget)
+    return Refits(tuple(_by_evidence(found)), tuple(budget.refused), budget.evaluations)
 
 
 def _by_evidence(refits: Iterable[Refit]) -> list[Refit]:
@@ -128,10 +148,19 @@ def _by_evidence(refits: Iterable[Refit]) -> list[Refit]:
     return sorted(refits, key=lambda one: -one.evidence)
 
 
-def _likely(fit: Fit, rivals: Sequence[Tested], arm: Arm, options: TuningOptions) -> list[Refit]:
+def _likely(
+    fit: Fit, rivals: Sequence[Tested], arm: Arm, options: TuningOptions, budget: _Budget
+) -> list[Refit]:
     """Fits with each of some effects that explain more than chance, the most likely first."""
-    found = [(_refit(fit, one, arm, options), one.chance) for one in rivals]
-    return _by_evidence(one for one, chance in found if one is not None and _shows(one, chance))
+    found = []
+    for one in rivals:
+        if not budget.of_next:
+            budget.refused.append(one.one)
+            continue
+        refit = _refit(fit, one, arm, options, budget)
+        if refit is not None and _shows(refit, one.chance):
+            found.append(refit)
+    return _by_evidence(found)
 
 
 def _promise(tested: Tested) -> float:
@@ -139,7 +168,9 @@ def _promise(tested: Tested) -> float:
     return max(tested.alone, tested.test.gain if tested.promising else 0.0)
 
 
-def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit | None:
+def _refit(
+    fit: Fit, tested: Tested, arm: Arm, options: TuningOptions, budget: _Budget
+) -> Refit | None:
     """The fit with an effect; None where no arm can be there.
 
     From where the effect's linear step leads, and where that gains less than it promised, from
@@ -151,7 +182,11 @@ def _refit(fit: Fit, tested: Tested, arm: Arm, options: TuningOptions) -> Refit 
     loads = loads_of(fit.objective.records, here)
     found: Fit | None = None
     for start in (tested.values, here | sizes):
-        other = _fitted_with(fit, tested.one, start, loads, arm, options)
+        limited = replace(options, max_iterations=budget.of_next)
+        if not budget.of_next:
+            break
+        other = _fitted_with(fit, tested.one, start, loads, arm, limited)
+        budget.left -= budget.of_next if other is None else min(other.iterations, budget.left)
         if other is not None and (found is None or other.cost < found.cost):
             found = other
         if found is not None and fit.cost - tested.rigid - found.cost > _KEPT * tested.alone:
@@ -174,7 +209,7 @@ def _fitted_with(
     arm: Arm,
     options: TuningOptions,
 ) -> Fit | None:
-    """A short search with one more effect from given values."""
+    """Search shortly with one more effect from given values, and correct the step error there."""
     space = fit.objective.space
     extended, begin = with_effects(space, [one], arm, start, loads, fit.records)
     objective = replace(
@@ -182,10 +217,18 @@ def _fitted_with(
         records=records_with(fit.objective.records, _having(arm, one), extended.keys),
     )
     try:
-        search = replace(options, max_iterations=_TRIAL)
-        return search_from(objective, begin, 0, search, tolerance=_GAIN)
-    except NotIdentifiable:
+        found = search_from(objective, begin, 0, options, tolerance=_GAIN)
+        objective = found.objective.corrected(found.z)
+        return search_from(objective, found.z, found.iterations, options, tolerance=_GAIN)
+    except (InvalidInput, NotIdentifiable, NumericalFailure):
         return None
+
+
+def _in_short_steps(fit: Fit, refit: Refit, arm: Arm) -> tuple[Objective, FloatArray]:
+    """The objective of a fit with the effect of a refit, and where that ended."""
+    space = refit.fit.objective.space
+    records = records_with(fit.objective.records, _having(arm, refit.one), space.keys)
+    return replace(fit.objective.for_unknowns(space), records=records), refit.fit.z
 
 
 def _having(arm: Arm, one: NamedEffect) -> Arm:
@@ -266,12 +309,22 @@ def with_demanded_effects(fit: Fit, selection: Selection) -> Fit:
             if arm.joints[one.test.joint - 1].selects_effects
         ]
         refits = refits_of(fit, tested, arm, selection.options)
-        if not refits:
+        if not refits.fits:
             break
         selection.renew(fit)
-        found = refits[0].fit
-        fit = fine_search(found.objective, found.z, fit.iterations, selection.options)
+        objective, z = _in_short_steps(fit, refits.fits[0], arm)
+        fit = fine_search(objective, z, fit.iterations, selection.options)
     return fit
+
+
+def budget_warnings(refits: Refits) -> Iterator[Diagnostic]:
+    """The effects that were not fitted because the budget for such fits was spent."""
+    if refits.not_fitted:
+        names = ", ".join(f"{effect} of joint {joint}" for joint, effect in refits.not_fitted)
+        text = f"{names} might explain the residuals, but the {refits.evaluations} evaluations for"
+        text += " fits with one more effect were spent before: the likely cause may be one of"
+        text += " these. Raise tuning.rival_effort to fit them"
+        yield Diagnostic("causes-not-fitted", "tuning", text)
 
 
 def cause_warnings(causes: Sequence[Cause]) -> Iterator[Diagnostic]:

@@ -19,6 +19,7 @@ from strainwave.identification.whole_arm.agreement import (
 )
 from strainwave.identification.whole_arm.bounds import at_bounds, parameters_at_bounds
 from strainwave.identification.whole_arm.causes import (
+    budget_warnings,
     cause_warnings,
     causes_of,
     refits_of,
@@ -78,7 +79,13 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         status = "iteration-limit"
     ended = tuple(parameters_at_bounds(fit, arm))
     differences, agreement = stage_differences(fit, arm), agreement_tests(fit)
-    criticism = _criticism(fit, selection)
+    tested = score_tests_of(fit, arm)
+    refits = refits_of(fit, tested, arm, selection.options)
+    criticism = Criticism(
+        residual_tests(fit.objective, fit.z),
+        tuple(one.test for one in tested),
+        tuple(causes_of(refits.fits, arm)),
+    )
     repeated = [
         log
         for log in start.logs
@@ -110,6 +117,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *mount_warnings(parameters),
             *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
             *cause_warnings(criticism.causes),
+            *budget_warnings(refits),
         ),
         criticism=criticism,
         gear_loads=histograms_of(gear_loads),
@@ -117,15 +125,4 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         differences=differences,
         agreement=agreement,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.converged else (),
-    )
-
-
-def _criticism(fit: Fit, selection: Selection) -> Criticism:
-    """What a fit leaves, and the effects that might explain it, the likeliest of them fitted."""
-    tested = score_tests_of(fit, selection.arm)
-    refits = refits_of(fit, tested, selection.arm, selection.options)
-    return Criticism(
-        residual_tests(fit.objective, fit.z),
-        tuple(one.test for one in tested),
-        tuple(causes_of(refits, selection.arm)),
     )

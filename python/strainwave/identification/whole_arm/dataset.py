@@ -100,6 +100,9 @@ class Dataset:
     lacking: FloatArray  # (n_rows, n_channels) what the integrator's step takes from the channels
     # (n_rows, n_channels) False where it is no measurement; None: all are
     counted: BoolArray | None = field(default=None, kw_only=True)
+    # (n_rows, n_channels) the part of `lacking` that is the step's error where it was last
+    # corrected; None: it was not
+    step_error: FloatArray | None = field(default=None, kw_only=True)
 
     @property
     def local(self) -> tuple[tuple[str, int], ...]:
@@ -369,13 +372,25 @@ class Dataset:
         For arms nearby it is nearly the same: a search may go on in long steps. Of the sensors'
         noise it knows more, too: what is noise is not in the arm's motion, quick as that may be.
         """
+        exact, error = self._step_error(values, local)
+        noise = np.minimum(self.noise, self._noise_beside(exact, values))
+        lacking = error if self.step_error is None else self.lacking + error - self.step_error
+        return replace(self, lacking=lacking, noise=noise, step_error=error)
+
+    def with_step_error(
+        self, values: Mapping[tuple[str, int | None], float], local: FloatArray
+    ) -> Dataset:
+        """The same, where `lacking` has the step's error at an arm already."""
+        return replace(self, step_error=self._step_error(values, local)[1])
+
+    def _step_error(
+        self, values: Mapping[tuple[str, int | None], float], local: FloatArray
+    ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
+        """A run in shorter steps, and what its channels have beyond those of the own steps."""
         step = min(self.longest_step / _SHORTER, 1.0 / (_SHORT_STEPS * self.cutoff_hz))
         short = replace(self, longest_step=step)
-        runs = (one.run(values, local, self.quantities()) for one in (short, self))
-        exact, own = runs
-        noise = np.minimum(self.noise, self._noise_beside(exact, values))
-        lacking = self.seen(exact, values) - self.seen(own, values)
-        return replace(self, lacking=lacking, noise=noise)
+        exact, own = (one.run(values, local, self.quantities()) for one in (short, self))
+        return exact, self.seen(exact, values) - self.seen(own, values)
 
     def _noise_beside(
         self, runs: Mapping[Quantity, FloatArray], values: Mapping[tuple[str, int | None], float]

@@ -7,12 +7,13 @@ gets near such a record, one that may begin as it likes does.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Objective
+from strainwave.identification.whole_arm.objective import ROUGH_BEGINNING, Objective
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import resumed_coarse_search
 from strainwave.numerics.parallel import side_by_side
@@ -70,8 +71,13 @@ def in_motion(objective: Objective, z: FloatArray) -> Objective:
 def _evident(objective: Objective, z: FloatArray, k: int, rest: float) -> FloatArray | None:
     """A record's own unknowns where beginning in motion takes most of its cost: (n_own,)."""
     held = objective.space.holding(objective.space.values(z))  # only the beginning is looked for
+    one = objective.in_motion(k).only(k).for_unknowns(held)
+    rough = replace(one, beginning_tolerance=ROUGH_BEGINNING)
     try:
-        (free,) = objective.in_motion(k).only(k).for_unknowns(held).rows(z[:0])
+        (free,) = rough.rows(z[:0])
+        if (1.0 - ROUGH_BEGINNING) * free.cost(objective.weights[k]) > _SHARE * rest:
+            return None  # a better beginning cannot take so much, either
+        (free,) = one.rows(z[:0])
     except (InvalidInput, NumericalFailure):
         return None  # no arm begins like that
     cost = free.cost(objective.weights[k])

@@ -18,6 +18,7 @@ from strainwave.domain import ComplexArray, FloatArray, IntArray
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.parametrisation import ParameterSpace
+from strainwave.identification.whole_arm.preparation import in_long_steps
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import side_by_side
 from strainwave.numerics.trust_region import Flat, Linearised, minimise
@@ -35,6 +36,8 @@ _ROBUST = 1.4826  # standard deviation of normal errors over their median magnit
 _ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
 _STAYS = 1e-3  # deviations by which another round moves nothing that matters
 _BEGUN = 0.1  # gain still predicted of moving a beginning, in units of the cost
+ROUGH_BEGINNING = 0.2
+"""The same as a share of the cost, where the beginning need only be known roughly."""
 _BEGINNINGS = 12  # of a record that are tried for one point
 
 LEAST_BEND = 0.5
@@ -153,6 +156,7 @@ class _Memory:
     own: list[FloatArray]
     last: tuple[bytes, list[Evaluated]] | None = None
     rows: tuple[bytes, tuple[Weights, ...], list[Rows]] | None = None
+    long: tuple[bytes, tuple[Weights, ...], Objective] | None = None  # `in_long_steps`
 
     def shift(self, k: int, n_begin: int, best: FloatArray) -> None:
         """Begin the next search for a record's constants where the last one ended."""
@@ -168,6 +172,8 @@ class Objective:
     weights: tuple[Weights, ...]
     memory: _Memory = field(repr=False)
     guessed: bool = False  # whether the weights know nothing of the errors yet
+    # share of a record's cost that a better beginning may still gain where its search ends
+    beginning_tolerance: float = 0.0
 
     @classmethod
     def of(cls, space: ParameterSpace, records: Sequence[Dataset]) -> Objective:
@@ -267,6 +273,48 @@ class Objective:
         memory = _Memory(list(self.memory.own), (z.tobytes(), moved))
         return replace(self, records=records, memory=memory)
 
+    def in_long_steps(self, z: FloatArray) -> Objective:
+        """The same rows, weights and residuals at z, with arms simulated in longer steps.
+
+        The difference between the steps at z is a constant of each row, so near z only the
+        derivatives have the error of the longer steps. The result is the objective itself where
+        such steps are too long for the arm.
+        """
+        known = self.memory.long
+        if known is not None and known[0] == z.tobytes() and known[1] is self.weights:
+            return known[2]
+        rows = self.rows(z)
+        owns = [each.evaluated.own + each.step for each in rows]
+
+        def lengthened(k: int, record: Dataset) -> tuple[Dataset, Evaluated]:
+            long = in_long_steps(record)
+            n_rows = len(long.time)
+            residual = (rows[k].residual * self.weights[k].deviation)[:n_rows]
+            counted = None if record.counted is None else record.counted[:n_rows]
+            long = replace(long, lacking=np.zeros_like(residual), counted=counted)
+            there = self._begun(long, z, owns[k])
+            long = replace(long, lacking=residual - there.difference)
+            return long, replace(there, difference=residual)
+
+        try:
+            pairs = self._each(lengthened)
+        except (InvalidInput, NumericalFailure):
+            return self
+        records = tuple(record for record, _ in pairs)
+        memory = _Memory(owns, (z.tobytes(), [there for _, there in pairs]))
+        long = replace(self, records=records, memory=memory)
+        self.memory.long = z.tobytes(), self.weights, long
+        return long
+
+    def with_step_errors(self, z: FloatArray) -> Objective:
+        """The same residuals, ready for `corrected` elsewhere: they are correct at z."""
+        values = self.space.values(z)
+
+        def known(k: int, record: Dataset) -> Dataset:
+            return record.with_step_error(values, self.memory.own[k][: len(record.local)])
+
+        return replace(self, records=tuple(self._each(known)))
+
     def seen_by(self, records: Sequence[Dataset]) -> Objective:
         """The same weights and beginnings for other rows of the same records."""
         return replace(self, records=tuple(records), memory=_Memory(list(self.memory.own)))
@@ -338,6 +386,7 @@ class Objective:
             own,
             Flat(),
             tolerance=_BEGUN,
+            relative=self.beginning_tolerance,
             max_evaluations=_BEGINNINGS,
         )
         if found is None:

@@ -26,6 +26,9 @@ from strainwave.signals.recorded_input import (
 
 _STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
 _REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at standstill
+STEPS_PER_PERIOD = 8.0
+"""Integrator steps in a period of the cut-off, where the step's error is corrected or tolerated."""
+_SAME_STEP = 1.0 + 1e-9  # factor within which two steps are the same but for rounding
 _TURN = 0.002  # [s] over which accelerations are seen
 
 
@@ -121,8 +124,31 @@ def coarsened(record: Dataset, longest_step: float) -> Dataset:
     Dataset
         Its rows lie as far apart, about.
     """
+    coarse = _thinned(record, max(1, int(longest_step / record.log.sample_time)))
+    return replace(coarse, longest_step=max(longest_step, _STEP))
+
+
+def in_long_steps(record: Dataset) -> Dataset:
+    """The same rows of a record whose arm is simulated in the longest steps that the band allows.
+
+    Samples are thinned by a divisor of the samples per row, and the low-pass of the simulated
+    channels looks ahead by the distance between the centres of its taps before and after.
+    """
+    step, T = record.kernels.step, record.log.sample_time
+    longest_step = 1.0 / (STEPS_PER_PERIOD * record.cutoff_hz)
+    divisors = (every for every in range(1, step + 1) if step % every == 0)
+    every = max(each for each in divisors if each == 1 or each * T <= longest_step * _SAME_STEP)
+    if every == 1:
+        return replace(record, longest_step=max(longest_step, record.longest_step))
+    coarse = _thinned(record, every)
+    ahead = 0.5 * (1.0 - 1.0 / every)
+    kernels = low_pass_kernels(record.cutoff_hz, every * T, ahead)
+    return replace(coarse, kernels=kernels, longest_step=max(longest_step, record.longest_step))
+
+
+def _thinned(record: Dataset, every: int) -> Dataset:
+    """A record of every so many-th sample, driven by the means of its voltages between them."""
     log = record.log
-    every = max(1, int(longest_step / log.sample_time))
     n = len(log) // every
     channels = {
         name: x[: n * every].reshape(n, every).mean(axis=1)
@@ -142,8 +168,7 @@ def coarsened(record: Dataset, longest_step: float) -> Dataset:
         channels=channels,
     )
     coarse = dataset_of(thinned, record.arm, record.cutoff_hz, closed_loop=any(record.drive.servo))
-    step = max(longest_step, _STEP)
-    return replace(coarse, noise=record.noise, moving=record.moving, longest_step=step)
+    return replace(coarse, noise=record.noise, moving=record.moving)
 
 
 def _with_link_angles(log: Log, arm: Arm) -> Log:

@@ -82,7 +82,7 @@ def _promising(fit: Fit, selection: Selection) -> Mounts:
     n = sum(map(len, tested.values()))
     if not n:
         return {}
-    objective = fit.objective
+    objective = fit.objective.in_long_steps(fit.z)
     values = objective.space.values(fit.z)
 
     def columns(k: int, _: Evaluated) -> FloatArray:

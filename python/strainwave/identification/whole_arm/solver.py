@@ -104,26 +104,16 @@ def _reweighted(fit: Fit, options: TuningOptions) -> Fit:
 
 
 def fine_search(objective: Objective, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
-    """Least squares and new weights in turn until the weights stay.
+    """Least squares and new weights in turn until the weights settle; `polished` ends the search.
 
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-        Near the minimum.
-    spent : int
-        Evaluations so far.
-    options : TuningOptions
-
-    Returns
-    -------
-    Fit
+    `z` is near the minimum. The integrator's step error is corrected twice, where the first search
+    ends and near the minimum.
     """
     fit = search_from(objective, z, spent, options, tolerance=_FINE, relative=_GUESSED)
     if spent >= options.max_iterations:  # what it costs is known, and no more
         return replace(fit, iterations=spent, converged=False)
     if fit.converged and fit.iterations < options.max_iterations:
-        fit = refined(_corrected(fit), options)
+        fit = refined(_corrected(fit), options, tolerance=_FINE)
     if not fit.converged or fit.iterations >= options.max_iterations:
         return replace(fit, converged=False)
     return refined(_corrected(fit), options)  # where the step's errors are now those of the end
@@ -134,19 +124,13 @@ def _corrected(fit: Fit) -> Fit:
     return replace(fit, objective=fit.objective.corrected(fit.z).reweighted(fit.z))
 
 
-def refined(fit: Fit, options: TuningOptions) -> Fit:
+def refined(fit: Fit, options: TuningOptions, tolerance: float = COARSE_GAIN) -> Fit:
     """The last rounds of `fine_search`, from a point so near that weights and step errors hold.
 
-    Parameters
-    ----------
-    fit : Fit
-    options : TuningOptions
-
-    Returns
-    -------
-    Fit
+    By the usual tolerance the result is within a standard deviation of the minimum: the choice of
+    the model's parameters needs no more.
     """
-    search = partial(search_from, options=options, tolerance=_FINE)
+    search = partial(search_from, options=options, tolerance=tolerance)
     for _ in range(_ROUNDS):
         if fit.iterations >= options.max_iterations:
             return replace(fit, converged=False)
@@ -156,6 +140,15 @@ def refined(fit: Fit, options: TuningOptions) -> Fit:
             break
         fit = replace(fit, objective=renewed)
     return fit
+
+
+def polished(fit: Fit, options: TuningOptions) -> Fit:
+    """The minimum itself, by the weights of a refined fit."""
+    if not fit.converged or fit.iterations >= options.max_iterations:
+        return fit
+    return search_from(
+        fit.objective, fit.z, fit.iterations, options, tolerance=_FINE, damping=_NEAR
+    )
 
 
 def search_from(

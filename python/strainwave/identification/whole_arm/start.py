@@ -34,7 +34,12 @@ from strainwave.identification.whole_arm.parametrisation import (
     with_curves,
 )
 from strainwave.identification.whole_arm.predicted import BAND, LEAST_BAND
-from strainwave.identification.whole_arm.preparation import coarsened, dataset_of, usable
+from strainwave.identification.whole_arm.preparation import (
+    STEPS_PER_PERIOD,
+    coarsened,
+    dataset_of,
+    usable,
+)
 from strainwave.identification.whole_arm.restricted import (
     published_records,
     restricted,
@@ -45,7 +50,6 @@ from strainwave.identification.whole_arm.sensors import (
 from strainwave.identification.whole_arm.starts import rejected_starts, starts_of
 from strainwave.signals.mounting_start import mounting_starts
 
-_STEPS = 8.0  # in a period of the cut-off, of the first search; the fit itself takes more
 _LOOKS = 31  # along a stiffness of which nothing is known, over a factor of nine
 _UNLIKELY = (
     "the arm that the steps before found cannot be simulated. Check the signs, units and assignment"
@@ -158,7 +162,7 @@ def _records(
     records = tuple(dataset_of(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
     for record in records:
         _check_link_encoders(record, arm)
-    return records, [coarsened(r, 1.0 / (_STEPS * cutoff)) for r in records]
+    return records, [coarsened(r, 1.0 / (STEPS_PER_PERIOD * cutoff)) for r in records]
 
 
 def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> FloatArray:
