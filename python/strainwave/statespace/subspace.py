@@ -98,9 +98,13 @@ def subspace(
 
 
 def subspace_orders(data: Data) -> Callable[[int], StateSpace]:
-    """A function from an order to `subspace(data, order)` that factorises the data only once."""
+    """A function from an order to `subspace(data, order, method="predictor")`.
+
+    The data are factorised only once. MOESP's models would rarely change which order is best, and
+    take as long again.
+    """
     factors = Factors(stack(data))
-    return lambda order: _estimate(factors, order, "auto", None, None)
+    return lambda order: _estimate(factors, order, "predictor", None, None)
 
 
 def _estimate(
