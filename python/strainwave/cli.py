@@ -108,7 +108,10 @@ def identify(
     chosen = pipeline.STAGES if stages is None else tuple(s.strip() for s in stages.split(","))
     with _progress(quiet) as follow:
         identification = pipeline.identify(
-            study, stages=chosen, options=options or None, progress=follow
+            study,
+            stages=chosen,
+            options=options or None,
+            progress=pipeline.loading_report(follow),
         )
         pipeline.write(identification, out, figures=figures, progress=follow)
     if not quiet:

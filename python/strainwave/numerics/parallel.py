@@ -6,6 +6,7 @@ import atexit
 import ctypes
 import gc
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +20,7 @@ Second = TypeVar("Second")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 _KEPT = 2**28  # bytes
 _NEW_OBJECTS = 100_000  # from one look of the collector to the next
+_THREAD_TURN = 1e-3  # [s] after which a thread gives way to one that returns from compiled code
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
@@ -44,6 +46,7 @@ def own_process() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to find none takes a while
     gc.set_threshold(_NEW_OBJECTS)
+    sys.setswitchinterval(_THREAD_TURN)
     atexit.register(gc.freeze)
     _keep_memory()
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from strainwave import __version__
@@ -400,6 +401,26 @@ def _used_for(all_logs: Sequence[Log], use: str) -> list[Log]:
 def _single_and_excited(arm: Arm, all_logs: Sequence[Log]) -> bool:
     """Whether a joint can be identified without a rigid model."""
     return is_uncoupled(arm) and any(log.experiment.use == "frequency" for log in all_logs)
+
+
+def loading_report(progress: Progress) -> Progress:
+    """The progress callback; when the whole-arm fit begins, a thread loads what `write` needs."""
+    threads: list[Thread] = []
+
+    def follow(event: ProgressEvent) -> None:
+        if event.part == "tuned" and not threads:
+            threads.append(Thread(target=_load_report))
+            threads[0].start()
+        progress(event)
+
+    return follow
+
+
+def _load_report() -> None:
+    from strainwave.presentation import report  # noqa: F401
+    from strainwave.presentation.html import load_template
+
+    load_template("report/page")
 
 
 def write(

@@ -23,6 +23,11 @@ def fill_template(template: str, **values: Any) -> str:
     return _environment().get_template(f"{template}.html.j2").render(**values)
 
 
+def load_template(template: str) -> None:
+    """Compile a template that `fill_template` uses later."""
+    _environment().get_template(f"{template}.html.j2")
+
+
 def read_template(name: str) -> str:
     """The text of a template file, named with its ending: "report/page.css"."""
     folder, _, file = name.partition("/")

@@ -100,6 +100,21 @@ class Refits:
     evaluations: int  # budget that was given, in evaluations of the fit's objective
 
 
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """A fit in long steps of the integrator, and in those of its own."""
+
+    long: Fit
+    own: Fit
+
+    @classmethod
+    def of(cls, fit: Fit) -> _Steps:
+        long = in_long_steps(fit)
+        if long is not fit:
+            long = replace(long, objective=long.objective.with_step_errors(fit.z))
+        return cls(long, fit)
+
+
 class _Budget:
     """Evaluations that fits with one more effect may spend."""
 
@@ -129,17 +144,16 @@ def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptio
         (one for one in tested if _promise(one) >= least and one.one not in named),
         key=lambda one: -_promise(one),
     )
-    long = in_long_steps(fit)
-    fit = replace(long, objective=long.objective.with_step_errors(fit.z))
     budget = _Budget(fit, options)
-    found = _likely(fit, rivals[:_RIVALS], arm, options, budget)
+    steps = _Steps.of(fit)
+    found = _likely(steps, rivals[:_RIVALS], arm, options, budget)
     if not found or found[0].share < _HARDLY or effect_named(found[0].one[1]).by_record:
         # a linear step may not see them, and what changes by record stands for much else
         joint = found[0].one[0] if found else promising[0].test.joint
         others = [one for one in tested if one.test.joint == joint and one.one not in named]
         others = [one for one in others if one not in rivals[:_RIVALS]]
         others.sort(key=_promise, reverse=True)
-        found += _likely(fit, others[:_OTHERS], arm, options, budget)
+        found += _likely(steps, others[:_OTHERS], arm, options, budget)
     return Refits(tuple(_by_evidence(found)), tuple(budget.refused), budget.evaluations)
 
 
@@ -149,7 +163,7 @@ def _by_evidence(refits: Iterable[Refit]) -> list[Refit]:
 
 
 def _likely(
-    fit: Fit, rivals: Sequence[Tested], arm: Arm, options: TuningOptions, budget: _Budget
+    steps: _Steps, rivals: Sequence[Tested], arm: Arm, options: TuningOptions, budget: _Budget
 ) -> list[Refit]:
     """Fits with each of some effects that explain more than chance, the most likely first."""
     found = []
@@ -157,7 +171,9 @@ def _likely(
         if not budget.of_next:
             budget.refused.append(one.one)
             continue
-        refit = _refit(fit, one, arm, options, budget)
+        refit = _refit(steps.long, one, arm, options, budget)
+        if refit is None and steps.own is not steps.long:  # too stiff an effect for long steps
+            refit = _refit(steps.own, one, arm, options, budget)
         if refit is not None and _shows(refit, one.chance):
             found.append(refit)
     return _by_evidence(found)

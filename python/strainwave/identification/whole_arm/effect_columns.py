@@ -11,6 +11,7 @@ from strainwave.domain import EffectName, FloatArray
 from strainwave.domain.effects import effect_named, names
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
+from strainwave.errors import NumericalFailure
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
@@ -107,7 +108,7 @@ class EffectColumns:
         Raises
         ------
         InvalidInput, NumericalFailure
-            The arm with effects cannot be simulated.
+            The arm with effects cannot be simulated, or not with finite derivatives.
         """
         objective, n = fit.objective, len(fit.objective.space.unknowns)
         each = [
@@ -126,6 +127,8 @@ class EffectColumns:
             return np.concatenate([found, np.zeros((*found.shape[:2], width - n_sizes))], axis=2)
 
         whole = objective.bordered(fit.z, width, tangent, beforehand)
+        if not np.isfinite(whole).all():
+            raise NumericalFailure("the derivative by an effect's size overflows")
         stds = [effect_named(one.effect).prior_std for one, own in sizes.items() for _ in own]
         stds += [1.0] * (width - n_sizes)
         known = [k for k, std in enumerate(stds) if std is not None]

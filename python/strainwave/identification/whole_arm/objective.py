@@ -293,6 +293,8 @@ class Objective:
             counted = None if record.counted is None else record.counted[:n_rows]
             long = replace(long, lacking=np.zeros_like(residual), counted=counted)
             there = self._begun(long, z, owns[k])
+            if not np.isfinite(there.columns).all():
+                raise NumericalFailure("the derivatives overflow in long steps")
             long = replace(long, lacking=residual - there.difference)
             return long, replace(there, difference=residual)
 

@@ -88,11 +88,13 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     candidates = _missing(fit, arm)
     if not candidates:
         return []
-    try:
-        columns = EffectColumns.of(in_long_steps(fit), arm, _hypotheses(fit, arm, candidates))
-    except (InvalidInput, NumericalFailure):
-        return []
-    return list(_chosen(columns, fit))
+    hypotheses = _hypotheses(fit, arm, candidates)
+    for steps in (in_long_steps(fit), fit):  # an effect may be too stiff for long steps
+        try:
+            return list(_chosen(EffectColumns.of(steps, arm, hypotheses), fit))
+        except (InvalidInput, NumericalFailure):
+            continue
+    return []
 
 
 def in_long_steps(fit: Fit) -> Fit:
